@@ -23,7 +23,7 @@ from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.tracker import TrackerModel
 from smooth_operator.teleop.sources.live import on_time
-from smooth_operator.teleop.sources.manus_gloves import NODES
+from smooth_operator.teleop.sources.programs import NODES
 from smooth_operator.teleop.sources.stream import Hands, sides_of
 from smooth_operator.types import HandFrame, HandRecording, Side
 

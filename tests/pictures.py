@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from smooth_operator.errors import SmoothOperatorError
-from smooth_operator.teleop.opencv import opencv
+from smooth_operator.teleop.sources.webcam.camera import opencv
 
 
 def opencv_or_skip() -> Any:

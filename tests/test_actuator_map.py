@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,16 @@ from hypothesis import strategies as st
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.teleop.hardware.actuator_map import Actuator, ActuatorMap
+from smooth_operator.teleop.hardware.actuator_map import (
+    Actuator,
+    ActuatorMap,
+    built_in_tables,
+    find_table,
+    read_table,
+    write_table,
+)
 from smooth_operator.teleop.hardware.device import Reading
 from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
-from smooth_operator.teleop.hardware.table_file import find_table, read_table, write_table
 
 
 def table_of(*actuators: Actuator, **more: object) -> ActuatorMap:
@@ -117,6 +124,28 @@ def test_a_table_is_written_and_read_back(tmp_path):
     assert found.actuators == table.actuators
     assert (found.limit, found.on_silence, found.settings) == (300.0, "relax", table.settings)
     assert found.limits.tolist() == [200.0, 300.0]
+
+
+def test_a_table_has_the_entries_of_its_base_where_it_has_none(tmp_path):
+    path = tmp_path / "weak_left.toml"
+    path.write_text(
+        "format = 1\nbase = 'ability_right.toml'\nside = 'left'\nlimit = 200\n"
+        "[[actuators]]\nname = 'middle'\nlimit = 100\n"
+    )
+    table, base = read_table(path), read_table(built_in_tables() / "ability_right.toml")
+    assert (table.side, table.limit, table.file) == ("left", 200.0, str(path))
+    assert (table.driver, table.unit, table.source) == (base.driver, base.unit, base.source)
+    for own, other in zip(table.actuators, base.actuators, strict=True):
+        assert own == replace(other, limit=100.0 if other.name == "middle" else other.limit)
+    (tmp_path / "ability_right.toml").write_text("format = 1\n")  # a neighbour goes first
+    with pytest.raises(ConfigError, match=r"ability_right\.toml: actuators: is missing"):
+        read_table(path)
+    path.write_text("format = 1\nbase = 'ability_left.toml'\n")
+    with pytest.raises(ConfigError, match=r"weak_left\.toml: base: .* has a base of its own"):
+        read_table(path)
+    path.write_text("format = 1\nbase = 'nothing.toml'\n")
+    with pytest.raises(ConfigError, match=r"no table at .*nothing\.toml"):
+        read_table(path)
 
 
 @pytest.mark.parametrize(

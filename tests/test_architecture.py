@@ -26,6 +26,7 @@ ROOT = "__init__"
 
 CORE = {
     "errors": 0,
+    "extras": 0,
     "lazy_names": 0,
     "version": 1,
     "landmarks": 0,
@@ -98,7 +99,7 @@ START = "methods.retargeter"
 CLOSURE_LINES = 15_200
 """Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
 
-LOADED_LINES = 11_700
+LOADED_LINES = 10_060
 """Most lines of the modules that a program has loaded when it has a default ``Retargeter``."""
 
 MAX_LINES = 700

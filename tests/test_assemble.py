@@ -10,9 +10,11 @@ import pytest
 
 from smooth_operator import load_hand
 from smooth_operator.errors import HandModelError, RecordingError
-from smooth_operator.hands.collision import colliding_shapes, penetration_depths
+from smooth_operator.hands.collision import colliding_shapes
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.hands.penetration import penetration_depths
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace, sample_reach

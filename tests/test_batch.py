@@ -17,9 +17,10 @@ from smooth_operator.compilation.batching import LaneProgram, Tracks
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
+from smooth_operator.methods.frame import FrameState, RetargetState
 from smooth_operator.methods.method import Method, MethodOutput, TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
-from smooth_operator.methods.program import FrameState, RetargetState, ticks_of
+from smooth_operator.methods.program import ticks_of
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.objective.smooth_terms import SelfCollisionConfig

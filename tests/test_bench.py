@@ -23,11 +23,18 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.human.alignment import AlignmentConfig, human_palm_axes
-from smooth_operator.lab.benchmark import compare, read_results, suite
-from smooth_operator.lab.benchmark.cells import Settings, cells_of, fingerprint, select_methods
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.human.flat_hand import human_palm_axes
+from smooth_operator.lab.benchmark import compare, quality, read_results, suite
+from smooth_operator.lab.benchmark.cells import (
+    Cell,
+    Settings,
+    cells_of,
+    fingerprint,
+    select_methods,
+)
 from smooth_operator.lab.benchmark.figures import Panel, Run, make_clip, view_basis
-from smooth_operator.lab.benchmark.quality import Task, Watch, finger_metrics, measure_cell
+from smooth_operator.lab.benchmark.quality import Watch, finger_metrics, measure_cell
 from smooth_operator.lab.benchmark.ranking import Line, best, change_verdict, failures, overall
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request, unique_names
 from smooth_operator.lab.benchmark.suite import Row
@@ -140,8 +147,8 @@ def count(monkeypatch) -> list[str]:
     """What is measured from now on."""
     begun: list[str] = []
 
-    def counted(task: Task) -> Any:
-        begun.append(task.method)
+    def counted(task: tuple[Cell, Settings]) -> Any:
+        begun.append(task[0].method)
         return measure_cell(task)
 
     def timed(cells: Any, *rest: Any) -> Any:
@@ -375,7 +382,7 @@ def test_ctrl_c_keeps_what_is_finished(recordings, tmp_path, monkeypatch):
                  "--workers", 0, "--latency-frames", 0, "--no-report")  # fmt: skip
     begun = []
 
-    def stopped(task: Task) -> Any:
+    def stopped(task: tuple[Cell, Settings]) -> Any:
         begun.append(task)
         if len(begun) == 2:
             raise KeyboardInterrupt
@@ -396,10 +403,9 @@ def test_ctrl_c_keeps_what_is_finished(recordings, tmp_path, monkeypatch):
 
 
 def test_a_pool_gives_the_same_commands(recordings, done):
-    recording = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])[0].recording
-    assert recording is not None
-    task = Task(recording, "mimic_p050", "sbr", "tiny", TINY, 0, "sound")
-    (result,) = run_tasks(measure_cell, [task], workers=1)
+    (source,) = load_sources([parse_request(str(recordings / "a<i>&'$x^.npz"))])
+    cell, settings = Cell(source, "mimic_p050", "sbr", "tiny", TINY), Settings(output=done.folder)
+    (result,) = run_tasks(measure_cell, [(cell, settings)], workers=1)
     assert result.value is not None, result.error
     (row,) = [row for row in done.rows if row["status"] == "ok"]
     commands = read_commands(done.folder / row["cell"])

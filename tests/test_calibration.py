@@ -26,7 +26,8 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand, knuckle_joints, straight_pose
-from smooth_operator.human.alignment import human_palm_axes, palm_alignment
+from smooth_operator.human.alignment import palm_alignment
+from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.human.operator import COMPONENTS, tip_frames
 from smooth_operator.lab.offline.folder import survey
 from smooth_operator.landmarks import FINGERS, TIPS

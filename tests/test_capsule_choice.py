@@ -11,8 +11,8 @@ import pytest
 from capsule_depths import depths, ends_of
 
 from smooth_operator.hands.capsules import MOST, CapsulePairs, capsule_pairs
-from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec
+from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
 
 _PIECES = 5

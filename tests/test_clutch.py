@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 from smooth_operator import Retargeter, load_hand, poses
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.alignment import FLAT_HAND
+from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.runtime.clutch import Clutch
-from smooth_operator.teleop.runtime.limiter import MAX_STEP_S, PoseLimiter
+from smooth_operator.teleop.runtime.limiter import MAX_STEP_S, Clutch, PoseLimiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig, WristConfig
 from smooth_operator.teleop.sinks.tick import Mode, WristCommand

@@ -196,7 +196,7 @@ def test_other_methods_too(folder, method):
     def result(cache: bool) -> bytes:
         forget()
         retargeter = Retargeter(method=method, cache=cache)
-        assert (retargeter.shared.method.host is not None) == (method == "dexpilot")
+        assert retargeter.shared.method.on_host == (method == "dexpilot")
         return retargeter.run(recording)[0].joint_positions.tobytes()
 
     without = result(cache=False)

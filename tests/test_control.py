@@ -19,18 +19,17 @@ from ticks import make_tick
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.alignment import FLAT_HAND
+from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.planning import make_request
-from smooth_operator.teleop.control.keyboard import actions, keyboard
-from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
+from smooth_operator.teleop.control.rpc import RpcHandlers, RpcServer, remote
+from smooth_operator.teleop.control.switches import actions, keyboard
 from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.runtime.limiter import EXTRA
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.runtime.rpc_server import RpcServer, remote
 from smooth_operator.teleop.runtime.settings import LoopConfig
-from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.sink import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Arrival, Mailbox, SourceHealth
 from smooth_operator.types import HandFrame

@@ -19,13 +19,8 @@ from mcap.writer import Writer
 
 from smooth_operator.episode_files.lerobot import write_dataset
 from smooth_operator.episode_files.lerobot.tables import column_statistics, joint_statistics
-from smooth_operator.errors import (
-    ConfigError,
-    MissingExtraError,
-    OutputError,
-    RecordingError,
-    install_command,
-)
+from smooth_operator.errors import ConfigError, MissingExtraError, OutputError, RecordingError
+from smooth_operator.extras import install_command
 from smooth_operator.formats.commands import read_commands, write_commands
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.readers import read_recording

@@ -13,15 +13,11 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.hand import Hand, open_rays
+from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import (
-    FLAT_HAND,
-    palm_alignment,
-    palm_tilt_deg,
-    reference_landmarks,
-)
+from smooth_operator.human.alignment import palm_alignment, reference_landmarks
 from smooth_operator.human.correspondence import Correspondence, CorrespondenceConfig
+from smooth_operator.human.flat_hand import FLAT_HAND, open_rays, palm_tilt_deg
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SBR_REALTIME

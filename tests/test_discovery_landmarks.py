@@ -11,8 +11,8 @@ import pytest
 from discovery_hands import Part, make_hand, urdf
 from real_hands import REAL
 
-from smooth_operator.hands.collision import neutral_overlaps
 from smooth_operator.hands.hand import Hand, load_hand_spec
+from smooth_operator.hands.penetration import neutral_overlaps
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.discovery import Discovery, discover
 from smooth_operator.lab.validation.checks import Samples

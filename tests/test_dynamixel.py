@@ -53,7 +53,7 @@ def bank() -> Iterator[ServoBank]:
 
 @pytest.fixture(autouse=True)
 def fast_retries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.05)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.hardware_sink._RETRY_S", 0.05)
 
 
 def patiently(action: Callable[[], T], between: Callable[[], object] = int) -> T:
@@ -160,7 +160,7 @@ def test_servos_that_stopped_themselves_follow_again(bank: ServoBank, hand: Hand
 def test_a_servo_that_restarts_in_motion_is_lost_and_limited_again(
     bank: ServoBank, hand: Hand, power: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.05)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.device._EVERY_S", 0.05)
     servo = bank.servos[3]
     with Run(bank, hand) as run:
         run.tick = tick_at(hand, 0.4)

@@ -15,8 +15,9 @@ from typing import Any
 
 import pytest
 
-from smooth_operator import errors
-from smooth_operator.errors import MissingExtraError, install_command, require
+from smooth_operator import extras
+from smooth_operator.errors import MissingExtraError, require
+from smooth_operator.extras import install_command
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "smooth_operator"
@@ -32,14 +33,14 @@ EXTRAS = [
 LIBRARIES = [
     "bc_stark_sdk", "can", "cryptography", "cv2", "google", "grpc", "cyclonedds", "daqp",
     "dynamixel_sdk", "h5py", "optuna", "isaacteleop", "jinja2", "mcap", "mediapipe", "matplotlib",
-    "mink", "mujoco_menagerie", "optax", "orca_core", "pyarrow", "pymodbus", "ray", "rerun",
-    "segno", "serial", "statsmodels", "trimesh", "viser", "websockets", "wujihandpy", "zmq",
-    "zstandard",
+    "mink", "mujoco_menagerie", "optax", "orca_core", "pandas", "pyarrow", "pymodbus", "ray",
+    "rerun", "segno", "serial", "statsmodels", "trimesh", "viser", "websockets", "wujihandpy",
+    "zmq", "zstandard",
 ]  # fmt: skip
 """Modules of the extras."""
 AT_THE_TOP = (
-    "teleop/arm/", "teleop/isaac.py", "teleop/pages/", "teleop/recording/log_types.py",
-    "teleop/ros2/",
+    "study/analysis/", "study/data/", "study/power/", "teleop/arm/", "teleop/isaac.py",
+    "teleop/pages/", "teleop/recording/messages.py", "teleop/ros2/",
 )  # fmt: skip
 """Where they may be imported with the module: its package says first what is missing."""
 
@@ -118,11 +119,11 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
             return Distribution(text)
 
         monkeypatch.setattr(metadata, "distribution", distribution)
-        errors._installed_from.cache_clear()
+        extras._installed_from.cache_clear()
 
     yield pretend
     monkeypatch.undo()
-    errors._installed_from.cache_clear()
+    extras._installed_from.cache_clear()
 
 
 def test_an_extra_is_added_to_what_is_installed(

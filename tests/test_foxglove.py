@@ -17,7 +17,7 @@ from ticks import make_tick
 from smooth_operator import SyntheticOperator, load_hand
 from smooth_operator.landmarks import BONES, LANDMARKS
 from smooth_operator.teleop.recording import LogWriter, read_log
-from smooth_operator.teleop.recording.foxglove import landmark_keypoints
+from smooth_operator.teleop.recording.messages import landmark_keypoints
 from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.types import JointCommand, Status
 

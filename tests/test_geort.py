@@ -35,7 +35,7 @@ from smooth_operator.errors import (
 )
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand, load_hand_spec
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.lab.training import (
     LOSSES,
     GeortTrainer,

@@ -15,7 +15,8 @@ from smooth_operator.solvers.gpu_kernels import (
     next_gaussian,
     solve_positive_definite,
 )
-from smooth_operator.solvers.normals import counter_normal_matrix, random_words
+from smooth_operator.solvers.normals import counter_normal_matrix
+from smooth_operator.solvers.random_words import random_words
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import Status
 

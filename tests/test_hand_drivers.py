@@ -17,11 +17,15 @@ from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware import bus_lock
-from smooth_operator.teleop.hardware.actuator_map import ActuatorMap, BoundMap
-from smooth_operator.teleop.hardware.device import HandDevice, WrongAnswerError
+from smooth_operator.teleop.hardware.actuator_map import (
+    ActuatorMap,
+    BoundMap,
+    built_in_tables,
+    read_table,
+)
+from smooth_operator.teleop.hardware.device import HandDevice, SettingsWatch, WrongAnswerError
 from smooth_operator.teleop.hardware.drivers.linker import LinkerSink
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
-from smooth_operator.teleop.hardware.table_file import SettingsWatch, built_in_tables, read_table
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
 
@@ -32,7 +36,7 @@ TABLES = sorted(path.stem for path in built_in_tables().glob("*.toml"))
 def rig(request, tmp_path, monkeypatch) -> Iterator[Rig]:
     if why := missing(request.param):
         pytest.skip(why)
-    monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.hardware_sink._RETRY_S", 0.02)
     # Locks of buses are files there. A pty that another run of the tests has lost, and still has
     # locked, gives its name to the next one.
     monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
@@ -321,7 +325,7 @@ def test_a_hand_that_restarts_in_motion_is_lost_and_limited_again(rig, monkeypat
         look(watch)
         readings.append(time.perf_counter())
 
-    monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.0)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.device._EVERY_S", 0.0)
     monkeypatch.setattr(SettingsWatch, "look", counted)
     if rig.reports:
         rig.patience(0.2)

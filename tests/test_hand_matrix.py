@@ -28,7 +28,7 @@ from smooth_operator.baselines.geort import (
 )
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.parallel import run_tasks
 from smooth_operator.synthetic import SyntheticOperator

@@ -15,11 +15,10 @@ from ticks import make_tick
 
 from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.hardware.actuator_map import BoundMap
+from smooth_operator.teleop.hardware.actuator_map import BoundMap, read_table
 from smooth_operator.teleop.hardware.device import Reading, Setting, WrongAnswerError
 from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
-from smooth_operator.teleop.hardware.table_file import read_table
-from smooth_operator.teleop.hardware.worker import HandWorker, WorkerSettings
+from smooth_operator.teleop.hardware.hardware_sink import HandWorker, WorkerSettings
 from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.types import JointCommand
 
@@ -135,9 +134,9 @@ class Run:
         self.mode: Callable[[float], Mode] = lambda now: Mode.TRACKING
         self.silent: Callable[[float], bool] = lambda now: False
         self.lock = str(folder / "port")
-        for module in ("worker", "device", "table_file"):
+        for module in ("hardware_sink", "device"):
             monkeypatch.setattr(f"smooth_operator.teleop.hardware.{module}.time", self.clock)
-        monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.0)
+        monkeypatch.setattr("smooth_operator.teleop.hardware.hardware_sink._RETRY_S", 0.0)
         self.patch = monkeypatch
 
     def __call__(self, seconds: float, lost_s: float = 0.5) -> HandWorker:

@@ -28,7 +28,7 @@ from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.components import build_sink
-from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap, built_in_tables, read_table
 from smooth_operator.teleop.hardware.device import Reading, WrongAnswerError
 from smooth_operator.teleop.hardware.drivers.ability import AbilityDevice, framed, unstuffed
 from smooth_operator.teleop.hardware.drivers.allegro import AllegroDevice, AllegroSink
@@ -37,7 +37,6 @@ from smooth_operator.teleop.hardware.drivers.linker import LinkerDevice
 from smooth_operator.teleop.hardware.drivers.orca import OrcaSink
 from smooth_operator.teleop.hardware.drivers.revo2 import Revo2Device
 from smooth_operator.teleop.hardware.drivers.wuji import WujiDevice
-from smooth_operator.teleop.hardware.table_file import built_in_tables, read_table
 from smooth_operator.types import JointCommand
 
 _channels = itertools.count()

@@ -20,7 +20,7 @@ from smooth_operator.teleop.recording import read_episode, write_episode
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.teleop.sinks.record import RecordSink
-from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.sink import SinkRunner
 from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.teleop.sinks.zmq_sink import command_message
 from smooth_operator.teleop.sinks.zmq_sink import state_message as zmq_message

@@ -18,8 +18,8 @@ import pytest
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError
 from smooth_operator.hand_files.spec_writer import write_hand_spec
-from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand, load_hand_spec
+from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.lab.discovery import discover
@@ -32,8 +32,8 @@ from smooth_operator.lab.validation.hand_validation import (
     reachable_poses,
 )
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import JointCommand, Result, Status

@@ -17,10 +17,9 @@ from live_time import until
 
 from smooth_operator.cli import main
 from smooth_operator.errors import SinkError
-from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.actuator_map import ActuatorMap, read_table
 from smooth_operator.teleop.hardware.device import Reading
 from smooth_operator.teleop.hardware.table_check import ActuatorMover, TableCheck, blank_table
-from smooth_operator.teleop.hardware.table_file import read_table
 
 
 @pytest.fixture(autouse=True)

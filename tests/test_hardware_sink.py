@@ -25,10 +25,9 @@ from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.hardware import bus_lock
 from smooth_operator.teleop.hardware.bus_lock import BusLock
 from smooth_operator.teleop.hardware.guard import GuardSettings
-from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
+from smooth_operator.teleop.hardware.hardware_sink import HandWorker, HardwareSink
 from smooth_operator.teleop.hardware.table_check import ActuatorMover
-from smooth_operator.teleop.hardware.worker import HandWorker
-from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.sink import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.types import JointCommand
 
@@ -177,7 +176,7 @@ def test_silence_rests_as_the_table_says_and_the_return_is_slow(tmp_path, make, 
 
 
 def test_a_device_lost_in_motion_is_opened_again_and_approached_slowly(make, hand, monkeypatch):
-    monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.05)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.hardware_sink._RETRY_S", 0.05)
     sink = make(approach=5.0)
     with Driven(sink, hand) as driven:
         driven.tick = tick_at(hand, 30.0)
@@ -221,7 +220,7 @@ def test_after_a_stall_of_the_thread_it_begins_where_the_hand_is_by_then(make, h
 
 
 def test_wrong_answers_are_counted_and_many_are_a_lost_device(make, hand, monkeypatch):
-    monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.hardware_sink._RETRY_S", 0.02)
     sink = make(lost_s=0.5, approach=10.0)
     with Driven(sink, hand) as driven:
         driven.tick = tick_at(hand, 5.0)
@@ -253,8 +252,8 @@ def test_a_wrong_answer_while_it_opens_is_asked_for_again(make, hand):
 def test_a_limit_that_is_gone_is_a_lost_device_and_one_wrong_reading_is_not(
     make, hand, monkeypatch
 ):
-    monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.02)
-    monkeypatch.setattr("smooth_operator.teleop.hardware.worker._RETRY_S", 0.02)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.device._EVERY_S", 0.02)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.hardware_sink._RETRY_S", 0.02)
     sink = make(approach=10.0)
     with Driven(sink, hand) as driven:
         driven.tick = tick_at(hand, 10.0)
@@ -275,7 +274,7 @@ def test_a_limit_that_is_gone_is_a_lost_device_and_one_wrong_reading_is_not(
 def test_a_limit_that_the_hand_never_read_back_is_a_warning_and_no_loss(
     make, hand, monkeypatch, answer
 ):
-    monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.02)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.device._EVERY_S", 0.02)
     sink = make(approach=10.0, prepare=lambda fake: setattr(fake, "limits_once", [answer] * 3))
     with Driven(sink, hand) as driven:
         driven.tick = tick_at(hand, 10.0)
@@ -293,7 +292,7 @@ def test_a_limit_that_the_hand_never_read_back_is_a_warning_and_no_loss(
 
 
 def test_a_lost_limit_ends_hardware_check(make, hand, monkeypatch):
-    monkeypatch.setattr("smooth_operator.teleop.hardware.table_file._EVERY_S", 0.02)
+    monkeypatch.setattr("smooth_operator.teleop.hardware.device._EVERY_S", 0.02)
     sink = make()
     table = sink.actuators("right")
     device = sink.device(table)
@@ -561,7 +560,7 @@ def test_what_can_not_be_opened_is_said_when_it_is_opened(make, tmp_path, hand, 
         make(prepare=lambda fake: fake.gone.set()).open({"right": hand}, {})
     dead = make(prepare=lambda fake: fake.hang.set())
     with monkeypatch.context() as short:
-        short.setattr("smooth_operator.teleop.hardware.worker._OPENING_S", 0.2)
+        short.setattr("smooth_operator.teleop.hardware.hardware_sink._OPENING_S", 0.2)
         with pytest.raises(SinkError, match=r"no answer for 0\.2 s while it was opened"):
             dead.open({"right": hand}, {})
     left = load_hand("mimic_p050", "left")

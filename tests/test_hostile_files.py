@@ -26,14 +26,16 @@ from smooth_operator.formats import commands as results_module
 from smooth_operator.formats.arrays import ARRAYS_RATIO, FREE_BYTES, Allowance
 from smooth_operator.formats.commands import encode_commands, read_commands, write_encoded_commands
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.io.documents import json_object, parse_json, parse_toml, read_text
+from smooth_operator.io.documents import json_object, parse_json
+from smooth_operator.io.entries import parse_toml
+from smooth_operator.io.plain_files import read_text
 from smooth_operator.lab.offline.finished import identity
 from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.methods.presets import method_config
 from smooth_operator.study.data.reading import read_study
+from smooth_operator.teleop.control.rpc import _read
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.convert import read_episode, write_episode
-from smooth_operator.teleop.runtime.rpc_server import _read
 
 HERE = str(Path(__file__).parent)
 

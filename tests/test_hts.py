@@ -17,7 +17,7 @@ from smooth_operator.headsets.hts_lines import HtsHands, parse_line
 from smooth_operator.io.anatomy import chirality
 from smooth_operator.poses import separation
 from smooth_operator.teleop.components import build_source
-from smooth_operator.teleop.sources.headset_apps import HtsSource
+from smooth_operator.teleop.sources.programs import HtsSource
 from smooth_operator.types import HandFrame, Side
 
 POSE = (0.4, -0.3, 1.1, 0.6, -0.48, 0.384, 0.512)

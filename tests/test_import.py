@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from smooth_operator.errors import install_command
+from smooth_operator.extras import install_command
 
 PROJECT = Path(__file__).resolve().parents[1]
 IMPORT_BUDGET_S = 2.0

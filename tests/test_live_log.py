@@ -15,7 +15,7 @@ from protobuf_log import decoded, plain
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.teleop.recording import Log, LogWriter, read_log
-from smooth_operator.teleop.recording.log_types import LoopState
+from smooth_operator.teleop.recording.messages import LoopState
 from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandFrame, JointCommand, Status
 

@@ -31,9 +31,8 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import PageSettings, teleoperate
 from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, css
 from smooth_operator.teleop.pages.live import live_texts
-from smooth_operator.teleop.pages.live.drawing import LiveDrawing, Pace
+from smooth_operator.teleop.pages.live.drawing import LiveDrawing, LivePanel, Pace
 from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
-from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession, RateMeter
 from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
@@ -42,8 +41,7 @@ from smooth_operator.teleop.recording.take_quality import take_quality
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
-from smooth_operator.teleop.sinks.runner import SinkRunner
-from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.tick import HandState, Mode, Tick
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.types import Side

@@ -15,7 +15,8 @@ import trimesh
 from smooth_operator.cli import main
 from smooth_operator.cli.hands_show import Show
 from smooth_operator.cli.page import hand_to_draw
-from smooth_operator.errors import HandModelError, MissingExtraError, install_command
+from smooth_operator.errors import HandModelError, MissingExtraError
+from smooth_operator.extras import install_command
 from smooth_operator.formats.commands import write_commands
 from smooth_operator.hand_files.vendor_model import (
     drawn_on,
@@ -31,8 +32,8 @@ from smooth_operator.teleop.pages.hand_page import HandPage
 from smooth_operator.teleop.pages.hand_view import HandView, coarser
 from smooth_operator.teleop.pages.live.live_page import PageSetup
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
-from smooth_operator.teleop.pages.playback import Playback
-from smooth_operator.teleop.pages.player import RobotView
+from smooth_operator.teleop.pages.player import Playback, _views
+from smooth_operator.teleop.pages.scene import RobotLooks
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.types import CommandTrajectory, Side
 
@@ -209,7 +210,7 @@ def test_teleop_draws_the_vendors_meshes_on_its_page(tmp_path, monkeypatch, caps
         scene = LiveScene(server, {"right": hand}, simulated=False, drawn={"right": drawn})
         every = hand.full_configuration(np.random.default_rng(1).uniform(*hand.limits.T))
         scene.draw({"right": {"positions": every, "human": None, "latched": None}})
-        robot = scene._sides["right"]._robot.first
+        robot = scene._sides["right"].robot.shown.first
         names = {drawn.model.body(body).name for body in robot.nodes}
         assert {"palm", "rh_ffdistal"} & names
         assert "forearm" not in names
@@ -268,7 +269,7 @@ def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root):
     assert hand_with_meshes(there) is there
     assert hand_with_meshes(load_hand("mimic_p050")) is None
     with HandPage(hand, drawn=there, port=0) as page:
-        meshes, simple = page._looks
+        meshes, simple = page._robot._looks
 
         def shown() -> tuple[bool, bool]:
             a, b = ({n.visible for n in look.first.nodes.values()} for look in (meshes, simple))
@@ -276,9 +277,9 @@ def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root):
             return a.pop(), b.pop()
 
         assert shown() == (True, False)
-        page._shown[1].value = False
-        page._show_looks()
+        page._show(meshes=False)
         assert shown() == (False, True)
+        page._show(meshes=True)
         page.set_joint(2, 0.3)
         model = page._drawn[0].hand.model
         palm = next(b for b in meshes.first.nodes if model.body(b).name == "palm")
@@ -286,14 +287,14 @@ def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root):
     server = open_server("127.0.0.1", 0)
     try:
         scene = LiveScene(server, {"right": hand}, simulated=True)
-        side = scene._sides["right"]
-        before = side._robot
+        robot = scene._sides["right"].robot
+        before = robot.shown
         scene.add_meshes({"right": HandView(there)})
-        real = side._robot
+        real = robot.shown
         assert real is not before
         assert {n.visible for n in before.first.nodes.values()} == {False}
         scene.set_meshes(visible=False)
-        assert side._robot is before
+        assert robot.shown is before
         assert {n.visible for n in real.first.nodes.values()} == {False}
         assert {n.visible for n in before.first.nodes.values()} == {True}
     finally:
@@ -312,9 +313,12 @@ def test_a_player_has_both_in_one_place(root, tmp_path):
     )  # fmt: skip
     server = open_server("127.0.0.1", 0)
     try:
-        view = RobotView(server.scene, Playback("t", hand, trace, there), "/robot", np.eye(3)[2])
-        view.draw(3)
-        real, simple = (look.first for look in view.looks)
+        run = Playback("t", hand, trace, there)
+        view = RobotLooks(server.scene, hand, _views(run), "/robot", distal=np.eye(3)[2])
+        view.draw(q[3])
+        view.show(meshes=False)
+        view.show(meshes=True)
+        real, simple = (look.first for look in view._looks)
         for finger, tip in zip(there.spec.fingers, trace.robot_tips[3], strict=True):
             node = real.nodes.get(there.model.body(finger.tip.body).id)
             if node is not None:
@@ -328,7 +332,7 @@ def test_a_player_has_both_in_one_place(root, tmp_path):
                 at, other = mine.batched_positions, theirs.batched_positions
                 np.testing.assert_allclose(at, other, atol=1e-5)
         for visible in (True, False):
-            view.set_meshes(visible=visible)
+            view.show(meshes=visible)
             assert {n.visible for n in real.nodes.values()} == {visible}
             assert {n.visible for n in simple.nodes.values()} == {not visible}
     finally:

@@ -20,7 +20,7 @@ from smooth_operator import Retargeter, load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.hand_files.user_hands import copy_model, model_files
-from smooth_operator.hands import loading
+from smooth_operator.hands import mujoco_messages
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model, load_spec
 from smooth_operator.hands.model_assets import BODY, MOST_ELEMENTS
@@ -265,9 +265,9 @@ def test_a_name_of_a_device_is_refused(tmp_path):
 def test_mujocos_warnings_appear_once(tmp_path, caplog):
     path = ros_package(tmp_path / "hand", "../meshes/none.stl")  # compiled more than once
     path.write_text(path.read_text().replace('upper="1.6"', 'upper="-0.1"'))
-    loading._warn.cache_clear()
+    mujoco_messages._warn.cache_clear()
     previous = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(loading._warn)
+    mujoco.set_mju_user_warning(mujoco_messages._warn)
     try:
         with caplog.at_level(logging.WARNING, "smooth_operator.mujoco"):
             load_model(path)

@@ -19,7 +19,8 @@ from smooth_operator.landmarks import FINGERS, LANDMARKS
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.targets import DexPilotTargets, LatchState, PlainTargets, Targets
+from smooth_operator.objective.published import DexPilotTargets, LatchState, PlainTargets
+from smooth_operator.objective.targets import Targets
 
 FIVE = KeyvectorLayout(FINGERS)
 

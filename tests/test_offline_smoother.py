@@ -15,7 +15,7 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.lab.offline import TrajectoryRetargeter, build, execute
 from smooth_operator.lab.offline import trajectory_retargeter as trajectory_module
 from smooth_operator.lab.offline.trajectory_retargeter import check_method, windows

@@ -23,7 +23,7 @@ raise ImportError("libGL.so.1: cannot open shared object file: No such file or d
 PROGRAM = """
 import json, sys
 from smooth_operator.errors import SourceError
-from smooth_operator.teleop.opencv import opencv
+from smooth_operator.teleop.sources.webcam.camera import opencv
 before, texts = list(sys.path), []
 for _ in range(2):
     try:

@@ -16,12 +16,9 @@ from smooth_operator.calibration.operator_file import read_operator, write_opera
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.geometry import umeyama
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import (
-    AlignmentConfig,
-    align_recording,
-    human_palm_axes,
-    palm_alignment,
-)
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig, palm_alignment
+from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.human.operator import (
     COMPONENTS,
     Component,
@@ -30,7 +27,8 @@ from smooth_operator.human.operator import (
     tip_frames,
 )
 from smooth_operator.landmarks import BASES, TIPS
-from smooth_operator.objective.targets import CloseTargets, DexPilotTargets
+from smooth_operator.objective.published import DexPilotTargets
+from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.types import HandRecording
 
 PALM = (0, *BASES)

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError, install_command
+from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError
+from smooth_operator.extras import install_command
 from smooth_operator.parallel import TaskResult, cluster, run_groups, run_tasks, usable_cores
 
 needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")

@@ -18,7 +18,7 @@ from smooth_operator.headsets.pico_packets import read_packet, split_packets
 from smooth_operator.io.anatomy import chirality
 from smooth_operator.poses import separation
 from smooth_operator.teleop.components import build_source
-from smooth_operator.teleop.sources.headset_apps import PicoSource
+from smooth_operator.teleop.sources.programs import PicoSource
 from smooth_operator.types import HandFrame, Side
 
 POSE = (0.4, -0.3, 1.1, 0.6, -0.48, 0.384, 0.512)

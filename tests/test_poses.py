@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from smooth_operator import poses
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.human.alignment import FLAT_HAND
+from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.poses import WORLD_AXES, WRIST_AXES
 from smooth_operator.types import HandFrame, HandRecording
 

@@ -15,12 +15,13 @@ from made_hands import hand_points
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.methods.method import HostMethod, Method, MethodConfig, MethodOutput
+from smooth_operator.methods.host_method import HostMethod
+from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
 from smooth_operator.methods.presets import PRESETS, method_config
-from smooth_operator.methods.registry import COLORS, METHODS
+from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.plugins import Entry
-from smooth_operator.reporting.drawing import colors_of
+from smooth_operator.reporting.drawing import COLORS, colors_of
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.teleop.sinks.table import TableSink
@@ -34,22 +35,22 @@ def test_every_step_takes_the_frames_time():
     for name in PRESETS:
         built = method_config(name).build(hand)
         assert [*inspect.signature(built.step).parameters] == ["state", "aligned", "ticks"]
-        if built.host is not None:
-            assert [*inspect.signature(built.host.prepare).parameters][-1] == "ticks"
+        if built.on_host:
+            assert [*inspect.signature(built.prepare).parameters][-1] == "ticks"
 
 
 def test_what_methods_say_of_themselves():
     hand = load_hand("mimic_p050")
     built = {name: method_config(name).build(hand) for name in PRESETS}
-    assert {name for name, one in built.items() if one.host is not None} == {
+    assert {name for name, one in built.items() if one.on_host} == {
         "keyvector", "hybrid", "dexpilot", "ako",
     }  # fmt: skip
-    assert {name for name, one in built.items() if one.frame_goals() is not None} == {
+    assert {name for name, one in built.items() if one.trajectory_objective is not None} == {
         "sbr", "smooth",
     }  # fmt: skip
     latches = {n for n, one in built.items() if one.latched(one.init(0)) is not None}
     assert latches == {"sbr", "dexpilot", "smooth"}
-    assert isinstance(built["ako"].host, HostMethod)
+    assert isinstance(built["ako"], HostMethod)
     for presets in PRESETS.values():
         for name, config in presets.items():
             whole = config.trajectory

@@ -34,7 +34,7 @@ from smooth_operator.teleop.recording.log_episode import write_log_episode
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.record import RecordSink
-from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.sink import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.types import Side

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 import subprocess
 import sys
@@ -34,8 +33,9 @@ from smooth_operator.lab.benchmark.cells import (
     method_label,
     select_methods,
 )
-from smooth_operator.lab.benchmark.quality import Task, measure_cell
+from smooth_operator.lab.benchmark.quality import measure_cell
 from smooth_operator.lab.benchmark.ranking import columns
+from smooth_operator.lab.benchmark.recordings import Request, Source
 from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.methods.presets import (
     PRESETS,
@@ -302,13 +302,14 @@ def test_a_metric_is_measured_that_is_named_by_its_module(monkeypatch):
             add_metrics([target])
 
 
-def test_a_worker_of_a_benchmark_measures_it(monkeypatch):
+def test_a_worker_of_a_benchmark_measures_it(monkeypatch, tmp_path):
     monkeypatch.setattr(METRIC_REGISTRY, "_added", {})
     config, recording = method_config("joint_angle"), SyntheticOperator(seed=1).record(0.2)
-    task = Task(recording, "mimic_p050", "joint_angle", "default", config, 0, "sound")
-    assert "travel" not in measure_cell(task).metrics
-    more = dataclasses.replace(task, metrics=(f"{__name__}:TRAVEL",))
-    assert measure_cell(more).metrics["travel"] > 0
+    source = Source(Request(None), "one", recording)
+    cell = Cell(source, "mimic_p050", "joint_angle", "default", config)
+    assert "travel" not in measure_cell((cell, Settings(output=tmp_path))).metrics
+    more = Settings(output=tmp_path, metrics=(f"{__name__}:TRAVEL",))
+    assert measure_cell((cell, more)).metrics["travel"] > 0
 
 
 def test_directions_of_metrics_are_said_in_one_place():

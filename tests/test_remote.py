@@ -36,9 +36,9 @@ from smooth_operator.simulation.tasks import read_trial
 from smooth_operator.simulation.tasks.task_session import TrialRunner
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
-from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
-from smooth_operator.teleop.pages.live.link import Link
-from smooth_operator.teleop.pages.live.live_panel import LivePanel
+from smooth_operator.teleop.control.rpc import RpcHandlers, remote
+from smooth_operator.teleop.pages.live.drawing import LivePanel
+from smooth_operator.teleop.pages.live.live_page import Link
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
@@ -46,11 +46,10 @@ from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.remote_client import RemoteTeleop
-from smooth_operator.teleop.runtime.rpc_server import remote
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.record import RecordSink
-from smooth_operator.teleop.sinks.runner import SinkRunner
 from smooth_operator.teleop.sinks.simulation import Simulation
+from smooth_operator.teleop.sinks.sink import SinkRunner
 from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
 
 zmq = pytest.importorskip("zmq")

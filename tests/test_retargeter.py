@@ -15,11 +15,10 @@ from smooth_operator.cli.teleop import Teleop
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import hand_names, load_hand
+from smooth_operator.human.aligned_recording import align_recording, calibrate_scale
 from smooth_operator.human.alignment import (
     MIN_CONDITION,
     AlignmentConfig,
-    align_recording,
-    calibrate_scale,
     palm_alignment,
     palm_range,
     reference_landmarks,
@@ -27,14 +26,14 @@ from smooth_operator.human.alignment import (
 from smooth_operator.io.anatomy import implausible
 from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
 from smooth_operator.methods import program as program_module
-from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.frame import RetargetState
 from smooth_operator.methods.presets import PRESETS, method_config, method_names
-from smooth_operator.methods.program import RetargetState
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.objective.loss import ObjectiveConfig
-from smooth_operator.objective.targets import PlainTargets
+from smooth_operator.objective.published import PlainTargets
 from smooth_operator.planning import make_request
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig

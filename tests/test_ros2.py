@@ -262,7 +262,7 @@ class Recorded:
     def publisher(self, kind: type[Message], topic: str) -> Callable[[Any], None]:
         return self.sent.setdefault(topic, []).append
 
-    def now(self) -> ros.Time:
+    def now(self) -> Message:
         return ros.Time(7, 8)
 
     def close(self) -> None:
@@ -409,7 +409,7 @@ def test_the_arm_and_the_measured_joints_go_along(hand, recorded):
         assert message.name == [hand.joint_names[1], hand.joint_names[4]]
         assert message.position == [0.25, 0.75]
     assert (first.velocity, second.velocity) == ([], [0.5, 1.5])
-    assert 4.0 < first.header.stamp.seconds < 5.1  # 2 s before the command, at 7 s
+    assert 4.0 < ros.seconds_of(first.header.stamp) < 5.1  # 2 s before the command, at 7 s
     assert len(recorded.sent["/x"]) == 1
 
 
@@ -599,7 +599,7 @@ def test_a_wrist_that_is_old_or_unknown_is_not_valid():
     array = ros.PoseArray(poses=[ros.Pose(ros.Point(*row)) for row in points.tolist()])
 
     def wrist(received: float, stamp: float = 0.0) -> HandFrame:
-        message = replace(array, header=ros.Header(ros.Time.of(round(stamp * 1e9))))
+        message = replace(array, header=ros.Header(ros.time_of(round(stamp * 1e9))))
         (reading,) = reader.read("/x", message, received)
         return reading.frame
 

@@ -15,16 +15,20 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io.anatomy import FEWEST_FRAMES
 from smooth_operator.landmarks import LAYOUTS
-from smooth_operator.methods.program import RetargetState
+from smooth_operator.methods.frame import RetargetState
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.runtime import statistics as run_statistics
 from smooth_operator.teleop.runtime.limiter import Limiter
-from smooth_operator.teleop.runtime.motion_delay import TrackerDelay
-from smooth_operator.teleop.runtime.pipeline import COMPILED, COMPILING, HandPipeline
-from smooth_operator.teleop.runtime.plausible import finger_curl, implausible
+from smooth_operator.teleop.runtime.pipeline import (
+    COMPILED,
+    COMPILING,
+    HandPipeline,
+    Supervisor,
+    finger_curl,
+    implausible,
+)
 from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
-from smooth_operator.teleop.runtime.statistics import LoopStatistics, percentiles
-from smooth_operator.teleop.runtime.supervisor import Supervisor
+from smooth_operator.teleop.runtime.statistics import LoopStatistics, TrackerDelay, percentiles
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import HandRecording

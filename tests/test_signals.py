@@ -21,7 +21,7 @@ from live_time import until
 from smooth_operator import signals
 from smooth_operator.signals import ENDING, ended_by_signals
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.control.keyboard import keys
+from smooth_operator.teleop.control.switches import keys
 from smooth_operator.teleop.recording import read_log
 
 LONG_S = 120.0

@@ -23,8 +23,7 @@ from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.components import SINKS, build_sink
-from smooth_operator.teleop.sinks.runner import SinkRunner
-from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.table import HandPanel, TableSink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sinks.zmq_sink import ZmqSink

@@ -23,7 +23,7 @@ from smooth_operator.baselines.slsqp_method import (
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.synthetic import SyntheticOperator

@@ -9,8 +9,8 @@ import pytest
 from trees import limited_poses
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.human.landmark_filter import LandmarkFilterConfig
 from smooth_operator.landmarks import LANDMARKS, TIPS
 from smooth_operator.methods.presets import method_config

@@ -14,8 +14,9 @@ from trees import float64, limited_poses
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import capsule_pairs, segment_parameters
-from smooth_operator.hands.collision import owners, penetration_depths
+from smooth_operator.hands.collision import owners
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.landmark_filter import (
     FilterState,

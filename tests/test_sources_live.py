@@ -25,9 +25,8 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import SOURCES, build_component, build_source
 from smooth_operator.teleop.sources.live import Mailbox, Running, ThreadedSource, on_time
 from smooth_operator.teleop.sources.payload import Reading
-from smooth_operator.teleop.sources.replay import Replay
+from smooth_operator.teleop.sources.played import Replay, SyntheticSource
 from smooth_operator.teleop.sources.stream import MessageReceiver
-from smooth_operator.teleop.sources.synthetic_live import SyntheticSource
 from smooth_operator.types import HandFrame, Side
 
 

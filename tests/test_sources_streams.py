@@ -26,10 +26,9 @@ from smooth_operator.errors import (
 )
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop.sources.landmark_streams import UdpSource, ZmqSource
 from smooth_operator.teleop.sources.live import Running, ThreadedSource
-from smooth_operator.teleop.sources.manus_gloves import ManusStream, read_manus
 from smooth_operator.teleop.sources.payload import MAX_BYTES, read_payload
+from smooth_operator.teleop.sources.programs import ManusStream, UdpSource, ZmqSource, read_manus
 from smooth_operator.types import HandFrame
 
 zmq = pytest.importorskip("zmq")

@@ -14,8 +14,9 @@ from smooth_operator import Retargeter
 from smooth_operator.cli import main
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.capsules import capsule_pairs
-from smooth_operator.hands.collision import penetration_depths, solid_shapes
+from smooth_operator.hands.collision import solid_shapes
 from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec
+from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.hands.stand_ins import stand_in_links, stand_in_note, stand_ins
 from smooth_operator.lab.discovery import discover

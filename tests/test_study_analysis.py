@@ -89,7 +89,8 @@ def test_the_layout_is_the_one_that_is_promised(analysis: Analysis) -> None:
                 assert outside == (against["p_dunnett"] < 0.05)
     assert content["learning"]["pooled"]["trial_global"]["time"]["slope"] < 0
     assert "ame_prob_per_unit" in content["learning"]["A"]["trial_in_block"]["success"]
-    questionnaires = len(analysis.data.questionnaires or ())
+    assert analysis.data.questionnaires is not None
+    questionnaires = len(analysis.data.questionnaires)
     assert content["learning"]["pooled"]["tlx_index"]["tlx"]["n"] == questionnaires
     assert content["spearman"]["quality~raw_tlx"]["rho"] > 0
     assert "constant" in content["spearman"]["constant~success"]["refused"]

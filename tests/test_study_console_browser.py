@@ -24,6 +24,7 @@ from smooth_operator.study.console.server import ConsoleAuth
 from smooth_operator.study.console.session_service import SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_file import write_plan_files
+from smooth_operator.study.store.events import QuestionnaireAnswered
 from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator.study.store.study_store import open_study
 from smooth_operator.web.browser import leading_to
@@ -220,7 +221,8 @@ def check_store(folder: Path) -> None:
         lines = [LINES[k % 3] if k != 4 else "nearly" for k in range(1, TRIALS + 1)]
         assert [t.line for t in progress.trials] == lines
         assert all(t.time_s is not None and t.time_s > 0 for t in progress.trials)
-        assert [(q.point, dict(q.ratings)) for q in progress.questionnaires] == [
+        answered = progress.events(QuestionnaireAnswered)
+        assert [(q.point, dict(q.ratings)) for _, q in answered] == [
             (point, ratings(trial))
             for trial, point in ((1, "initial"), (5, "midpoint"), (10, "final"))
         ]

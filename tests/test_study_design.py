@@ -20,8 +20,8 @@ from smooth_operator.simulation.tasks.task import PAPER_TASKS
 from smooth_operator.study.design.forms import DEFAULT_FORMS
 from smooth_operator.study.design.plan import (
     Plan,
-    balance,
     balanced_rows,
+    imbalance,
     imbalances,
     make_plan,
     scaled,
@@ -70,8 +70,8 @@ def test_the_papers_study() -> None:
     assert Counter(task for one in plan.enrolled for task in one.rows) == {"A": 12, "B": 8, "C": 6}
     assert Counter(len(one.rows) for one in plan.enrolled) == {1: 10, 2: 8}
     for task in ("A", "B"):  # 12 and 8 are multiples of four rows: wholly balanced
-        counted = plan.balance(task)
-        assert (counted.spread_of_places, counted.spread_of_neighbours) == (0, 0)
+        orders = [plan.orders[one.rows[task]] for one in plan.enrolled if task in one.rows]
+        assert imbalance(orders, plan.protocol.condition_names) == (0, 0)
     assert spread_of_rows(plan.enrolled, "C", 4) == 1  # 6 are not
     assert [note[:6] for note in imbalances(plan)] == ["task C"]
     for one in plan.enrolled:
@@ -109,9 +109,9 @@ def test_prefixes_of_a_study_are_balanced_too() -> None:
     odd = tuple(Condition(name) for name in ("a", "b", "c"))
     six = make_plan(Protocol("odd", odd, (Task("A"),), "a", 12))
     for stop in range(1, 13):
-        made = balance([six.orders[one.rows["A"]] for one in six.enrolled[:stop]], "abc")
+        orders = [six.orders[one.rows["A"]] for one in six.enrolled[:stop]]
         most = 0 if stop % 6 == 0 else 2
-        assert max(made.spread_of_places, made.spread_of_neighbours) <= most
+        assert max(imbalance(orders, "abc")) <= most
 
 
 def test_those_who_come_later_get_the_least_used_row() -> None:

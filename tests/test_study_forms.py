@@ -19,7 +19,7 @@ from smooth_operator.study.console.session_service import SessionService, comman
 from smooth_operator.study.design.forms import DEFAULT_FORMS, Form, FormField
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of, plan_table, read_plan
-from smooth_operator.study.store.nasa_tlx import SCALES, read_words
+from smooth_operator.study.store.nasa_tlx import ENGLISH, read_words
 from smooth_operator.study.store.study_store import StudyStore, open_study
 
 SURVEY = Form(
@@ -133,7 +133,7 @@ def test_study_new_writes_forms_unless_asked_not_to(tmp_path: Path) -> None:
 
 
 def test_the_words_are_the_published_ones() -> None:
-    by = {scale.name: scale for scale in SCALES}
+    by = {scale.name: scale for scale in ENGLISH.scales}
     effort = "How hard did you have to work to accomplish your level of performance?"
     assert by["effort"].question == effort
     done = "How successful were you in accomplishing what you were asked to do?"
@@ -158,9 +158,9 @@ def german(folder: Path, name: str, scales: dict[str, Any]) -> Path:
 @pytest.mark.parametrize("name", ["tlx-de.toml", "tlx-de.json"])
 def test_another_language_is_read_from_a_file(tmp_path: Path, name: str) -> None:
     part = {"title": "T", "question": "F?", "low": "gering", "high": "hoch"}
-    scales = {scale.name: {**part, "title": scale.name.upper()} for scale in SCALES}
+    scales = {scale.name: {**part, "title": scale.name.upper()} for scale in ENGLISH.scales}
     words = read_words(german(tmp_path, name, scales))
-    assert [scale.title for scale in words.scales] == [s.name.upper() for s in SCALES]
+    assert [scale.title for scale in words.scales] == [s.name.upper() for s in ENGLISH.scales]
     assert (words.texts["send"], words.texts["yes"]) == ("Absenden", "Yes")
     plan = console_plan()
     with open_study(tmp_path, plan) as store:

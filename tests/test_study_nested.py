@@ -15,8 +15,9 @@ from study_cases import Row
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.frame import make_frame
+from smooth_operator.study.analysis.gee import mancl_derouen
 from smooth_operator.study.analysis.learning import linear_slope
-from smooth_operator.study.analysis.mixed import fit_mixed, mancl_derouen
+from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.outcomes import analyze
 
 CASES = nested_rows()

@@ -12,10 +12,10 @@ from nested_cases import intercepts_with_t
 
 from conftest import SHARED
 from smooth_operator.study.analysis import analyze_study
-from smooth_operator.study.analysis.frame import time_frame, tlx_frame
+from smooth_operator.study.analysis.frame import frame_of
 from smooth_operator.study.analysis.results import plain
 from smooth_operator.study.data import StudyData, read_study
-from smooth_operator.study.data.rows import ITEMS
+from smooth_operator.study.data.rows import answers
 
 pytestmark = pytest.mark.shared
 
@@ -51,12 +51,13 @@ def results(data: StudyData) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def of_t(data: StudyData) -> dict[str, Any]:
     assert data.questionnaires is not None
-    frames = {"time": (time_frame, data.trials), "tlx": (tlx_frame, data.questionnaires)}
+    rows = data.outcomes()
     return {
         outcome: {
-            scope: plain(intercepts_with_t(make(table, scope, "dexpilot"))) for scope in SCOPES
+            scope: plain(intercepts_with_t(frame_of(rows[outcome], scope, "dexpilot")))
+            for scope in SCOPES
         }
-        for outcome, (make, table) in frames.items()
+        for outcome in ("time", "tlx")
     }
 
 
@@ -196,7 +197,7 @@ def test_rank_correlations(oracle: dict[str, Any], results: dict[str, Any]) -> N
 def test_single_scales_of_the_tlx(oracle: dict[str, Any], data: StudyData) -> None:
     assert data.questionnaires is not None
     for item, expected in oracle["tlx_items"].items():
-        frame = tlx_frame(data.questionnaires, "pooled", "dexpilot", item=ITEMS.index(item))
+        frame = frame_of(answers(data.questionnaires, item), "pooled", "dexpilot")
         found = plain(intercepts_with_t(frame))
         close(column(found["emm"], "estimate"), column(expected["emm"], "emm"), LMM)
         close(column(found["emm"], "se"), column(expected["emm"], "se"), SE)

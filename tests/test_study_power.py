@@ -22,8 +22,12 @@ from smooth_operator.study.power import power_run
 from smooth_operator.study.power.power_run import (
     LOG,
     PowerSettings,
+    Verdict,
+    count,
     power_json,
+    rate,
     run_power,
+    verdicts,
     write_power,
 )
 from smooth_operator.study.power.simulated_study import (
@@ -32,7 +36,6 @@ from smooth_operator.study.power.simulated_study import (
     assumptions_for,
     planned_data,
 )
-from smooth_operator.study.power.verdicts import Verdict, count, rate, verdicts
 
 METHODS = ("sbr", "dexpilot", "geort", "hybrid")
 CONDITIONS = tuple(Condition(name) for name in METHODS)
@@ -50,7 +53,7 @@ def test_the_papers_design_has_its_numbers_of_trials(paper: Plan) -> None:
     data = planned_data(paper)
     assert data.questionnaires is not None
     assert (len(data.trials), data.trials.trial_global.max()) == (480 + 320 + 480, 80)
-    assert (len(data.questionnaires), data.questionnaires.index.max()) == (26 * 4 * 3, 12)
+    assert (len(data.questionnaires), data.questionnaires["index"].max()) == (26 * 4 * 3, 12)
 
 
 def test_simulated_studies_have_the_means_that_were_assumed(paper: Plan) -> None:
@@ -92,7 +95,9 @@ def test_verdicts_are_those_of_the_analysis(seed: int, never: str | None) -> Non
     truth = assumptions_for(SMALL.condition_names, operators=Spread(0.3, 4.0, 10.0))
     study = Simulator(make_plan(SMALL), truth).draw(np.random.default_rng(seed))
     if never is not None:
-        study.trials.score[study.trials.retargeter == never] = 0.0
+        trials = study.trials.copy()
+        trials.loc[trials.retargeter == never, ["score", "success"]] = 0.0, False
+        study = replace(study, trials=trials)
     analysis = analyze_study(study, "dexpilot")
     compared = 0
     for verdict in verdicts(study, "dexpilot", ("pooled", "A", "B")):

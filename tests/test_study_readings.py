@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
-from study_cases import simulate
+from study_cases import simulate, write_rows
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis import Analysis, analyze_study
@@ -18,8 +20,8 @@ from smooth_operator.study.analysis.readings import (
     preference,
     reading_rows,
 )
-from smooth_operator.study.analysis.results import Pair, Refused, ScopeResult, operator_weights
-from smooth_operator.study.analysis.spearman import correlation_within
+from smooth_operator.study.analysis.results import Pair, Refused, ScopeResult
+from smooth_operator.study.analysis.spearman import correlation_within, operator_weights
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 
@@ -117,20 +119,20 @@ def analysis(tmp_path_factory: pytest.TempPathFactory) -> Analysis:
 
 def test_correlations_within_operators_leave_out_what_operators_differ_in() -> None:
     # Operators who score high have a high metric, but each ranks retargeters against it.
-    points = [
+    rows = [
         (f"P{i}", name, 10.0 * i + j, 10.0 * i - j)
         for i in range(6)
         for j, name in enumerate("abc")
     ]
+    points = pd.DataFrame(rows, columns=["operator", "retargeter", "x", "y"])
     found = correlation_within(points, seed=1, draws=500)
     assert found["rho"] == pytest.approx(-1)
     assert (found["n"], found["operators"]) == (18, 6)
     assert found["p"] == pytest.approx(2 / 64, abs=0.025)  # two of 2^6 changes of signs
-    flat = [(who, name, 1.0, y) for who, name, _, y in points]
-    assert "refused" in correlation_within(flat, seed=1, draws=10)
+    assert "refused" in correlation_within(points.assign(x=1.0), seed=1, draws=10)
 
 
-def test_a_difference_that_depends_on_the_task_is_warned_of() -> None:
+def test_a_difference_that_depends_on_the_task_is_warned_of(tmp_path: Path) -> None:
     case = simulate(8, operators=range(8), retargeters=("dexpilot", "sbr"))
     rows = [
         row | {"time_s": f"{float(str(row['time_s'])) + 25:.2f}"}
@@ -138,19 +140,19 @@ def test_a_difference_that_depends_on_the_task_is_warned_of() -> None:
         else row
         for row in case.trials
     ]
-    study = read_study([], exports={"made up": {"trials": rows}})
+    study = read_study([write_rows(tmp_path / "made_up.csv", rows)])
     small = analyze_study(study).results["small-sample"]
     assert any("depend on the task" in text for text in small["time"]["pooled"].warnings)
     assert not any("depend on the task" in text for text in small["success"]["pooled"].warnings)
 
 
-def test_what_one_retargeter_leaves_is_refused_and_never_an_error() -> None:
+def test_what_one_retargeter_leaves_is_refused_and_never_an_error(tmp_path: Path) -> None:
     """The other never succeeds, so sensitivity fits of success have one retargeter."""
     rows = [
         row | {"score": 0, "time_s": ""} if row["retargeter"] == "sbr" else row
         for row in simulate(8, operators=range(6), retargeters=("dexpilot", "sbr")).trials
     ]
-    study = read_study([], exports={"made up": {"trials": rows}})
+    study = read_study([write_rows(tmp_path / "made_up.csv", rows)])
     readings = analyze_study(study).readings
     assert isinstance(readings.interaction["success"], Refused)
     assert readings.full_success["pooled"].separated["sbr"].rate == 0

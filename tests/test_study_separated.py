@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.study.analysis.frame import Frame, make_frame
-from smooth_operator.study.analysis.separated import in_words, split
+from smooth_operator.study.analysis.outcomes import separated_in_words, split
 
 
 def study(wins: dict[str, list[int]], trials: int = 4, tasks: int = 1) -> Frame:
@@ -65,8 +65,10 @@ def test_who_lacks_a_task_with_one_of_them_is_compared_where_there_are_both() ->
     assert found["always"].against["base"].difference == pytest.approx((3 / 4 + 2 / 4) / 2)
     assert found["always"].against["never"].difference == 1.0
     assert found["never"].against["always"].p_dunnett is None
-    assert "succeeded in all of 16 trials of 2 operators" in in_words("always", found["always"])
-    assert "at least 22.4 %" in in_words("always", found["always"])
+    assert "succeeded in all of 16 trials of 2 operators" in separated_in_words(
+        "always", found["always"]
+    )
+    assert "at least 22.4 %" in separated_in_words("always", found["always"])
 
 
 def test_nothing_is_separated_where_nothing_varies() -> None:

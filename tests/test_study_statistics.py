@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.special
 import scipy.stats
@@ -16,13 +17,14 @@ from study_cases import Case, holes, simulate
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.dunnett import dunnett, holm, outside, quantile, two_sided
-from smooth_operator.study.analysis.frame import make_frame, success_frame, time_frame
+from smooth_operator.study.analysis.frame import frame_of, make_frame
 from smooth_operator.study.analysis.gee import fit_gee, separating
 from smooth_operator.study.analysis.learning import logistic_slope
 from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.outcomes import analyze
-from smooth_operator.study.analysis.spearman import _correlate, _weighted, spearman
-from smooth_operator.study.data.reading import make_trials
+from smooth_operator.study.analysis.spearman import _weighted, correlation, spearman
+from smooth_operator.study.data.reading import Checked, make_trials
+from smooth_operator.study.data.rows import successes, times
 
 REFERENCE = json.loads(Path(__file__).with_name("study_reference.json").read_text("utf-8"))
 """Figures of lme4, lmerTest, geepack and emmeans for two simulated studies of ``study_cases``.
@@ -169,12 +171,16 @@ CASES: dict[str, Case] = {
 }
 
 
+def trials_of(rows: list[dict[str, Any]]) -> pd.DataFrame:
+    return make_trials(Checked("trials", "trials", list(enumerate(_text(rows), 2))))[0]
+
+
 @pytest.mark.parametrize("scope", ["pooled", "A"])
 @pytest.mark.parametrize("name", list(CASES))
 def test_times_are_as_r_has_them(name: str, scope: str) -> None:
     expected = REFERENCE[name][f"time {scope}"]
-    trials, _ = make_trials("trials", list(enumerate(_text(CASES[name].trials), 2)))
-    found = intercepts_with_t(time_frame(trials, scope, "dexpilot"))
+    trials = trials_of(CASES[name].trials)
+    found = intercepts_with_t(frame_of(times(trials), scope, "dexpilot"))
     assert list(found.coefficients) == expected["names"]
     of = found.coefficients.values()
     np.testing.assert_allclose([c.estimate for c in of], expected["estimate"], rtol=1e-6)
@@ -200,8 +206,8 @@ def test_times_are_as_r_has_them(name: str, scope: str) -> None:
 @pytest.mark.parametrize("scope", ["pooled", "A"])
 def test_success_is_as_r_has_it(scope: str) -> None:
     expected = REFERENCE["holes"][f"success {scope}"]
-    trials, _ = make_trials("trials", list(enumerate(_text(CASES["holes"].trials), 2)))
-    by_mode = analyze("success", success_frame(trials, scope, "dexpilot"))
+    trials = trials_of(CASES["holes"].trials)
+    by_mode = analyze("success", frame_of(successes(trials), scope, "dexpilot"))
     for mode, suffix in (("paper", ""), ("small-sample", "_mancl_derouen")):
         found = by_mode[mode]  # type: ignore[index]
         assert list(found.coefficients) == expected["names"]
@@ -221,8 +227,8 @@ def test_success_is_as_r_has_it(scope: str) -> None:
 def test_a_negative_working_correlation_is_as_r_has_it_and_refused(scope: str) -> None:
     """At the edge of what is possible and beyond it, R reports figures that mean nothing."""
     expected = REFERENCE["alternate"][f"success {scope}"]
-    trials, _ = make_trials("trials", list(enumerate(_text(CASES["alternate"].trials), 2)))
-    frame = success_frame(trials, scope, "dexpilot")
+    trials = trials_of(CASES["alternate"].trials)
+    frame = frame_of(successes(trials), scope, "dexpilot")
     fit = fit_gee(frame.design()[0], frame.outcome, frame.group)
     np.testing.assert_allclose(fit.beta, expected["estimate"], rtol=1e-8)
     np.testing.assert_allclose(np.sqrt(np.diag(fit.robust)), expected["se"], rtol=1e-8)
@@ -395,16 +401,16 @@ def test_holm_steps_down() -> None:
 @pytest.mark.parametrize("scope", ["B", "C"])
 def test_a_correlation_near_its_lowest_does_not_keep_a_fit_from_converging(scope: str) -> None:
     """There rounding keeps the estimating equations off by 1e-7 to 1e-3, but the fit stands."""
-    trials, _ = make_trials("trials", list(enumerate(_text(CASES["alternate"].trials), 2)))
-    frame = success_frame(trials, scope, "dexpilot", "in block")
+    trials = trials_of(CASES["alternate"].trials)
+    frame = frame_of(successes(trials), scope, "dexpilot", "in block")
     design = np.column_stack([frame.factors()[0], frame.index - frame.index_mean])
     fit = fit_gee(design, frame.outcome, frame.group)
     assert 0 < fit.margin < 0.001
 
 
 def test_the_error_of_an_average_change_is_by_the_delta_method() -> None:
-    trials, _ = make_trials("trials", list(enumerate(_text(CASES["holes"].trials), 2)))
-    frame = success_frame(trials, "A", "dexpilot")
+    trials = trials_of(CASES["holes"].trials)
+    frame = frame_of(successes(trials), "A", "dexpilot")
     found = logistic_slope(frame)
     design = np.column_stack([frame.factors()[0], frame.index - frame.index_mean])
     fit = fit_gee(design, frame.outcome, frame.group)
@@ -443,8 +449,8 @@ def test_intervals_and_p_of_a_rank_correlation_are_scipys() -> None:
     rng = np.random.default_rng(7)
     x = rng.normal(size=24)
     y = x + rng.normal(size=24)
-    points = [(f"P{i // 3}", float(a), float(b)) for i, (a, b) in enumerate(zip(x, y, strict=True))]
-    found = _correlate(points, np.random.default_rng(0), 200)
+    points = pd.DataFrame({"operator": [f"P{i // 3}" for i in range(24)], "x": x, "y": y})
+    found = correlation(points, seed=0, draws=200)
     assert found["p_t"] == pytest.approx(scipy.stats.spearmanr(x, y).pvalue, rel=1e-9)
     ranks = scipy.stats.pearsonr(scipy.stats.rankdata(x), scipy.stats.rankdata(y))
     fisher = ranks.confidence_interval(0.95)

@@ -77,7 +77,8 @@ def test_an_operator_goes_through_the_protocol(store: StudyStore) -> None:
     blocks = store.plan.blocks("P01")
     assert [t.block for t in progress.trials] == [b for b in blocks for _ in range(3)]
     assert [t.number for t in progress.trials] == [1, 2, 3] * len(blocks)
-    asked = [(q.block.task.name, q.block.number, q.point) for q in progress.questionnaires]
+    answered = progress.events(QuestionnaireAnswered)
+    asked = [(event.task, event.block, event.point) for _, event in answered]
     assert asked == [
         (b.task.name, b.number, p) for b in blocks for p in ("initial", "midpoint", "final")
     ]
@@ -163,7 +164,7 @@ def test_everything_can_be_undone_back_to_the_beginning(store: StudyStore) -> No
         store.append("P01", Undone(last.number))
     progress = store.progress("P01")
     assert progress.step.what == "calibrate"
-    assert (progress.trials, progress.questionnaires) == ([], [])
+    assert (progress.trials, progress.answered) == ([], set())
     walk(store, "P01")
     assert len(store.progress("P01").trials) == 18
 
@@ -220,11 +221,11 @@ def test_the_same_event_sent_twice_is_written_once(store: StudyStore) -> None:
 @pytest.mark.parametrize(
     ("kind", "values", "says"),
     [
-        ("trial_scored", {"task": "A"}, "missing: block, line, score, time_s, trial"),
-        ("noted", {"text": "a", "colour": "red"}, "unknown: colour"),
+        ("trial_scored", {"task": "A"}, "block: is missing; expected a whole number"),
+        ("noted", {"text": "a", "colour": "red"}, "colour: no such entry"),
         ("danced", {}, "no event is called 'danced'"),
-        ("undone", {"number": True}, "must be a whole number"),
-        ("noted", {"text": "a\x00b"}, "must be a text"),
+        ("undone", {"number": True}, "expected a whole number"),
+        ("noted", {"text": "a\x00b"}, "expected a text"),
     ],
 )
 def test_what_is_no_event_is_refused(kind: str, values: dict[str, object], says: str) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.human.alignment import FLAT_HAND
+from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.landmarks import (
     BONES,
     FROM_MANUS_25,

@@ -21,17 +21,16 @@ import pytest
 
 from smooth_operator import HandFrame, Retargeter, load_hand
 from smooth_operator.cli import main
-from smooth_operator.errors import SinkError, SourceError, install_command
+from smooth_operator.errors import SinkError, SourceError
+from smooth_operator.extras import install_command
 from smooth_operator.hands.hand import Hand
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import run as run_module
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
-from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.runtime.plausible import implausible
+from smooth_operator.teleop.runtime.pipeline import HandPipeline, implausible
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
-from smooth_operator.teleop.sinks.runner import SinkRunner
-from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Mailbox, Running, SourceHealth, ThreadedSource
 from smooth_operator.types import Side

@@ -25,9 +25,9 @@ from smooth_operator.hand_files.spec_writer import temporary_spec
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop import TeleopLoop, read_log, teleoperate
 from smooth_operator.teleop.components import build_source
-from smooth_operator.teleop.runtime import stop_input
+from smooth_operator.teleop.control import switches
+from smooth_operator.teleop.control.switches import StopInput, stopped_by
 from smooth_operator.teleop.runtime.pipeline import COMPILED, COMPILING
-from smooth_operator.teleop.runtime.stop_input import StopInput, stopped_by
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 
@@ -244,7 +244,7 @@ def test_a_heartbeat_that_ends_is_a_stop(monkeypatch: pytest.MonkeyPatch) -> Non
         assert pressed()
         sender.sendto(b"1", ("127.0.0.1", port))
         until(lambda: not pressed())
-        monkeypatch.setattr("smooth_operator.teleop.runtime.stop_input._BEAT_S", 0.0)
+        monkeypatch.setattr("smooth_operator.teleop.control.switches._BEAT_S", 0.0)
         assert pressed()
         monkeypatch.undo()
         sender.sendto(b"1", ("127.0.0.1", port))
@@ -261,7 +261,7 @@ def test_a_heartbeat_counts_for_0_3_s_and_from_this_machine_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = [100.0]
-    monkeypatch.setattr(stop_input, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(switches, "time", SimpleNamespace(monotonic=lambda: now[0]))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

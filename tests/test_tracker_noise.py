@@ -23,8 +23,8 @@ from smooth_operator.human.landmark_filter import (
     remove_noise,
 )
 from smooth_operator.landmarks import TIPS, WRIST
+from smooth_operator.methods.frame import align_frame
 from smooth_operator.methods.presets import method_config
-from smooth_operator.methods.program import align_frame
 from smooth_operator.types import Status
 
 NEEDS = (WRIST, *TIPS)

@@ -25,20 +25,25 @@ from live_time import until as eventually
 
 from smooth_operator import landmarks
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
+from smooth_operator.hand_files.vendor_model import drawn_on
+from smooth_operator.hands.hand import landmark_points
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.metrics import Trace
 from smooth_operator.teleop.pages import Playback, PlaybackServer, player, serve
 from smooth_operator.teleop.pages.hand_view import (
     FINGER_COLORS,
+    FOV,
     HIGHLIGHT,
     HandView,
     body_meshes,
+    camera_for,
     finger_of_body,
     geom_mesh,
     linear,
+    plan,
+    view_axes,
 )
-from smooth_operator.teleop.pages.page_layout import FOV, camera_for, plan, view_axes
-from smooth_operator.teleop.pages.playback import PlaybackClock
+from smooth_operator.teleop.pages.player import PlaybackClock
 from smooth_operator.teleop.pages.scene import _turn_z, lit_tips
 from smooth_operator.teleop.pages.viser_server import plain
 from smooth_operator.types import Status
@@ -249,21 +254,15 @@ def test_a_model_with_collision_shapes_only_is_drawn_by_them() -> None:
     assert body_meshes(model)[0].extents == pytest.approx([0.2] * 3)
 
 
-@pytest.mark.parametrize("frames", [1, 60])
-def test_fingers_are_found_without_names(model: mujoco.MjModel, frames: int) -> None:
-    data = mujoco.MjData(model)
-    qpos = np.repeat(np.linspace(0, 0.8, frames)[:, None], model.nq, axis=1)
-    tips = np.empty((frames, 3, 3))
-    for row in range(frames):
-        data.qpos[:] = qpos[row]
-        mujoco.mj_kinematics(model, data)
-        tips[row] = [data.site(f"{name}_tip").xpos for name in FINGERS]
-    owner = finger_of_body(model, qpos, tips)
-    for finger, name in enumerate(FINGERS):
-        for part in (1, 2):
-            assert owner[model.body(f"{name}_{part}").id] == finger
-    assert owner[model.body("palm").id] == -1
-    assert owner[0] == -1
+@pytest.mark.parametrize("name", ["mimic_p050", "shadow_hand", "unitree_dex3"])
+def test_a_finger_is_the_chain_to_its_tip_and_the_palm_is_none(name: str) -> None:
+    hand = load_hand(name, "right")
+    owner, model = finger_of_body(hand), hand.model
+    points = landmark_points(model, hand.spec)
+    assert [owner[points[tip][0]] for tip in hand.tip_names] == list(range(len(hand.fingers)))
+    assert owner[0] == owner[model.body(hand.spec.palm).id] == -1
+    for body in range(1, model.nbody):
+        assert owner[model.body_parentid[body]] in (-1, owner[body])
 
 
 # -- the layout -------------------------------------------------------------------------------
@@ -427,7 +426,7 @@ def test_the_scene_shows_the_kinematics_of_its_frame(
     server.set_frame(40)
     eventually(lambda: np.allclose(tips.batched_positions, playback.trace.robot_tips[40]))
     eventually(lambda: server._panel._slider.value == 40)
-    hand, (look,) = playback.hand, robot.looks
+    hand, look = playback.hand, robot.shown
     poses = HandView(hand, simple=True).bodies(
         playback.trace.joint_positions[40, list(hand.actuated)]
     )
@@ -608,17 +607,8 @@ def test_the_file_that_leads_to_a_page_does_not_stay(monkeypatch: pytest.MonkeyP
 @pytest.mark.shared
 def test_the_real_hand_of_meshes_is_drawn(shared: Path) -> None:
     path = shared / "hands" / "mimic_p050_hand" / "right_hand.xml"
-    model = mujoco.MjModel.from_xml_path(str(path))
-    rng = np.random.default_rng(0)
-    qpos = rng.uniform(model.jnt_range[:, 0], model.jnt_range[:, 1], (20, model.nq))
-    data = mujoco.MjData(model)
-    tips = np.empty((20, 5, 3))
-    for row in range(20):
-        data.qpos[:] = qpos[row]
-        mujoco.mj_kinematics(model, data)
-        tips[row] = [data.body(f"{name}_fingertip").xpos for name in landmarks.FINGERS]
-    owner = finger_of_body(model, qpos, tips)
-    meshes = body_meshes(model)
+    view = HandView(drawn_on(load_hand("mimic_p050", "right"), path))
+    model, owner, meshes = view.hand.model, view.finger_of_body, view.meshes
     for body, mesh in meshes.items():
         name = model.body(body).name
         expected = [i for i, finger in enumerate(landmarks.FINGERS) if name.startswith(finger)]

@@ -11,7 +11,7 @@ from test_stand_ins import with_lost_meshes
 
 from smooth_operator.cli import main
 from smooth_operator.hand_files.spec_writer import write_hand_spec
-from smooth_operator.hands.collision import collision_note, penetration_depths, shapeless_links
+from smooth_operator.hands.penetration import collision_note, penetration_depths, shapeless_links
 from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.lab.benchmark import ranking
 

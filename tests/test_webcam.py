@@ -18,13 +18,8 @@ from live_time import until as wait_for
 from pictures import opencv_or_skip
 
 from smooth_operator.cli import main
-from smooth_operator.errors import (
-    ConfigError,
-    MissingExtraError,
-    RecordingError,
-    SourceError,
-    install_command,
-)
+from smooth_operator.errors import ConfigError, MissingExtraError, RecordingError, SourceError
+from smooth_operator.extras import install_command
 from smooth_operator.formats.checks import PALM_RANGE_M
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.geometry import umeyama

@@ -40,8 +40,7 @@ from smooth_operator.teleop.sources.webxr.link import (
     Pairing,
     read_packet,
 )
-from smooth_operator.teleop.sources.webxr.server import SWITCH, VALID, get_certificate
-from smooth_operator.teleop.sources.webxr.source import describe
+from smooth_operator.teleop.sources.webxr.source import SWITCH, VALID, describe, get_certificate
 from smooth_operator.types import Side
 from smooth_operator.web import addresses
 from smooth_operator.web.listening import LimitedListener, listen
@@ -703,7 +702,7 @@ def test_a_headset_streams_both_hands(host: Host, chromium: Any, emulator: str) 
         for side in sides:
             if (arrival := host.mailbox.take(side)) is not None:
                 seen[side].append(arrival)
-    # Of the pictures that the browser had time for; benchmarks/webxr.py has what it reaches.
+    # Of the pictures that the browser had time for.
     pictures, lasted = page.evaluate("[window.pictures, performance.now() / 1000 - window.began]")
     assert min(map(len, seen.values())) >= 0.5 * pictures, pictures
     for side, sign in (("left", -1), ("right", 1)):

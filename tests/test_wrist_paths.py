@@ -16,7 +16,7 @@ from smooth_operator import load_hand, poses, read_recording
 from smooth_operator.episode_files.hdf5 import read_hdf5_episode, write_hdf5_episode
 from smooth_operator.episode_files.npz import read_npz_episode, write_npz_episode
 from smooth_operator.formats.episode import Episode, WristTrack
-from smooth_operator.human.alignment import FLAT_HAND
+from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.landmarks import FROM_OPENXR_26
 from smooth_operator.synthetic import SyntheticOperator, WristMotion
 from smooth_operator.teleop.recording.convert import read_episode
@@ -26,10 +26,9 @@ from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.teleop.sinks.zmq_sink import command_message, encode
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
-from smooth_operator.teleop.sources.manus_gloves import read_manus
 from smooth_operator.teleop.sources.payload import read_payload
-from smooth_operator.teleop.sources.replay import Replay
-from smooth_operator.teleop.sources.synthetic_live import SyntheticSource
+from smooth_operator.teleop.sources.played import Replay, SyntheticSource
+from smooth_operator.teleop.sources.programs import read_manus
 from smooth_operator.teleop.sources.webxr.link import HEADER, read_packet
 from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording
 from smooth_operator_research.paper.follow import led

@@ -1,4 +1,4 @@
-"""How much arithmetic a program asks for, and how fast this machine can do each kind of it.
+"""Operations of a program by kind, and the rate of each kind on this machine.
 
 Run as a program it prints what the machine does: ``python research/benchmarks/arithmetic.py CORES``
 keeps to that many cores (where the system lets it) and reports operations per second.

@@ -31,8 +31,7 @@ from smooth_operator.teleop.arm.controller import build_arms
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig
-from smooth_operator.teleop.sinks.runner import SinkRunner
-from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.teleop.sources.live import Arrival
 
@@ -83,7 +82,6 @@ class Run:
     Args:
         arm: name of the arm.
         hand: name of the hand.
-        seed: of the operator and of the order of the faults.
     """
 
     def __init__(self, arm: str, hand: str, seed: int) -> None:
@@ -264,7 +262,7 @@ class Run:
         self.q, self.velocity, self.dt_before = arm.positions, moved, dt
 
     def report(self) -> dict[str, Any]:
-        """What it came to; a positive value is how far a limit was passed."""
+        """Summary of the run; a positive value is the distance by which a limit was passed."""
         returns = np.array(self.returns).reshape(-1, 2)
         largest = returns.max(axis=0, initial=0.0)
         return {
@@ -293,7 +291,7 @@ def run(arm: str, hand: str, rounds: int, seed: int, short: bool = False) -> dic
 
 
 def failures(report: dict[str, Any]) -> list[str]:
-    """What should not have happened."""
+    """Failed checks."""
     allowed = {"arm acceleration [rad/s^2 s]": 1e-6, "clearance [m]": 0.005}
     faults = [
         f"{name} passed by {value}"

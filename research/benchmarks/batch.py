@@ -1,84 +1,57 @@
-"""Frames a second of recordings side by side in one program, and of a folder; dex-retargeting too.
+"""Frames a second of recordings side by side in one program, against frames one by one.
 
     python research/benchmarks/batch.py                                   # lanes, on this CPU
     python research/benchmarks/batch.py --methods smooth:teleop --lanes 256 1024 4096 --device gpu
-    python research/benchmarks/batch.py --folder --workers 2 --peer-python PYTHON --peer-urdf FOLDER
 
-The first table is about one process: frames one by one, as live, and recordings side by side in
-1, 2, 4 ... lanes. The second (``--folder``) is ``smooth-operator retarget FOLDER`` by a pool, the
-start of the workers included and not; with ``--peer-python``, an interpreter that has
-dex-retargeting, the same recordings go through its vector optimiser for the LEAP hand in as many
-processes. What is compared takes turns in one run. JAX's compilation cache is filled beforehand.
+Frames go one by one, as live, and recordings side by side in 1, 2, 4 ... lanes, in turns.
 """
 
 from __future__ import annotations
 
-import os
-import subprocess
-import tempfile
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import jax
 import numpy as np
-from timing import peak_memory_mib
 
-from smooth_operator import HandRecording, Retargeter
-from smooth_operator.lab.offline.folder import retarget_all, survey
-from smooth_operator.landmarks import BASES, WRIST
-from smooth_operator.parallel import usable_cores
-from smooth_operator.planning import make_request
-from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program
-
-PEER = Path(__file__).with_name("dex_retargeting_folder.py")
-_PEER = "dex-retargeting, LEAP hand"
+from smooth_operator_research.run_report import (
+    BenchmarkError,
+    Report,
+    ReportSettings,
+    operator_frames,
+    peak_memory_mib,
+    retargeter_of,
+    run_program,
+)
 
 
 @dataclass(frozen=True)
 class Settings(ReportSettings):
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         methods: METHOD or METHOD:PRESET of each row.
-        lanes: recordings side by side in one process; none leaves that table out.
-        frames: of each recording in that table.
-        folder: measure a folder too.
-        recordings: in the folder.
-        folder_frames: of each of them.
-        workers: of the folder's pool; as many as there are cores unless given.
+        lanes: recordings side by side in one process.
+        frames: frames of each recording.
         repeats: how often; medians are reported.
         hand: robot hand.
         device: cpu or gpu; stops where JAX has none of that kind.
-        peer_python: interpreter of an environment with dex-retargeting.
-        peer_urdf: folder with leap_hand/leap_hand_right.urdf for it.
     """
 
     methods: tuple[str, ...] = ("smooth:teleop", "sbr:realtime", "geort", "joint_angle")
     lanes: tuple[int, ...] = (1, 2, 4, 8, 16)
     frames: int = 1000
-    folder: bool = False
-    recordings: int = 16
-    folder_frames: int = 3000
-    workers: int | None = None
     repeats: int = 3
     hand: str = "mimic_p050"
     device: Literal["cpu", "gpu"] = "cpu"
-    peer_python: Path | None = None
-    peer_urdf: Path | None = None
 
 
 def main(settings: Settings) -> None:
     if jax.default_backend() != settings.device:
         raise BenchmarkError(f"JAX's default device is a {jax.default_backend()}; see --device")
     report = Report("batch", vars(settings))
-    if settings.lanes:
-        side_by_side(report, settings)
-    if settings.folder:
-        with tempfile.TemporaryDirectory() as at:
-            folder(report, settings, Path(at))
+    side_by_side(report, settings)
     memory = peak_memory_mib()
     if memory is not None:
         report.figures["peak_memory_mib"] = memory
@@ -86,21 +59,16 @@ def main(settings: Settings) -> None:
     report.finish(settings.output, settings.compare)
 
 
-def retargeter_of(settings: Settings, name: str) -> Retargeter:
-    method, _, preset = name.partition(":")
-    return Retargeter(settings.hand, method=method, preset=preset or None)
-
-
 def side_by_side(report: Report, settings: Settings) -> None:
     rows: list[list[object]] = []
     for name in settings.methods:
-        retargeter = retargeter_of(settings, name)
-        if retargeter.method.host is not None:
+        retargeter = retargeter_of(settings.hand, name)
+        if retargeter.method.on_host:
             report.notes.append(f"{name}: its solver runs on the host, so a batch is a loop")
             continue
         size = max(settings.lanes)
         # as many motions as a batch needs at most, each of its own; few where there are thousands
-        motions = [record(seed, settings.frames) for seed in range(min(size, 32))]
+        motions = [operator_frames(settings.frames, seed) for seed in range(min(size, 32))]
         recordings = [motions[i % len(motions)] for i in range(size)]
         single, _ = retargeter.run(motions[0])
         apart, memory = {}, {}
@@ -139,7 +107,6 @@ def side_by_side(report: Report, settings: Settings) -> None:
         f"One process, recordings of {settings.frames} frames side by side",
         (*header, "apart max [mm]", "device memory [MiB]"),
         rows,
-        2,
     )
     report.notes.append(
         "live: the median latency of a frame alone. apart: fingertips of the batch's first "
@@ -147,99 +114,10 @@ def side_by_side(report: Report, settings: Settings) -> None:
     )
 
 
-def record(seed: int, frames: int) -> HandRecording:
-    return SyntheticOperator(seed=seed).record((frames + 0.5) / 100)[:frames]
-
-
 def device_memory_mib() -> float | None:
     """Most that JAX has taken of the device's memory so far; None where it does not say."""
     stats = jax.devices()[0].memory_stats()
     return None if not stats else stats.get("peak_bytes_in_use", 0) / 2**20
-
-
-def folder(report: Report, settings: Settings, at: Path) -> None:
-    """Folders by a pool, in turn with dex-retargeting."""
-    workers = settings.workers or usable_cores()
-    sources = {count: at / f"{count}" for count in (settings.folder_frames, 2)}
-    for frames, source in sources.items():
-        source.mkdir()
-        for seed in range(settings.recordings):
-            recording = record(seed, frames)
-            landmarks, path = in_wrist_axes(recording), source / f"{seed:03d}.npz"
-            np.savez(path, landmarks=landmarks, timestamps=recording.stamps, side="right")
-    total = settings.recordings * settings.folder_frames
-
-    def ours(name: str, source: Path) -> None:
-        method, _, preset = name.partition(":")
-        request = make_request(hand=settings.hand, method=method, preset=preset or None)
-        with tempfile.TemporaryDirectory(dir=at) as output:
-            jobs = survey(source, Path(output), request).jobs
-            entries = list(retarget_all(jobs, workers=workers))
-        reasons = [entry.reason for entry in entries if entry.reason]
-        if reasons:
-            raise BenchmarkError(f"{name}: {reasons[0]}")
-
-    ways = [*settings.methods, *([_PEER] if settings.peer_python is not None else [])]
-
-    def run(way: str) -> dict[str, float]:
-        seconds = []
-        for source in sources.values():
-            started = time.perf_counter()
-            if way == _PEER:
-                peer(settings, source, workers)
-            else:
-                ours(way, source)
-            seconds.append(time.perf_counter() - started)
-        whole, startup = seconds
-        return {"total_s": whole, "startup_s": startup, "work_s": whole - startup}
-
-    times: dict[str, list[dict[str, float]]] = {way: [] for way in ways}
-    for way in ways:  # fills the cache
-        run(way)
-    for _ in range(settings.repeats):  # in turn, so that noise hits all alike
-        for way in ways:
-            times[way].append(run(way))
-    rows = []
-    for way, runs in times.items():
-        middle = {key: float(np.median([run[key] for run in runs])) for key in runs[0]}
-        middle["frames_per_s"] = total / middle["work_s"]
-        middle["frames_per_s_with_startup"] = total / middle["total_s"]
-        report.add(f"folder/{way}", middle)
-        rows.append([way, *middle.values()])
-    report.table(
-        f"A folder of {settings.recordings} recordings of {settings.folder_frames} frames, "
-        f"{workers} processes, medians of {settings.repeats}",
-        ("method", "total [s]", "start-up [s]", "work [s]", "frames/s", "with start-up"),
-        rows,
-    )
-    report.notes.append("start-up: the same folder with two frames in each recording")
-
-
-def in_wrist_axes(recording: HandRecording) -> np.ndarray:
-    """Landmarks from the wrist, x to the base of the middle finger, z out of the back [m]."""
-    landmarks = recording.landmarks - recording.landmarks[:, WRIST, None]
-    x = landmarks[:, BASES[2]]
-    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
-    y = landmarks[:, BASES[1]] - landmarks[:, BASES[3]]
-    z = np.cross(x, y)
-    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
-    turned: np.ndarray = np.einsum("tij,tnj->tni", np.stack([x, np.cross(z, x), z], 1), landmarks)
-    return turned
-
-
-def peer(settings: Settings, source: Path, workers: int) -> None:
-    """dex-retargeting over the same files."""
-    command = [settings.peer_python, PEER, source, "--urdf", settings.peer_urdf]
-    done = subprocess.run(
-        [*map(str, command), "--workers", str(workers)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": ""},
-    )
-    for file in source.glob("*.commands.npz"):
-        file.unlink()
-    if done.returncode:
-        raise BenchmarkError(f"dex-retargeting: {done.stderr.strip().splitlines()[-1]}")
 
 
 if __name__ == "__main__":

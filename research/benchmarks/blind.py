@@ -37,6 +37,7 @@ from smooth_operator.lab.benchmark.contact_sheet import (
     find_poses,
 )
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
+from smooth_operator_research.run_report import markdown
 
 RUBRIC: Final = """Left the human hand, right the robot hand; each from the palm and from the thumb.
 Does the robot hand show the human's pose?
@@ -151,8 +152,7 @@ def tell(options: argparse.Namespace) -> None:
         if any(number in judged for judged in scores.values())
     }
     hands, methods = (list(dict.fromkeys(r[k] for r in key.values())) for k in ("hand", "method"))
-    print("| method | " + " | ".join(hands) + " | mean | interval | pictures |")
-    print("|---|" + "---:|" * (len(hands) + 3))
+    rows: list[list[object]] = []
     for method in sorted(methods):
         by_hand = [
             [
@@ -162,11 +162,13 @@ def tell(options: argparse.Namespace) -> None:
             ]
             for hand in hands
         ]
-        cells = " | ".join(f"{np.mean(own):.2f}" if own else "" for own in by_hand)
+        cells = [f"{np.mean(own):.2f}" if own else "" for own in by_hand]
         own = np.concatenate(by_hand)
         samples = np.random.default_rng(0).choice(own, (RESAMPLES, len(own))).mean(axis=1)
         low, high = np.percentile(samples, (2.5, 97.5))
-        print(f"| `{method}` | {cells} | {own.mean():.2f} | {low:.2f} to {high:.2f} | {len(own)} |")
+        means_of = [f"{own.mean():.2f}", f"{low:.2f} to {high:.2f}", str(len(own))]
+        rows.append([f"`{method}`", *cells, *means_of])
+    print(markdown(("method", *hands, "mean", "interval", "pictures"), rows))
     for (one, first), (other, second) in combinations(scores.items(), 2):
         both = sorted(first.keys() & second.keys())
         a, b = (np.array([judged[n] for n in both], float) for judged in (first, second))

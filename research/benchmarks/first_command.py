@@ -66,7 +66,7 @@ end = time.time()
 if result.status != smooth_operator.Status.OK:
     sys.exit(f"the first frame was not answered: {result.status.reason}")
 
-from timing import peak_memory_mib
+from smooth_operator_research.run_report import peak_memory_mib
 
 # A read from the cache happens inside what JAX calls a compilation.
 seconds["compile_s"] -= seconds["cache_read_s"]

@@ -18,4 +18,3 @@ fi
 export PYTHONPATH=$root/src:$root/research/src:$site${PYTHONPATH:+:$PYTHONPATH}
 export PYTHONUNBUFFERED=1 XLA_PYTHON_CLIENT_PREALLOCATE=false
 timeout 240 python3 "$here/gpu.py" --output "$output" --commit "${COMMIT:-$(git -C "$root" rev-parse --short HEAD)}"
-python3 "$here/gpu.py" --page "$output"

@@ -1,4 +1,4 @@
-"""How far a preset is from the arithmetic limit of the machine.
+"""Distance of a preset from the arithmetic limit of the machine.
 
     python research/benchmarks/limit.py --preset paper
 
@@ -9,9 +9,6 @@ those would take with the time that a frame takes. The same on a GPU, where JAX 
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
 import time
 from dataclasses import dataclass
@@ -20,17 +17,22 @@ from pathlib import Path
 import jax
 import numpy as np
 from arithmetic import FLOAT, KINDS, operations
-from timing import percentiles
 
 from smooth_operator import HandFrame, Retargeter
 from smooth_operator.parallel import usable_cores as cores
-from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program
+from smooth_operator_research.run_report import (
+    Report,
+    ReportSettings,
+    child_json,
+    operator_frames,
+    percentiles,
+    run_program,
+)
 
 
 @dataclass(frozen=True)
 class Settings(ReportSettings):
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         preset: which preset.
@@ -48,8 +50,7 @@ class Settings(ReportSettings):
 def main(settings: Settings) -> None:
     report = Report("limit", vars(settings))
     retargeter = Retargeter(settings.hand, method=settings.method, preset=settings.preset)
-    recording = SyntheticOperator().record(max(0.1, settings.frames / 100))
-    frames = list(recording)[: settings.frames]
+    frames = list(operator_frames(settings.frames))
     seconds, busy = frame_time(retargeter, frames)
     p50 = percentiles(seconds * 1e3)["p50_ms"]
     counts = operations(
@@ -137,24 +138,16 @@ def frame_time(retargeter: Retargeter, frames: list[HandFrame]) -> tuple[np.ndar
 def rates(count: int) -> dict[str, float]:
     """Attainable rates with so many cores, from a process of its own that keeps to them."""
     script = Path(__file__).with_name("arithmetic.py")
-    environment = os.environ | {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
-    child = subprocess.run(
-        [sys.executable, str(script), str(count)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=environment,
+    figures: dict[str, float] = child_json(
+        [sys.executable, script, count], {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
     )
-    if child.returncode:
-        raise BenchmarkError(f"the machine's rates could not be measured:\n{child.stderr}")
-    figures: dict[str, float] = json.loads(child.stdout.splitlines()[-1])
     return figures
 
 
 def traffic(
     report: Report, retargeter: Retargeter, frame: HandFrame, rate: dict[str, float]
 ) -> None:
-    """What the compiler says that one cycle moves, times the cycles; and how long that takes."""
+    """Memory traffic of the cycles by the compiler's estimate, and its time."""
     state = retargeter.init().method
     landmarks = frame.landmarks.astype(np.float32)
     compiled = jax.jit(retargeter.method.step).lower(state, landmarks, np.uint32(0)).compile()

@@ -14,27 +14,28 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-Step = Callable[[int], Any]
-"""The command of a frame, by its number."""
+Prepare = Callable[[Any, Any], list[Any]]
+"""Landmarks and stamps of a recording -> what the program takes, frame by frame."""
 
 
-def smooth_operator(hand: str, method: str, landmarks: Any, stamps: Any) -> tuple[Step, Any]:
+def smooth_operator(hand: str, method: str, _: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     from smooth_operator import HandFrame, Retargeter  # type: ignore[import-not-found,unused-ignore]
 
     name, _, preset = method.partition(":")
     retargeter = Retargeter(hand, method=name, preset=preset or None)
 
-    def step(i: int) -> Any:
-        return retargeter(HandFrame(landmarks[i], stamp=stamps[i])).command.positions
+    def prepare(landmarks: Any, stamps: Any) -> list[Any]:
+        return [HandFrame(p, stamp=s) for p, s in zip(landmarks, stamps, strict=True)]
 
-    return step, retargeter.hand.joint_names
+    return prepare, lambda frame: retargeter(frame).command.positions, retargeter.hand.joint_names
 
 
-def wuji_sdk(landmarks: Any) -> tuple[Step, Any]:
+def wuji_sdk(*_: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     from wuji_sdk import (  # type: ignore[import-not-found,unused-ignore]
         Handedness,
         HandModel,
@@ -42,12 +43,11 @@ def wuji_sdk(landmarks: Any) -> tuple[Step, Any]:
     )
 
     session = RetargetSession.for_hand(HandModel.WujiHand, Handedness.Right)
-    points = landmarks.astype(np.float32)
     names = [f"right_finger{1 + i // 4}_joint{1 + i % 4}" for i in range(20)]  # firmware order
-    return lambda i: session.step(points[i]), names
+    return lambda landmarks, _: list(landmarks.astype(np.float32)), session.step, names
 
 
-def dex_retargeting(kind: str, urdf: str, landmarks: Any) -> tuple[Step, Any]:
+def dex_retargeting(_: str, kind: str, urdf: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     from dex_retargeting.constants import (  # type: ignore[import-not-found,unused-ignore]
         HandType,
         RetargetingType,
@@ -61,40 +61,42 @@ def dex_retargeting(kind: str, urdf: str, landmarks: Any) -> tuple[Step, Any]:
     RetargetingConfig.set_default_urdf_dir(urdf)
     path = get_default_config_path(RobotName.leap, RetargetingType[kind], HandType.right)
     retargeter = RetargetingConfig.load_from_file(path).build()
-    x, y, z = np.moveaxis(landmarks, -1, 0)
-    human = np.stack([-z, y, x], axis=-1)  # the axes of MANO's hand, which its settings expect
     origin, end = retargeter.optimizer.target_link_human_indices
 
-    def step(i: int) -> Any:
-        return retargeter.retarget(human[i][end] - human[i][origin])
+    def prepare(landmarks: Any, _: Any) -> list[Any]:
+        x, y, z = np.moveaxis(landmarks, -1, 0)
+        return list(np.stack([-z, y, x], axis=-1))  # MANO's axes, which its settings expect
 
-    return step, retargeter.joint_names
+    step = lambda frame: retargeter.retarget(frame[end] - frame[origin])  # noqa: E731
+    return prepare, step, retargeter.joint_names
+
+
+PROGRAMS = {
+    "smooth-operator": smooth_operator,
+    "wuji-sdk": wuji_sdk,
+    "dex-retargeting": dex_retargeting,
+}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("program", help="smooth-operator, wuji-sdk or dex-retargeting")
-    parser.add_argument("recording")
-    parser.add_argument("output")
-    parser.add_argument("--hand", default="", help="of smooth-operator")
-    parser.add_argument("--method", default="", help="of smooth-operator or dex-retargeting")
+    parser.add_argument("program", choices=list(PROGRAMS))
+    parser.add_argument("recording", type=Path)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("--hand", default="", help="hand of smooth-operator")
+    parser.add_argument("--method", default="", help="method of smooth-operator or dex-retargeting")
     parser.add_argument("--urdf", default="", help="folder with leap_hand/leap_hand_right.urdf")
-    parser.add_argument("--frames", type=int, default=None, help="so many only")
     options = parser.parse_args()
+    build = PROGRAMS[options.program]
+    prepare, step, names = build(options.hand, options.method, options.urdf)
     with np.load(options.recording) as file:
-        landmarks, stamps = file["landmarks"], file["stamps"]
-    if options.program == "smooth-operator":
-        step, names = smooth_operator(options.hand, options.method, landmarks, stamps)
-    elif options.program == "wuji-sdk":
-        step, names = wuji_sdk(landmarks)
-    else:
-        step, names = dex_retargeting(options.method, options.urdf, landmarks)
-    commands = [np.array(step(0), float)]
+        frames = prepare(file["landmarks"], file["stamps"])
+    commands = [np.array(step(frames[0]), float)]
     first = time.time()
     seconds = []
-    for i in range(1, len(landmarks) if options.frames is None else options.frames):
+    for frame in frames[1:]:
         before = time.perf_counter()
-        command = step(i)
+        command = step(frame)
         seconds.append(time.perf_counter() - before)
         commands.append(np.array(command, float))
     np.savez(options.output, q=np.stack(commands), names=list(names), ms=np.array(seconds) * 1e3)

@@ -14,9 +14,6 @@ files with commands of their code for this recording (``*_frames-A-B.npz``: ``jo
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -26,17 +23,23 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from batch import in_wrist_axes
-from timing import percentiles
 
 from smooth_operator import HandRecording, load_hand
 from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.methods.presets import method_config
 from smooth_operator.metrics import Trace, evaluate
-from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program
+from smooth_operator_research.run_report import (
+    BenchmarkError,
+    Report,
+    ReportSettings,
+    child_json,
+    percentiles,
+    run_program,
+)
 
 WORKER = Path(__file__).with_name("peer_worker.py")
 QUALITY = {
@@ -58,7 +61,7 @@ BEYOND_RAD = 1e-3
 
 @dataclass(frozen=True)
 class Settings(ReportSettings):
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         recording: file with a right hand.
@@ -91,7 +94,7 @@ class Program:
         hand: which hand it moves.
         name: what is run.
         python: interpreter.
-        arguments: of the worker.
+        arguments: arguments of the worker.
         q: (T, n) commands in the order of our model of the hand [rad].
         ms: times of frames, of all processes.
         starts: from the start of a process to its first command [s].
@@ -114,7 +117,7 @@ def main(settings: Settings) -> None:
     recording = whole[frame_slice(settings.frames, len(whole))]
     if recording.side != "right":
         raise BenchmarkError("the recording has a left hand; the peers are set up for right ones")
-    programs = asked_for(settings, report)
+    programs = make_programs(settings, report)
     with tempfile.TemporaryDirectory() as at:
         path = Path(at) / "recording.npz"
         stamps = recording.stamps - recording.stamps[0]
@@ -148,32 +151,27 @@ def main(settings: Settings) -> None:
     report.finish(settings.output, settings.compare)
 
 
-def asked_for(settings: Settings, report: Report) -> list[Program]:
-    """The programs that there are environments for."""
-    programs: list[Program] = []
+def make_programs(settings: Settings, report: Report) -> list[Program]:
+    """The programs that there are environments for; the others are noted in the report."""
     here = Path(sys.executable)
-
-    def ours(hand: str) -> None:
-        for method in settings.methods:
-            more = ("--hand", hand, "--method", method)
-            programs.append(Program(hand, f"`{method}`", here, ("smooth-operator", *more)))
-
-    ours("wuji_hand")
+    programs = [
+        Program(hand, f"`{method}`", here, ("smooth-operator", "--hand", hand, "--method", method))
+        for hand in ("wuji_hand", "leap_hand", "mimic_p050")
+        for method in settings.methods
+    ]
     if settings.wuji_python is None:
         report.notes.append("left out: wuji_sdk, for which --wuji-python names no environment")
     else:
         programs.append(Program("wuji_hand", "wuji_sdk", settings.wuji_python, ("wuji-sdk",)))
-    ours("leap_hand")
     if settings.dex_python is None or settings.dex_urdf is None:
         report.notes.append("left out: dex-retargeting, which needs --dex-python and --dex-urdf")
     else:
-        for kind in ("vector", "dexpilot"):
-            more = ("--method", kind, "--urdf", str(settings.dex_urdf))
-            name = f"dex-retargeting {kind}"
-            programs.append(
-                Program("leap_hand", name, settings.dex_python, ("dex-retargeting", *more))
-            )
-    ours("mimic_p050")
+        python, more = settings.dex_python, ("--urdf", str(settings.dex_urdf))
+        programs += [
+            Program("leap_hand", f"dex-retargeting {kind}", python,
+                    ("dex-retargeting", "--method", kind, *more))
+            for kind in ("vector", "dexpilot")
+        ]  # fmt: skip
     if settings.authors is None:
         report.notes.append("left out: the authors' commands, for which --authors names no folder")
     return programs
@@ -182,19 +180,15 @@ def asked_for(settings: Settings, report: Report) -> list[Program]:
 def run(program: Program, recording: Path, at: Path, *, counted: bool) -> str:
     """One process; its figures are added to the program's. Returns what went wrong, if so."""
     output = at / "commands.npz"
-    job = [program.python, WORKER, program.arguments[0], recording, output, *program.arguments[1:]]
-    environment = {**os.environ, **QUIET}
-    if program.arguments[0] != "smooth-operator":
-        environment |= {"PYTHONPATH": "", "HOME": str(at)}  # it leaves no files behind
+    kind, *more = program.arguments
+    environ = QUIET
+    if kind != "smooth-operator":
+        environ = environ | {"PYTHONPATH": "", "HOME": str(at)}  # it leaves no files behind
     started = time.time()
     try:
-        done = subprocess.run(
-            list(map(str, job)), capture_output=True, text=True, env=environment, timeout=600
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return str(error)
-    if done.returncode:
-        return (done.stderr.strip().splitlines() or ["it printed nothing"])[-1]
+        answer = child_json([program.python, WORKER, kind, recording, output, *more], environ)
+    except BenchmarkError as error:
+        return str(error).splitlines()[-1]
     with np.load(output) as file:
         q, names, ms = file["q"], file["names"].tolist(), file["ms"]
     hand = load_hand(program.hand, "right")
@@ -203,7 +197,7 @@ def run(program: Program, recording: Path, at: Path, *, counted: bool) -> str:
     program.q = q[:, [names.index(name) for name in hand.joint_names]]
     if counted:
         program.ms.append(ms)
-        program.starts.append(json.loads(done.stdout.splitlines()[-1])["first"] - started)
+        program.starts.append(answer["first"] - started)
     return ""
 
 
@@ -222,6 +216,18 @@ def authors(settings: Settings, report: Report) -> list[tuple[Hand, str, np.ndar
     if not rows:
         report.notes.append(f"left out: {settings.authors} has no commands for these frames")
     return rows
+
+
+def in_wrist_axes(recording: HandRecording) -> np.ndarray:
+    """Landmarks from the wrist, x to the base of the middle finger, z out of the back [m]."""
+    landmarks = recording.landmarks - recording.landmarks[:, WRIST, None]
+    x = landmarks[:, BASES[2]]
+    x = x / np.linalg.norm(x, axis=-1, keepdims=True)
+    y = landmarks[:, BASES[1]] - landmarks[:, BASES[3]]
+    z = np.cross(x, y)
+    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
+    turned: np.ndarray = np.einsum("tij,tnj->tni", np.stack([x, np.cross(z, x), z], 1), landmarks)
+    return turned
 
 
 def judged(hand: Hand, recording: HandRecording, q: np.ndarray) -> dict[str, float | None]:

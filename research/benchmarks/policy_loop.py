@@ -4,23 +4,22 @@
     python research/benchmarks/policy_loop.py --demonstrations 10 --steps 200 --worlds 5 --seeds 1
 
 For each task and method demonstrations are recorded as a LeRobot data set until there are enough of
-score 1: by an operator who performs one motion that was found by search, without looking, in
-perturbed worlds (as ``bench --physics demonstrations``), or with ``--source operators`` by virtual
-operators, who look and correct; few of their trials succeed, so that takes ten times as long and
-longer episodes (``--seconds 40``). LeRobot's ACT, small enough for a processor,
-is trained on it by ``lerobot-train`` with several seeds. Each policy is evaluated in the same
+score 1: an operator performs one motion that was found by search, without looking, in perturbed
+worlds (as ``bench --physics demonstrations``). LeRobot's ACT, small enough for a processor, is
+trained on it by ``lerobot-train`` with several seeds. Each policy is evaluated in the same
 worlds of the environment ``smooth_hand``, which begins an episode in the mean start pose of the
 demonstrations. What is finished in the output folder is kept, so that a run that was stopped goes
 on where it was; another size needs another folder.
 
-Success is a score of 1 without a reset. Intervals (95 %) are bootstraps, of persons or worlds for
-operators, of seeds and worlds, crossed, for policies, and at least as wide as Wilson's for as many
-persons or worlds. With one seed they are of the worlds alone.
+Success is a score of 1. Intervals (95 %) are bootstraps, of worlds for the operator, of seeds and
+worlds, crossed, for policies, and at least as wide as Wilson's for as many worlds. With one seed
+they are of the worlds alone.
 Needs ``lerobot[training,evaluation]`` and packages/lerobot_env_smooth_hand on Python 3.12 or later.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import multiprocessing
 import os
@@ -33,7 +32,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import tyro
@@ -43,7 +42,6 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.benchmark.cells import select_methods
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import scene_for
-from smooth_operator.simulation.scenes.physics import draw_variation
 from smooth_operator.simulation.scenes.scene import object_pose
 from smooth_operator.simulation.tasks import task_named
 from smooth_operator_research.demonstrations.demonstration import (
@@ -58,12 +56,10 @@ from smooth_operator_research.demonstrations.trial_loop import TrialTrace, run_t
 from smooth_operator_research.physics.demonstrations import STAYS_S
 from smooth_operator_research.physics.results import wilson
 from smooth_operator_research.run_report import BenchmarkError, Report
-from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial
 from smooth_operator_research.virtual_operator.trial import LOOKS_HZ
 
 FPS = 25
 """Frames of the tracker, commands and rows a second; a whole number of looks at the scene."""
-TRIALS_A_PERSON = 5
 POLICY = {
     "type": "act", "dim_model": 128, "n_heads": 4, "dim_feedforward": 512, "n_encoder_layers": 2,
     "chunk_size": 25, "n_action_steps": 10, "use_vae": "true", "latent_dim": 8,
@@ -71,22 +67,20 @@ POLICY = {
 }  # fmt: skip
 ALONE = {"HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}  # trainings run side by side
 RESAMPLES = 5000
-Source = Literal["operators", "demonstrations"]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         tasks: card, cube, screwdriver.
         methods: METHOD or METHOD:PRESET; the others are compared with the first.
         hand: name of the robot hand.
-        source: of the demonstrations.
         demonstrations: kept for each task and method.
         most_trials: after which a method's demonstrations are what there are.
-        steps: of each training.
-        batch: of each step.
+        steps: steps of each training.
+        batch: rows of each step.
         seeds: trainings of each data set.
         worlds: in which each policy is evaluated.
         seconds: longest episode of an evaluation [s].
@@ -97,7 +91,6 @@ class Settings:
     tasks: tuple[str, ...] = ("card", "cube")
     methods: tuple[str, ...] = ("smooth", "sbr:paper", "dexpilot:published", "geort")
     hand: str = "mimic_p050"
-    source: Source = "demonstrations"
     demonstrations: int = 100
     most_trials: int = 400
     steps: int = 3000
@@ -137,28 +130,6 @@ def retargeter(hand: str, method: str) -> Retargeter:
     return Retargeter(load_hand(hand), config=choice.config)
 
 
-def trials_of(source: Source, task: str, hand: str, method: str, number: int) -> list[Trial]:
-    """The trials of an independent unit: a person, or a world."""
-    if source == "operators":
-        return trials_of_person(task, hand, method, number)
-    return [trial_in_world(task, hand, method, number)]
-
-
-def trials_of_person(task: str, hand: str, method: str, person: int) -> list[Trial]:
-    """Free movement, then some trials, each with another object."""
-    familiar = make_familiar(draw_person(person), retargeter(hand, method), seed=0)
-    trials = []
-    for number in range(TRIALS_A_PERSON):
-        done = simulate_trial(
-            familiar, task_named(task), rate_hz=FPS, practised=number, practised_here=number,
-            resets=0, seed=number, trace=True,
-            variation=draw_variation(np.random.default_rng([person, number, 0x9C])),
-        )  # fmt: skip
-        success = done.outcome.score == 1.0 and done.diverged == 0
-        trials.append(sampled(familiar.retargeter.hand, success, done.outcome.seconds, done.trace))
-    return trials
-
-
 def trial_in_world(task: str, hand: str, method: str, number: int) -> Trial:
     """A searched motion through the retargeter in a perturbed world."""
     demonstration = load_demonstration(task, hand)
@@ -189,20 +160,16 @@ def sampled(hand: Hand, success: bool, seconds: float, trace: TrialTrace | None)
     )
 
 
-def units(
+def trials_in_worlds(
     settings: Settings, pool: ProcessPoolExecutor, task: str, method: str
-) -> Iterator[list[Trial]]:
-    """Trials of person after person, or world after world, in order."""
-    running: list[Future[list[Trial]]] = []
-    number = 0
+) -> Iterator[Trial]:
+    """Trials in world after world, in order."""
+    running: list[Future[Trial]] = []
     try:
-        while True:
-            while len(running) < settings.workers:
-                running.append(
-                    pool.submit(trials_of, settings.source, task, settings.hand, method, number)
-                )
-                number += 1
-            yield running.pop(0).result()
+        for number in itertools.count():
+            running.append(pool.submit(trial_in_world, task, settings.hand, method, number))
+            if len(running) == settings.workers:
+                yield running.pop(0).result()
     finally:
         for future in running:
             future.cancel()
@@ -235,14 +202,12 @@ def record(settings: Settings, pool: ProcessPoolExecutor, task: str, method: str
         },
     )  # fmt: skip
     instruction = task_named(task).task.instruction
-    successes: list[list[int]] = []
+    successes: list[int] = []
     lengths: list[int] = []
     starts: list[np.ndarray] = []
-    for trials in units(settings, pool, task, method):
-        successes.append([int(trial.success) for trial in trials])
-        for trial in trials:
-            if not trial.success or len(lengths) >= settings.demonstrations:
-                continue
+    for trial in trials_in_worlds(settings, pool, task, method):
+        successes.append(int(trial.success))
+        if trial.success:
             for state, environment, action in zip(
                 trial.state, trial.environment, trial.action, strict=True
             ):
@@ -255,7 +220,7 @@ def record(settings: Settings, pool: ProcessPoolExecutor, task: str, method: str
             dataset.save_episode()
             lengths.append(len(trial.action))
             starts.append(trial.state[0])
-        tried = sum(map(len, successes))
+        tried = len(successes)
         if tried % 10 == 0:
             print(f"{task}, {method}: {tried} trials, {len(lengths)} successes", flush=True)
         if len(lengths) >= settings.demonstrations or tried >= settings.most_trials:
@@ -342,7 +307,7 @@ def policy_scores(
 
 
 def interval(draws: np.ndarray, share: float, units: int) -> tuple[float, float]:
-    """Of a share: the bootstrap's and Wilson's for so many independent units, the wider ends.
+    """Interval of a share: the wider ends of the bootstrap's and of Wilson's for the units.
 
     Where all units agree the bootstrap alone has no width.
     """
@@ -353,20 +318,17 @@ def interval(draws: np.ndarray, share: float, units: int) -> tuple[float, float]
 def interval_of_difference(
     draws: np.ndarray, first: tuple[float, float, float], second: tuple[float, float, float]
 ) -> tuple[float, float]:
-    """Of second minus first, each a share with its interval: likewise, with Newcombe's."""
+    """Interval of second minus first, each a share with its interval: likewise, with Newcombe's."""
     (p, p_low, p_high), (q, q_low, q_high) = first, second
     low = q - p - float(np.hypot(q - q_low, p_high - p))
     high = q - p + float(np.hypot(q_high - q, p - p_low))
     return min(low, float(np.percentile(draws, 2.5))), max(high, float(np.percentile(draws, 97.5)))
 
 
-def share_of_units(successes: list[list[int]]) -> tuple[float, float, float]:
-    """Share of successful trials, with its interval over persons or worlds."""
-    rates = np.array([np.mean(each) for each in successes])
-    rng = np.random.default_rng(0)
-    drawn = rates[rng.integers(len(rates), size=(RESAMPLES, len(rates)))].mean(axis=1)
-    share = float(rates.mean())
-    return share, *interval(drawn, share, len(rates))
+def share_of_worlds(successes: list[int]) -> tuple[float, float, float]:
+    """Share of successful trials, with its interval over worlds."""
+    draws, share = resampled(np.array([successes], float)), float(np.mean(successes))
+    return share, *interval(draws, share, len(successes))
 
 
 def resampled(success: np.ndarray) -> np.ndarray:
@@ -383,7 +345,7 @@ def percent(value: float, low: float, high: float, sign: str = "") -> str:
 
 
 def cell_folder(settings: Settings, task: str, method: str) -> Path:
-    return settings.output / f"{settings.source}-{settings.hand}-{task}-{method.replace(':', '_')}"
+    return settings.output / f"{settings.hand}-{task}-{method.replace(':', '_')}"
 
 
 def main(settings: Settings) -> None:
@@ -401,10 +363,10 @@ def main(settings: Settings) -> None:
                 trials = record(settings, pool, task, method)
                 times["record"] += time.perf_counter() - clock
                 frames, key = trials["frames"], f"{task}/{method}"
-                operators = share_of_units(trials["successes"])
+                operators = share_of_worlds(trials["successes"])
                 report.add(key, {"operator_success": operators[0], "demonstrations": len(frames)})
                 row: list[object] = [
-                    task, method, sum(map(len, trials["successes"])), percent(*operators),
+                    task, method, len(trials["successes"]), percent(*operators),
                     len(frames), f"{np.median(frames) / FPS:.1f}" if frames else "", "", "", "",
                 ]  # fmt: skip
                 rows.append(row)
@@ -433,7 +395,7 @@ def main(settings: Settings) -> None:
         "Policies by the retargeter of their demonstrations",
         ("task", "method", "trials", "operators' success [%]", "demonstrations", "median [s]",
          "policy's success [%]", "score", f"minus {settings.methods[0]} [%]"),
-        rows, texts=2,
+        rows,
     )  # fmt: skip
     report.notes.append(
         f"ACT {POLICY['dim_model']} wide, {settings.steps} steps of {settings.batch}, "

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -22,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator_research.run_report import BenchmarkError, Report, ReportSettings, run_program
+from smooth_operator_research.run_report import Report, ReportSettings, child_json, run_program
 
 CHILD = Path(__file__).with_name("first_command.py")
 STATES = ("no cache", "cache", "kept")
@@ -43,7 +42,7 @@ STAGES = {
 
 @dataclass(frozen=True)
 class Settings(ReportSettings):
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         presets: which presets.
@@ -95,31 +94,20 @@ def main(settings: Settings) -> None:
 
 def first_command(job: Mapping[str, object], state: str, cache: Path) -> dict[str, float]:
     """Run the child once, and say how long its stages took [s]."""
-    environment = {k: v for k, v in os.environ.items() if "CACHE" not in k}
-    environment["SMOOTH_OPERATOR_CACHE"] = "off"
-    if state == "no cache":
-        environment["JAX_ENABLE_COMPILATION_CACHE"] = "false"
-    elif state == "cache":
+    environment: dict[str, str | None] = {name: None for name in os.environ if "CACHE" in name}
+    environment |= {"SMOOTH_OPERATOR_CACHE": "off", "JAX_ENABLE_COMPILATION_CACHE": "false"}
+    if state == "cache":
         environment |= {
+            "JAX_ENABLE_COMPILATION_CACHE": "true",
             "JAX_COMPILATION_CACHE_DIR": str(cache),
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
             "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
         }
-    else:
-        environment["JAX_ENABLE_COMPILATION_CACHE"] = "false"
+    elif state == "kept":
         environment["SMOOTH_OPERATOR_CACHE"] = str(cache / "kept")
     start = time.time()  # wall clock: the child's own counters start with the child
-    child = subprocess.run(
-        [sys.executable, str(CHILD)],
-        input=json.dumps({**job, "start": start}),
-        capture_output=True,
-        text=True,
-        env=environment,
-        check=False,
-    )
-    if child.returncode:
-        raise BenchmarkError(f"the measured process failed:\n{child.stderr}")
-    stages: dict[str, float] = json.loads(child.stdout.splitlines()[-1])
+    text = json.dumps({**job, "start": start})
+    stages: dict[str, float] = child_json([sys.executable, CHILD], environment, text)
     return stages
 
 

@@ -18,20 +18,24 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 import tyro
 
 from smooth_operator.cli.console import Progressing
 from smooth_operator.result_cache import Job, ResultLog, code_digest
 from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED
 from smooth_operator.study.chunks import chunk_values
-from smooth_operator.study.data import Questionnaires, StudyData, Trials
+from smooth_operator.study.data import StudyData
+from smooth_operator.study.data.rows import questionnaires_table
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
+from smooth_operator.study.power.power_run import rate, verdicts
 from smooth_operator.study.power.simulated_study import codes_of, planned_data
-from smooth_operator.study.power.verdicts import rate, verdicts
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
+from smooth_operator_research.run_report import markdown
 
 Three = tuple[float, float, float]
-"""Of success [logit], time [s] and workload [points]."""
+"""Effects on success [logit], time [s] and workload [points]."""
 
 NONE: Final[Three] = (0.0, 0.0, 0.0)
 MODEST: Final[Three] = (0.3, 2.0, 5.0)
@@ -57,7 +61,7 @@ class Design:
         own: standard deviation of operator by retargeter.
         block: the same of every block by itself.
         success: probability, on average.
-        log_normal: of times, with the same spread.
+        log_normal: log-normal distribution of times, with the same spread.
         scope: what is analysed.
     """
 
@@ -95,13 +99,13 @@ DESIGNS: Final = {
 
 @dataclass(frozen=True)
 class Settings:
-    """What to run.
+    """Settings of a run.
 
     Attributes:
-        studies: of each design.
+        studies: studies of each design.
         designs: parts of the names of the designs; all if left out.
         workers: processes.
-        seed: of all studies.
+        seed: seed of all studies.
         output: folder that keeps the studies and the table.
     """
 
@@ -135,7 +139,11 @@ def main(settings: Settings) -> None:
         for first in range(0, settings.studies, CHUNK)
         for name in chosen
     ]
-    jobs = [Job("", {"chunk": vars(c), "design": repr(DESIGNS[c.design])}, code, c) for c in chunks]
+    jobs = [
+        Job("", {"chunk": vars(c), "design": repr(DESIGNS[c.design])}, code, c,
+            f"simulating {c.design}", c.count)
+        for c in chunks
+    ]  # fmt: skip
     progress = Progressing()
     counts: dict[str, Counter[str]] = {name: Counter() for name in chosen}
     with progress.bar("simulating studies") as show:
@@ -144,8 +152,6 @@ def main(settings: Settings) -> None:
             ResultLog(settings.output / "studies.jsonl", progress.note),
             simulate,
             field="counts",
-            count=lambda chunk: chunk.count,
-            failure=lambda chunk: f"simulating {chunk.design}",
             workers=settings.workers,
             report=lambda done, total: show(f"{done} of {total} studies", done / total),
         ):
@@ -158,7 +164,7 @@ def main(settings: Settings) -> None:
 
 
 def simulate(chunk: Chunk) -> dict[str, int]:
-    """How often each family erred, and each analysis was refused."""
+    """Counts of errors of each family and of refused analyses."""
     design = DESIGNS[chunk.design]
     plan = _plan(chunk.design)
     data = planned_data(plan)
@@ -193,7 +199,8 @@ def draw(design: Design, plan: Plan, data: StudyData, rng: np.random.Generator) 
         + np.array([TASKS[name] for name in tasks])
     )
 
-    def about(table: Trials | Questionnaires, index: np.ndarray, kind: int, practice: float) -> Any:
+    def about(table: pd.DataFrame, column: str, kind: int, practice: float) -> Any:
+        index = table[column].to_numpy()
         where = (
             codes_of(plan.codes, table.operator),
             codes_of(conditions, table.retargeter),
@@ -203,10 +210,9 @@ def draw(design: Design, plan: Plan, data: StudyData, rng: np.random.Generator) 
 
     trials, asked = data.trials, data.questionnaires
     assert asked is not None
-    index = trials.trial_global
-    logit = np.log(design.success / (1 - design.success)) + about(trials, index, 0, 0.012)
+    logit = np.log(design.success / (1 - design.success)) + about(trials, "trial_global", 0, 0.012)
     success = rng.random(len(logit)) < 1 / (1 + np.exp(-logit))
-    mean = MEANS[0] + about(trials, index, 1, -0.06)
+    mean = MEANS[0] + about(trials, "trial_global", 1, -0.06)
     noise = rng.standard_normal(len(mean))
     if design.log_normal:
         mean = np.maximum(mean, 3.0)
@@ -215,36 +221,33 @@ def draw(design: Design, plan: Plan, data: StudyData, rng: np.random.Generator) 
     else:
         time = np.maximum(mean + TRIALS[0] * noise, 2.0)
     workload = (
-        MEANS[1] + about(asked, asked.index, 2, -0.4) + TRIALS[1] * rng.standard_normal(len(asked))
+        MEANS[1] + about(asked, "index", 2, -0.4) + TRIALS[1] * rng.standard_normal(len(asked))
     )
     scales = workload[:, None] + TRIALS[2] * rng.standard_normal((len(workload), 6))
     answers = np.clip(5 * np.round(scales / 5), 0, 100)
     return replace(
         data,
-        trials=replace(trials, score=success.astype(float), time=time),
-        questionnaires=replace(asked, answers=answers),
+        trials=trials.assign(score=success.astype(float), success=success, time=time),
+        questionnaires=questionnaires_table(
+            {**asked, **dict(zip(SCALE_NAMES, answers.T, strict=True))}
+        ),
     )
 
 
 def table(counts: dict[str, Counter[str]]) -> str:
     """Markdown: errors of both families in each mode with 95 % intervals (Wilson) [%]."""
-    lines = [
-        "| design | studies | outcome | " + " | ".join(
-            f"{family}, {mode}" for mode in MODES for family in ("Dunnett", "Holm")
-        ) + " | refused |",
-        "|---|---:|---|" + "---:|" * 5,
-    ]  # fmt: skip
-    for name, of in counts.items():
+    rows = []
+    for name, own in counts.items():
         for outcome in OUTCOMES:
             cells = [
-                _percent(of[f"{outcome}/{mode}/{family}"], of["studies"])
+                _percent(own[f"{outcome}/{mode}/{family}"], own["studies"])
                 for mode in MODES
                 for family in ("dunnett", "holm")
             ]
-            refused = 100 * of[f"{outcome}/small-sample/refused"] / of["studies"]
-            cells.append(f"{refused:.1f}")
-            lines.append(f"| {name} | {of['studies']} | {outcome} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+            refused = 100 * own[f"{outcome}/small-sample/refused"] / own["studies"]
+            rows.append([name, str(own["studies"]), outcome, *cells, f"{refused:.1f}"])
+    families = [f"{family}, {mode}" for mode in MODES for family in ("Dunnett", "Holm")]
+    return markdown(("design", "studies", "outcome", *families, "refused"), rows) + "\n"
 
 
 def _percent(hits: int, studies: int) -> str:

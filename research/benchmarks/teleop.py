@@ -3,8 +3,7 @@
 A glove simulator sends to ``smooth-operator teleop``, which commands a ZeroMQ socket that a robot's
 stand-in listens to, and records. With ``--faults`` everything goes wrong: the glove loses, doubles,
 shuffles and garbles frames, falls silent and starts anew, and it and the robot are killed over and
-over. Then the recording is held against the limits. ``--page`` serves the page and opens it in a
-headless Chromium; with ``--faults`` it is opened and closed again and again.
+over. Then the recording is held against the limits.
 
 Exit status 1 if a check failed.
 """
@@ -14,7 +13,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import os
 import signal
 import socket
 import subprocess
@@ -22,7 +20,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -50,10 +48,6 @@ while True:
 
 
 GLOVE = Path(__file__).resolve().parents[2] / "tests" / "glove_simulator.py"
-
-
-def program(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "smooth_operator", *arguments]
 
 
 def free_address() -> str:
@@ -95,7 +89,7 @@ class Listener:
             raise SystemExit(f"the glove sent nothing for {seconds:g} s after its start")
 
     def heard(self) -> bool:
-        """Whether one came since the last call."""
+        """True if one came since the last call."""
         received = False
         while self._socket.poll(0):
             self._socket.recv()
@@ -129,7 +123,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--faults", action="store_true")
-    parser.add_argument("--page", action="store_true")
     parser.add_argument("--method", default="sbr")
     parser.add_argument("--hand", default="mimic_p050")
     parser.add_argument("--priority", choices=("high", "normal"), default="high")
@@ -190,22 +183,19 @@ def run(
     try:
         listener.wait(60.0)
     except BaseException:
-        for process in (glove, robot):
-            process.kill()
+        glove.kill()
+        robot.kill()
         raise
-    page = ["--no-browser", "--port", "0"] if options.page else ["--no-view"]
     loop = subprocess.Popen(
-        program(
-            "teleop", "--source", f"manus:{gloves}", "--sink", f"zmq:{commands}",
-            f"record:{record}", "--rate", str(RATE), "--duration", str(options.seconds),
-            "--method", options.method, "--hand", options.hand, "--json",
-            "--priority", options.priority, *page,
-        ),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        [
+            sys.executable, "-m", "smooth_operator", "teleop", "--source", f"manus:{gloves}",
+            "--sink", f"zmq:{commands}", f"record:{record}", "--rate", str(RATE),
+            "--duration", str(options.seconds), "--method", options.method, "--hand", options.hand,
+            "--json", "--priority", options.priority, "--no-view",
+        ],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    memory, pages, printed = Memory(loop.pid), 0, []
+    memory, printed = Memory(loop.pid), []
 
     def listen() -> None:
         assert loop.stderr is not None
@@ -214,19 +204,16 @@ def run(
     threading.Thread(target=listen, daemon=True).start()
     try:
         start = time.monotonic()
-        with visitor(options.page, printed) as visit:
-            turns = sent = 0  # since the glove was started; those in which it sent
-            while loop.poll() is None:
-                time.sleep(1.0)
-                turns, sent = turns + 1, sent + listener.heard()
-                memory.look(time.monotonic() - start)
-                if options.faults and turns >= 7 and sent >= 3:
-                    turns = sent = 0
-                    for process in (glove, robot):
-                        process.kill()
-                        process.start()
-                if visit is not None and (options.faults or pages == 0):
-                    pages += visit()
+        turns = sent = 0  # since the glove was started; those in which it sent
+        while loop.poll() is None:
+            time.sleep(1.0)
+            turns, sent = turns + 1, sent + listener.heard()
+            memory.look(time.monotonic() - start)
+            if options.faults and turns >= 7 and sent >= 3:
+                turns = sent = 0
+                for process in (glove, robot):
+                    process.kill()
+                    process.start()
         assert loop.stdout is not None
         out = loop.stdout.read()
     finally:
@@ -237,45 +224,12 @@ def run(
             loop.wait(30)
     if loop.returncode not in (0, 1):
         raise SystemExit(f"teleop ended with {loop.returncode}: {''.join(printed)[-2000:]}")
-    counts = {"glove_starts": glove.starts, "robot_starts": robot.starts, "page_visits": pages}
+    counts = {"glove_starts": glove.starts, "robot_starts": robot.starts}
     return json.loads(out), memory, counts
 
 
-@contextlib.contextmanager
-def visitor(enabled: bool, printed: list[str]) -> Iterator[Any]:
-    """Something to call that opens the page, looks at it for a second, and closes it; in a soak run
-    the first visit stays."""
-    if not enabled:
-        yield None
-        return
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=os.environ.get("CHROMIUM", "/usr/bin/chromium"), args=["--no-sandbox"]
-        )
-        try:
-
-            def visit() -> bool:
-                urls = [
-                    word for line in printed for word in line.split() if word.startswith("http")
-                ]
-                if not urls:
-                    return False
-                tab = browser.new_page()
-                tab.goto(urls[0])
-                tab.wait_for_timeout(1000)
-                if "--faults" in sys.argv:
-                    tab.close()
-                return True
-
-            yield visit
-        finally:
-            browser.close()
-
-
 def judge(record: Path, summary: Mapping[str, Any], options: argparse.Namespace) -> dict[str, bool]:
-    """What must hold of the recording."""
+    """Checks of the recording."""
     from smooth_operator import load_hand
     from smooth_operator.teleop.recording import read_log
     from smooth_operator.teleop.runtime.settings import LimitsConfig

@@ -19,9 +19,8 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from timing import percentiles
 
-from smooth_operator_research.run_report import Report
+from smooth_operator_research.run_report import Report, percentiles
 
 WORKER = """
 import json, sys, time, warnings
@@ -58,7 +57,7 @@ METHODS = (
 
 @dataclass(frozen=True)
 class Settings:
-    """What to run.
+    """Settings of a run.
 
     Attributes:
         old: interpreter that has the older checkout.

@@ -20,7 +20,7 @@ from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.objective.goal import FrameGoal
-from smooth_operator.solvers.normals import seed_words
+from smooth_operator.solvers.random_words import seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 from smooth_operator_research.commands.options import ExperimentName
 from smooth_operator_research.paper import experiment as context_module
@@ -28,21 +28,25 @@ from smooth_operator_research.paper import interval_coverage
 from smooth_operator_research.paper.compared_solvers import (
     Newton,
     Rmsprop,
+    RmspropConfig,
     Sampling,
     Slsqp,
     Solver,
     Starts,
+    rmsprop_minimise,
     scattered_starts,
     soft_mean,
 )
 from smooth_operator_research.paper.compute import balance
 from smooth_operator_research.paper.experiment import (
+    EXPERIMENTS,
     PUBLISHED_STARTS,
     QUICK,
     TUNING_OPERATOR,
     ExperimentContext,
     ExperimentFolder,
     Size,
+    experiment,
 )
 from smooth_operator_research.paper.hessian import hessians, projected_jitter
 from smooth_operator_research.paper.intervals import (
@@ -54,10 +58,7 @@ from smooth_operator_research.paper.intervals import (
     pooled,
     typical,
 )
-from smooth_operator_research.paper.problems import Problem, unbroken
-from smooth_operator_research.paper.registry import EXPERIMENTS, experiment
-from smooth_operator_research.paper.rmsprop import RmspropConfig, rmsprop_minimise
-from smooth_operator_research.paper.runs import Run, measure_run, run_solver
+from smooth_operator_research.paper.runs import Problem, Run, measure_run, run_solver, unbroken
 from smooth_operator_research.paper.solver_grid import Point, contours, make_solver_grid
 from smooth_operator_research.paper.suite import SIZES, Settings, load_recordings, run_experiments
 from smooth_operator_research.paper.verdicts import Direction, Effect, Equality, Held, judge

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +20,13 @@ from smooth_operator.methods.presets import PRESETS
 from smooth_operator.synthetic.tracker import TrackerModel
 from smooth_operator_research.paper import (
     fk,
-    fk_libraries,
     follow,
-    more_sizes,
     sweeps,
     table,
 )
 from smooth_operator_research.paper.experiment import QUICK, ExperimentContext, ExperimentFolder
 from smooth_operator_research.paper.figures import looks_of
-from smooth_operator_research.paper.fk_libraries import (
+from smooth_operator_research.paper.fk import (
     AGREEMENT,
     BOUNDED,
     MJX,
@@ -60,25 +57,20 @@ from smooth_operator_research.paper.table import Benchmark
 
 pytestmark = pytest.mark.weekly
 
-TINY = more_sizes.MoreSize(
+TINY = dataclasses.replace(
+    QUICK,
+    name="tiny",
     fk_batches=(1, 64),
     fk_rounds=3,
     table_frames=30,
     latency_frames=6,
-    frames=30,
+    noise_frames=30,
     noises=(0.0, 2e-3),
     losses=(0.0, 0.3),
-    seeds=2,
+    tracker_seeds=2,
     rates=(30.0, 100.0),
-    seconds=0.9,
+    rate_seconds=0.9,
 )
-
-
-@pytest.fixture(scope="module", autouse=True)
-def tiny() -> Iterator[None]:
-    more_sizes._SIZES["tiny"] = TINY
-    yield
-    del more_sizes._SIZES["tiny"]
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +80,7 @@ def sources() -> list[Source]:
 
 @pytest.fixture
 def context(sources, tmp_path) -> ExperimentContext:
-    size = dataclasses.replace(QUICK, name="tiny")
-    return ExperimentContext(sources, "mimic_p050", size, ExperimentFolder(tmp_path / "out", {}))
+    return ExperimentContext(sources, "mimic_p050", TINY, ExperimentFolder(tmp_path / "out", {}))
 
 
 @pytest.fixture
@@ -166,7 +157,7 @@ def test_the_urdf_knows_slides_offsets_and_references():
 def test_every_library_that_is_here_agrees():
     hand = load_hand("mimic_p050", "left")
     q = random_poses(hand, 30, 1)
-    here = [name for name in fk_libraries.LIBRARIES if missing(name) is None]
+    here = [name for name in fk.LIBRARIES if missing(name) is None]
     assert {OURS, BOUNDED, MUJOCO} <= set(here)
     for name in here:
         if name == MJX:
@@ -364,8 +355,7 @@ def test_rate_reports_accelerations_and_lags(context, field, monkeypatch):
     assert outcome.figures["too_slow"] == []
     assert "100 Hz" in outcome.verdicts[0].note
     faster = dataclasses.replace(TINY, rates=(100.0, 200.0))
-    monkeypatch.setitem(more_sizes._SIZES, "tiny", faster)
-    again = sweeps.FrameRate().run(mixed)
+    again = sweeps.FrameRate().run(dataclasses.replace(mixed, size=faster))
     assert again.figures["too_slow"] == ["glove at 200 Hz"]
     assert "glove at 200 Hz" in again.setup
 

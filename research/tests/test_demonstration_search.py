@@ -10,7 +10,7 @@ import pytest
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes import SCENES, scene_for
-from smooth_operator_research.demonstrations import search, tolerance
+from smooth_operator_research.demonstrations import search
 from smooth_operator_research.demonstrations.demonstration import (
     demonstrated_hands,
     demonstration_text,
@@ -18,18 +18,17 @@ from smooth_operator_research.demonstrations.demonstration import (
     play,
     read_demonstration,
 )
-from smooth_operator_research.demonstrations.evolution import Evolution
 from smooth_operator_research.demonstrations.judging import (
     Candidate,
     World,
+    excess,
     joint_errors,
     judge,
     tip_errors,
     tried,
 )
-from smooth_operator_research.demonstrations.overlap import excess
 from smooth_operator_research.demonstrations.perturbation import draw_perturbation
-from smooth_operator_research.demonstrations.seed import transferred
+from smooth_operator_research.demonstrations.search import Evolution, transferred
 
 pytestmark = pytest.mark.weekly
 
@@ -174,27 +173,3 @@ def test_a_search_goes_on_where_it_stopped(tmp_path):
     assert run.outcome.score == 1.0
     search.main([*common, "--generations", "1"])
     assert state.read_text() == first
-
-
-def test_noise_on_joints_has_the_size_and_time_that_were_asked_for():
-    whole = tolerance.staying(load_demonstration("cube"), 60.0)
-    white, slow = (
-        tolerance.noise(tolerance.Trial(whole, 0.004, time, 1, 0)) for time in (0.0, 0.2)
-    )
-    for values in (white, slow):
-        assert values.std() == pytest.approx(0.004, rel=0.1)
-    assert np.diff(white, axis=0).std() == pytest.approx(0.004 * np.sqrt(2), rel=0.05)
-    assert np.diff(slow, axis=0).std() == pytest.approx(0.004 * np.sqrt(2 * 0.05), rel=0.1)
-    np.testing.assert_array_equal(whole.pose(40.0), load_demonstration("cube").poses[-1])
-
-
-def test_the_table_of_tolerance():
-    """A screwdriver is held through slow noise and not through a shaking hand."""
-    shown = tolerance.table(load_demonstration("screwdriver"), 2, 0, 0, (0.008,), (0.0, 1.0))
-    assert shown.splitlines()[0].count("|") == 5
-    cells = shown.splitlines()[2].strip("|").split("|")
-    size, millimetres, shaking, slow = (cell.strip() for cell in cells)
-    assert size == "0.008"
-    assert 0.3 < float(millimetres) < 1.0
-    assert float(shaking) == 0.0
-    assert float(slow) >= 0.5

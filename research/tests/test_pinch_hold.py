@@ -12,11 +12,15 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.methods.presets import method_config
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
+from smooth_operator_research.physics.grasp_measures import (
+    GraspResult,
+    PinchHold,
+    RobotPinch,
+    try_pinch,
+)
 from smooth_operator_research.physics.grasp_physics import GRASP_OBJECTS, GraspObject, PinchPhysics
-from smooth_operator_research.physics.grasp_trial import GraspResult, RobotPinch, try_pinch
-from smooth_operator_research.physics.human_pinches import find_pinches, with_holds
+from smooth_operator_research.physics.human_grasps import find_pinches, with_holds
 from smooth_operator_research.physics.measure import Case, PhysicsSettings, Unit
-from smooth_operator_research.physics.pinch_hold import PinchHold
 from smooth_operator_research.physics.suite import find_measure
 
 pytestmark = pytest.mark.weekly

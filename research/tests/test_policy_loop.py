@@ -62,6 +62,6 @@ def test_intervals_are_of_seeds_and_worlds():
     )  # fmt: skip
     none = loop.interval(loop.resampled(np.zeros((3, 100))), 0.0, 100)
     assert none == (0.0, pytest.approx(0.037, abs=0.001))  # Wilson's, of 0 in 100
-    assert loop.share_of_units([[1, 0], [1, 1], [0, 0]]) == (0.5, 0.0, 1.0)
+    assert loop.share_of_worlds([1, 1]) == (1.0, pytest.approx(0.342, abs=0.001), 1.0)
     low, high = loop.interval_of_difference(np.zeros(9), (0.0, 0.0, 0.04), (0.0, 0.0, 0.04))
     assert (low, high) == (pytest.approx(-0.04), pytest.approx(0.04))

@@ -12,11 +12,15 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.methods.presets import method_config
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
+from smooth_operator_research.physics.grasp_measures import (
+    GraspResult,
+    PowerGrasp,
+    RobotGrasp,
+    try_power_grasp,
+)
 from smooth_operator_research.physics.grasp_physics import POWER_GRASP_OBJECTS, PowerGraspPhysics
-from smooth_operator_research.physics.grasp_trial import GraspResult, RobotGrasp, try_power_grasp
-from smooth_operator_research.physics.human_closings import find_closings, finger_straightness
+from smooth_operator_research.physics.human_grasps import find_closings, finger_straightness
 from smooth_operator_research.physics.measure import Case, PhysicsSettings, Unit
-from smooth_operator_research.physics.power_grasp import PowerGrasp
 from smooth_operator_research.physics.suite import find_measure
 
 pytestmark = pytest.mark.weekly

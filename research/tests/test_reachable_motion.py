@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from smooth_operator.hands.collision import penetration_depths
+from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator_research.physics.reachable_motion import (
     KNOT_S,
     PINCH_GAP,

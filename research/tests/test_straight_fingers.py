@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from smooth_operator import HandRecording, Retargeter, load_hand, method_config
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.hands.hand import straight_pose
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import TIPS
 from smooth_operator.objective.rest_pose import StraightFingers
 from smooth_operator_research.demonstrations.demonstration import (
@@ -15,17 +16,15 @@ from smooth_operator_research.demonstrations.demonstration import (
 )
 from smooth_operator_research.demonstrations.perturbation import draw_perturbation
 
-pytestmark = pytest.mark.weekly
-
 
 def test_fingers_are_found_where_a_joint_bends_them_past_straight():
     hand = load_hand("mimic_p050")
     fingers = StraightFingers(hand)
-    assert [hand.fingers[f] for f, *_ in fingers.found] == ["index", "middle", "ring", "pinky"]
-    assert [hand.actuated_names[joint] for _, joint, *_ in fingers.found] == [
+    assert [hand.fingers[f] for f, *_ in fingers.bends] == ["index", "middle", "ring", "pinky"]
+    assert [hand.actuated_names[joint] for _, joint, *_ in fingers.bends] == [
         f"{name}_pp2mp" for name in ("index", "middle", "ring", "pinky")
     ]
-    for (f, joint, longest, length), centre in zip(fingers.found, fingers.centres, strict=True):
+    for (f, joint, longest, length), centre in zip(fingers.bends, fingers.centres, strict=True):
         for lengths, position in ((length, 0.0), (None, longest)):
             q = np.array(hand.neutral)
             q[joint] = position
@@ -41,7 +40,7 @@ def test_only_a_fingertip_nearer_than_the_finger_at_its_limit_moves_the_limit():
     hand = load_hand("mimic_p050")
     fingers = StraightFingers(hand)
     tips = hand.tips(hand.full_configuration(hand.neutral)) - hand.wrist
-    f, joint, longest, length = fingers.found[1]
+    f, joint, longest, length = fingers.bends[1]
     for away, low in ((length + 5e-4, 0.0), (length - 5e-4, 0.0), (length - 2e-3, longest)):
         tips[f] = fingers.centres[1] + [0.0, 0.0, away]
         found = np.asarray(fingers.limits(hand.limits, tips))
@@ -50,12 +49,31 @@ def test_only_a_fingertip_nearer_than_the_finger_at_its_limit_moves_the_limit():
         assert (found[others, 1] == hand.limits[others, 1].astype(np.float32)).all()
 
 
+def test_both_joints_beyond_the_knuckle_count():
+    hand = load_hand("leap_hand")
+    fingers = StraightFingers(hand)
+    names = [(hand.fingers[f], hand.actuated_names[joint]) for f, joint, *_ in fingers.bends]
+    assert names == [(finger, str(joint)) for finger, joint in (
+        ("index", 2), ("index", 3), ("middle", 6), ("middle", 7), ("ring", 10), ("ring", 11)
+    )]  # fmt: skip
+    tips = hand.tips(hand.full_configuration(straight_pose(hand).q)) - hand.wrist
+    tips[1] = fingers.centres[0] + [0.0, 0.0, 0.1]  # a bent index finger
+    low = np.asarray(fingers.limits(hand.limits, tips))[:, 0]
+    joints = [joint for _, joint, *_ in fingers.bends]
+    assert (low[joints[:2]] > -0.03).all()
+    assert (hand.limits[joints[:2], 0] < -0.3).all()
+    assert (low[joints[2:]] == hand.limits[joints[2:], 0].astype(np.float32)).all()
+
+
+@pytest.mark.weekly
 def test_a_finger_stretched_too_far_is_not_left_straight():
     """An operator whose bones stretch the middle finger, which then bends."""
     demonstration = load_demonstration("screwdriver", "mimic_p050")
     hand, source = demonstration.robot, DemonstrationLandmarks(demonstration)
     operator = draw_perturbation(6).operator
-    retargeter = Retargeter(hand, config=replace(method_config("smooth"), settle_rounds=2))
+    retargeter = Retargeter(
+        hand, config=replace(method_config("smooth", "precise"), settle_rounds=2)
+    )
     stamps = np.arange(0.0, 0.8, 0.02)
     shown = np.stack([operator(source.at(stamp)) for stamp in stamps])
     recording = HandRecording(shown, stamps, hand.spec.side)

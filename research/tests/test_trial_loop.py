@@ -84,21 +84,6 @@ def test_the_lead_in_comes_before_go():
     assert result.seconds == pytest.approx(0.1)
 
 
-def test_a_limit_has_the_last_word():
-    slow = 0.5  # [rad/s]
-    last = HAND.full_configuration(HAND.neutral)
-
-    def limit(wanted: np.ndarray, dt: float) -> np.ndarray:
-        nonlocal last
-        assert dt == pytest.approx(0.02)
-        last = last + np.clip(wanted - last, -slow * dt, slow * dt)
-        return last
-
-    result = trial("card", Gaps("card"), limit=limit, rate_hz=50.0, seconds=1.0, trace=True)
-    assert np.abs(np.diff(result.trace.commands, axis=0)).max() <= slow * 0.02 + 1e-9
-    assert result.score == 0.0
-
-
 @pytest.mark.parametrize("options", [{"rate_hz": 0.0}, {"rate_hz": 1000.0}, {"lead_s": -1.0}])
 def test_what_can_not_be_is_refused(options):
     with pytest.raises(ConfigError, match="up to 500 Hz"):

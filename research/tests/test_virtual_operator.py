@@ -33,14 +33,18 @@ from smooth_operator_research.study_simulation.run import (
     simulate_study,
 )
 from smooth_operator_research.virtual_operator import Familiar, draw_person, simulate_trial
-from smooth_operator_research.virtual_operator.familiarisation import InternalModel
 from smooth_operator_research.virtual_operator.hand_model import (
     GripReach,
     HandModel,
     HandPoints,
+    InternalModel,
     ReachingHand,
     SeenTips,
     hand_model,
+)
+from smooth_operator_research.virtual_operator.operator import (
+    CrossoverCorrection,
+    DelayedView,
 )
 from smooth_operator_research.virtual_operator.person import (
     PHASE_MARGIN,
@@ -49,10 +53,6 @@ from smooth_operator_research.virtual_operator.person import (
     movement_time,
 )
 from smooth_operator_research.virtual_operator.strategies import Closing, Observation
-from smooth_operator_research.virtual_operator.visual_feedback import (
-    CrossoverCorrection,
-    DelayedView,
-)
 
 pytestmark = pytest.mark.weekly
 

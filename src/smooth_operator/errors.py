@@ -7,13 +7,11 @@ matching built-in, so that code which knows nothing of this package still catche
 
 from __future__ import annotations
 
-import functools
 import re
 import sys
 from collections.abc import Iterable
 from difflib import get_close_matches
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Final
 
 from smooth_operator.terminal import printable
@@ -24,12 +22,6 @@ __all__ = (
     "StudyError", "UnknownNameError",
 )  # fmt: skip
 """The public ones; the rest is for this package."""
-
-DISTRIBUTION: Final = "smooth-retargeting"
-"""Name of the distribution; ``smooth-operator`` on the package index is another program."""
-
-UPGRADE: Final = "git pull && python -m pip install ."
-"""The commands that bring a newer version of this program, in a clone."""
 
 
 class SmoothOperatorError(Exception):
@@ -68,6 +60,8 @@ class MissingExtraError(SmoothOperatorError, ImportError):
     """An optional dependency is not installed."""
 
     def __init__(self, feature: str, extra: str) -> None:
+        from smooth_operator.extras import install_command
+
         super().__init__(f"{feature} needs the extra '{extra}': {install_command(extra)}")
 
 
@@ -80,33 +74,6 @@ def require(feature: str, extra: str, *libraries: str) -> None:
     for name in libraries:
         if sys.modules.get(name) is None and find_spec(name) is None:
             raise MissingExtraError(feature, extra)
-
-
-def install_command(extra: str) -> str:
-    """The command that adds an extra: from the folder that this was installed from, or by name."""
-    folder, options = _installed_from()
-    if folder is None:
-        return f'python -m pip install "{DISTRIBUTION}[{extra}]"'
-    return f'python -m pip install {options}"{"." if folder == Path.cwd() else folder}[{extra}]"'
-
-
-@functools.cache
-def _installed_from() -> tuple[Path | None, str]:
-    """Folder of the project that was installed, None for a wheel; and options of the command."""
-    import json  # here, for who misses something: these take 20 ms
-    from importlib.metadata import PackageNotFoundError, distribution
-    from urllib.parse import urlsplit
-    from urllib.request import url2pathname
-
-    try:
-        origin = json.loads(distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
-        folder = Path(url2pathname(urlsplit(origin["url"]).path))
-        options = "-e " if origin["dir_info"].get("editable") else ""
-    except PackageNotFoundError:  # run from a source tree that was never installed
-        folder, options = Path(__file__).resolve().parents[2], ""
-    except (ValueError, LookupError, TypeError, AttributeError):  # of a wheel, or unreadable
-        return None, ""
-    return (folder, options) if (folder / "pyproject.toml").is_file() else (None, "")
 
 
 class SourceError(SmoothOperatorError, RuntimeError):

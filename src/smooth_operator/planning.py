@@ -12,15 +12,16 @@ from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.environment import environment
 from smooth_operator.formats.readers import read_recording
+from smooth_operator.hands.finger_choice import parse_fingers
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, load_hand
-from smooth_operator.hands.spec import HandSpec, parse_fingers
+from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
-from smooth_operator.human.alignment import calibrate_scale
+from smooth_operator.human.aligned_recording import calibrate_scale
 from smooth_operator.human.operator import OperatorProfile
-from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.types import HandRecording, Side
 
 PROGRAM: Final = "smooth-operator"

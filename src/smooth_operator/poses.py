@@ -120,7 +120,7 @@ def wrist_from_landmarks(
     """(..., 7) wrist frames of a hand without tracked orientation, from its palm's landmarks in a
     z-up, right-handed world [m]; NaN if wrist, or index, middle or pinky MCP are missing or in
     line."""
-    from smooth_operator.geometry import palm_axes  # here: it imports JAX
+    from smooth_operator.human.palm import palm_axes
 
     distal, _, palmar = palm_axes(np.asarray(landmarks, np.float64), side)
     rotation = np.stack([distal, np.cross(-palmar, distal), -palmar], axis=-1)

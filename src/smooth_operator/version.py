@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.metadata import PackageNotFoundError, version
 from typing import Final
 
-from smooth_operator.errors import DISTRIBUTION
+from smooth_operator.extras import DISTRIBUTION
 
 
 def package_version() -> str:

@@ -27,7 +27,7 @@ from smooth_hand_datasets.unpickle import array, table
 from smooth_operator import poses
 from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.arrays import open_arrays
-from smooth_operator.io.documents import read_text
+from smooth_operator.io.plain_files import read_text
 from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.types import Side, as_side

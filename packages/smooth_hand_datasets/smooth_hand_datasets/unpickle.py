@@ -23,7 +23,7 @@ from scipy.sparse import csc_matrix, csr_matrix
 
 from smooth_operator.errors import DocumentError, RecordingError, listed
 from smooth_operator.formats.arrays import StoredArray, open_arrays
-from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.plain_files import check_plain_file
 
 __all__ = ("MOST_BYTES", "NotDataError", "array", "load_restricted", "numbers", "table", "text")
 

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from object_figures import AWARE, BLIND, Judged, judge, table, targets
+from object_scenes import SceneSpec, bumpy_mesh, make_clip
 
 from smooth_hand_datasets.objects.contacts import ContactSettings, clip_scene, find_contacts
 from smooth_hand_datasets.objects.hand_surface import HandSurface
@@ -46,8 +48,6 @@ from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandRecording
-from smooth_operator_research.objects.comparison import AWARE, BLIND, Judged, judge, table, targets
-from smooth_operator_research.objects.scenes import SceneSpec, bumpy_mesh, make_clip
 
 
 def has_libigl() -> bool:

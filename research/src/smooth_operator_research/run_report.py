@@ -22,14 +22,18 @@ import tyro
 
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.formats.environment import environment
+from smooth_operator.hands.hand import Hand
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.types import HandRecording
 
 RESULTS: Final = Path("build") / "benchmarks"
-"""Where results go by default; relative to the current folder, ignored by git."""
+"""Default folder of results; relative to the current folder, ignored by git."""
 
 _CHECKOUT: Final = Path(__file__).resolve().parents[3]
-"""Where the package lies in a checkout; installed from a wheel it is no repository."""
+"""Root of a checkout; installed from a wheel it is no repository."""
 
-_Table = tuple[str, tuple[str, ...], list[list[object]], int]
+_Table = tuple[str, tuple[str, ...], list[list[object]]]
 
 
 class BenchmarkError(SystemExit):
@@ -61,6 +65,57 @@ def run_program(main: Callable[[Any], None], settings: type, description: str | 
         raise BenchmarkError(str(error)) from error
 
 
+def retargeter_of(hand: Hand | str, name: str) -> Retargeter:
+    """The retargeter METHOD or METHOD:PRESET for a hand."""
+    method, _, preset = name.partition(":")
+    return Retargeter(hand, method=method, preset=preset or None)
+
+
+def operator_frames(frames: int, seed: int = 0) -> HandRecording:
+    """So many frames of the built-in operator at 100 Hz."""
+    return SyntheticOperator(seed=seed).record((frames + 0.5) / 100)[:frames]
+
+
+def percentiles(samples_ms: Sequence[float] | np.ndarray) -> dict[str, float]:
+    """p50, p95, p99 and maximum of some times [ms]."""
+    names = ("p50_ms", "p95_ms", "p99_ms", "max_ms")
+    values = np.percentile(np.asarray(samples_ms, float), (50, 95, 99, 100))
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+def peak_memory_mib() -> float | None:
+    """Largest resident set of this program so far [MiB]; None where there is no ``/proc``."""
+    with contextlib.suppress(OSError, StopIteration):  # getrusage would hold that of the parent
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+    return None
+
+
+def child_json(
+    command: Sequence[object], environ: Mapping[str, str | None], text: str | None = None
+) -> Any:
+    """The JSON on the last line that a process prints.
+
+    Args:
+        command: program and arguments.
+        environ: variables of its environment, besides those of this process; None removes one.
+
+    Raises:
+        BenchmarkError: the process failed; with the end of its standard error.
+    """
+    env = {k: v for k, v in {**os.environ, **environ}.items() if v is not None}
+    words = list(map(str, command))
+    try:
+        child = subprocess.run(
+            words, input=text, capture_output=True, text=True, timeout=1200, env=env
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise BenchmarkError(str(error)) from error
+    if child.returncode:
+        raise BenchmarkError(f"a process failed: {child.stderr.strip()[-2000:] or 'no message'}")
+    return json.loads(child.stdout.splitlines()[-1])
+
+
 def _load() -> list[float] | None:
     return [round(x, 2) for x in os.getloadavg()] if hasattr(os, "getloadavg") else None
 
@@ -86,17 +141,14 @@ class Report:
     load_average: list[float] | None = field(default_factory=_load)
     _tables: list[_Table] = field(default_factory=list)
 
-    def table(
-        self, title: str, header: Sequence[str], rows: Iterable[Sequence[object]], texts: int = 1
-    ) -> None:
-        """Add a table to be printed; the first ``texts`` columns are text, the others figures."""
-        self._tables.append((title, tuple(header), [list(row) for row in rows], texts))
+    def table(self, title: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+        """Add a table to be printed."""
+        self._tables.append((title, tuple(header), [list(row) for row in rows]))
 
     def tables(self) -> str:
         """All tables so far, as Markdown."""
         return "\n\n".join(
-            f"**{title}**\n\n{markdown(header, rows, texts)}"
-            for title, header, rows, texts in self._tables
+            f"**{title}**\n\n{markdown(header, rows)}" for title, header, rows in self._tables
         )
 
     def add(self, prefix: str, values: Mapping[str, float | None]) -> None:
@@ -130,7 +182,7 @@ class Report:
             "notes": self.notes,
             "tables": [
                 {"title": title, "header": header, "rows": [[_plain(c) for c in r] for r in rows]}
-                for title, header, rows, _ in self._tables
+                for title, header, rows in self._tables
             ],
         }
         print(f"\n{self.tables()}\n")
@@ -154,18 +206,23 @@ class Report:
             raise failure
 
 
-def markdown(header: Sequence[str], rows: Iterable[Sequence[object]], texts: int = 1) -> str:
-    """A Markdown table; numbers are given four significant digits, ``texts`` columns are text."""
-    lines = [_line(header), "|---" * texts + "|---:" * (len(header) - texts) + "|"]
-    return "\n".join([*lines, *(_line([cell(c) for c in row]) for row in rows)])
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "|" + "|".join(f" {text} " if text else " " for text in cells) + "|"
+def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table; numbers have four significant digits, and columns of figures but the first
+    are to the right."""
+    lines = [[cell(value) for value in row] for row in rows]
+    figures = [
+        i > 0 and all(not t or t == "–" or t.lstrip("*−-+÷×<~ ")[:1].isdigit() for t in column)
+        for i, column in enumerate(zip(*lines, strict=True))
+    ] or [False] * len(header)
+    ruler = "|" + "|".join("---:" if right else "---" for right in figures) + "|"
+    head, *body = (
+        "|" + "|".join(f" {t} " if t else " " for t in line) + "|" for line in (header, *lines)
+    )
+    return "\n".join([head, ruler, *body])
 
 
 def cell(value: object) -> str:
-    """How a value is written in a table; a dash where there is none."""
+    """Text of a value in a table; a dash where there is none."""
     if value is None:
         return "–"
     if not isinstance(value, float):

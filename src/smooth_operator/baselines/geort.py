@@ -28,7 +28,7 @@ from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.targets import PlainTargets
+from smooth_operator.objective.published import PlainTargets
 from smooth_operator.types import as_side
 
 _MODELS: Final = Path(__file__).parent / "models"

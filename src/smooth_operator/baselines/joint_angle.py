@@ -49,15 +49,17 @@ import numpy as np
 from jaxtyping import Array, Float, UInt32
 
 from smooth_operator.errors import HandModelError, UnknownNameError
-from smooth_operator.geometry import AnyArray, AnyKind, PalmAxes, array_namespace, unit_vectors
+from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import JointMap
-from smooth_operator.human.alignment import AlignmentConfig, human_palm_axes
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.human.flat_hand import human_palm_axes
+from smooth_operator.human.palm import PalmAxes, unit_vectors
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS, WRIST
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.targets import PlainTargets
+from smooth_operator.objective.published import PlainTargets
 
 
 class JointAngleMap:

@@ -17,9 +17,9 @@ from smooth_operator.calibration.segments import (
     poses,
 )
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.geometry import PalmAxes
-from smooth_operator.hands.hand import Hand, StraightPose, open_rays, straight_pose
-from smooth_operator.human.alignment import MIN_CONDITION, human_palm_axes, palm_alignment
+from smooth_operator.hands.hand import Hand, StraightPose, straight_pose
+from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
+from smooth_operator.human.flat_hand import human_palm_axes, open_rays
 from smooth_operator.human.operator import (
     DEFAULT_COMPONENTS,
     Component,
@@ -27,6 +27,7 @@ from smooth_operator.human.operator import (
     OperatorProfile,
     tip_frames,
 )
+from smooth_operator.human.palm import PalmAxes
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import HandRecording
 

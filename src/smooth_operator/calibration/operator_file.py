@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.errors import UPGRADE, ConfigError, DocumentError, brief
+from smooth_operator.errors import ConfigError, DocumentError, brief
+from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.human.operator import Component, FingerProfile, OperatorProfile
 from smooth_operator.io.documents import read_json

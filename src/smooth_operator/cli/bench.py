@@ -18,9 +18,9 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import SmoothOperatorError, require
 from smooth_operator.formats.checks import reading_notes
-from smooth_operator.hands.collision import collision_note
+from smooth_operator.hands.finger_choice import parse_fingers
+from smooth_operator.hands.penetration import collision_note
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.hands.spec import parse_fingers
 from smooth_operator.lab.benchmark import (
     Settings,
     compare,

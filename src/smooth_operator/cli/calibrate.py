@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from smooth_operator.cli.common_options import Common, HandSide, Ordered, Quiet
 from smooth_operator.errors import ConfigError, OutputError
-from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.registry import DEFAULT_METHOD
 
 if TYPE_CHECKING:
     from smooth_operator.calibration.segments import Segment
@@ -91,8 +91,8 @@ def calibrate_recording(options: Calibrate) -> None:
     from smooth_operator.cli.prompting import ask
     from smooth_operator.formats.environment import environment
     from smooth_operator.formats.jsonable import to_json
+    from smooth_operator.hands.finger_choice import parse_fingers
     from smooth_operator.hands.registry import load_hand
-    from smooth_operator.hands.spec import parse_fingers
     from smooth_operator.lab.offline.calibration_picture import draw_calibration
     from smooth_operator.planning import PROGRAM
     from smooth_operator.teleop.components import build_source

@@ -10,8 +10,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, get_args
 
 from tyro.conf import arg
 
-from smooth_operator.methods.default import DEFAULT_METHOD
-from smooth_operator.methods.registry import METHODS
+from smooth_operator.methods.registry import DEFAULT_METHOD, METHODS
 from smooth_operator.plugins import Entry
 
 HandSide: TypeAlias = Literal["right", "left"]

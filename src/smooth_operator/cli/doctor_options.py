@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 from tyro.conf import arg
 
 from smooth_operator.cli.common_options import METHOD_HELP, PRESET_HELP, Common, HandSide, Quiet
-from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.registry import DEFAULT_METHOD
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -82,8 +82,8 @@ Examples:
 
 def add_hand(options: Add) -> None:
     """Analyses a model, prints what was found, writes the spec file, opens the page."""
-    from smooth_operator.hand_files.user_hands import save_hand
-    from smooth_operator.hands.registry import spec_name, user_hands_folder
+    from smooth_operator.hand_files.user_hands import save_hand, spec_name
+    from smooth_operator.hands.registry import user_hands_folder
     from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
     from smooth_operator.lab.discovery import discover
 
@@ -165,7 +165,8 @@ def _point(text: str, option: str) -> Point:
 
 def _named(spec: HandSpec, options: Add) -> HandSpec:
     """A free name, unless one was given: what is there already is never replaced unasked."""
-    from smooth_operator.hands.registry import known_hands, spec_name, user_hands_folder
+    from smooth_operator.hand_files.user_hands import spec_name
+    from smooth_operator.hands.registry import known_hands, user_hands_folder
 
     if options.name is not None:
         return spec

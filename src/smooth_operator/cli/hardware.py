@@ -1,4 +1,4 @@
-"""``smooth-operator hardware``: drivers and tables, a hand's state, and the check of a table."""
+"""``smooth-operator hardware``: lists drivers, checks a hand and writes its table, watches it."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from smooth_operator.formats.jsonable import numbers
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.components import SINKS, build_sink
-from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.bus_lock import BusLock, serial_ports
-from smooth_operator.teleop.hardware.hardware_sink import HardwareSink, is_driver, real_hand
-from smooth_operator.teleop.hardware.table_check import HELP, ActuatorMover, TableCheck, blank_table
-from smooth_operator.teleop.hardware.table_file import (
+from smooth_operator.teleop.hardware.actuator_map import (
+    ActuatorMap,
     list_tables,
     read_table,
     user_tables_folder,
     write_table,
 )
+from smooth_operator.teleop.hardware.bus_lock import BusLock, serial_ports
+from smooth_operator.teleop.hardware.hardware_sink import HardwareSink, is_driver, real_hand
+from smooth_operator.teleop.hardware.table_check import HELP, ActuatorMover, TableCheck, blank_table
 from smooth_operator.teleop.sinks.tick import HandState
 from smooth_operator.terminal import printable
 from smooth_operator.types import Side

@@ -6,8 +6,8 @@ from typing import Any
 
 from smooth_operator.cli.common_options import Retargeting
 from smooth_operator.cli.console import Progressing
-from smooth_operator.hands.collision import collision_note
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.penetration import collision_note
 from smooth_operator.lab.offline import Outcome, build, execute, measure
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.metrics import Trace

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rich.text import Text
 
 from smooth_operator.cli.console import Progressing, output_console
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_options import Analyze
-from smooth_operator.errors import ConfigError, StudyError
+from smooth_operator.errors import ConfigError
 from smooth_operator.study.analysis import Analysis, analyze_study
 from smooth_operator.study.analysis.operators import flow_text, leave_out
 from smooth_operator.study.analysis.output import write_analysis
 from smooth_operator.study.analysis.report.tables import conclusion
 from smooth_operator.study.analysis.results import MODES
 from smooth_operator.study.data import read_study
-from smooth_operator.study.data.reading import NAMES
-from smooth_operator.study.store.study_store import FILE
 
 SOME_REFUSED: Final = 1
 """Exit status if some parts of the analysis were refused with a reason."""
@@ -31,9 +28,7 @@ def analyze_command(options: Analyze) -> None:
     progress = Progressing(options.quiet)
     if not options.study:
         raise ConfigError("no data: give a folder, tables (.csv) or a JSON file")
-    stored, files = _split(options.study)
-    exports = {word: _exported(word) for word in stored}
-    data = read_study(_with_metrics(files, stored), exports=exports)
+    data = read_study(options.study)
     data = leave_out(data, _exclusions(options.exclude))
     for note in data.notes:
         progress.note(f"note: {note}")
@@ -72,47 +67,6 @@ def _exclusions(words: Sequence[str]) -> dict[str, str]:
         if reasons.setdefault(operator.strip(), reason.strip()) != reason.strip():
             raise ConfigError(f"--exclude names {operator.strip()} twice, with two reasons")
     return reasons
-
-
-def _split(words: Sequence[str]) -> tuple[list[str], list[Path]]:
-    """Splits the arguments into stores and other files."""
-    stored = [word for word in words if _is_store(Path(word))]
-    return stored, [Path(word) for word in words if word not in stored]
-
-
-def _is_store(path: Path) -> bool:
-    if path.is_dir() or path.suffix == ".db":
-        return path.suffix == ".db" or (path / FILE).is_file()
-    return path.is_file() and path.open("rb").read(6) == b"SQLite"
-
-
-def _exported(target: str) -> dict[str, Any]:
-    """Returns the data of a store, as ``study export`` writes it.
-
-    Raises:
-        StudyError: there is no such store.
-    """
-    from smooth_operator.study.store.export import study_json
-    from smooth_operator.study.store.study_store import open_study
-
-    if not Path(target).exists():  # opening would make one
-        raise StudyError(f"no such file: {target!r}; give the folder of a study that was run")
-    with open_study(target) as store:
-        return study_json(store)
-
-
-def _with_metrics(paths: Sequence[Path], stored: Sequence[str] = ()) -> list[Path]:
-    """Adds the table of metrics in the folder of the trials to the files."""
-    folders = [Path(word) for word in stored]
-    trials = [(f if f.is_dir() else f.parent) / NAMES[0] for f in folders]
-    files = list(paths)
-    if any(path.name == NAMES[2] for path in paths):
-        return files
-    for path in (*paths, *trials):
-        metrics = path.with_name(NAMES[2])
-        if path.name == NAMES[0] and metrics.is_file():
-            files.append(metrics)
-    return files
 
 
 def _print(analysis: Analysis) -> None:

@@ -22,7 +22,6 @@ from smooth_operator.study.data.take_metrics import (
     METRIC_NAMES,
     Take,
     take_metrics,
-    trial_spans,
     utc_of_zero,
 )
 from smooth_operator.study.store.study_store import open_study
@@ -43,31 +42,32 @@ def study_metrics(options: Metrics) -> None:
             f"record:{takes}/, or name their folder with --takes"
         )
     with open_study(options.study) as store:
-        spans = [span for code in store.plan.codes for span in trial_spans(store.progress(code))]
+        everyone = [store.progress(code) for code in store.plan.codes]
+    trials = [(one.operator, trial) for one in everyone for trial in one.trials if trial.counts]
     pieces, hands, covered = [], {}, set()
     with progress.counter("takes") as bar:
         task = bar.add_task("takes", total=len(files))
         for file in files:
             take = read_take(file)
             hands[take.hand.name] = take.hand
-            for k, span in enumerate(spans):
-                if (trace := take.cut(span)) is not None:
-                    pieces.append((span, trace))
+            for k, (operator, trial) in enumerate(trials):
+                if (trace := take.cut(trial)) is not None:
+                    pieces.append(((operator, trial.block.condition.name), trace))
                     covered.add(k)
             bar.advance(task)
     if len(hands) > 1:
         raise StudyError(f"the takes are of several hands: {', '.join(hands)}; name those of one")
     if not pieces:
         raise StudyError(
-            f"none of the {len(spans)} trials of the study is in the {len(files)} takes in "
+            f"none of the {len(trials)} trials of the study is in the {len(files)} takes in "
             f"{str(takes)!r}: they were recorded at other times"
         )
     rows = take_metrics(pieces, next(iter(hands.values())))
     output = folder / NAMES[2] if options.output is None else options.output
     with folder_for(output.parent), atomic_write(output) as target:
         target.write(csv_text((*METRIC_COLUMNS, *METRIC_NAMES), rows).encode())
-    if missing := len(spans) - len(covered):
-        progress.note(f"note: {missing} of {len(spans)} trials are in no take", matters=True)
+    if missing := len(trials) - len(covered):
+        progress.note(f"note: {missing} of {len(trials)} trials are in no take", matters=True)
     progress.note(f"wrote {output}: {len(rows)} rows of {len(covered)} trials", matters=True)
 
 
@@ -116,7 +116,7 @@ def read_take(file: Path) -> Take:
         log.commands.latency_ms[commands], log.commands.status[commands],
     )  # fmt: skip
     alignments = [(use.stamp, _alignment(use.config)) for use in log.methods]
-    return Take(file.name, recording, answers, hand, begin, alignments)
+    return Take(recording, answers, hand, begin, alignments)
 
 
 def _alignment(config: dict[str, Any]) -> AlignmentConfig:

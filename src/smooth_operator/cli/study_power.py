@@ -22,6 +22,7 @@ from smooth_operator.study.power.power_run import (
     TITLES,
     TRUTHS,
     PowerSettings,
+    Rate,
     Tallies,
     errs,
     power_json,
@@ -30,7 +31,6 @@ from smooth_operator.study.power.power_run import (
     write_power,
 )
 from smooth_operator.study.power.simulated_study import Spread, assumptions_for
-from smooth_operator.study.power.verdicts import Rate
 from smooth_operator.terminal import printable
 
 _SHARES: Final = (1 / 3, 2 / 3, 1.0, 4 / 3, 2.0)
@@ -115,9 +115,7 @@ def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
         table.add_column(header, justify="left" if header in ("outcome", "mode") else "right")
     flagged = False
     for operators in settings.operators:
-        for outcome in TITLES:
-            if outcome == "tlx" and not settings.protocol.questionnaires:
-                continue
+        for outcome in settings.outcomes:
             for mode in MODES:
                 what = [f"dunnett:{name}" for name in (*others, "all")]
                 cells = [
@@ -141,10 +139,10 @@ def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
     if settings.protocol.margins:
         _print_equivalence(console, settings, tallies, scope, others)
     refused = sum(
-        counts["refused"]
+        tally[f"{outcome}/{scope}/{mode}/refused"]
         for tally in tallies.values()
-        for key, counts in tally.counts.items()
-        if key.split("/")[1] == scope
+        for outcome in settings.outcomes
+        for mode in MODES
     )
     if refused:
         console.print(

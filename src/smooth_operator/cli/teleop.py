@@ -12,7 +12,7 @@ from tyro.conf import arg
 
 from smooth_operator.cli.common_options import METHOD_HELP, Common, Meshes, Page
 from smooth_operator.errors import ConfigError
-from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.teleop.components import SINKS, SOURCES
 from smooth_operator.teleop.runtime.settings import LimitsConfig, SafetyConfig, WristConfig
 

@@ -201,7 +201,7 @@ def _answered(
 
 def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
     """The fingers that are driven: as asked for, or as the configuration says."""
-    from smooth_operator.hands.spec import parse_fingers
+    from smooth_operator.hands.finger_choice import parse_fingers
 
     if options.fingers is not None:
         return parse_fingers(options.fingers)

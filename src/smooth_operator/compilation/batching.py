@@ -18,7 +18,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, TypeAlias
 
@@ -29,11 +29,14 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.compilation.compiled_program import CompiledProgram
+from smooth_operator.errors import RecordingError
+from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.methods.frame import FrameState, RetargetState, align_frame
 from smooth_operator.methods.method import Method, MethodConfig
-from smooth_operator.methods.program import FrameState, RetargetState, align_frame, ticks_of
-from smooth_operator.types import HandRecording, Status
+from smooth_operator.methods.program import ticks_of
+from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 LANES: Final = 8
 """Lanes on a CPU. More save little, and a step takes as long as the lane that takes longest."""
@@ -240,6 +243,34 @@ class LaneProgram:
                 advance(each.result())
         return Answers(q[:-1], status[:-1], loss[:-1])
 
+    def run_arrays(
+        self,
+        initial: RetargetState,
+        landmarks: Float[np.ndarray, "R T 21 3"],
+        stamps: Float[np.ndarray, "R T"] | Float[np.ndarray, " T"],
+        limits: Float[np.ndarray, "m 2"],
+        prepared: Callable[[np.ndarray], np.ndarray],
+    ) -> BatchArrays:
+        """Recordings in one array; ``prepared`` gives landmarks in the program's form. See
+        ``Retargeter.batch_arrays``."""
+        count, length = np.shape(landmarks)[:2] if np.ndim(landmarks) == 4 else (-1, -1)
+        if np.shape(landmarks) != (count, length, NUM_LANDMARKS, 3):
+            raise RecordingError(f"landmarks must be (R, T, 21, 3), not {np.shape(landmarks)}")
+        if np.shape(stamps) not in ((length,), (count, length)):
+            raise RecordingError(
+                f"stamps must be (R, T) or (T,), as {count} recordings of {length} frames have "
+                f"them, not {np.shape(stamps)}"
+            )
+        ticks = np.broadcast_to(ticks_of(stamps), (count, length)).reshape(-1)
+        points = prepared(np.asarray(landmarks).reshape(-1, NUM_LANDMARKS, 3))
+        all_valid = np.ones((len(ticks), NUM_LANDMARKS), bool)
+        answers = self.run(initial, Tracks(points, all_valid, ticks, [length] * count))
+        low, high = limits.T.astype(np.float32)
+        q = np.clip(answers.q, low, high, out=answers.q).reshape(count, length, len(low))
+        loss = np.where(answers.status == Status.OK, answers.loss, np.float32(np.nan))
+        shape = count, length
+        return BatchArrays(q, answers.status.reshape(shape), loss.reshape(shape))
+
     def _everywhere(self, leaf: Any) -> jax.Array:
         one = jnp.asarray(leaf)
         # On a device by name, as the program's results are: otherwise it is compiled for both.
@@ -247,6 +278,47 @@ class LaneProgram:
             jnp.broadcast_to(one, (self.lanes, *one.shape)), one.device
         )
         return placed
+
+
+Batch: TypeAlias = list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]
+"""Commands and the (T,) tracking losses of each recording."""
+
+
+def one_by_one(
+    run: Callable[[HandRecording], tuple[CommandTrajectory, Float[np.ndarray, " T"]]],
+    recordings: Sequence[HandRecording],
+    track: Progress | None,
+) -> Batch:
+    """Recordings one after the other, for a method whose solver runs on the host."""
+    advance = progressing(sum(map(len, recordings)), track)
+    batch = []
+    for recording in recordings:
+        commands, loss = run(recording)
+        batch.append((replace(commands, latency_ms=np.full(len(commands), np.nan)), loss))
+        advance(len(recording))
+    return batch
+
+
+def side_by_side(
+    program: LaneProgram,
+    initial: RetargetState,
+    recordings: Sequence[HandRecording],
+    hand: Hand,
+    landmarks: Callable[[np.ndarray], np.ndarray],
+    track: Progress | None,
+) -> Batch:
+    """Recordings in the lanes of a program; ``landmarks`` gives them in its form."""
+    tracks = Tracks.of(recordings, landmarks)
+    answers = program.run(initial, tracks, track)
+    q = np.clip(answers.q.astype(float), *hand.limits.T)
+    loss = np.where(answers.status == Status.OK, answers.loss.astype(float), np.nan)
+    batch = []
+    for recording, part in zip(recordings, tracks.slices, strict=True):
+        none, status = np.full(len(recording), np.nan), answers.status[part]
+        positions = hand.full_configuration(q[part])
+        commands = CommandTrajectory(positions, hand.joint_names, recording.stamps, none, status)
+        batch.append((commands, loss[part]))
+    return batch
 
 
 def _chosen(which: Bool[Array, " L"], new: Any, old: Any) -> Any:

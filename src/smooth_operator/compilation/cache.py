@@ -27,7 +27,6 @@ from typing import Any, Final
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import DocumentError, OutputError
 from smooth_operator.own_files import (
     OFF,
@@ -87,6 +86,8 @@ class ProgramCache:
 
     def write(self, name: str, data: bytes) -> None:
         """Writes an entry, and removes those unused the longest; a full disk costs time only."""
+        from smooth_operator.atomic_files import atomic_write  # of the first start alone
+
         with contextlib.suppress(OutputError, OSError):
             with atomic_write(self.folder / name) as stream:
                 os.chmod(stream.name, 0o600)

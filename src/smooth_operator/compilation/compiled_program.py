@@ -24,7 +24,6 @@ import jax
 import numpy as np
 
 from smooth_operator.compilation.cache import LOGGER, ProgramCache, jax_cache, program_cache
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.geometry import on_gpu
 from smooth_operator.hands.hand import Hand, fingerprint
 from smooth_operator.methods.method import MethodConfig
@@ -32,7 +31,7 @@ from smooth_operator.source_digest import HOME, code_digest
 
 _CODE: Final = (
     "compilation", "methods", "baselines", "objective", "solvers", "human", "hands",
-    "geometry.py", "poses.py", "landmarks.py", "types.py",
+    "geometry.py", "io/anatomy.py", "poses.py", "landmarks.py", "types.py",
 )  # fmt: skip
 """Code that programs are traced from."""
 
@@ -42,9 +41,12 @@ _SETTINGS: Final = (
 )  # fmt: skip
 """Settings of JAX that a traced program depends on."""
 
-_NARROW: Final = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
-_WIDE: Final = {**_NARROW, "xla_cpu_prefer_vector_width": 512}
-_GRAPHS: Final = {
+_NARROW: Final[dict[str, Any]] = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_experimental_ynn_fusion_type": "",
+}
+_WIDE: Final[dict[str, Any]] = {**_NARROW, "xla_cpu_prefer_vector_width": 512}
+_GRAPHS: Final[dict[str, Any]] = {
     "xla_gpu_enable_command_buffer": "FUSION,CUBLAS,CUBLASLT,CUDNN,CUSTOM_CALL,"
     "DYNAMIC_SLICE_FUSION,CONDITIONAL,WHILE",
     "xla_gpu_graph_min_graph_size": 1,
@@ -62,46 +64,44 @@ def compiled(function: Callable[..., Any], *, wide: bool = False) -> Callable[..
         wide: most of its time goes to long loops over many numbers, which a processor with vectors
             of 512 bits is to run in such vectors; XLA prefers 256.
     """
-    return jax.jit(function, compiler_options=_compiler_options(wide))
+    return jax.jit(function, compiler_options=_known_options(wide))
 
 
 @functools.cache
-def _compiler_options(wide: bool) -> dict[str, Any] | None:
-    """Options that XLA knows here; None if it knows none."""
+def _known_options(wide: bool) -> dict[str, Any] | None:
+    """The first of ``_options`` that XLA knows here."""
     for options in _options(wide):
-        try:
+        # what XLA raises for an unknown option has changed between versions
+        with contextlib.suppress(Exception):
             jax.jit(lambda x: x, compiler_options=options)(np.float32(0))
-        except Exception:  # what XLA raises for an unknown option has changed between versions
-            continue
-        return options
+            return options
     return None
 
 
-def _options(wide: bool, graphs: bool = False) -> list[dict[str, Any]]:
+def _options(wide: bool, graphs: bool = False) -> list[dict[str, Any] | None]:
     """Options with which a program starts sooner on a CPU and its loops suit the processor, and
-    with which a GPU is not waited for.
+    with which a GPU is not waited for; the last are none.
 
     XLA's newer emitter of fused loops takes 1.6 s longer over this program, and the program is no
     faster for it. The options are XLA's own and may go: where one is unknown, the next are tried.
     """
     if on_gpu():
-        return [dict(_GRAPHS)] if graphs else []
+        return [_GRAPHS, None] if graphs else [None]
     if jax.default_backend() != "cpu":
-        return []
-    return [dict(each) for each in ((_WIDE, _NARROW) if wide else (_NARROW,))]
+        return [None]
+    return [_WIDE, _NARROW, None] if wide else [_NARROW, None]
 
 
 def program_key(
     hand: Hand, config: MethodConfig, *more: object, constants: Any = None
 ) -> str | None:
     """A digest of all that a program of a hand and a configuration depends on, but its arguments;
-    ``more`` is anything else, as JSON. None if it can't be known, as the configuration has code or
-    a file of the user's."""
+    ``more`` is anything else whose ``repr`` tells it apart. None if it can't be known, as the
+    configuration has code or a file of the user's."""
     shareable = config.shareable or constants is not None
     if not shareable or not _is_data(config, paths=constants is not None):
         return None
-    parts = [fingerprint(hand), type(config).__qualname__, config, *more]
-    digest = hashlib.sha256("\n".join(to_json(part) for part in parts).encode())
+    digest = hashlib.sha256(repr((fingerprint(hand), config, more)).encode())
     for array in jax.tree.leaves(constants):
         digest.update(str(np.shape(array)).encode() + np.asarray(array).tobytes())
     digest.update(code_digest(*_CODE).encode())
@@ -113,7 +113,7 @@ class CompiledProgram:
 
     Args:
         function: traceable; returns a tree of tuples, lists, dictionaries and named tuples.
-        name: name of the function, and what else it depends on, as JSON.
+        name: name of the function, and what else it depends on (``program_key``).
         hand: the robot hand that the method was built for.
         config: the method's settings.
         constants: ``Method.constants``.
@@ -177,11 +177,13 @@ class CompiledProgram:
                 LOGGER.info("a program can't be kept: %s", error)
         with jax_cache() if function is not self._function else contextlib.nullcontext():
             for options in _options(self._wide, self._graphs):
-                with contextlib.suppress(Exception):  # as in ``_compiler_options``
+                try:
                     run = jax.jit(function, compiler_options=options).lower(*arguments).compile()
                     return run, run(*arguments)
-            run = jax.jit(function).lower(*arguments).compile()
-            return run, run(*arguments)
+                except Exception:  # as in ``_known_options``
+                    if options is None:
+                        raise
+        raise AssertionError("the last options are none")
 
 
 def _signature(arguments: tuple[Any, ...]) -> _Signature | None:
@@ -267,17 +269,17 @@ def _own_class(name: str) -> type:
 
 
 def _is_data(value: object, paths: bool = False) -> bool:
-    """Numbers, texts and this package's own dataclasses, all the way down."""
+    """Numbers, texts and this package's own dataclasses, all the way down: ``repr`` shows all."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         own = type(value).__module__.partition(".")[0] == HOME.name
         fields = dataclasses.fields(value)
         return own and all(_is_data(getattr(value, field.name), paths) for field in fields)
     if isinstance(value, Mapping):
         return all(_is_data(each, paths) for pair in value.items() for each in pair)
-    if isinstance(value, (tuple, list, set, frozenset)):
+    if isinstance(value, (tuple, list)):
         return all(_is_data(each, paths) for each in value)
     if isinstance(value, str):
         return ":" not in value  # package.module:attribute
     if isinstance(value, os.PathLike):
         return paths
-    return value is None or isinstance(value, (int, float, enum.Enum, np.ndarray, np.generic))
+    return value is None or isinstance(value, (int, float, enum.Enum, np.generic))

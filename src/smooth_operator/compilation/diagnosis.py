@@ -18,7 +18,8 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.compilation.cache import is_off, program_cache
-from smooth_operator.errors import DISTRIBUTION, SmoothOperatorError
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.extras import DISTRIBUTION
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.own_files import SWITCH, folder_problem, user_cache
 from smooth_operator.synthetic import SyntheticOperator

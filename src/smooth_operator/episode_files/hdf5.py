@@ -50,7 +50,8 @@ from smooth_operator.episode_files.hdf5_tree import (
     read_tree,
 )
 from smooth_operator.episode_files.staging import staged_file
-from smooth_operator.errors import UPGRADE, DocumentError, RecordingError, brief
+from smooth_operator.errors import DocumentError, RecordingError, brief
+from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.checks import (
     check_rate,
     check_recording,

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from smooth_operator.errors import DocumentError, MissingExtraError, RecordingError, listed
 from smooth_operator.formats.arrays import Allowance, damaged
 from smooth_operator.formats.checks import check_recording, check_side, stamps_from_rate
-from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.landmarks import FROM_WEBXR_25, METACARPALS_WEBXR_25
 from smooth_operator.poses import (
     WORLD_AXES,

@@ -23,7 +23,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from smooth_operator.errors import RecordingError, brief, listed, reason
-from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.plain_files import check_plain_file
 
 FREE_BYTES: Final = 32 << 20
 """Unpacked size that any file may have [bytes]: 10 minutes of landmarks at 100 Hz."""

@@ -12,7 +12,8 @@ from typing import IO, Any
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error
-from smooth_operator.errors import UPGRADE, OutputError, RecordingError, brief
+from smooth_operator.errors import OutputError, RecordingError, brief
+from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.episode import check_commands
 from smooth_operator.formats.jsonable import to_json

@@ -9,7 +9,8 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from smooth_operator.errors import UPGRADE, RecordingError, brief, listed
+from smooth_operator.errors import RecordingError, brief, listed
+from smooth_operator.extras import UPGRADE
 from smooth_operator.types import CommandTrajectory, HandRecording, Status, unit_poses
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, DocumentError, RecordingError, SmoothOperatorError
 from smooth_operator.formats.arrays import PICKLE_REMEDY
-from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.types import HandRecording, Side
 

@@ -14,15 +14,7 @@ from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.model_assets import read_model_files
-from smooth_operator.hands.registry import (
-    HANDS,
-    find_specs,
-    model_folder,
-    origin,
-    shadowing,
-    spec_name,
-    user_hands_folder,
-)
+from smooth_operator.hands.registry import HANDS, find_specs, origin, shadowing, user_hands_folder
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import check_hand_name
 from smooth_operator.types import Side
@@ -189,3 +181,13 @@ def _same_model(one: Path, other: Path) -> bool:
         and ours.model.ngeom == theirs.model.ngeom
         and ours.unreadable == theirs.unreadable
     )
+
+
+def spec_name(name: str, side: Side) -> str:
+    """File name of a hand's spec: ``NAME.SIDE.toml``."""
+    return f"{name}.{side}.toml"
+
+
+def model_folder(name: str, side: Side) -> Path:
+    """Folder of the copy of a hand's model that ``hands add`` makes."""
+    return user_hands_folder() / "models" / f"{name}.{side}"

@@ -431,11 +431,11 @@ def straight_pose(hand: Hand) -> StraightPose:
         for joint in extending:
             trial = np.tile(q, (_STEPS + 1, 1))
             trial[1:, joint] = np.linspace(hand.limits[joint, 0], hand.limits[joint, 1], _STEPS)
-            total = np.linalg.norm(_rays(hand, trial), axis=-1).sum(axis=-1)
+            total = np.linalg.norm(finger_rays(hand, trial), axis=-1).sum(axis=-1)
             best = int(np.argmax(total))
             if total[best] > total[0] + _GAIN:
                 q = trial[best]
-    directions = _rays(hand, q)
+    directions = finger_rays(hand, q)
     return StraightPose(q, np.linalg.norm(directions, axis=-1), directions)
 
 
@@ -463,16 +463,8 @@ def knuckle_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
     return mask
 
 
-def open_rays(hand: Hand) -> Float[np.ndarray, "F 3"]:
-    """(F, 3) vectors from base to tip of the open hand, palm frame [m].
-
-    Its joints are at zero, or as near as their limits allow: there makers put the open hand. At the
-    neutral pose, and so at ``straight_pose``, many hands have bent knuckles.
-    """
-    return _rays(hand, np.clip(0.0, *hand.limits.T))
-
-
-def _rays(hand: Hand, q: Float[np.ndarray, "*n m"]) -> Float[np.ndarray, "*n F 3"]:
+def finger_rays(hand: Hand, q: Float[np.ndarray, "*n m"]) -> Float[np.ndarray, "*n F 3"]:
+    """(..., F, 3) vectors from base to tip of each finger at (..., m) joint positions [m]."""
     names, points = hand.tree.names, hand.landmark_positions(q)
     fingers = [FINGERS.index(name) for name in hand.fingers]
     tips = [names.index(LANDMARKS[TIPS[i]]) for i in fingers]

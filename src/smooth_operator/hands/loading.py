@@ -7,47 +7,30 @@ files that it does not resolve (``package://``), models whose meshes are missing
 
 from __future__ import annotations
 
-import logging
 import math
-import re
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Container
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import HandModelError, brief
-from smooth_operator.hands.model_assets import (
-    MOST_MESH_BYTES,
-    ModelFiles,
-    decode_xml,
-    read_model_files,
-)
+from smooth_operator.errors import HandModelError
+from smooth_operator.hands.mujoco_messages import MUJOCO_ERRORS, refused
+
+if TYPE_CHECKING:
+    import xml.etree.ElementTree as ElementTree
+
+    from smooth_operator.hands.model_assets import ModelFiles
+
+MODELS: Final = Path(__file__).parent / "models"
+"""Folder of the built-in spec files and models."""
 
 NO_ROOM: Final = 0.25
 """``shared_range`` below which a coupling is a mistake in the file."""
 _ROOM: Final = 0.75  # ``shared_range`` above which the coupling of the other sign is the right one
-_TIMES: Final = 5.0  # length of a mesh over its chain above which it has another unit
-_LONGEST: Final = 0.5  # length up to which a mesh has the right unit [m]
-_TINY: Final = 1e-9
-_MUJOCO_ERRORS: Final = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
-
-_LOGGER: Final = logging.getLogger("smooth_operator.mujoco")
-
-
-@lru_cache(maxsize=256)  # a model is compiled up to four times, and warned of once
-def _warn(text: str) -> None:
-    _LOGGER.warning(text)
-
-
-# Without its own listener MuJoCo writes its warnings to a file in the working folder.
-if mujoco.get_mju_user_warning() is None:
-    mujoco.set_mju_user_warning(_warn)
 
 
 @dataclass(frozen=True)
@@ -96,18 +79,33 @@ def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
         HandModelError: if there is no such file, it is too large (``read_model_files``), or MuJoCo
             can't compile it.
     """
-    files = read_model_files(path)
-    root = files.root
-    model, _, unreadable, why, large = _compiled(path, files, mirror)
+    files = _model_files(path)
+    spec = _read(path, files, mirror)
+    if files is not None and _has_assets(spec):
+        from smooth_operator.hands.model_meshes import compile_with_meshes
+
+        read = partial(_read, path, files, mirror)
+        model, _, unreadable, why, large = compile_with_meshes(path, files, read)
+    else:
+        model, unreadable, why, large = _compiled(spec, path), (), (), False
     _check_finite(model, path)
-    if root.tag == "robot":
-        couplings = _urdf_mimics(root, path)
+    if files is not None and files.root.tag == "robot":
+        couplings = _urdf_mimics(files.root, path)
     else:
         equalities = _equalities(model)
         tendons = _tendons(model, {coupling.joint for coupling in equalities})
         couplings = (*equalities, *tendons)
     possible = tuple(_possible(model, coupling) for coupling in couplings)
     return LoadedModel(model, possible, unreadable, "; ".join(why), large)
+
+
+def _model_files(path: Path) -> ModelFiles | None:
+    """The files of a model, within bounds; None for a built-in model, which is one small file."""
+    if path.parent == MODELS:
+        return None
+    from smooth_operator.hands.model_assets import read_model_files
+
+    return read_model_files(path)
 
 
 def _check_finite(model: mujoco.MjModel, path: Path) -> None:
@@ -127,13 +125,13 @@ def driven_joints(model: mujoco.MjModel) -> set[int]:
     return _actuated(model) | {joints[0] for joints, _ in _driven_tendons(model)}
 
 
-def _read(path: Path, files: ModelFiles, mirror: bool) -> mujoco.MjSpec:
+def _read(path: Path, files: ModelFiles | None, mirror: bool) -> mujoco.MjSpec:
     try:
-        spec = _parsed(path)
-    except _MUJOCO_ERRORS as error:
-        raise _refused("read", path, error) from error
+        spec = mujoco.MjSpec.from_file(str(path)) if files is None else _parsed(path)
+    except MUJOCO_ERRORS as error:
+        raise refused("read", path, error) from error
     _name_all(spec)
-    if not files.attaches:
+    if files is not None and not files.attaches:
         _name_assets(spec, files)
     # Fusing would lose the names of links on fixed joints, such as a URDF's palm and fingertips.
     spec.compiler.fusestatic = False
@@ -158,6 +156,8 @@ def _name_assets(spec: mujoco.MjSpec, files: ModelFiles) -> None:
 
 def _parsed(path: Path) -> mujoco.MjSpec:
     """The model of a file in any encoding; MuJoCo itself reads UTF-8 only."""
+    from smooth_operator.hands.model_assets import decode_xml
+
     data = path.read_bytes()
     text = decode_xml(data, path)
     if data.isascii() or data.endswith(text.encode("utf-8")):
@@ -180,176 +180,36 @@ def _name_all(spec: mujoco.MjSpec) -> None:
                 names.add(name)
 
 
-def _refused(what: str, path: Path, error: Exception) -> HandModelError:
-    reason = re.sub(r"\b(XML )?Error: *", "", " ".join(str(error).split()))
-    return HandModelError(
-        f"MuJoCo can't {what} {path}: {reason}; mend that in the file, or export the model again"
-    )
-
-
 def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
     """The model that ``load_model`` compiles, to be edited further, perhaps without its meshes.
 
     Raises:
         HandModelError: MuJoCo can't compile it.
     """
-    files = read_model_files(path)
-    dropped = _compiled(path, files, mirror).dropped
-    # A second time: compiling fixes values of a spec that further edits should derive.
-    spec = _read(path, files, mirror)
+    files = _model_files(path)
+    read = partial(_read, path, files, mirror)
+    spec = read()
+    if files is None or not _has_assets(spec):
+        _compiled(spec, path)
+        return read()  # compiling fixes values of a spec that further edits should derive
+    from smooth_operator.hands.model_meshes import compile_with_meshes, drop_meshes
+
+    dropped, spec = compile_with_meshes(path, files, read).dropped, read()
     if dropped is not None:
-        _drop_meshes(spec, dropped)
+        drop_meshes(spec, dropped)
     return spec
 
 
-class _Compiled(NamedTuple):
-    """A compiled model and its losses.
-
-    Attributes:
-        model: the model.
-        dropped: names of the meshes that it lacks; None if it is complete.
-        lost: names of the bodies that lost a colliding shape.
-        why: reasons for the losses.
-        oversize: True if meshes of another unit are among them.
-    """
-
-    model: mujoco.MjModel
-    dropped: frozenset[str] | None
-    lost: tuple[str, ...]
-    why: tuple[str, ...]
-    oversize: bool
+def _has_assets(spec: mujoco.MjSpec) -> bool:
+    """True if the model has meshes, terrain, skins or textures, some of which may be unusable."""
+    return any(map(len, (spec.meshes, spec.hfields, spec.skins, spec.textures)))
 
 
-def _compiled(path: Path, files: ModelFiles, mirror: bool) -> _Compiled:
-    """Compiles a model with as many of its meshes as possible.
-
-    Kinematics needs no mesh, so a mesh that can't be read is no reason to refuse a model.
-    """
-    spec = _read(path, files, mirror)
-    names = {mesh.name: mesh.file for mesh in spec.meshes}
-    present = {"", *map(str, files.assets.values())}
-    absent = {} if files.attaches else {k: v for k, v in names.items() if v not in present}
-    why, dropped = [], frozenset(absent) or None
-    if absent:
-        why.append(
-            f"{len(absent)} mesh files are not where the model names them, or have over "
-            f"{MOST_MESH_BYTES / 1e6:.0f} MB ({brief(next(iter(absent.values())))} the first): put "
-            "them there, or correct the names"
-        )
+def _compiled(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     try:
-        model, lost = _without(spec, dropped)
-    except _MUJOCO_ERRORS as error:  # a spec that failed to compile can't be edited: read again
-        if not _is_missing_asset(error):
-            raise _refused("compile", path, error) from error
-        unreadable = _unreadable_meshes(path, files, mirror, absent)
-        try:
-            dropped = frozenset(absent) | unreadable
-            model, lost = _without(_read(path, files, mirror), dropped)
-        except _MUJOCO_ERRORS:
-            try:
-                dropped = unreadable = frozenset(names)
-                model, lost = _without(_read(path, files, mirror), dropped)
-            except _MUJOCO_ERRORS as last:
-                raise _refused("compile without its meshes", path, last) from last
-        if unreadable:
-            why.append(
-                f"MuJoCo can't read {len(unreadable)} meshes ({brief(min(unreadable))} the first): "
-                "export them as OBJ, or as binary STL of at most 200,000 triangles"
-            )
-    large, text = _oversize(model)
-    if large:
-        dropped = (dropped or frozenset()) | large
-        why.append(text)
-        model, lost = _without(_read(path, files, mirror), dropped)
-    return _Compiled(model, dropped, lost, tuple(why), bool(large))
-
-
-def _without(
-    spec: mujoco.MjSpec, meshes: frozenset[str] | None
-) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """The model without these meshes, and the bodies that lost a colliding shape."""
-    lost = () if meshes is None else _drop_meshes(spec, meshes)
-    return spec.compile(), lost
-
-
-def _unreadable_meshes(
-    path: Path, files: ModelFiles, mirror: bool, absent: Container[str]
-) -> frozenset[str]:
-    """Names of the meshes that MuJoCo can't read, each tried in its own model."""
-    spec = _read(path, files, mirror)
-    out = set()
-    for mesh in spec.meshes:
-        if not mesh.file or mesh.name in absent:
-            continue  # its points are in the model file, or nowhere
-        trial = mujoco.MjSpec()
-        trial.modelfiledir, trial.meshdir = spec.modelfiledir, spec.meshdir
-        trial.strippath = spec.strippath
-        trial.add_mesh(name="trial", file=mesh.file, inertia=mesh.inertia)
-        trial.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="trial")
-        try:
-            trial.compile()
-        except _MUJOCO_ERRORS:
-            out.add(mesh.name)
-    return frozenset(out)
-
-
-def _drop_meshes(spec: mujoco.MjSpec, meshes: frozenset[str]) -> tuple[str, ...]:
-    """Removes some meshes, and every terrain, skin and texture, from a model.
-
-    Returns:
-        names of the bodies that lost a colliding shape.
-    """
-    lost = []
-    for geom in list(spec.geoms):
-        terrain = geom.type == mujoco.mjtGeom.mjGEOM_HFIELD
-        if terrain or geom.meshname in meshes:
-            if geom.contype or geom.conaffinity:
-                lost.append(geom.parent.name)
-            spec.delete(geom)
-    for material in spec.materials:
-        material.textures = [""] * len(material.textures)
-    gone = [mesh for mesh in spec.meshes if mesh.name in meshes]
-    for asset in (*gone, *spec.skins, *spec.hfields, *spec.textures):
-        spec.delete(asset)
-    return tuple(dict.fromkeys(lost))
-
-
-def _oversize(model: mujoco.MjModel) -> tuple[frozenset[str], str]:
-    """Meshes of another unit than the links: over ``_TIMES`` as long as their whole chain.
-
-    Returns:
-        their names (none if no such mesh is on a moving body), and the problem as a text.
-    """
-    parents = model.body_parentid
-    step = np.linalg.norm(model.body_pos, axis=1)
-    step[parents == 0] = 0.0  # the place of the model in the world is no length of the model
-    up, down = np.zeros(model.nbody), np.zeros(model.nbody)
-    for body in range(1, model.nbody):
-        up[body] = up[parents[body]] + step[body]
-    for body in range(model.nbody - 1, 0, -1):
-        down[parents[body]] = max(down[parents[body]], down[body] + step[body])
-    bodies = model.geom_bodyid
-    length = 2 * model.geom_aabb[:, 3:].max(axis=1, initial=0.0)
-    large = model.geom_type == mujoco.mjtGeom.mjGEOM_MESH
-    large &= length > np.maximum(_TIMES * (up + down)[bodies], _LONGEST)
-    moving = np.flatnonzero(large & (model.body_weldid[bodies] > 0))
-    if not len(moving):
-        return frozenset(), ""
-    links = np.array([max([step[b], *step[parents == b]]) for b in bodies[moving]])
-    factor = 10 ** round(np.log10(np.median(length[moving] / np.maximum(links, _TINY))))
-    first = moving[0]
-    scale = float(model.mesh_scale[model.geom_dataid[first], 0])
-    return frozenset(model.mesh(int(m)).name for m in model.geom_dataid[large]), (
-        f"meshes are about {factor:,.0f} times as large as the links (that of "
-        f"{model.body(int(bodies[first])).name!r} is {length[first]:.3g} m long, its whole chain "
-        f"{(up + down)[bodies[first]]:.2g} m): in the model, write scale {scale / factor:g} "
-        f"where it has {scale:g}"
-    )
-
-
-def _is_missing_asset(error: Exception) -> bool:
-    text = str(error).lower()
-    return any(word in text for word in ("opening file", "mesh", "resource", "decoder"))
+        return spec.compile()
+    except MUJOCO_ERRORS as error:
+        raise refused("compile", path, error) from error
 
 
 def _urdf_mimics(root: ElementTree.Element, path: Path) -> tuple[Coupling, ...]:

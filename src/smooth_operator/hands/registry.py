@@ -15,9 +15,10 @@ from typing import Final
 
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError, brief, listed
 from smooth_operator.hands.hand import Hand, load_hand_spec
-from smooth_operator.hands.model_assets import is_file
-from smooth_operator.hands.spec import FingerChoice, HandSpec, select_fingers
+from smooth_operator.hands.loading import MODELS
+from smooth_operator.hands.spec import FingerChoice, HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
+from smooth_operator.io.plain_files import is_file
 from smooth_operator.own_files import program_folder
 from smooth_operator.plugins import Entry, Registry, is_target
 from smooth_operator.types import Side, as_side
@@ -39,16 +40,6 @@ def user_hands_folder() -> Path:
     return program_folder("settings") / "hands"
 
 
-def spec_name(name: str, side: Side) -> str:
-    """File name of a hand's spec: ``NAME.SIDE.toml``."""
-    return f"{name}.{side}.toml"
-
-
-def model_folder(name: str, side: Side) -> Path:
-    """Folder of the copy of a hand's model that ``hands add`` makes."""
-    return user_hands_folder() / "models" / f"{name}.{side}"
-
-
 def find_specs(folder: Path) -> dict[str, dict[Side, Path]]:
     """Spec files of a folder by name and side; empty if there is no such folder."""
     specs: dict[str, dict[Side, Path]] = {}
@@ -64,9 +55,6 @@ def find_specs(folder: Path) -> dict[str, dict[Side, Path]]:
                 specs.setdefault(name, {})[side] = folder / file
     return specs
 
-
-MODELS: Final = Path(__file__).parent / "models"
-"""Folder of the built-in spec files and models."""
 
 HANDS: Final = Registry(
     "hand", {name: Entry(f"{__name__}:MODELS", "built-in") for name in sorted(find_specs(MODELS))}
@@ -197,7 +185,11 @@ def load_hand(
         if entry.builtin and fingers is None:
             return _load_builtin(hand, chosen)
         spec = entry.spec(chosen)
-    return load_hand_spec(spec if fingers is None else select_fingers(spec, fingers))
+    if fingers is not None:
+        from smooth_operator.hands.finger_choice import select_fingers  # few users choose fingers
+
+        spec = select_fingers(spec, fingers)
+    return load_hand_spec(spec)
 
 
 def default_side(hand: str | Path | HandSpec) -> Side:

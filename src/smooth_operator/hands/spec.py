@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.errors import HandModelError
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 
@@ -172,78 +172,3 @@ class HandSpec:
 
 FingerChoice: TypeAlias = Mapping[str, str] | Sequence[str]
 """Robot finger -> human finger that drives it; or names of fingers that drive themselves."""
-
-
-def parse_fingers(text: str) -> dict[str, str]:
-    """Parse a choice of fingers: in ``thumb,index,pinky=ring`` the human ring drives the pinky.
-
-    Raises:
-        HandModelError: a part of it is empty, or a finger is named twice.
-    """
-    choice: dict[str, str] = {}
-    for part in text.split(","):
-        robot, sign, human = (word.strip() for word in part.partition("="))
-        if not robot or (sign and not human):
-            raise HandModelError(
-                f"{text!r} is no choice of fingers; expected robot fingers with commas between, "
-                "each with '=' and a human finger if another drives it: thumb,index,pinky=ring"
-            )
-        if robot in choice:
-            raise HandModelError(f"{text!r} names the finger {robot!r} twice")
-        choice[robot] = human or robot
-    return choice
-
-
-def select_fingers(spec: HandSpec, fingers: FingerChoice) -> HandSpec:
-    """Description of the same hand with some of its fingers; other joints stay at neutral.
-
-    The alignment keeps its landmarks if all of them remain. Else it uses the thumb and the first
-    and last of the other fingers, or, with two fingers, these and the wrist.
-
-    Args:
-        fingers: the fingers; the thumb must be among them, driven by the human thumb.
-
-    Raises:
-        UnknownNameError: the hand, or a human, has no such finger.
-        HandModelError: fewer than two fingers, no thumb, or one human finger for two.
-    """
-    choice = dict(fingers) if isinstance(fingers, Mapping) else {name: name for name in fingers}
-    own = {finger.name: finger for finger in spec.fingers}
-    for robot, human in choice.items():
-        if robot not in own:
-            raise UnknownNameError("finger", robot, own)
-        if human not in FINGERS:
-            raise UnknownNameError("human finger", human, FINGERS)
-    if choice.get("thumb") != "thumb":
-        raise HandModelError(
-            f"hand {spec.name!r}: the thumb must be among the fingers, driven by the human thumb, "
-            f"not {choice}"
-        )
-    chosen = sorted(
-        (replace(own[robot], name=human) for robot, human in choice.items()),
-        key=lambda finger: FINGERS.index(finger.name),
-    )
-    names = [finger.name for finger in chosen]
-    if all(name == "wrist" or name in choice for name in spec.align):
-        align = tuple(choice.get(name, name) for name in spec.align)
-    elif len(names) > 2:
-        align = (names[0], names[1], names[-1])
-    else:
-        align = ("wrist", *names)
-    return replace(
-        spec,
-        fingers=tuple(chosen),
-        align=align,
-        joint_map=tuple(row for old in spec.joint_map for row in _renamed(old, choice)),
-    )
-
-
-def _renamed(row: JointMap, choice: Mapping[str, str]) -> list[JointMap]:
-    """The map with the angles of the new driver; empty if its finger is left out."""
-    gains: dict[str, float] = {}
-    for angle, gain in row.gains.items():
-        finger, _, rest = angle.partition("_")
-        if finger not in choice:
-            return []
-        gains[f"{choice[finger]}_{rest}"] = gain
-    return [replace(row, gains=gains)]

@@ -20,7 +20,6 @@ from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand, straight_pose
-from smooth_operator.human.alignment import human_palm_axes, palm_tilt_deg
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.settings import check_numbers, is_off
 
@@ -164,6 +163,8 @@ class Correspondence:
         """Vectors of the fingers, those of the long ones turned back by the palm's tilt."""
         if is_off(self.config.tilt):
             return rays
+        from smooth_operator.human.flat_hand import human_palm_axes, palm_tilt_deg
+
         axes = human_palm_axes(self.hand)
         angle = self.config.tilt * np.deg2rad(palm_tilt_deg(self.hand))
         palmar, distal = (np.asarray(axis, rays.dtype) for axis in (axes.palmar, axes.distal))

@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.geometry import AnyArray, AnyKind, PalmAxes, array_namespace, unit_vectors
+from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.hands.hand import Hand
+from smooth_operator.human.palm import PalmAxes, unit_vectors
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import Side
 

@@ -1,4 +1,4 @@
-"""Checked look-ups in the table of a settings file (TOML or JSON).
+"""Checked look-ups in the table of a settings file (TOML or JSON), and the reader of TOML.
 
 Each error names the file, the entry and what is expected there, and corrects a misspelt name.
 """
@@ -6,11 +6,12 @@ Each error names the file, the entry and what is expected there, and corrects a 
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from smooth_operator.errors import (
     ConfigError,
@@ -19,9 +20,10 @@ from smooth_operator.errors import (
     brief,
     did_you_mean,
 )
-from smooth_operator.io.documents import read_toml
+from smooth_operator.io.plain_files import MOST_DIGITS, MOST_LEVELS, read_text, too_deep
 
 _T = TypeVar("_T", bound=str)
+_Record = TypeVar("_Record")
 
 
 @dataclass(frozen=True)
@@ -212,5 +214,110 @@ def read_entries(
         raise refuse(f"{path} is not well-formed TOML: {error}") from error
 
 
+def record(
+    cls: type[_Record],
+    entries: Entries,
+    more: tuple[str, ...] = (),
+    *,
+    lines: bool = False,
+    **values: Any,
+) -> _Record:
+    """Makes a dataclass of a table, by the names and types of its fields.
+
+    Args:
+        cls: class of the result. A text of several lines has the metadata ``lines``.
+        entries: table of the file.
+        more: further entries that the table may have.
+        lines: accept several lines in every text.
+        **values: values of other fields.
+    """
+    hints = get_type_hints(cls)
+    columns = [f for f in fields(cls) if f.init and f.name not in values]  # type: ignore[arg-type]
+    entries.only(*(f.name for f in columns), *more)
+    for f in columns:
+        required = f.default is MISSING and f.default_factory is MISSING
+        if required or f.name in entries.names:
+            several = lines or bool(f.metadata.get("lines"))
+            values[f.name] = _value(entries, f.name, hints[f.name], lines=several)
+    return cls(**values)
+
+
+def _value(entries: Entries, name: str, hint: Any, *, lines: bool) -> Any:
+    """Reads an entry of the type of a field; an empty text is None if the type allows it."""
+    inner = get_args(hint)
+    if type(None) in inner:
+        if entries.values.get(name, "") is None:
+            return None
+        value = _value(entries, name, inner[0], lines=lines)
+        return None if value == "" else value
+    if get_origin(hint) is Literal:
+        return entries.choice(name, inner)
+    if get_origin(hint) is tuple and is_dataclass(inner[0]):
+        cls: Any = inner[0]
+        return tuple(record(cls, one) for one in entries.tables(name))
+    if get_origin(hint) is tuple:
+        texts, options = entries.texts(name), get_args(inner[0])
+        if not set(texts) <= set(options or texts):
+            raise entries.error(name, f"expected some of {', '.join(options)}")
+        return tuple(option for option in options or texts if option in texts)
+    if get_origin(hint) is not None:
+        table = entries.table(name)
+        return {key: table.number(key) for key in table.names}
+    if hint is bool:
+        return entries.flag(name, False)
+    if hint is str:
+        return entries.text(name, lines=lines)
+    return entries.whole(name) if hint is int else entries.number(name)
+
+
 def _cut(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+_MOST_DOTS: Final = 1000  # in one line of TOML; the parser's time grows with their square
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The table of a TOML text.
+
+    Raises:
+        DocumentError: it is no TOML, or is beyond a bound as with ``parse_json``.
+    """
+    if any(line.count(".") > _MOST_DOTS for line in text.split("\n")):
+        raise DocumentError(f"a line has more than {_MOST_DOTS} dots")
+    try:
+        table = tomllib.loads(text)
+    except RecursionError as error:
+        raise too_deep() from error
+    except ValueError as error:  # TOMLDecodeError; and a number of thousands of digits
+        raise DocumentError(str(error) if len(str(error)) < 200 else "damaged text") from error
+    for level, value in _values(table):
+        if level > MOST_LEVELS:
+            raise too_deep()
+        if isinstance(value, int) and abs(value) >= 10**MOST_DIGITS:
+            raise DocumentError(f"a whole number has more than {MOST_DIGITS} digits")
+    return table
+
+
+def read_toml(path: Path, *, most_bytes: int) -> dict[str, Any]:
+    """The table of a TOML file.
+
+    Raises:
+        OSError: there is no such file, or it can't be read.
+        DocumentError: as ``read_text`` and ``parse_toml``.
+    """
+    return parse_toml(read_text(path, most_bytes=most_bytes))
+
+
+def _values(table: dict[str, Any]) -> Iterator[tuple[int, Any]]:
+    """(level, value) of all that a table holds; without recursion, which may end the stack."""
+    left: list[tuple[int, Any]] = [(1, table)]
+    while left:
+        level, value = left.pop()
+        yield level, value
+        if level > MOST_LEVELS:
+            continue
+        if isinstance(value, dict):
+            left += [(level + 1, child) for child in value.values()]
+        elif isinstance(value, list):
+            left += [(level + 1, child) for child in value]

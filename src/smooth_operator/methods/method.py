@@ -21,42 +21,11 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
 
 if TYPE_CHECKING:
     from smooth_operator.human.operator import Component, OperatorProfile
-
-
-@dataclass(frozen=True, eq=False)
-class FrameGoals:
-    """Goals of the frames of a recording, without regard to the command before.
-
-    Trajectory optimisation solves all frames together: each has a goal, and motion between them
-    costs. What passes from frame to frame is in and out, never inside.
-
-    Attributes:
-        objective: the cost that the goals are for.
-    """
-
-    objective: Objective
-
-    def begin(self) -> Any:
-        """State before the first frame: the target policy's first state."""
-        return self.objective.config.targets.init(self.objective.layout)
-
-    def follow(self, memory: Any, aligned: Float[Array, "21 3"]) -> tuple[Any, FrameGoal]:
-        """The state after a frame, and its goal without velocity and motion of fingertips, for
-        (21, 3) landmarks in the palm frame [m]; traceable."""
-        objective, hand = self.objective, self.objective.hand
-        layout = objective.layout
-        targets, memory = objective.config.targets(memory, layout, layout.human(aligned))
-        neutral = jnp.asarray(hand.neutral, aligned.dtype)
-        none = jnp.zeros((), aligned.dtype)
-        tips = jnp.zeros((len(hand.fingers), 3), aligned.dtype)
-        goal = FrameGoal(targets.vectors, targets.weights, neutral, none, tips, tips[:, 0])
-        return memory, goal
 
 
 C = TypeVar("C", bound="MethodConfig")
@@ -89,6 +58,9 @@ class Method(ABC):
     """
 
     hand: Hand
+
+    on_host: ClassVar[bool] = False
+    """True for a ``HostMethod``, whose solver runs on the host; else it is one compiled program."""
 
     @property
     @abstractmethod
@@ -125,11 +97,6 @@ class Method(ABC):
         """
 
     @property
-    def host(self) -> HostMethod | None:
-        """The method as one whose solver runs on the host; None if it is one compiled program."""
-        return None
-
-    @property
     def constants(self) -> Any:
         """A pytree of arrays that the program holds besides figures of the hand and settings, such
         as weights from a file; None where there are none, or they are not known."""
@@ -146,40 +113,11 @@ class Method(ABC):
         del state
         return None
 
-    def frame_goals(self) -> FrameGoals | None:
-        """Targets of each frame of a recording, for trajectory optimisation over all its frames.
-
-        None for a method without an objective whose derivatives are known.
-        """
-        return None
-
-
-class HostMethod(Method):
-    """A method whose solver is a library on the host: compiled up to it, plain Python after it."""
-
-    @abstractmethod
-    def prepare(self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]) -> Any:
-        """The problem of one frame, as a pytree, for the arguments of ``step``; traceable."""
-
-    @abstractmethod
-    def solve(self, state: Any, problem: Any) -> tuple[Any, MethodOutput]:
-        """Solves a problem of ``prepare``, with the state that it was made from; NumPy in and out,
-        without side effects."""
-
-    def step(
-        self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
-    ) -> tuple[Any, MethodOutput]:
-        """One frame, on the host; not traceable."""
-        return self.solve(state, self.prepare(state, aligned, ticks))
-
-    def compile_with(self, compiling: Compiling) -> None:
-        """Takes the compiler of the functions that ``solve`` calls, before the first frame."""
-        del compiling
-
     @property
-    def host(self) -> HostMethod:
-        """The method itself."""
-        return self
+    def trajectory_objective(self) -> Objective | None:
+        """The cost of each frame in trajectory optimisation over a whole recording; None for a
+        method without an objective whose derivatives are known."""
+        return None
 
 
 class MethodConfig(ABC):

@@ -7,13 +7,9 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import ConfigError, UnknownNameError, brief
-from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.registry import METHODS, as_presets
-from smooth_operator.plugins import Entry
+from smooth_operator.methods.registry import DEFAULT_METHOD, METHODS, as_presets
 
-_PRESET_FILE = Entry("smooth_operator.formats.setting_paths:read_preset_file")
-_WITH_SETTINGS = Entry("smooth_operator.formats.setting_paths:with_settings")
 _FILE: Final = ".toml"
 
 
@@ -131,7 +127,9 @@ def _elsewhere(preset: str) -> str:
 
 
 def _from_file(method: str, path: Path) -> MethodConfig:
-    file = _PRESET_FILE.load()(path)
+    from smooth_operator.formats.setting_paths import read_preset_file, with_settings
+
+    file = read_preset_file(path)
     if file.method != method:
         raise ConfigError(
             f"{path} is a preset of method {brief(file.method)}, not of {method!r}: choose "
@@ -139,5 +137,4 @@ def _from_file(method: str, path: Path) -> MethodConfig:
         )
     if file.base.endswith(_FILE):
         raise ConfigError(f"{path}: its base must be the name of a preset, not {brief(file.base)}")
-    config: MethodConfig = _WITH_SETTINGS.load()(method_config(method, file.base), file.settings)
-    return config
+    return with_settings(method_config(method, file.base), file.settings)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.plugins import Entry, Registry
 
 _BASELINES: Final = "smooth_operator.baselines"
@@ -42,19 +41,6 @@ METHODS: Final = Registry(
 )
 """Name -> presets. The summaries list the presets, the default one first."""
 
-COLORS: Final = {
-    "sbr": "#0072b2",
-    "smooth": "#7a68c7",
-    "joint_angle": "#8c6d4f",
-    "keyvector": "#e69f00",
-    "hybrid": "#cc79a7",
-    "dexpilot": "#d55e00",
-    "ako": "#56b4e9",
-    "geort": "#009e73",
-}
-"""Built-in method -> its colour in every report; most are of Okabe and Ito's safe palette. They go
-by name, since the settings of keyvector, hybrid, dexpilot and ako are of one class."""
-
 
 def as_presets(presets: Any) -> Mapping[str, Any]:
     """Preset name -> configuration, of what the name of a method stands for."""
@@ -62,16 +48,5 @@ def as_presets(presets: Any) -> Mapping[str, Any]:
     return presets if isinstance(presets, Mapping) else {"default": presets}
 
 
-def method_color(name: str) -> str | None:
-    """The colour of a method in reports, ``#rrggbb``; None if it has none.
-
-    A plugin's method has that of its settings, ``MethodConfig.color``.
-    """
-    if name not in METHODS.plugins:
-        return COLORS.get(name)
-    try:
-        presets = as_presets(METHODS.load(name))
-    except SmoothOperatorError:  # reports go on without it
-        return None
-    color: str | None = next(iter(presets.values())).color
-    return color
+DEFAULT_METHOD: Final = "smooth"
+"""With its default preset, the first of ``PRESETS``."""

@@ -19,16 +19,11 @@ from smooth_operator.hands.spec import HandSpec
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.methods.default import DEFAULT_METHOD
+from smooth_operator.methods.frame import FrameState, RetargetState
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
-from smooth_operator.methods.program import (
-    FrameState,
-    RetargetState,
-    shared_program,
-    tick_of,
-    ticks_of,
-)
+from smooth_operator.methods.program import shared_program, tick_of
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.settings import check_frame_rate
 from smooth_operator.types import (
     CommandTrajectory,
@@ -40,7 +35,7 @@ from smooth_operator.types import (
 )
 
 if TYPE_CHECKING:
-    from smooth_operator.compilation.batching import BatchArrays
+    from smooth_operator.compilation.batching import BatchArrays, LaneProgram
 
 _REFLECTION = np.array([-1, 1, 1], np.float32)
 
@@ -136,7 +131,7 @@ class Retargeter:
         """The state before the first frame."""
         method = self.method.init(self.seed if seed is None else seed)
         state = FrameState(method, self.hand.neutral.astype(np.float32))
-        return RetargetState.of(state, joined=self.method.host is None)
+        return RetargetState.of(state, joined=not self.method.on_host)
 
     def step(
         self, state: RetargetState, frame: HandFrame | ArrayLike
@@ -334,32 +329,16 @@ class Retargeter:
             track: wraps the iteration over all frames, for a progress bar.
             lanes: recordings side by side; None for 8 on a CPU, 1024 on a GPU.
         """
-        from smooth_operator.compilation.batching import Tracks, lane_program, progressing
+        from smooth_operator.compilation.batching import one_by_one, side_by_side
 
         for recording in recordings:
             self.check_side(recording.side)
-        method = self.shared.method
-        if method.host is not None:
-            advance = progressing(sum(map(len, recordings)), track)
-            results = []
-            for recording in recordings:
-                commands, loss = self.run(recording, seed=seed)
-                none = np.full(len(commands), np.nan)
-                results.append((replace(commands, latency_ms=none), loss))
-                advance(len(recording))
-            return results
-        program = lane_program(method, self.config, lanes, self.cache)
-        tracks = Tracks.of(recordings, self.program_landmarks)
-        answers = program.run(self.init(seed), tracks, track)
-        q = np.clip(answers.q.astype(float), *self.hand.limits.T)
-        loss = np.where(answers.status == Status.OK, answers.loss.astype(float), np.nan)
-        names, full = self.hand.joint_names, self.hand.full_configuration
-        batch = []
-        for recording, part in zip(recordings, tracks.slices, strict=True):
-            none, status = np.full(len(recording), np.nan), answers.status[part]
-            commands = CommandTrajectory(full(q[part]), names, recording.stamps, none, status)
-            batch.append((commands, loss[part]))
-        return batch
+        if self.shared.method.on_host:
+            return one_by_one(lambda each: self.run(each, seed=seed), recordings, track)
+        program = self._lanes(lanes)
+        return side_by_side(
+            program, self.init(seed), recordings, self.hand, self.program_landmarks, track
+        )
 
     def batch_arrays(
         self,
@@ -388,27 +367,14 @@ class Retargeter:
             RecordingError: an array has another shape.
             ConfigError: the method's solver runs on the host.
         """
-        from smooth_operator.compilation.batching import BatchArrays, Tracks, lane_program
-
-        count, length = np.shape(landmarks)[:2] if np.ndim(landmarks) == 4 else (-1, -1)
-        if np.shape(landmarks) != (count, length, NUM_LANDMARKS, 3):
-            raise RecordingError(f"landmarks must be (R, T, 21, 3), not {np.shape(landmarks)}")
-        if np.shape(stamps) not in ((length,), (count, length)):
-            raise RecordingError(
-                f"stamps must be (R, T) or (T,), as {count} recordings of {length} frames have "
-                f"them, not {np.shape(stamps)}"
-            )
-        method = self.shared.method
-        if method.host is not None:
+        if self.shared.method.on_host:
             raise ConfigError("this method's solver runs on the host, frame by frame: use batch()")
-        ticks = np.broadcast_to(ticks_of(stamps), (count, length)).reshape(-1)
-        points = self.program_landmarks(np.asarray(landmarks).reshape(-1, NUM_LANDMARKS, 3))
-        all_valid = np.ones((len(ticks), NUM_LANDMARKS), bool)
-        tracks = Tracks(points, all_valid, ticks, [length] * count)
-        program = lane_program(method, self.config, lanes, self.cache)
-        answers = program.run(self.init(seed), tracks)
-        low, high = self.hand.limits.T.astype(np.float32)
-        q = np.clip(answers.q, low, high, out=answers.q).reshape(count, length, len(low))
-        loss = np.where(answers.status == Status.OK, answers.loss, np.float32(np.nan))
-        shape = count, length
-        return BatchArrays(q, answers.status.reshape(shape), loss.reshape(shape))
+        program = self._lanes(lanes)
+        return program.run_arrays(
+            self.init(seed), landmarks, stamps, self.hand.limits, self.program_landmarks
+        )
+
+    def _lanes(self, lanes: int | None) -> LaneProgram:
+        from smooth_operator.compilation.batching import lane_program
+
+        return lane_program(self.shared.method, self.config, lanes, self.cache)

@@ -23,7 +23,6 @@ from smooth_operator.human.correspondence import (
 from smooth_operator.landmarks import WRIST
 from smooth_operator.methods.method import (
     FrameClock,
-    FrameGoals,
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
@@ -32,10 +31,10 @@ from smooth_operator.methods.method import (
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.targets import DexPilotTargets
+from smooth_operator.objective.published import DexPilotTargets
 from smooth_operator.settings import is_off
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
-from smooth_operator.solvers.normals import frame_key, seed_words
+from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 from smooth_operator.solvers.trajectory import FUTURE
 
@@ -171,9 +170,10 @@ class Sbr(Method):
         """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
         return self.config.objective.targets.latched(state.targets)
 
-    def frame_goals(self) -> FrameGoals:
-        """Eq. (1) without its velocity term."""
-        return FrameGoals(self.objective)
+    @property
+    def trajectory_objective(self) -> Objective:
+        """Eq. (1)."""
+        return self.objective
 
     def step(
         self, state: SbrState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]

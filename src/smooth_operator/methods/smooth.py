@@ -38,7 +38,6 @@ from smooth_operator.human.landmark_filter import (
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.methods.method import (
     FrameClock,
-    FrameGoals,
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
@@ -46,7 +45,7 @@ from smooth_operator.methods.method import (
 )
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.rest_pose import RestGoal, RestPose, RestPoseConfig, StraightFingers
+from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig, StraightFingers
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
@@ -59,7 +58,7 @@ from smooth_operator.objective.smooth_terms import (
 from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton, settled
-from smooth_operator.solvers.normals import frame_key, seed_words
+from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 from smooth_operator.solvers.trajectory import FUTURE
 
@@ -195,28 +194,6 @@ class SmoothState(NamedTuple):
     offset: Float[Array, " m"]
 
 
-class _Observed(NamedTuple):
-    """Landmarks of a frame, and its targets.
-
-    Attributes:
-        clock, now: when it is.
-        operator, noise, filtered, policy: states after it.
-        goal: targets of the frame.
-        moves, places: (F, 3) steps of the fingertips' places, and the places from the robot's
-            wrist [m].
-    """
-
-    clock: FrameClock
-    now: UInt32[Array, ""]
-    operator: CorrespondenceState | tuple[()]
-    noise: NoiseState
-    filtered: FilterState
-    policy: Any
-    goal: FrameGoal
-    moves: Float[Array, "F 3"]
-    places: Float[Array, "F 3"]
-
-
 @dataclass(frozen=True, eq=False)
 class Smooth(Method):
     """``smooth`` for one hand."""
@@ -307,49 +284,59 @@ class Smooth(Method):
             return None
         return state.operator.places
 
-    def frame_goals(self) -> FrameGoals:
-        """The objective on landmarks without the filter, which a known future makes needless."""
-        return FrameGoals(self.objective)
+    @property
+    def trajectory_objective(self) -> Objective:
+        """The objective; a known future makes the landmark filter needless."""
+        return self.objective
 
     def step(
         self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SmoothState, MethodOutput]:
         """One frame."""
-        frame = self._observed(state, aligned, jnp.asarray(ticks, jnp.uint32))
-        goal = frame.goal
+        state, clock, goal, moves, places = self._observed(
+            state, aligned, jnp.asarray(ticks, jnp.uint32)
+        )
         if is_off(self.config.rest_pose.reach):
             tips = self.motion.tips(state.solved)
-            goal = goal._replace(tips=tips + frame.moves)
+            goal = goal._replace(tips=tips + moves)
         else:
-            rest = self.rest_pose(state.solved, aligned, frame.places, frame.moves)
-            tips = rest.tips
-            goal = self._rested(goal, rest, frame.moves, frame.clock.restart)
-        astray = self._astray(state, frame, tips)
+            tips, near, pose = self.rest_pose(state.solved, aligned, places, moves)
+            neutral = jnp.asarray(self.hand.neutral, moves.dtype)
+            goal = goal._replace(
+                tips=tips + moves,
+                rest=jnp.where(clock.restart, neutral, pose),
+                near=jnp.where(clock.restart, 0.0, near),
+            )
+        astray = self._astray(state, clock, tips, places)
         searches = astray > SEARCH_AFTER
-        solved, crosses = self._solve(state, goal, frame.clock, searches)
-        state = state._replace(
-            astray=jnp.where(searches, 0.0, astray),
-            offset=jnp.where(crosses, state.q - solved, state.offset),
-        )
-        return self._commanded(state, frame._replace(goal=goal), solved)
+        solved, crosses = self._solve(state, goal, clock, searches)
+        astray = jnp.where(searches, 0.0, astray)
+        offset = jnp.where(crosses, state.q - solved, state.offset)
+        state = self._commanded(state._replace(astray=astray, offset=offset), clock, solved)
+        return state, MethodOutput(state.q, self.objective.tracking_at(state.q, goal))
 
     def _astray(
-        self, state: SmoothState, frame: _Observed, tips: Float[Array, "F 3"]
+        self,
+        state: SmoothState,
+        clock: FrameClock,
+        tips: Float[Array, "F 3"],
+        places: Float[Array, "F 3"],
     ) -> Float[Array, ""]:
         """For how long a long finger has been far from its place [s]; 0 without a correspondence,
         whose places are within reach."""
         if not state.operator:
             return jnp.zeros_like(state.astray)
-        off = tips - frame.places
+        off = tips - places
         most = jnp.asarray(ASTRAY * self.correspondence.lengths, tips.dtype)
         far = ((off * off).sum(-1) > most**2) & np.array([f != "thumb" for f in self.hand.fingers])
-        lasts = far.any() & ~frame.clock.restart
-        return jnp.where(lasts, state.astray + frame.clock.dt, 0.0)
+        lasts = far.any() & ~clock.restart
+        return jnp.where(lasts, state.astray + clock.dt, 0.0)
 
     def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
-    ) -> _Observed:
-        """Landmarks of a frame, and its targets."""
+    ) -> tuple[SmoothState, FrameClock, FrameGoal, Float[Array, "F 3"], Float[Array, "F 3"]]:
+        """The state after a frame's landmarks, its clock and goal, (F, 3) steps of the fingertips'
+        places, and (F, 3) the places in the palm frame [m]."""
         config = self.config
         clock = FrameClock.of(
             now - state.ticks, state.frames, state.period, config.rate_hz, config.gap
@@ -375,23 +362,13 @@ class Smooth(Method):
             goal_points = points.at[np.array([*at, wrist])].set(corners)
         goal, policy = self._goal(state, goal_points, speeds, clock)
         places = places + jnp.asarray(self.hand.wrist, points.dtype)
-        return _Observed(clock, now, operator, noise, filtered, policy, goal, moves, places)
-
-    def _rested(
-        self, goal: FrameGoal, rest: RestGoal, moves: Float[Array, "F 3"], restart: Bool[Array, ""]
-    ) -> FrameGoal:
-        neutral = jnp.asarray(self.hand.neutral, moves.dtype)
-        return goal._replace(
-            tips=rest.tips + moves,
-            rest=jnp.where(restart, neutral, rest.pose),
-            near=jnp.where(restart, 0.0, rest.near),
-        )
+        state = state._replace(operator=operator, noise=noise, filtered=filtered, targets=policy)
+        return state._replace(ticks=now, period=clock.period), clock, goal, moves, places
 
     def _commanded(
-        self, state: SmoothState, frame: _Observed, solved: Float[Array, " m"]
-    ) -> tuple[SmoothState, MethodOutput]:
-        """The state after a frame, and its command: the answer as far as joints may move."""
-        clock = frame.clock
+        self, state: SmoothState, clock: FrameClock, solved: Float[Array, " m"]
+    ) -> SmoothState:
+        """The state with the command: the answer as far as joints may move."""
         low, high = (jnp.asarray(side, solved.dtype) for side in self.hand.limits.T)
         # after a lost frame no further than else
         most = self.config.joint_speed * jnp.minimum(clock.dt, clock.period)
@@ -399,18 +376,8 @@ class Smooth(Method):
         shorter = jnp.maximum(jnp.abs(state.offset) - CROSSING_SPEED * clock.dt, 0.0)
         offset = jnp.where(clock.restart, 0.0, jnp.sign(state.offset) * shorter)
         q = jnp.clip(jnp.clip(solved + offset, state.q - most, state.q + most), low, high)
-        memory = (
-            frame.operator,
-            frame.noise,
-            frame.filtered,
-            frame.policy,
-            frame.now,
-            clock.period,
-            state.seed,
-        )
         frames = state.frames + jnp.uint32(1)
-        after = SmoothState(q, solved, *memory, frames, state.astray, offset)
-        return after, MethodOutput(q, self.objective.tracking_at(q, frame.goal))
+        return state._replace(q=q, solved=solved, frames=frames, offset=offset)
 
     def _goal(
         self,
@@ -419,7 +386,7 @@ class Smooth(Method):
         moves: Float[Array, "F 3"],
         clock: FrameClock,
     ) -> tuple[FrameGoal, Any]:
-        """What the frame asks, but for the rest pose; and the target policy's state after it."""
+        """The goal of a frame but for the rest pose, and the target policy's state after it."""
         config, layout = self.config, self.objective.layout
         at = [self.needs.index(i) if i in self.needs else -1 for i in range(NUM_LANDMARKS)]
         human = layout.human(points[np.array(at)])  # from landmarks that are needed
@@ -443,7 +410,7 @@ class Smooth(Method):
     def _solve(
         self, state: SmoothState, goal: FrameGoal, clock: FrameClock, searches: Bool[Array, ""]
     ) -> tuple[Float[Array, " m"], Bool[Array, ""]]:
-        """The solver's answer, and whether it is in another basin than the last one."""
+        """The solver's answer, and True if it is in another basin than the last one."""
         config, fingers = self.config, len(self.hand.fingers)
         limits = self.straight_fingers.limits(self.hand.limits, goal.vectors[:fingers])
         neutral = jnp.asarray(self.hand.neutral, state.solved.dtype)

@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand, straight_pose
-from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.hands.penetration import penetration_depths
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import LANDMARKS, NUM_LANDMARKS
 from smooth_operator.metrics.trace import Trace
 from smooth_operator.types import CommandTrajectory, HandRecording

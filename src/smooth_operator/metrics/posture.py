@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.geometry import unit_vectors
+from smooth_operator.human.palm import unit_vectors
 from smooth_operator.metrics import summary
 
 FLAT: Final = 0.92

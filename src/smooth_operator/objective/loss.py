@@ -27,7 +27,7 @@ from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import VectorLayout
-from smooth_operator.objective.targets import DexPilotTargets, TargetPolicy
+from smooth_operator.objective.targets import TargetPolicy
 from smooth_operator.objective.terms import (
     JointTerm,
     Keyvectors,
@@ -36,7 +36,6 @@ from smooth_operator.objective.terms import (
     PointTerm,
     Quadratic,
     RobotVectors,
-    SmoothL1Velocity,
     Square,
     Term,
     TermConfig,
@@ -45,12 +44,18 @@ from smooth_operator.objective.terms import (
 from smooth_operator.settings import check_choice, check_numbers
 
 
+def _published_targets() -> TargetPolicy[Any, Any]:
+    from smooth_operator.objective.published import DexPilotTargets  # not of ``smooth``
+
+    return DexPilotTargets()
+
+
 @dataclass(frozen=True)
 class ObjectiveConfig:
     """Weights of Eq. (1).
 
     Attributes:
-        targets: the target policy.
+        targets: the target policy; by default DexPilot's, as the paper's table has it.
         loss: ``smooth_l1`` per component, as in the authors' released code and in the figures of
             the paper; ``squared``, as Eq. (1) is printed; or ``smooth_l1_norm``, smooth-L1 of the
             weight times the length of the error, as in "Analyzing Key Objectives" (AKO).
@@ -64,7 +69,7 @@ class ObjectiveConfig:
         terms: more terms: settings that build a term for a hand, or terms that need no hand.
     """
 
-    targets: TargetPolicy[Any, Any] = field(default_factory=DexPilotTargets)
+    targets: TargetPolicy[Any, Any] = field(default_factory=_published_targets)
     loss: Loss = "smooth_l1"
     transition: float = 0.02
     pose_weight: float = 0.05
@@ -132,11 +137,11 @@ class Objective:
         """Terms of joint positions: neutral pose, velocity, the preset's own."""
         neutral: np.ndarray = self.hand.neutral
         centre = neutral if self.config.pose_centre == "neutral" else np.zeros_like(neutral)
-        velocity = (
-            Velocity()
-            if self.config.velocity_loss == "squared"
-            else SmoothL1Velocity(self.config.transition)
-        )
+        velocity: JointTerm = Velocity()
+        if self.config.velocity_loss == "smooth_l1":
+            from smooth_operator.objective.published import SmoothL1Velocity  # of AKO alone
+
+            velocity = SmoothL1Velocity(self.config.transition)
         own = (t for t in self._own if isinstance(t, JointTerm) and not t.is_off)
         return (NeutralPose(self.config.pose_weight, centre), velocity, *own)
 
@@ -199,9 +204,7 @@ class Objective:
         Returns:
             (...) cost.
         """
-        costs = [term.cost(q, goal) for term in self.joint_terms]
-        total: AnyKind = functools.reduce(operator.add, costs)
-        return total
+        return functools.reduce(operator.add, [term.cost(q, goal) for term in self.joint_terms])
 
     def regularisation_derivatives(
         self, q: Float[Array, " m"], goal: FrameGoal
@@ -259,7 +262,6 @@ class Objective:
         )
 
     def _near(self, q: Float[Array, " m"], goal: FrameGoal) -> _Near:
-        """Quadratic model of the point terms near a pose."""
         motion = self.kinematics(all_joints(self.hand, q))
         chosen = [_Chosen.of(term.points(), self.kinematics.names) for term in self.point_terms]
         near = [
@@ -277,8 +279,7 @@ class Objective:
         self, q: Float[Array, "c m"], goal: FrameGoal
     ) -> tuple[Float[Array, " c"], Float[Array, "c m"], Float[Array, "c m m"]]:
         """Values, gradients and Hessians of a few poses."""
-        values, gradients, hessians = jax.vmap(lambda one: self.value_grad_hess(one, goal))(q)
-        return values, gradients, hessians
+        return jax.vmap(lambda one: self.value_grad_hess(one, goal))(q)
 
     def values(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
         """Costs of a few poses, through the small program."""
@@ -289,8 +290,7 @@ class Objective:
 
 
 class _Near(NamedTuple):
-    """The point terms near a pose: cost, motion of the points, ``PointKinematics.moments``; and (R,
-    J) rows, the same times their weights."""
+    """Quadratic model of the point terms near a pose; ``weighted`` are rows times their weights."""
 
     cost: Float[Array, ""]
     motion: PointMotion
@@ -300,12 +300,8 @@ class _Near(NamedTuple):
 
 
 class _Chosen(NamedTuple):
-    """Places of a term's points among all points, which are in the order of the terms.
-
-    Attributes:
-        at: a slice where they are neighbours, which is cheaper; else indices.
-        end: one more than the last index.
-    """
+    """Places of a term's points among all points, which are in the order of the terms: ``at`` is a
+    slice where they are neighbours, which is cheaper; ``end`` is one more than the last index."""
 
     at: slice | np.ndarray
     end: int

@@ -1,6 +1,4 @@
-"""Rest pose and joint limits of a frame.
-
-The rest pose is where the hand is pulled to without being pulled off its target.
+"""Rest pose of a frame, to which a hand is pulled without being pulled off its target; and limits.
 
 The second term of Eq. (1) pulls joints to a neutral pose, and so holds fingertips off targets that
 they could reach. Where fingertips are near the human's, only the part of the pull that moves none
@@ -19,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.hands.differential import PointKinematics, PointMotion, all_joints, contracted
-from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.hand import Hand, straight_pose
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
 from smooth_operator.objective.terms import TINY_AREA
 from smooth_operator.settings import check_numbers, is_off
@@ -60,23 +58,6 @@ class RestGoal(NamedTuple):
     pose: Float[Array, " m"]
 
 
-class _Pull(NamedTuple):
-    """``RestGoal``'s tips and near; and (R, m) rows and the (m,) right side of the pull's step."""
-
-    tips: Float[Array, "F 3"]
-    near: Float[Array, " F"]
-    rows: Float[Array, "R m"]
-    right: Float[Array, " m"]
-
-
-class _Directions(NamedTuple):
-    """(3 S,) last segments' unit vectors, human minus robot, across the robot's, 0 where
-    unknown; and (3 S, m) derivatives of the robot's."""
-
-    error: Float[Array, " S3"]
-    slopes: Float[Array, "S3 m"]
-
-
 @dataclass(frozen=True, eq=False)
 class RestPose:
     """The rest pose for one hand.
@@ -111,7 +92,7 @@ class RestPose:
 
     @cached_property
     def moves(self) -> Bool[np.ndarray, "F m"]:
-        """Mask of the actuated joints that move each fingertip."""
+        """(F, m) mask of the actuated joints that move each fingertip."""
         matrix = self.hand.coupling_matrix[np.array(self.kinematics.order)]
         tips = self.kinematics.moves[: len(self.hand.fingers)]
         moves: np.ndarray = (tips.astype(float) @ np.abs(matrix)) > 0
@@ -132,17 +113,6 @@ class RestPose:
             places: (F, 3) where the human's fingertips are, from the robot's wrist [m].
             moves: (F, 3) their step since the last answer [m].
         """
-        pull = self._pull(q, aligned, places, moves)
-        apart: Any = jax.lax.optimization_barrier  # has no types; see ``Objective``
-        damping = self.config.damping * jnp.eye(len(q), dtype=q.dtype)
-        # (J^T J + damping W) step = damping W pull: where fingertips move, hardly a step is left
-        step = solve_small(apart(pull.rows.T) @ pull.rows + damping, pull.right)
-        # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
-        share = jnp.where(jnp.asarray(self.moves), pull.near[:, None], 1.0).min(axis=0)
-        pose = q + share * step + (1 - share) * (jnp.asarray(self.hand.neutral, q.dtype) - q)
-        return RestGoal(pull.tips, pull.near, pose)
-
-    def _pull(self, q: Array, aligned: Array, places: Array, moves: Array) -> _Pull:
         config, hand, count = self.config, self.hand, len(self.hand.fingers)
         motion = self.kinematics(all_joints(hand, q))
         slopes = jnp.swapaxes(self.kinematics.jacobian(motion), 1, 2)
@@ -152,15 +122,25 @@ class RestPose:
         near = 1 / (1 + (error * error).sum(-1) / config.reach**2) ** 2
         pull, rows = neutral - q, jacobian[:count].reshape(-1, len(q))
         if self.segments and not is_off(config.segment):
-            turned = self._directions(motion, jacobian, aligned)
-            pull = pull + config.segment * (turned.slopes * turned.error[:, None]).sum(axis=0)
+            off, turns = self._directions(motion, jacobian, aligned)
+            pull = pull + config.segment * (turns * off[:, None]).sum(axis=0)
             segment = np.float32(np.sqrt(config.damping * config.segment))
-            rows = jnp.concatenate([rows, segment * turned.slopes])
-        return _Pull(tips, near, rows, config.damping * pull)
+            rows = jnp.concatenate([rows, segment * turns])
+        right = config.damping * pull
+        apart: Any = jax.lax.optimization_barrier  # has no types; see ``Objective``
+        damping = config.damping * jnp.eye(len(q), dtype=q.dtype)
+        # (J^T J + damping W) step = damping W pull: where fingertips move, hardly a step is left
+        step = solve_small(apart(rows.T) @ rows + damping, right)
+        # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
+        share = jnp.where(jnp.asarray(self.moves), near[:, None], 1.0).min(axis=0)
+        pose = q + share * step + (1 - share) * (jnp.asarray(hand.neutral, q.dtype) - q)
+        return RestGoal(tips, near, pose)
 
     def _directions(
         self, motion: PointMotion, jacobian: Float[Array, "P 3 m"], aligned: Float[Array, "21 3"]
-    ) -> _Directions:
+    ) -> tuple[Float[Array, " S3"], Float[Array, "S3 m"]]:
+        """(3 S,) unit vectors of the last segments, human minus robot, across the robot's, 0 where
+        unknown; and (3 S, m) derivatives of the robot's."""
         fingers = np.array([f for f, _ in self.segments])
         below = len(self.hand.fingers) + np.arange(len(fingers))
         tips = np.array([TIPS[FINGERS.index(self.hand.fingers[f])] for f in fingers])
@@ -175,10 +155,8 @@ class RestPose:
         error = human - unit
         error = error - unit * (error * unit).sum(-1, keepdims=True)
         finite = jnp.isfinite(error).all(-1, keepdims=True)
-        return _Directions(
-            jnp.where(finite, error, 0.0).reshape(-1),
-            jnp.where(finite[:, :, None], slopes, 0.0).reshape(-1, slopes.shape[-1]),
-        )
+        off = jnp.where(finite, error, 0.0).reshape(-1)
+        return off, jnp.where(finite[:, :, None], slopes, 0.0).reshape(-1, slopes.shape[-1])
 
 
 _SHORTER: Final = 1e-3  # so much nearer than the finger at its limit [m]
@@ -190,9 +168,9 @@ _POSES: Final = 101
 class StraightFingers:
     """Joint limits of a frame that keep a bent finger on its side of straight.
 
-    Many robot fingers, those that one of two parallel joints bends past straight, are longest some
-    degrees before their middle joint's limit. Between limit and that joint position a finger can't
-    get shorter than at the limit: an optimiser that ends there holds it straight, though the
+    Many robot fingers are longest some degrees before the limit of a joint beyond the knuckle: it
+    bends them past straight. Between limit and that joint position a finger can't get shorter than
+    at the limit: an optimiser that ends there holds it straight or bent backwards, though the
     human's is bent. Where the human's fingertip is nearer to the finger's base than that, the joint
     is kept on the other side.
 
@@ -200,17 +178,18 @@ class StraightFingers:
         hand: the robot hand.
 
     Attributes:
-        found: for each of them its row among the hand's fingers, the joint, the joint position in
-            which the finger is longest [rad], and its length at the limit next to that [m].
-        centres: (S, 3) where the other joint is, from the wrist [m]; lengths are from there.
+        bends: for each of these joints the finger's row among the hand's, the joint, the joint
+            position in which the finger is longest [rad], and its length at the limit next to that
+            [m]; other joints as in the straight hand.
+        centres: (S, 3) where the knuckle is, from the wrist [m]; lengths are from there.
     """
 
     def __init__(self, hand: Hand) -> None:
-        self.found: list[tuple[int, int, float, float]] = []
-        centres = []
-        swept = []
+        self.bends: list[tuple[int, int, float, float]] = []
+        centres, swept = [], []
+        straight = straight_pose(hand).q
         for joint, (low, high) in enumerate(hand.limits):
-            q = np.tile(hand.neutral, (_POSES, 1))
+            q = np.tile(straight, (_POSES, 1))
             q[:, joint] = np.linspace(low, high, _POSES)
             swept.append((q[:, joint], hand.tips(hand.full_configuration(q)) - hand.wrist))
         for f, name in enumerate(hand.fingers):
@@ -221,14 +200,15 @@ class StraightFingers:
                     circles.append((*_circle(tips), joint, positions, tips))
             circles.sort(key=lambda one: -one[0])
             parallel = [one for one in circles if abs(one[2] @ circles[-1][2]) > _PARALLEL]
-            if len(parallel) != 2 or name == "thumb":  # the thumb's other joint moves about
+            if len(parallel) < 2 or name == "thumb":  # the thumb's other joint moves about
                 continue
-            (_, centre, *_), (_, _, _, joint, positions, tips) = parallel
-            length = np.linalg.norm(tips - centre, axis=-1)
-            longest = int(np.argmax(length))
-            if longest < _POSES // 2 and length[longest] - length[0] > _SHORTER:
-                self.found.append((f, joint, float(positions[longest]), float(length[0])))
-                centres.append(centre)
+            centre = parallel[0][1]
+            for _, _, _, joint, positions, tips in parallel[1:]:
+                length = np.linalg.norm(tips - centre, axis=-1)
+                longest = int(np.argmax(length))
+                if longest < _POSES // 2 and length[longest] - length[0] > _SHORTER:
+                    self.bends.append((f, joint, float(positions[longest]), float(length[0])))
+                    centres.append(centre)
         self.centres = np.array(centres).reshape(-1, 3)
 
     def limits(
@@ -239,11 +219,9 @@ class StraightFingers:
         Args:
             tips: (F, 3) where the human's fingertips are, from the robot's wrist [m].
         """
-        if not self.found:
+        if not self.bends:
             return limits
-        fingers, joints, longest, length = (
-            np.array(part) for part in zip(*self.found, strict=True)
-        )
+        fingers, joints, longest, length = map(np.array, zip(*self.bends, strict=True))
         tips = jnp.asarray(tips)
         away = tips[fingers] - jnp.asarray(self.centres, tips.dtype)
         bent = (away * away).sum(-1) < jnp.asarray(length - _SHORTER, tips.dtype) ** 2

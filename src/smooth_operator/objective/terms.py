@@ -195,14 +195,12 @@ class SquaredJointTerm(JointTerm):
     def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
         """See ``JointTerm``."""
         weight, centre, _ = self.square(goal)
-        total: AnyKind = weight * ((q - centre.astype(q.dtype, copy=False)) ** 2).sum(axis=-1)
-        return total
+        return weight * ((q - centre.astype(q.dtype, copy=False)) ** 2).sum(axis=-1)  # type: ignore
 
     def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
         """See ``JointTerm``."""
         weight, centre, _ = self.square(goal)
-        share: Array = weight * (q - centre.astype(q.dtype)[joint]) ** 2
-        return share
+        return jnp.asarray(weight * (q - centre.astype(q.dtype)[joint]) ** 2)
 
     def derivatives(
         self, q: Float[Array, " m"], goal: FrameGoal
@@ -245,35 +243,6 @@ class Velocity(SquaredJointTerm):
         return each.sum(axis=-1) if jnp.ndim(weight) else super().cost(q, goal)
 
 
-@dataclass(frozen=True, eq=False)
-class SmoothL1Velocity(JointTerm):
-    """Smooth-L1 of the weight times the change of each joint, as in AKO.
-
-    Attributes:
-        transition: where smooth-L1 turns from quadratic to linear [rad].
-    """
-
-    transition: float
-
-    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
-        """See ``JointTerm``."""
-        change: Any = q - goal.previous
-        total: AnyKind = smooth_l1(goal.velocity_weight * change, self.transition).sum(axis=-1)
-        return total
-
-    def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
-        """See ``JointTerm``."""
-        return smooth_l1(goal.velocity_weight * (q - goal.previous[joint]), self.transition)
-
-    def derivatives(
-        self, q: Float[Array, " m"], goal: FrameGoal
-    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        """See ``JointTerm``."""
-        weight = goal.velocity_weight
-        first, second = smooth_l1_slopes(weight * (q - goal.previous), self.transition)
-        return weight * first, weight**2 * second
-
-
 class TermConfig(Protocol):
     """Settings of a term, which build it for a hand; a ``Term`` is its own."""
 
@@ -314,29 +283,23 @@ class RobotVectors:
                     matrix[k, self.moving.index(landmark)] = sign
         return matrix
 
-    def _row(self, landmark: int | None) -> int:
-        """Row of a landmark among the moving points; -1 for a fixed one."""
-        return self.moving.index(landmark) if landmark in self.moving else -1
-
     def at(self, points: Float[Array, "P 3"]) -> Float[Array, "K 3"]:
         """The vectors [m], from the moving points [m]."""
         keypoints = self.hand.tree.keypoints
         moving = {i: points[p] for p, i in enumerate(self.moving)}
-        every = [
-            moving[i]
-            if i in moving
-            else jnp.asarray(keypoints[LANDMARKS[i]].position, points.dtype)
+        fixed = {
+            i: jnp.asarray(keypoints[LANDMARKS[i]].position, points.dtype)
             for i in self.layout.landmarks
-        ]
-        return self.layout.among(every)
+            if i not in moving
+        }
+        return self.layout.among([{**moving, **fixed}[i] for i in self.layout.landmarks])
 
     def jacobian(self, jacobian: Float[Array, "P J 3"]) -> Float[Array, "K 3 J"]:
         """Derivatives of the vectors, from those of the moving points [m/rad]."""
         every = jnp.concatenate([jacobian, jnp.zeros_like(jacobian[:1])])  # the last: fixed points
-        (start, end) = (
-            [self._row(i) for i in side] for side in zip(*self.layout.vectors, strict=True)
-        )
-        return jnp.swapaxes(every[np.array(end)] - every[np.array(start)], 1, 2)
+        row = {landmark: p for p, landmark in enumerate(self.moving)}
+        start, end = np.array([[row.get(i, -1) for i in pair] for pair in self.layout.vectors]).T  # type: ignore
+        return jnp.swapaxes(every[end] - every[start], 1, 2)
 
     def spread(self, slopes: Float[Array, "V 3"], which: slice = slice(None)) -> Array:
         """(P, 3) a cost's derivatives with respect to the points, from those by some vectors."""

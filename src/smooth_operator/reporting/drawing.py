@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.methods.registry import method_color
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.methods.registry import METHODS, as_presets
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -201,3 +202,32 @@ def _for_page(text: str, prefix: str) -> str:
     body = body.replace(INK, "currentColor")
     body = re.sub(r"(\d+(?:\.\d+)?)px [^;\"]*?sans-serif", r"\1px sans-serif", body)
     return f"{tag}{body}".strip()
+
+
+COLORS: Final = {
+    "sbr": "#0072b2",
+    "smooth": "#7a68c7",
+    "joint_angle": "#8c6d4f",
+    "keyvector": "#e69f00",
+    "hybrid": "#cc79a7",
+    "dexpilot": "#d55e00",
+    "ako": "#56b4e9",
+    "geort": "#009e73",
+}
+"""Built-in method -> its colour in every report; most are of Okabe and Ito's safe palette. They go
+by name, since the settings of keyvector, hybrid, dexpilot and ako are of one class."""
+
+
+def method_color(name: str) -> str | None:
+    """The colour of a method in reports, ``#rrggbb``; None if it has none.
+
+    A plugin's method has that of its settings, ``MethodConfig.color``.
+    """
+    if name not in METHODS.plugins:
+        return COLORS.get(name)
+    try:
+        presets = as_presets(METHODS.load(name))
+    except SmoothOperatorError:  # reports go on without it
+        return None
+    color: str | None = next(iter(presets.values())).color
+    return color

@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from smooth_operator.errors import ConfigError, HandModelError
-from smooth_operator.hands.collision import parts_above
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.loading import load_spec
+from smooth_operator.hands.penetration import parts_above
 from smooth_operator.simulation.arms.arm import CarriedHand, add_servo, inertia_matrix
 
 ARMATURE: Final = 5e-4

@@ -19,7 +19,8 @@ from jax import lax
 from jaxtyping import Array, Float, UInt32
 
 from smooth_operator.geometry import on_gpu
-from smooth_operator.solvers.normals import pair_of_normals, random_word_at
+from smooth_operator.solvers.normals import pair_of_normals
+from smooth_operator.solvers.random_words import random_word_at
 
 MOST_SAMPLES: Final = 1 << 14
 """Most costs that one block of threads holds in its registers."""

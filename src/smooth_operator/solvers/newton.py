@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Final, NamedTuple, TypeAlias
 
 import jax
@@ -19,7 +20,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import on_gpu
-from smooth_operator.plugins import Entry
 
 ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
 """(c, m) candidates to their costs (c,), gradients (c, m) and Hessians (c, m, m); or one point
@@ -28,9 +28,6 @@ ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
 STILL: Final = 3e-4
 """``damped_newton`` stops after a step in which no variable moves further than this [rad]: since it
 converges quadratically, the next step would be too small to see."""
-
-_KERNELS: Final = Entry("smooth_operator.solvers.gpu_kernels:kernels_available")
-_SOLVE: Final = Entry("smooth_operator.solvers.gpu_kernels:solve_positive_definite")
 
 _AT_BOUND: Final = 1e-6
 """A variable this near a bound is at it [rad]: solvers return 1e-15 for 0."""
@@ -71,15 +68,25 @@ class NewtonResult(NamedTuple):
     gradient: Float[Array, " m"]
 
 
+def gpu_kernels(samples: int = 0) -> ModuleType | None:
+    """The module of GPU kernels, if programs that are traced now may hold them; ``samples`` is the
+    number of costs of a call of ``next_gaussian``."""
+    if not on_gpu():
+        return None
+    from smooth_operator.solvers import gpu_kernels
+
+    return gpu_kernels if gpu_kernels.kernels_available(samples) else None
+
+
 def solve_small(
     matrices: Float[Array, "*c m m"], right: Float[Array, "*c m"]
 ) -> Float[Array, "*c m"]:
     """x of ``matrix @ x = right`` for one or a few small positive definite matrices, else NaN: by
     LAPACK on a CPU, in one kernel on a GPU."""
-    if on_gpu() and _KERNELS.load()():
+    if (kernels := gpu_kernels()) is not None:
         size = right.shape[-1]
         few = matrices.reshape(-1, size, size), right.reshape(-1, size)
-        solution: Array = _SOLVE.load()(*few)
+        solution: Array = kernels.solve_positive_definite(*few)
         return solution.reshape(right.shape)
     factor = jnp.linalg.cholesky(matrices)
     if right.ndim == 1:

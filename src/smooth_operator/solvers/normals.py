@@ -1,4 +1,4 @@
-"""Standard normals, fresh or fixed, laid out for one fused loop over the candidates.
+"""Fresh standard normals, laid out for one fused loop over the candidates.
 
 Fresh draws come from a counter: candidate n of a cycle owns its normals as a function of (key, n).
 Nothing is stored; the elite are drawn again from their indices, and a compiler can fuse drawing,
@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from statistics import NormalDist
 from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, UInt32
+
+from smooth_operator.solvers.random_words import mix
 
 
 def counter_normals(
@@ -39,32 +40,6 @@ def counter_normal_matrix(
     return jnp.concatenate(pair_of_normals(index * jnp.uint32(pairs) + which, words))[:count]
 
 
-def seed_words(seed: int) -> UInt32[np.ndarray, "2"]:
-    """Two well mixed words from any integer seed."""
-    words: np.ndarray = np.random.SeedSequence([abs(seed), int(seed < 0)]).generate_state(2)
-    return words
-
-
-def frame_key(seed: UInt32[Array, "2"], count: UInt32[Array, ""]) -> UInt32[Array, "2"]:
-    """The key of the count-th frame."""
-    odd = jnp.asarray([0x9E3779B9, 0x85EBCA6B], jnp.uint32)  # two sequences that share no period
-    return mix(mix(seed + odd * count) ^ seed[::-1])
-
-
-def random_words(key: UInt32[Array, "2"], count: int) -> UInt32[Array, "count 2"]:
-    """``count`` keys for as many cycles, from the key of a frame."""
-    counter = jnp.arange(2 * count, dtype=jnp.uint32).reshape(count, 2)
-    return mix(mix(counter + key[0]) ^ key[1])
-
-
-def random_word_at(
-    key: UInt32[Array, "2"] | tuple[Array, Array], which: Array, half: int
-) -> UInt32[Array, ""]:
-    """One number of ``random_words``: of a row, the first or the second."""
-    counter = 2 * which.astype(jnp.uint32) + jnp.uint32(half)
-    return mix(mix(counter + key[0]) ^ key[1])
-
-
 def pair_of_normals(
     counter: UInt32[Array, "*n"], words: UInt32[Array, "2"] | tuple[Array, Array]
 ) -> tuple[Array, Array]:
@@ -83,41 +58,6 @@ def pair_of_normals(
     sign = bits << 31
     mirrored = lax.bitcast_convert_type(lax.bitcast_convert_type(radius, jnp.uint32) ^ sign, _FLOAT)
     return mirrored * _horner(_COSINE, square), radius * sine
-
-
-def mix(x: UInt32[Array, "*n"], word: Array | int = 0) -> UInt32[Array, "*n"]:
-    """A bijection of 32-bit words in which every input bit reaches every output bit.
-
-    The constants are those of Wellons' ``lowbias32``. Every ``word`` gives another bijection.
-    """
-    x = (x ^ (x >> 16)) * jnp.uint32(0x7FEB352D) + jnp.uint32(word)
-    x = (x ^ (x >> 15)) * jnp.uint32(0x846CA68B)
-    return x ^ (x >> 16)
-
-
-def quasi_normals(count: int, samples: int) -> Float[np.ndarray, "count samples"]:
-    """(count, samples) standard normals of low discrepancy, to use again in every frame: the
-    additive recurrence of Roberts' generalised golden ratio, shifted. Sampling noise is then a
-    smooth function of the input, which a command that is compared with the last one wants."""
-    rng = np.random.default_rng(0)
-    ratio = 2.0
-    for _ in range(64):  # the root of x^(count + 1) = x + 1
-        ratio = (1 + ratio) ** (1 / (count + 1))
-    steps = ratio ** -np.arange(1.0, count + 1)
-    points = (rng.random((count, 1)) + steps[:, None] * np.arange(1, samples + 1)) % 1.0
-    inverse = NormalDist().inv_cdf  # SciPy's would cost half a second of import at start-up
-    quantiles = [inverse(u) for u in np.clip(points, 1e-6, 1 - 1e-6).ravel()]
-    return _whitened(np.array(quantiles).reshape(count, samples))
-
-
-def _whitened(normals: Float[np.ndarray, "count samples"]) -> Float[np.ndarray, "count samples"]:
-    """Mean 0 and covariance I exactly, where there are samples enough: a few hundred fixed normals
-    in 16 dimensions would otherwise lean one way for ever."""
-    count, samples = normals.shape
-    if samples > 2 * count:
-        normals = normals - normals.mean(axis=1, keepdims=True)
-        normals = np.linalg.solve(np.linalg.cholesky(normals @ normals.T / samples), normals)
-    return normals.astype(np.float32)
 
 
 def _to_float(x: UInt32[Array, "*n"]) -> Float[Array, "*n"]:

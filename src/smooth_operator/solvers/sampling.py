@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Final, Literal, TypeAlias
 
 import jax
@@ -19,15 +20,9 @@ from jax import lax
 from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.geometry import on_gpu
-from smooth_operator.plugins import Entry
 from smooth_operator.settings import check_choice
-from smooth_operator.solvers.normals import (
-    counter_normal_matrix,
-    counter_normals,
-    quasi_normals,
-    random_words,
-)
+from smooth_operator.solvers.newton import gpu_kernels
+from smooth_operator.solvers.random_words import random_words
 
 _ROWS: Final = 32  # a bit of a word for each
 
@@ -85,9 +80,6 @@ def _set_bit(word: Array, rank: Array) -> Array:
         place = place + jnp.where(above, half, 0)
     return place
 
-
-_KERNELS: Final = Entry("smooth_operator.solvers.gpu_kernels:kernels_available")
-_NEXT_GAUSSIAN: Final = Entry("smooth_operator.solvers.gpu_kernels:next_gaussian")
 
 MOST_SAMPLES: Final = 1 << 20
 MOST_CYCLES: Final = 10_000
@@ -179,7 +171,7 @@ def sample_minimise(
     mean = start.astype(dtype)
     chol = jnp.sqrt(deviation**2 + config.jitter) * jnp.eye(size, dtype=dtype)
     epsilon = config.jitter * jnp.eye(size, dtype=dtype)
-    in_kernel = on_gpu() and _KERNELS.load()(config.samples)
+    kernels = gpu_kernels(config.samples)
 
     def cycle(mean: Array, chol: Array, cycle_key: Array) -> tuple[Array, Array]:
         # Line 4: draw the candidates. Line 5: compute their costs
@@ -199,11 +191,12 @@ def sample_minimise(
         return mean, lax.linalg.cholesky(covariance, symmetrize_input=False)
 
     # Lines 3-13: L - 1 cycles
-    if in_kernel:
+    if kernels is not None:
+        next_gaussian = kernels.next_gaussian
 
         def cycle_in_kernel(i: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
             mean, chol, words = carry
-            following: tuple[Array, ...] = _NEXT_GAUSSIAN.load()(
+            following: tuple[Array, ...] = next_gaussian(
                 cost(gaussian.draw_all(mean, chol, words)),
                 mean,
                 chol,
@@ -241,6 +234,8 @@ class _ClippedGaussian:
     def draw(self, mean: Array, chol: Array, words: Array, index: Array) -> Array:
         """(m, len(index)) the draws with these indices."""
         if self.base is None:
+            from smooth_operator.solvers.normals import counter_normal_matrix
+
             normals = counter_normal_matrix(index.astype(jnp.uint32), words, self.size)
         else:
             normals = self.base if index is self.everyone else self.base[:, index]
@@ -255,6 +250,8 @@ class _ClippedGaussian:
         """
         if self.base is not None:
             return list(self.draw(mean, chol, words, self.everyone))
+        from smooth_operator.solvers.normals import counter_normals
+
         normals = counter_normals(self.everyone, words, self.size)
         rows = []
         for i in range(self.size):
@@ -263,3 +260,28 @@ class _ClippedGaussian:
                 row = row + chol[i, j] * normals[j]
             rows.append(lax.clamp(self.low[i], row, self.high[i]))
         return rows
+
+
+def quasi_normals(count: int, samples: int) -> Float[np.ndarray, "count samples"]:
+    """(count, samples) standard normals of low discrepancy, to use again in every frame: the
+    additive recurrence of Roberts' generalised golden ratio, shifted. Sampling noise is then a
+    smooth function of the input, which a command that is compared with the last one wants."""
+    rng = np.random.default_rng(0)
+    ratio = 2.0
+    for _ in range(64):  # the root of x^(count + 1) = x + 1
+        ratio = (1 + ratio) ** (1 / (count + 1))
+    steps = ratio ** -np.arange(1.0, count + 1)
+    points = (rng.random((count, 1)) + steps[:, None] * np.arange(1, samples + 1)) % 1.0
+    inverse = NormalDist().inv_cdf  # SciPy's would cost half a second of import at start-up
+    quantiles = [inverse(u) for u in np.clip(points, 1e-6, 1 - 1e-6).ravel()]
+    return _whitened(np.array(quantiles).reshape(count, samples))
+
+
+def _whitened(normals: Float[np.ndarray, "count samples"]) -> Float[np.ndarray, "count samples"]:
+    """Mean 0 and covariance I exactly, where there are samples enough: a few hundred fixed normals
+    in 16 dimensions would otherwise lean one way for ever."""
+    count, samples = normals.shape
+    if samples > 2 * count:
+        normals = normals - normals.mean(axis=1, keepdims=True)
+        normals = np.linalg.solve(np.linalg.cholesky(normals @ normals.T / samples), normals)
+    return normals.astype(np.float32)

@@ -18,38 +18,31 @@ def chunk_values(
     work: Callable[[T], Any],
     *,
     field: str,
-    count: Callable[[T], int],
-    failure: Callable[[T], str],
     workers: int | None,
     report: Callable[[int, int], None] | None,
-    prepare: Callable[[], None] | None = None,
 ) -> Iterator[tuple[T, Any]]:
     """Yields each chunk with its value.
 
     Args:
+        jobs: chunks; ``label`` names the work for errors, ``effort`` is the size for ``report``.
         work: function that computes the value of a chunk, in a worker.
         field: name of the value in the log.
-        count: function that returns the size of a chunk, for ``report``.
-        failure: function that returns the name of a chunk's work, for errors.
         workers: number of processes; None for one for each core, 0 for this process.
         report: called with the finished and the whole size, after the chunks of the log and after
             every further chunk.
-        prepare: called before the first chunk is computed.
 
     Raises:
         StudyError: a chunk failed; says why.
         OutputError: the log can't be written to.
     """
     finished, missing = find_results(jobs, log)
-    if missing and prepare is not None:
-        prepare()
-    total, done = sum(count(job.task) for job in jobs), 0
+    total, done = round(sum(job.effort for job in jobs)), 0
 
     def value_of(result: JobResult[T]) -> tuple[T, Any]:
         nonlocal done
         if result.value is None:
-            raise StudyError(f"{failure(result.job.task)} failed: {result.error}")
-        done += count(result.job.task)
+            raise StudyError(f"{result.job.label} failed: {result.error}")
+        done += round(result.job.effort)
         return result.job.task, result.value[field]
 
     for result in finished:

@@ -152,9 +152,9 @@ _SOURCES: Final = "smooth_operator.teleop.sources"
 SOURCES: Final = Registry(
     "source",
     {
-        "replay": Entry(f"{_SOURCES}.replay:Replay", "a recording at its own rate: replay:FILE"),
+        "replay": Entry(f"{_SOURCES}.played:Replay", "a recording at its own rate: replay:FILE"),
         "synthetic": Entry(
-            f"{_SOURCES}.synthetic_live:SyntheticSource", "the built-in operator; needs no tracker"
+            f"{_SOURCES}.played:SyntheticSource", "the built-in operator; needs no tracker"
         ),
         "webcam": Entry(
             f"{_SOURCES}.webcam.webcam_source:Webcam", "a camera, by MediaPipe (extra webcam)"
@@ -166,26 +166,24 @@ SOURCES: Final = Registry(
             f"{_SOURCES}.webxr:WebXr", "a headset's browser: Quest, Vision Pro, PICO (extra webxr)"
         ),
         "hts": Entry(
-            f"{_SOURCES}.headset_apps:HtsSource",
+            f"{_SOURCES}.programs:HtsSource",
             "the Quest app Hand Tracking Streamer: hts:0.0.0.0",
         ),
         "avp": Entry(
-            f"{_SOURCES}.headset_apps:AvpSource",
+            f"{_SOURCES}.programs:AvpSource",
             "the Vision Pro app Tracking Streamer: avp:ADDRESS (extra avp)",
         ),
-        "pico": Entry(
-            f"{_SOURCES}.headset_apps:PicoSource", "the PICO app XRoboToolkit: pico:0.0.0.0"
-        ),
+        "pico": Entry(f"{_SOURCES}.programs:PicoSource", "the PICO app XRoboToolkit: pico:0.0.0.0"),
         "manus": Entry(
-            f"{_SOURCES}.manus_gloves:ManusStream",
+            f"{_SOURCES}.programs:ManusStream",
             "the ZeroMQ stream of glove bridges (extra zmq)",
         ),
-        "zmq": Entry(f"{_SOURCES}.landmark_streams:ZmqSource", "landmarks over ZeroMQ (extra zmq)"),
+        "zmq": Entry(f"{_SOURCES}.programs:ZmqSource", "landmarks over ZeroMQ (extra zmq)"),
         "ros2": Entry(
             "smooth_operator.teleop.ros2.source:Ros2Source",
             "hand poses from ROS 2 topics, without a ROS 2 installation too (extra ros2)",
         ),
-        "udp": Entry(f"{_SOURCES}.landmark_streams:UdpSource", "landmarks over UDP: udp:PORT"),
+        "udp": Entry(f"{_SOURCES}.programs:UdpSource", "landmarks over UDP: udp:PORT"),
     },
     needs=("label", "start", "stop", "health"),
 )

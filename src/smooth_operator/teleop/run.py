@@ -19,9 +19,9 @@ from smooth_operator.hand_files.vendor_model import drawn_on
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, hand_names
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config, method_names
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import (
     RetargetRequest,
@@ -33,10 +33,10 @@ from smooth_operator.planning import (
 from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
 from smooth_operator.teleop.components import build_sink, build_source
-from smooth_operator.teleop.control.keyboard import keyboard
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter, summarise
-from smooth_operator.teleop.control.rpc_handlers import RpcHandlers
+from smooth_operator.teleop.control.rpc import RpcHandlers
+from smooth_operator.teleop.control.switches import StopInput, keyboard, stopped_by
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
 from smooth_operator.teleop.hardware.hardware_sink import real_hand
 from smooth_operator.teleop.runtime.limiter import Limiter
@@ -49,12 +49,10 @@ from smooth_operator.teleop.runtime.settings import (
     SafetyConfig,
     WristConfig,
 )
-from smooth_operator.teleop.runtime.stop_input import StopInput, stopped_by
-from smooth_operator.teleop.sinks.runner import SinkRunner
-from smooth_operator.teleop.sinks.sink import Sink
+from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.teleop.sources.live import LiveSource
-from smooth_operator.teleop.sources.replay import Replay
+from smooth_operator.teleop.sources.played import Replay
 from smooth_operator.teleop.sources.webcam.webcam_source import Video
 from smooth_operator.types import Side
 from smooth_operator.web.browser import open_page
@@ -247,7 +245,7 @@ class _Run:
         hands = {side: hand for side, (hand, _) in self.settled.items()}
         SinkRunner(self.acting).check(hands)
         if self.control is not None:
-            from smooth_operator.teleop.runtime.rpc_server import check_address
+            from smooth_operator.teleop.control.rpc import check_address
 
             check_address(self.control)
         if page is not None:
@@ -519,7 +517,7 @@ def _remote(
     if address is None:
         yield
         return
-    from smooth_operator.teleop.runtime.rpc_server import remote
+    from smooth_operator.teleop.control.rpc import remote
 
     with remote(loop, address, handlers.by_command, handlers.status) as bound:
         reporter.note(f"switches at {bound}")

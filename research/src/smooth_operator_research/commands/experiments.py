@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
@@ -15,6 +14,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator_research.commands.options import Ablate, Experimenting, Paper
 from smooth_operator_research.paper.experiment import (
+    EXPERIMENTS,
     Advance,
     Outcome,
     Track,
@@ -22,7 +22,6 @@ from smooth_operator_research.paper.experiment import (
     trial_note,
 )
 from smooth_operator_research.paper.experiment_report import REPORT, verdict_lines
-from smooth_operator_research.paper.registry import EXPERIMENTS
 from smooth_operator_research.paper.suite import Settings, load_recordings, run_experiments
 
 
@@ -40,7 +39,7 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
     """Looks everything up, computes, writes, prints.
 
     Raises:
-        SmoothOperatorError: what was asked for can't be; nothing was computed then.
+        SmoothOperatorError: the request is invalid; nothing was computed then.
         KeyboardInterrupt: stopped; what is finished is kept.
     """
     progress = Progressing(options.quiet)
@@ -48,52 +47,46 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
     if options.quick and options.published:
         raise ConfigError("--quick and --published ask for different sizes: give one of them")
     settings = Settings(
-        output=options.output,
-        experiments=tuple(names),
-        recordings=tuple(recordings),
-        hand=options.hand,
-        frames=options.frames,
+        output=options.output, experiments=tuple(names), recordings=tuple(recordings),
+        hand=options.hand, frames=options.frames,
         size="quick" if options.quick else "published" if options.published else "default",
-    )
+    )  # fmt: skip
     check_folder(options.output)
     sources = load_recordings(settings)
     for side in {source.side for source in sources}:
         load_hand(options.hand, side)  # unknown, or not of this side: said before the long work
-    with (
-        folder_for(options.output),
-        claimed(options.output),
-        jax_cache(),
-    ):
+    outcomes: list[tuple[str, Outcome]] = []
+
+    def done(name: str, outcome: Outcome) -> None:
+        outcomes.append((name, outcome))
+        held = sum(verdict.held == "held" for verdict in outcome.verdicts)
+        progress.note(
+            f"{len(outcomes)} of {len(names)} experiments done; {name}: {held} of "
+            f"{len(outcome.verdicts)} claims held"
+        )
+
+    with folder_for(options.output), claimed(options.output), jax_cache():
         try:
-            outcomes = run_experiments(
-                settings,
-                sources,
-                _track(progress),
-                _told(progress, len(names)),
+            run_experiments(
+                settings, sources, _track(progress), done,
                 lambda text: progress.note(text, matters=True),
-            )
+            )  # fmt: skip
         except KeyboardInterrupt:
             progress.note(
                 f"stopped; the same command goes on with what is in {options.output}", matters=True
             )
             raise
-    if not options.quiet:
-        _print_verdicts(outcomes, trial_note(settings.how_much))
-        progress.note(f"wrote {options.output}: {', '.join(names)}, {REPORT}")
-
-
-def _told(progress: Progressing, count: int) -> Callable[[str, Outcome], None]:
-    """Prints the outcome of an experiment, and how many of them are done."""
-    places = itertools.count(1)
-
-    def done(name: str, outcome: Outcome) -> None:
-        held = sum(verdict.held == "held" for verdict in outcome.verdicts)
-        progress.note(
-            f"{next(places)} of {count} experiments done; {name}: {held} of "
-            f"{len(outcome.verdicts)} claims held"
-        )
-
-    return done
+    if options.quiet:
+        return
+    console, table = output_console(), plain_table()
+    for header in ("experiment", "claim", "paper", "here", "verdict"):
+        table.add_column(header, no_wrap=header in ("experiment", "verdict"))
+    for line in verdict_lines(outcomes):
+        table.add_row(*line)
+    console.print(table)
+    if warning := trial_note(settings.how_much):
+        console.print(warning.strip(), markup=False, style="bold yellow")
+    progress.note(f"wrote {options.output}: {', '.join(names)}, {REPORT}")
 
 
 def _track(progress: Progressing) -> Track:
@@ -102,29 +95,17 @@ def _track(progress: Progressing) -> Track:
     @contextlib.contextmanager
     def phase(name: str, work: float) -> Iterator[Advance]:
         bar = progress.counter(extra="{task.fields[cell]}")
-        told = ""
+        last = ""
 
         def advance(label: str, done: float) -> None:
-            nonlocal told
+            nonlocal last
             bar.update(task, advance=done, cell=label)
-            if label != told and progress.lines:
+            if label != last and progress.lines:
                 progress.note(f"{name}: {label}")
-            told = label
+            last = label
 
         with bar:
             task = bar.add_task(name, total=work, cell="")
             yield advance
 
     return phase
-
-
-def _print_verdicts(outcomes: Sequence[tuple[str, Outcome]], warning: str) -> None:
-    console = output_console()
-    table = plain_table()
-    for header in ("experiment", "claim", "paper", "here", "verdict"):
-        table.add_column(header, no_wrap=header in ("experiment", "verdict"))
-    for line in verdict_lines(outcomes):
-        table.add_row(*line)
-    console.print(table)
-    if warning:
-        console.print(warning.strip(), markup=False, style="bold yellow")

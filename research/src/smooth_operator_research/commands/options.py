@@ -200,7 +200,7 @@ Examples:
     """Processes; one for each core if left out."""
 
     output: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Where results go; the folder simulated of the study if left out."""
+    """Folder of the results; the folder simulated of the study if left out."""
 
     json: bool = False
     """One JSON object on standard output instead of the table."""

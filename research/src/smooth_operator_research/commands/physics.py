@@ -17,8 +17,8 @@ from smooth_operator.lab.benchmark.cells import only_side
 from smooth_operator.lab.benchmark.suite import REPORT
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator_research.commands.options import Physics
-from smooth_operator_research.physics.files import write_files
 from smooth_operator_research.physics.measure import PhysicsSettings
+from smooth_operator_research.physics.page import write_files, write_report
 from smooth_operator_research.physics.results import Figure, Line, MeasureResults, table_rows
 from smooth_operator_research.physics.suite import (
     MeasureOutcome,
@@ -27,8 +27,14 @@ from smooth_operator_research.physics.suite import (
     run_cases,
 )
 
+_SAME: Final = (
+    "output", "recordings", "frames", "rate", "layout", "units", "quick", "seed", "workers",
+    "cluster",
+)  # fmt: skip
+"""Options that are settings of the same name."""
+
 _WIDTH_OF_INTERVALS: Final = 120
-"""Of a terminal that has room for the intervals [characters]."""
+"""Width of a terminal that has room for the intervals [characters]."""
 
 
 def physics(options: Physics) -> None:
@@ -45,20 +51,11 @@ def physics(options: Physics) -> None:
     dispatch_here()  # before planning, which may start JAX
     hands = comma_words(options.hands)
     settings = PhysicsSettings(
-        output=options.output,
         measures=tuple(dict.fromkeys(options.measures)),
         hands=hands,
         methods=comma_words(options.methods),
         side=options.side or only_side(hands) or "right",
-        recordings=options.recordings,
-        frames=options.frames,
-        rate=options.rate,
-        layout=options.layout,
-        units=options.units,
-        quick=options.quick,
-        seed=options.seed,
-        workers=options.workers,
-        cluster=options.cluster,
+        **{name: getattr(options, name) for name in _SAME},
     )
     planned = plan_cases(settings)
     with folder_for(options.output), claimed(options.output):
@@ -76,8 +73,6 @@ def physics(options: Physics) -> None:
             raise
         written = [path.name for path in write_files(settings, outcomes)]
         if not options.no_report:
-            from smooth_operator_research.physics.page import write_report
-
             with progress.waiting("drawing the report"):
                 write_report(settings, outcomes)
             written.append(REPORT)

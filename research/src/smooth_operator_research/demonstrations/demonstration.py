@@ -25,7 +25,7 @@ from smooth_operator.simulation.tasks.task import TASKS, task_named
 from smooth_operator.simulation.tasks.trial import TaskRun
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import as_side
-from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, perform
+from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, Commands, perform
 
 DEFAULT_HAND: Final = "mimic_p050"
 """Whose demonstrations are meant where no hand is named."""
@@ -84,7 +84,6 @@ def load_demonstration(task: str, hand: str | None = None) -> Demonstration:
     """The demonstration of a task.
 
     Args:
-        task: which.
         hand: name of the robot hand; None for the default one.
 
     Raises:
@@ -132,18 +131,33 @@ def demonstration_text(demonstration: Demonstration) -> str:
                       f"  {poses[-1]}", " ]", "}", ""])  # fmt: skip
 
 
+def own_commands(
+    demonstration: Demonstration, off: Float[np.ndarray, "t m"] | None = None
+) -> Commands:
+    """The demonstration's own joint positions as commands.
+
+    Args:
+        off: (t, m) by how much each actuated joint is off, period by period [rad]; the last holds
+            on. None: not at all.
+    """
+    hand = demonstration.robot
+
+    def commands(time: float, state: SceneState, physics: ScenePhysics) -> Float[np.ndarray, " n"]:
+        pose = demonstration.pose(time + PERIOD_S)
+        if off is not None:
+            pose = pose + off[min(round(time / PERIOD_S), len(off) - 1)]
+        return hand.full_configuration(pose)
+
+    return commands
+
+
 def play(
-    demonstration: Demonstration,
-    *,
-    disturb: Callable[[ScenePhysics], None] | None = None,
-    observer: Callable[[ScenePhysics, SceneState], None] | None = None,
+    demonstration: Demonstration, *, disturb: Callable[[ScenePhysics], None] | None = None
 ) -> Iterator[tuple[SceneState, TaskRun]]:
     """Perform a demonstration in physics.
 
     Args:
-        demonstration: what is done.
         disturb: changes the scene before it starts, as to see how much it bears.
-        observer: called at each moment, as to draw it.
 
     Yields:
         the scene and the trial, a hundred times a second, until the trial is done or the
@@ -153,14 +167,8 @@ def play(
     physics = ScenePhysics(hand, scene_for(demonstration.task, hand))
     if disturb is not None:
         disturb(physics)
-
-    def commands(time: float, state: SceneState, physics: ScenePhysics) -> Float[np.ndarray, " n"]:
-        return hand.full_configuration(demonstration.pose(time + PERIOD_S))
-
     task, end = task_named(demonstration.task), float(demonstration.times[-1])
-    for moment in perform(physics, task, commands, seconds=end):
-        if observer is not None:
-            observer(physics, moment.state)
+    for moment in perform(physics, task, own_commands(demonstration), seconds=end):
         yield moment.state, moment.run
 
 
@@ -173,9 +181,6 @@ class DemonstrationLandmarks:
     The frame of a time is that of the pose one period later, since a command is where the joints
     are to be at the end of its period. Before the start and after the end the hand is still. A
     ``LandmarkSource``.
-
-    Args:
-        demonstration: what is done.
 
     Attributes:
         seconds: when it is at its end [s].

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from smooth_operator.hands.collision import colliding_shapes, owners
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import palm_alignment
@@ -37,11 +39,43 @@ from smooth_operator_research.demonstrations.demonstration import (
     PERIOD_S,
     Demonstration,
     DemonstrationLandmarks,
+    own_commands,
     read_demonstration,
 )
-from smooth_operator_research.demonstrations.overlap import excess
 from smooth_operator_research.demonstrations.perturbation import Perturbation, draw_perturbation
 from smooth_operator_research.demonstrations.trial_loop import Moment, perform
+
+PINCH: Final = 0.004
+"""So deep may thumb and finger be inside each other [m]: pads give way, and a grip needs force."""
+
+ELSEWHERE: Final = 0.001
+"""So deep may other parts be [m]."""
+
+
+def excess(demonstration: Demonstration) -> float:
+    """Self-penetration beyond what is allowed, added over key poses and halfway between [m]."""
+    hand, times = demonstration.robot, demonstration.times
+    counts, allowed = _pairs(hand)
+    data, total = mujoco.MjData(hand.model), 0.0
+    for time in np.sort(np.concatenate([times, (times[1:] + times[:-1]) / 2])):
+        data.qpos[:] = hand.qpos(hand.full_configuration(demonstration.pose(float(time))))
+        mujoco.mj_kinematics(hand.model, data)
+        mujoco.mj_comPos(hand.model, data)
+        mujoco.mj_collision(hand.model, data)
+        one, two = np.array(data.contact.geom).reshape(-1, 2).T
+        beyond = np.where(counts[one, two], -data.contact.dist - allowed[one, two], 0.0)
+        total += max(0.0, float(beyond.max(initial=0.0)))
+    return total
+
+
+@cache
+def _pairs(hand: Hand) -> tuple[Bool[np.ndarray, "g g"], Float[np.ndarray, "g g"]]:
+    """Which pairs of shapes count, and how deep each may be [m]."""
+    owner = owners(hand)[hand.model.geom_bodyid]
+    thumb, finger = owner == 0, owner > 0
+    pinch = (thumb[:, None] & finger) | (finger[:, None] & thumb)
+    return colliding_shapes(hand), np.where(pinch, PINCH, ELSEWHERE)
+
 
 _DAMPING: Final = 0.006  # of the inverse kinematics; joints move tips by 0.02 to 0.1 [m/rad]
 _STEP: Final = 1e-4  # of numerical derivatives [rad]
@@ -52,13 +86,12 @@ _BLOCK: Final = 200  # frames
 def tip_errors(
     demonstration: Demonstration, world: Perturbation, filtered: bool = False
 ) -> Float[np.ndarray, "t f 3"]:
-    """How far from the demonstration's the fingertips are that the operator shows.
+    """Distance of the fingertips that the operator shows from the demonstration's.
 
     The operator's bones differ from the robot's, and the tracker adds noise to the palm's landmarks
     too; so the alignment to the robot's palm, frame by frame, turns and scales the whole hand.
 
     Args:
-        demonstration: what the operator does.
         world: who the operator is, and the tracker; the object does not matter.
         filtered: see ``joint_errors``.
 
@@ -83,7 +116,6 @@ def joint_errors(
     """By how much each actuated joint is off if each fingertip goes where the operator's is.
 
     Args:
-        demonstration: what the operator does.
         world: see ``tip_errors``.
         filtered: as ``smooth`` removes a tracker's noise, which leaves less of it and adds lag.
 
@@ -148,14 +180,14 @@ def _periods(demonstration: Demonstration) -> int:
 
 
 MARGIN: Final = 0.1
-"""What a success with the best margin counts more than one with none."""
+"""Extra merit of a success with the best margin."""
 
 _LIFT: Final = 0.005  # of the card above the table that counts in full [m]
 _LOST: Final = 0.5  # what progress is worth after a drop
 
 
 def progress(task: str, moments: Sequence[Moment]) -> float:
-    """How far a trial got.
+    """Progress of a trial.
 
     Args:
         task: name of the task.
@@ -255,7 +287,7 @@ class World(NamedTuple):
     """A perturbed world of a search.
 
     Attributes:
-        seed: of all that is drawn.
+        seed: seed of all that is drawn.
         number: object pose, friction and mass are those of this world; 0 leaves them as they are.
         operator: bones, tracker noise and dropped frames are those of this one; 0 has none.
     """
@@ -267,14 +299,14 @@ class World(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """What a worker judges.
+    """A candidate demonstration, and the worlds that judge it.
 
     Attributes:
         demonstration: the key poses.
         worlds: in which it is done.
         centre: text of the demonstration by which the operators' errors are computed; the same for
             all candidates of a generation, which are near it.
-        share: of those errors that counts.
+        share: share of those errors that counts.
         filtered: see ``joint_errors``.
         margin: what a success with the best margin is worth more than one with none.
     """
@@ -288,7 +320,7 @@ class Candidate:
 
 
 def judge(candidate: Candidate) -> list[float]:
-    """What a candidate is worth in each of its worlds; 1 and the margin for success, else less.
+    """Merit of a candidate in each of its worlds; 1 and the margin for success, else less.
 
     The self-penetration that it commands is taken off.
     """
@@ -307,28 +339,17 @@ def judge(candidate: Candidate) -> list[float]:
 def tried(
     demonstration: Demonstration, world: World, errors: Float[np.ndarray, "t m"] | None = None
 ) -> float:
-    """How far a demonstration gets in a world; see ``progress``.
+    """Progress of a demonstration in a world; see ``progress``.
 
     Args:
-        demonstration: what is done.
-        world: with which object.
         errors: (t, m) by how much each actuated joint is off, period by period [rad]; the last
             holds on. None: not at all.
     """
-    hand, task = demonstration.robot, task_named(demonstration.task)
-    physics = _physics(demonstration.task, hand.name, demonstration.side, world.seed, world.number)
+    task = task_named(demonstration.task)
+    physics = _physics(task.name, demonstration.hand, demonstration.side, world.seed, world.number)
     physics.restart()
-    off = np.zeros((1, len(hand.actuated))) if errors is None else errors
-    moments = list(
-        perform(
-            physics,
-            task,
-            lambda time, state, physics: hand.full_configuration(
-                demonstration.pose(time + PERIOD_S) + off[min(round(time / PERIOD_S), len(off) - 1)]
-            ),
-            seconds=float(demonstration.times[-1]),
-        )
-    )
+    seconds = float(demonstration.times[-1])
+    moments = list(perform(physics, task, own_commands(demonstration, errors), seconds=seconds))
     return 0.0 if physics.resets else progress(task.name, moments)
 
 

@@ -29,11 +29,11 @@ from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, Landmark
 
 @dataclass(frozen=True)
 class PerturbationRanges:
-    """How far worlds differ; each quantity is uniform in its range, and 0 leaves it out.
+    """Ranges of worlds; each quantity is uniform in its range, and 0 leaves it out.
 
     Attributes:
-        shift: of the object, along x and along y of the world, at most [m].
-        turn: of the object about the vertical, at most [rad].
+        shift: shift of the object, along x and along y of the world, at most [m].
+        turn: turn of the object about the vertical, at most [rad].
         friction: share by which the object's friction differs, sliding and torsional alike.
         mass: share by which its mass and inertia differ.
         hand: share by which all the operator's bones differ from the demonstration's.
@@ -76,7 +76,7 @@ class Perturbation(ObjectVariation):
     """One world: an object's variation, an operator, a tracker. The defaults change nothing.
 
     Attributes:
-        number: of the world; 0 for the unperturbed one.
+        number: number of the world; 0 for the unperturbed one.
         palm: factor of the operator's palm, from the wrist to the bases of the fingers.
         bones: (5,) factor of the bones of each human finger, thumb first.
         tracker: its noise and dropped frames.
@@ -136,8 +136,6 @@ class PerturbedLandmarks:
     For one trial: its noise goes on from frame to frame.
 
     Args:
-        source: the hand that is tracked.
-        world: the operator and the tracker.
         rate_hz: frames a second [Hz].
     """
 

@@ -3,30 +3,34 @@ r"""Makes a demonstration of a task for a robot hand, by search in physics.
     python -m smooth_operator_research.demonstrations.search allegro_hand cube --output cube.json
 
 The first guess are the key poses of another hand, by fingertip inverse kinematics, or those of a
-file. Separable CMA-ES then moves the key poses of thumb, index and middle finger and the times
-between them. Candidates are judged by how far they get in the unperturbed world and in perturbed
-ones, other ones in each generation: the object's pose, friction and mass differ, and the joints are
-off as if a retargeter followed an operator with other bones and a noisy tracker. Self-penetration
-of the commanded poses counts against a candidate. The seeds are not those of the benchmark's
-worlds. The search goes on where it stopped if its file ``--state`` exists.
+file. Separable CMA-ES (Ros and Hansen, "A Simple Modification in CMA-ES Achieving Linear Time and
+Space Complexity", PPSN 2008) then moves the key poses of thumb, index and middle finger and the
+times between them. Candidates are judged by how far they get in the unperturbed world and in
+perturbed ones, other ones in each generation: the object's pose, friction and mass differ, and the
+joints are off as if a retargeter followed an operator with other bones and a noisy tracker.
+Self-penetration of the commanded poses counts against a candidate. The seeds are not those of the
+benchmark's worlds. The search goes on where it stopped if its file ``--state`` exists.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import least_squares
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import StudyError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.parallel import PersistentPool
+from smooth_operator.simulation.scenes import scene_for
 from smooth_operator_research.demonstrations.demonstration import (
     DEFAULT_HAND,
     Demonstration,
@@ -34,15 +38,148 @@ from smooth_operator_research.demonstrations.demonstration import (
     load_demonstration,
     read_demonstration,
 )
-from smooth_operator_research.demonstrations.evolution import Evolution
 from smooth_operator_research.demonstrations.judging import MARGIN, Candidate, World, judge
-from smooth_operator_research.demonstrations.seed import FINGERS, transferred
+
+
+@dataclass(frozen=True, eq=False)
+class Evolution:
+    """The state of a search; a value that is replaced, never changed.
+
+    Attributes:
+        mean: (n,) centre of the candidates.
+        sigma: step size.
+        variance: (n,) of each number, in units of ``sigma``.
+        path: (n,) evolution path of the step size.
+        path_c: (n,) evolution path of the variances.
+        generation: how many have been judged.
+        seed: seed of the random numbers.
+        count: candidates in a generation.
+    """
+
+    mean: Float[np.ndarray, " n"]
+    sigma: float
+    variance: Float[np.ndarray, " n"]
+    path: Float[np.ndarray, " n"]
+    path_c: Float[np.ndarray, " n"]
+    generation: int = 0
+    seed: int = 0
+    count: int = 16
+
+    @classmethod
+    def begin(cls, mean: Float[np.ndarray, " n"], sigma: float, seed: int, count: int) -> Self:
+        """A search around a point."""
+        zero = np.zeros_like(mean)
+        return cls(mean, sigma, np.ones_like(mean), zero, zero, 0, seed, count)
+
+    def candidates(self) -> Float[np.ndarray, "c n"]:
+        """(c, n) the points to be judged next; the same for the same state."""
+        rng = np.random.default_rng([self.seed, self.generation])
+        draws = rng.standard_normal((self.count, len(self.mean)))
+        return np.asarray(self.mean + self.sigma * np.sqrt(self.variance) * draws)
+
+    def judged(self, candidates: Float[np.ndarray, "c n"], merits: Float[np.ndarray, " c"]) -> Self:
+        """The next state; more merit is better."""
+        n, half = len(self.mean), self.count // 2
+        weights = np.log(half + 0.5) - np.log(np.arange(1, half + 1))
+        weights /= weights.sum()
+        mass = 1.0 / (weights**2).sum()
+        c_sigma = (mass + 2.0) / (n + mass + 5.0)
+        damping = 1.0 + c_sigma + 2.0 * max(0.0, np.sqrt((mass - 1.0) / (n + 1.0)) - 1.0)
+        c_c = (4.0 + mass / n) / (n + 4.0 + 2.0 * mass / n)
+        c_1 = 2.0 / ((n + 1.3) ** 2 + mass)
+        c_mu = min(1.0 - c_1, 2.0 * (mass - 2.0 + 1.0 / mass) / ((n + 2.0) ** 2 + mass))
+        faster = (n + 2.0) / 3.0  # what a diagonal allows
+        c_1, c_mu = min(c_1 * faster, 0.5), min(c_mu * faster, 0.5)
+        best = candidates[np.argsort(-merits, kind="stable")[:half]]
+        steps = (best - self.mean) / self.sigma
+        step = weights @ steps
+        path = (1.0 - c_sigma) * self.path + np.sqrt(
+            c_sigma * (2.0 - c_sigma) * mass
+        ) * step / np.sqrt(self.variance)
+        usual = np.sqrt(n) * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n * n))
+        length = float(np.linalg.norm(path))
+        still = length / np.sqrt(1.0 - (1.0 - c_sigma) ** (2 * (self.generation + 1)))
+        grows = still < (1.4 + 2.0 / (n + 1.0)) * usual
+        path_c = (1.0 - c_c) * self.path_c + grows * np.sqrt(c_c * (2.0 - c_c) * mass) * step
+        variance = (
+            (1.0 - c_1 - c_mu) * self.variance + c_1 * path_c**2 + c_mu * (weights @ steps**2)
+        )
+        sigma = self.sigma * float(np.exp(c_sigma / damping * (length / usual - 1.0)))
+        return replace(
+            self, mean=self.mean + self.sigma * step, sigma=sigma, variance=variance, path=path,
+            path_c=path_c, generation=self.generation + 1,
+        )  # fmt: skip
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in vars(self).items()
+        }
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any]) -> Self:
+        """From what ``to_json`` gave."""
+        values: dict[str, Any] = {
+            name: np.array(value) if isinstance(value, list) else value
+            for name, value in content.items()
+        }
+        return cls(**values)
+
+
+FINGERS: Final = ("thumb", "index", "middle")
+"""The fingers that do the tasks."""
+
+_REST: Final = 0.2  # of a radian from the pose before, against a millimetre of the tips
+
+
+def transferred(demonstration: Demonstration, hand: Hand) -> Demonstration:
+    """The key poses of another hand, whose fingertips are where the first hand's are.
+
+    Where, that is, against the object: each hand has its own scene, in which the object lies within
+    its reach. Fingers besides thumb, index and middle stay in the neutral pose.
+
+    Raises:
+        HandModelError: the other hand's size does not allow the task.
+    """
+    first = demonstration.robot
+    here, there = (scene_for(demonstration.task, one) for one in (first, hand))
+    fingers = [name for name in FINGERS if name in hand.fingers and name in first.fingers]
+    own = [first.fingers.index(name) for name in fingers]
+    tips = first.tips(first.full_configuration(demonstration.poses))[:, own]
+    at, turn = here.mount.palm
+    against_object = at + tips @ turn.T - here.start[0]
+    at, turn = there.mount.palm
+    goals = (against_object + there.start[0] - at) @ turn
+    poses = [hand.neutral]
+    for goal in goals[1:]:
+        poses.append(_reach(hand, fingers, goal, poses[-1]))
+    return Demonstration(
+        demonstration.task, hand.name, hand.spec.side, demonstration.times, np.array(poses)
+    )
+
+
+def _reach(
+    hand: Hand,
+    fingers: Sequence[str],
+    goal: Float[np.ndarray, "f 3"],
+    start: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, " m"]:
+    """The pose near ``start`` whose fingertips are nearest to a goal."""
+    index = [hand.fingers.index(name) for name in fingers]
+
+    def residuals(pose: Float[np.ndarray, " m"]) -> Float[np.ndarray, " r"]:
+        tips = hand.tips(hand.full_configuration(pose))[index] - goal
+        return np.concatenate([1e3 * tips.ravel(), _REST * (pose - start)])
+
+    return np.asarray(least_squares(residuals, start, bounds=hand.limits.T).x)
+
 
 WORLDS_SEED: Final = 1000
-"""Of the worlds that the search sees; the benchmark's have others."""
+"""Seed of the worlds that the search sees; the benchmark's have others."""
 
 FINAL_SEED: Final = 2000
-"""Of the worlds by which the last few candidates are compared."""
+"""Seed of the worlds by which the last few candidates are compared."""
 
 _SIGMA: Final = 0.06  # first standard deviation of a joint in a key pose [rad]
 _PACE: Final = 2.0  # of the logarithm of a duration, against a radian of a joint
@@ -78,19 +215,17 @@ class Search:
     """A search for one demonstration.
 
     Args:
-        first: the first guess.
         worlds: perturbed worlds of a generation.
-        seed: of the random numbers.
         count: candidates in a generation.
         sigma: first standard deviation of a joint in a key pose [rad].
-        share: of the operators' errors that counts.
+        share: share of the operators' errors that counts.
         filtered: whether noise is removed from them; see ``joint_errors``.
         margin: what a success with the best margin is worth more than one with none.
 
     Attributes:
-        state: of the evolution.
+        state: state of the evolution.
         best: the best demonstrations so far with their merits, best first.
-        merit: of the centre of the last generations, on average.
+        merit: merit of the centre of the last generations, on average.
         enough: that merit, at which little is left to gain.
     """
 

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple, Protocol
+from typing import Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.hand import Hand
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
 from smooth_operator.simulation.tasks.task import SimulatedTask
 from smooth_operator.simulation.tasks.trial import Phase, TaskRun
-from smooth_operator.types import HandFrame, Result
+from smooth_operator.types import HandFrame
 
 RATE_HZ: Final = 100.0
 """Frames, commands and looks at the scene a second [Hz], unless stated otherwise."""
@@ -37,7 +37,6 @@ class LandmarkSource(Protocol):
 
         Args:
             time: since 'go' [s]; negative in the lead-in.
-            state: the scene at that moment.
             physics: the hand and its scene, to look at and not to change.
 
         Returns:
@@ -46,31 +45,11 @@ class LandmarkSource(Protocol):
         ...
 
 
-class FrameRetargeter(Protocol):
-    """What a trial needs of a retargeter: explicit state, a step per frame."""
-
-    @property
-    def hand(self) -> Hand:
-        """The robot hand."""
-        ...
-
-    def init(self, seed: int | None = None) -> Any:
-        """The state before the first frame."""
-        ...
-
-    def step(self, state: Any, frame: HandFrame) -> tuple[Any, Result]:
-        """The next state, and the command for a frame."""
-        ...
-
-
 Commands = Callable[[float, SceneState, ScenePhysics], Float[np.ndarray, " n"] | None]
 """(time since 'go' [s], scene, physics) -> (n,) positions of all joints [rad]; None holds."""
 
 Interventions = Callable[[], Literal["reset", "finish"] | None]
-"""What the operator asks for now: the object put back, or the end of the trial."""
-
-CommandLimit = Callable[[Float[np.ndarray, " n"], float], Float[np.ndarray, " n"]]
-"""((n,) wanted positions [rad], seconds since the last command) -> (n,) what is sent."""
+"""The operator's request now: the object put back, or the end of the trial."""
 
 
 class Moment(NamedTuple):
@@ -89,7 +68,7 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TrialTrace:
-    """What happened in a trial, frame by frame; the lead-in is left out.
+    """Record of a trial, frame by frame; the lead-in is left out.
 
     Attributes:
         times: (t,) when each frame came, since 'go' [s].
@@ -108,11 +87,11 @@ class TrialTrace:
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
-    """How a trial ended.
+    """Result of a trial.
 
     Attributes:
         score: 0, 0.5 or 1.
-        line: of the task's rubric.
+        line: line of the task's rubric.
         reason: in a few words.
         seconds: from 'go' to the end [s].
         ended: ``success``, ``drop``, ``timeout`` (the task's limit), or ``finished`` (the source's
@@ -153,9 +132,6 @@ def perform(
     commands begin ``lead_s`` before 'go', and the object is put to its start at 'go'.
 
     Args:
-        physics: the hand and its scene.
-        task: what is done.
-        commands: where the joints are to go.
         seconds: after which the trial is left [s], still running; None for the task's own limit.
         rate_hz: periods a second [Hz].
         lead_s: how long the commands run before 'go' [s].
@@ -206,62 +182,16 @@ def perform(
                 return
 
 
-class _Loop:
-    """Frames from a source through a retargeter: the commands of a trial, and their record."""
-
-    def __init__(
-        self,
-        retargeter: FrameRetargeter,
-        source: LandmarkSource,
-        *,
-        seed: int | None,
-        limit: CommandLimit | None,
-        rate_hz: float,
-    ) -> None:
-        self._retargeter, self._source, self._limit = retargeter, source, limit
-        self._state = retargeter.init(seed)
-        self._rate_hz = rate_hz
-        self._last: float | None = None
-        self.times: list[float] = []
-        self.landmarks: list[Float[np.ndarray, "21 3"]] = []
-
-    def __call__(
-        self, time: float, state: SceneState, physics: ScenePhysics
-    ) -> Float[np.ndarray, " n"] | None:
-        points = self._source.landmarks(time, state, physics)
-        if time >= 0.0:
-            self.times.append(time)
-            self.landmarks.append(np.full((21, 3), np.nan) if points is None else points)
-        if points is None:
-            return None
-        frame = HandFrame(points, time, self._retargeter.hand.spec.side)
-        self._state, result = self._retargeter.step(self._state, frame)
-        command = result.command.positions
-        if self._limit is not None:
-            since = 1.0 / self._rate_hz if self._last is None else time - self._last
-            command = self._limit(command, since)
-        self._last = time
-        return command
-
-    @property
-    def dropped(self) -> int:
-        """How many frames since 'go' were."""
-        return int(np.isnan([points[0, 0] for points in self.landmarks]).sum())
-
-
 def run_trial(
-    retargeter: FrameRetargeter,
+    retargeter: Retargeter,
     scene: Scene,
     task: SimulatedTask,
     source: LandmarkSource,
     *,
     rate_hz: float = RATE_HZ,
-    timestep: float = 0.002,
-    bandwidth: float = 20.0,
     seconds: float | None = None,
     lead_s: float = 0.0,
     seed: int | None = None,
-    limit: CommandLimit | None = None,
     prepare: Callable[[ScenePhysics], None] | None = None,
     interventions: Interventions = lambda: None,
     trace: bool = False,
@@ -269,22 +199,14 @@ def run_trial(
     """Do a trial with a retargeter, from a source of human landmarks.
 
     A dropped frame repeats the last command. Frames take no time to arrive and to retarget.
+    Commands are sent as they are, kept within the joints' limits by the servos.
 
     Args:
-        retargeter: for the robot hand of the scene.
-        scene: around that hand.
-        task: what is done.
-        source: the human hand.
         rate_hz: frames, commands and looks of the scorer a second [Hz].
-        timestep: of the physics [s].
-        bandwidth: of the servos [Hz].
         seconds: when the source is at its end [s], and the trial is finished as it stands; None for
             the task's own limit.
         lead_s: how long the operator holds the hand before 'go' [s]: frames with negative times.
-        seed: of the method's random numbers; None for the retargeter's own.
-        limit: of the commands, such as the velocity and acceleration limits of a live loop; None
-            sends them as they are, kept within the joints' limits by the servos. (The limits of
-            teleoperation, 15 rad/s and 1500 rad/s^2, are far above what these tasks need.)
+        seed: seed of the method's random numbers; None for the retargeter's own.
         prepare: changes the built scene before the trial, such as its friction.
         interventions: what the operator asks for; see ``perform``.
         trace: keep what happened.
@@ -292,14 +214,31 @@ def run_trial(
     Raises:
         ConfigError: a rate or time is out of range.
     """
-    physics = ScenePhysics(retargeter.hand, scene, timestep, bandwidth)
+    physics = ScenePhysics(retargeter.hand, scene)
     if prepare is not None:
         prepare(physics)
-    loop = _Loop(retargeter, source, seed=seed, limit=limit, rate_hz=rate_hz)
+    state = retargeter.init(seed)
+    times: list[float] = []
+    landmarks: list[Float[np.ndarray, "21 3"]] = []
+
+    def commands(
+        time: float, scene_state: SceneState, physics: ScenePhysics
+    ) -> Float[np.ndarray, " n"] | None:
+        nonlocal state
+        points = source.landmarks(time, scene_state, physics)
+        if time >= 0.0:
+            times.append(time)
+            landmarks.append(np.full((21, 3), np.nan) if points is None else points)
+        if points is None:
+            return None
+        frame = HandFrame(points, time, retargeter.hand.spec.side)
+        state, result = retargeter.step(state, frame)
+        return result.command.positions
+
     positions, moments = [], []
     run = TaskRun(task, scene)
     for moment in perform(
-        physics, task, loop, seconds=seconds, rate_hz=rate_hz, lead_s=lead_s,
+        physics, task, commands, seconds=seconds, rate_hz=rate_hz, lead_s=lead_s,
         interventions=interventions
     ):  # fmt: skip
         run = moment.run
@@ -312,9 +251,10 @@ def run_trial(
         run = run.finish(physics.time)
     outcome = run.outcome
     assert outcome is not None  # it is done
+    dropped = int(np.isnan([points[0, 0] for points in landmarks]).sum())
     result = TrialResult(
         outcome.score, outcome.line, outcome.reason, outcome.seconds, outcome.ended,
-        len(loop.times) - loop.dropped, loop.dropped, physics.resets, outcome.resets,
+        len(times) - dropped, dropped, physics.resets, outcome.resets,
     )  # fmt: skip
     if not trace:
         return result
@@ -322,8 +262,8 @@ def run_trial(
     return replace(
         result,
         trace=TrialTrace(
-            np.array(loop.times),
-            np.array(loop.landmarks).reshape(-1, 21, 3),
+            np.array(times),
+            np.array(landmarks).reshape(-1, 21, 3),
             np.array([moment.command for moment in moments]).reshape(-1, joints),
             np.array(positions).reshape(-1, joints),
             tuple(moment.state for moment in moments),

@@ -1,5 +1,5 @@
-"""Judging: a calibration, the check of input, pinch damping, and a bound on motion.
+"""Judging: the check of input and pinch damping.
 
-Programs, run as ``python -m smooth_operator_research.judging.NAME``: ``calibration_gain``,
-``input_check``, ``pinch_front`` and ``motion_bound``.
+Programs, run as ``python -m smooth_operator_research.judging.NAME``: ``input_check`` and
+``pinch_front``.
 """

@@ -1,4 +1,4 @@
-"""How often a hand of the wrong side, or landmarks in the wrong order, are refused; right ones too.
+"""Shares of wrong hands, landmarks in a wrong order and right ones that the check of input refuses.
 
 Windows of recordings and of built-in operators, as they are and mirrored, clean and with the noise
 of a tracker, go through the check that every recording and every live tracker goes through
@@ -11,9 +11,8 @@ which should be none; of each fault how many are noticed, and how many of these 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -22,27 +21,22 @@ from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording, Side
+from smooth_operator_research.run_report import markdown
 
 MIRROR: Final = np.array([-1.0, 1.0, 1.0])
+OTHER: Final[dict[Side, Side]] = {"right": "left", "left": "right"}
 
 
-@dataclass(frozen=True)
-class Window:
-    """Frames that follow each other, of a side.
+class Window(NamedTuple):
+    """Frames that follow each other: (T, 21, 3) [m], of a hand of one side in a recording."""
 
-    Attributes:
-        of: name of the recording.
-        landmarks: (T, 21, 3) [m].
-        side: which hand it shows.
-    """
-
-    of: str
+    recording: str
     landmarks: np.ndarray
     side: Side
 
 
 def windows(
-    recordings: list[HandRecording], seconds: float, noise: float, rng: np.random.Generator
+    recordings: Sequence[HandRecording], seconds: float, noise: float, rng: np.random.Generator
 ) -> Iterator[Window]:
     """All windows of a length, one after the other, and as many at random places and of random
     length down to the fewest frames; each also as its mirror image."""
@@ -58,9 +52,8 @@ def windows(
             cuts.append(slice(first, first + length))
         for cut in cuts:
             noisy = points[cut] + rng.normal(0.0, noise, points[cut].shape) * (noise > 0)
-            other: Side = "left" if recording.side == "right" else "right"
             yield Window(recording.name, noisy, recording.side)
-            yield Window(recording.name, noisy * MIRROR, other)
+            yield Window(recording.name, noisy * MIRROR, OTHER[recording.side])
 
 
 def in_layout(landmarks: np.ndarray, name: str) -> np.ndarray:
@@ -71,54 +64,43 @@ def in_layout(landmarks: np.ndarray, name: str) -> np.ndarray:
 
 
 def table(
-    recordings: list[HandRecording], seconds: float, noises: list[float], seed: int, share_of: int
-) -> None:
-    """Measures and prints; layouts over one window of ``share_of``."""
-    faults = [name for name in LAYOUTS if name not in ("mediapipe", "openpose")]
-    others: dict[Side, Side] = {"right": "left", "left": "right"}
-    row("noise [mm]", "input", "windows", "refused", "named rightly")
-    row("---", "---", "---:", "---:", "---:")
+    recordings: Sequence[HandRecording], seconds: float, noises: Sequence[float], seed: int,
+    share_of: int,
+) -> str:  # fmt: skip
+    """Markdown; layouts over one window of ``share_of``."""
+    rows: list[list[object]] = []
+
+    def add(
+        noise: float, name: str, some: Sequence[Window], check: Callable[[Window], object],
+        right: Callable[[object], bool] | None = None,
+    ) -> None:  # fmt: skip
+        doubts = [check(window) for window in some]
+        noticed = [one for one in doubts if one is not None]
+        share = f"{len(noticed)} ({100 * len(noticed) / max(len(some), 1):.1f} %)"
+        named = "" if right is None else str(sum(map(right, noticed)))
+        rows.append([f"{noise:g}", name, str(len(some)), share, named])
+        if 0 < len(noticed) < len(some):
+            for recording in sorted({window.recording for window in some}):
+                own = [d for w, d in zip(some, doubts, strict=True) if w.recording == recording]
+                count = sum(one is not None for one in own)
+                rows.append(["", f"{name}, {recording}", str(len(own)), str(count), ""])
+
     for noise in noises:
         rng = np.random.default_rng(seed)
         every = list(windows(recordings, seconds, 1e-3 * noise, rng))
-        refused = [w for w in every if doubt(w.landmarks, w.side) is not None]
-        row(f"{noise:g}", "right side, right order", len(every), len(refused), "")
-        for of in sorted({w.of for w in refused}):
-            row("", f"of these, {of}", "", sum(w.of == of for w in refused), "")
-        doubts = [doubt(w.landmarks, others[w.side]) for w in every]
-        measured = [d for d in doubts if d is not None]
-        named = sum(d.side is not None for d in measured)
-        row(f"{noise:g}", "mirrored", len(every), share(len(measured), len(every)), named)
-        missed = [w.of for w, d in zip(every, doubts, strict=True) if d is None]
-        for of in sorted(set(missed)):
-            total = sum(w.of == of for w in every)
-            row("", f"mirrored, {of}", total, share(total - missed.count(of), total), "")
         some = every[::share_of]
-        for name in faults:
-            doubts = [doubt(in_layout(w.landmarks, name), w.side) for w in some]
-            measured = [d for d in doubts if d is not None]
-            named = sum(d.layout == name for d in measured)
-            row(f"{noise:g}", f"`{name}`", len(some), share(len(measured), len(some)), named)
-        shuffled = [doubt(w.landmarks[:, rng.permutation(21)], w.side) for w in every]
-        noticed = sum(d is not None for d in shuffled)
-        row(f"{noise:g}", "random order", len(every), share(noticed, len(every)), "")
-        shares = [
-            doubt(in_layout(w.landmarks, name), w.side, layout=name)
-            for w in some
-            for name in faults
-        ]
-        noticed = sum(d is not None for d in shares)
-        row(f"{noise:g}", "each of these layouts, when it is said", len(shares), noticed, "")
-
-
-def row(*cells: object) -> None:
-    """A row of a Markdown table."""
-    print("|", " | ".join(map(str, cells)), "|", flush=True)
-
-
-def share(part: int, whole: int) -> str:
-    """A count with its percentage."""
-    return f"{part} ({100 * part / max(whole, 1):.1f} %)"
+        add(noise, "right side, right order", every, lambda w: doubt(w.landmarks, w.side))
+        add(noise, "mirrored", every, lambda w: doubt(w.landmarks, OTHER[w.side]),
+            lambda one: one.side is not None)  # type: ignore[attr-defined]  # fmt: skip
+        for layout in (name for name in LAYOUTS if name not in ("mediapipe", "openpose")):
+            add(noise, f"`{layout}`", some,
+                lambda w, name=layout: doubt(in_layout(w.landmarks, name), w.side),  # type: ignore[misc]
+                lambda one, name=layout: one.layout == name)  # type: ignore[misc]  # fmt: skip
+            add(noise, f"`{layout}`, when it is said", some,
+                lambda w, name=layout: doubt(in_layout(w.landmarks, name), w.side, layout=name))  # type: ignore[misc]  # fmt: skip
+        add(noise, "random order", every,
+            lambda w, rng=rng: doubt(w.landmarks[:, rng.permutation(21)], w.side))  # type: ignore[misc]  # fmt: skip
+    return markdown(("noise [mm]", "input", "windows", "refused", "named rightly"), rows)
 
 
 def main() -> None:
@@ -138,7 +120,7 @@ def main() -> None:
                 raise SystemExit(source.error)
             recordings.append(source.recording)
     recordings += [SyntheticOperator(seed=seed).record(10.0) for seed in range(options.operators)]
-    table(recordings, options.seconds, options.noise, options.seed, options.share)
+    print(table(recordings, options.seconds, options.noise, options.seed, options.share))
 
 
 if __name__ == "__main__":

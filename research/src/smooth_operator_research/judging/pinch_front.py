@@ -1,4 +1,4 @@
-"""What ``pinch_damping`` of ``smooth`` buys and costs: a table and a picture, with other methods.
+"""Gain and cost of ``pinch_damping`` of ``smooth``: a table and a picture, with other methods.
 
     python -m smooth_operator_research.judging.pinch_front --data RECORDINGS
 
@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import tyro
@@ -27,8 +27,8 @@ from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.parallel import run_tasks
 from smooth_operator.reporting.drawing import INK, styled, write_figure
+from smooth_operator_research.physics.grasp_measures import PinchHold
 from smooth_operator_research.physics.measure import Case, Unit
-from smooth_operator_research.physics.pinch_hold import PinchHold
 from smooth_operator_research.run_report import RESULTS, BenchmarkError, Report
 
 RECORDINGS: Final = (
@@ -48,7 +48,7 @@ FOLLOWING: Final = {
 
 @dataclass(frozen=True)
 class Settings:
-    """What to measure.
+    """Settings of a run.
 
     Attributes:
         damping: values of ``pinch_damping``.
@@ -67,17 +67,8 @@ class Settings:
     output: Path = RESULTS / "pinch_front.json"
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
-    """One row on one recording.
-
-    Attributes:
-        row: its name.
-        method: and
-        config: its configuration.
-        hand: robot hand.
-        request: the recording, as ``bench`` takes it.
-    """
+class Task(NamedTuple):
+    """A row on a recording, which is named as ``bench`` takes it."""
 
     row: str
     method: str

@@ -7,14 +7,16 @@ SLSQP in the published form after 20 iterations.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Final, Protocol, TypeAlias, runtime_checkable
+from typing import ClassVar, Final, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt32
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from smooth_operator.baselines.slsqp import (
     ScipySlsqpConfig,
@@ -24,13 +26,126 @@ from smooth_operator.baselines.slsqp import (
     scipy_slsqp_minimise,
     slsqp_minimise,
 )
+from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind, array_namespace
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.normals import counter_normal_matrix
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
-from smooth_operator_research.paper.rmsprop import RmspropConfig, rmsprop_minimise
+
+BatchGradient: TypeAlias = Callable[[Array], tuple[Array, Array]]
+"""(m, N) candidates, batch last, to their costs (N,) and gradients (m, N)."""
+
+
+@dataclass(frozen=True)
+class RmspropConfig:
+    """Settings of RMSProp (Tieleman and Hinton 2012, lecture 6.5).
+
+    Attributes:
+        step: learning rate of the first iteration [rad].
+        final: learning rate of the last one over that of the first; between them it falls
+            geometrically. 1 is as in the lecture, which leaves a point that circles the minimum at
+            the distance of a step.
+        decay: decay of the running mean of squared gradients; the lecture's.
+        epsilon: added to the root of it, against a division by nothing.
+        max_evaluations: evaluations per frame.
+        tolerance: change of the cost in one iteration that counts as none.
+    """
+
+    step: float = 0.01
+    final: float = 0.01
+    decay: float = 0.9
+    epsilon: float = 1e-8
+    max_evaluations: int = 100
+    tolerance: float = 1e-6
+
+    def __post_init__(self) -> None:
+        if self.step <= 0 or not 0 < self.final <= 1 or not 0 <= self.decay < 1:
+            raise ConfigError(
+                "RMSProp needs step > 0, final in (0, 1] and decay in [0, 1), not "
+                f"step={self.step}, final={self.final}, decay={self.decay}"
+            )
+        if self.max_evaluations < 2 or self.tolerance <= 0:
+            raise ConfigError(
+                "RMSProp needs max_evaluations >= 2 and tolerance > 0, not "
+                f"max_evaluations={self.max_evaluations}, tolerance={self.tolerance}"
+            )
+
+
+class _Carry(NamedTuple):
+    evaluations: Int[Array, ""]
+    q: Float[Array, "m N"]
+    square: Float[Array, "m N"]
+    last: Float[Array, " N"]
+    best: Float[Array, "m N"]
+    lowest: Float[Array, " N"]
+    done: Bool[Array, " N"]
+
+
+def rmsprop_minimise(
+    value_and_gradient: BatchGradient,
+    starts: Float[Array, "m N"],
+    limits: Float[np.ndarray, "m 2"],
+    config: RmspropConfig,
+    step: Float[Array, ""] | float | None = None,
+    final: Float[Array, ""] | float | None = None,
+) -> tuple[Float[Array, "m N"], Float[Array, " N"], Int[Array, ""]]:
+    """Descend from every start; each step is clipped to the bounds.
+
+    As with SLSQP here, a start's answer is the best point that it has seen, and it stops where an
+    iteration changes its cost by less than the tolerance.
+
+    Args:
+        starts: (m, N) points within the bounds.
+        limits: (m, 2) bounds.
+        config: settings.
+        step: learning rate, instead of the configured one; may be traced.
+        final: likewise.
+
+    Returns:
+        (m, N) the answers, (N,) their costs, and how often the objective was evaluated by the
+        start that took longest.
+    """
+    low, high = (jnp.asarray(limits[:, i, None], starts.dtype) for i in (0, 1))
+    first = jnp.asarray(config.step if step is None else step, starts.dtype)
+    share = jnp.asarray(config.final if final is None else final, starts.dtype)
+
+    def onward(carry: _Carry) -> Array:
+        return (carry.evaluations < config.max_evaluations) & ~carry.done.all()
+
+    def iterate(carry: _Carry) -> _Carry:
+        value, gradient = value_and_gradient(carry.q)
+        better = (value < carry.lowest) & ~carry.done
+        done = carry.done | (jnp.abs(value - carry.last) < config.tolerance)
+        square = config.decay * carry.square + (1 - config.decay) * gradient**2
+        rate = first * share ** (carry.evaluations / (config.max_evaluations - 1))
+        move = rate * gradient / (jnp.sqrt(square) + config.epsilon)
+        return _Carry(
+            carry.evaluations + 1,
+            jnp.where(done, carry.q, jnp.clip(carry.q - move, low, high)),
+            square,
+            value,
+            jnp.where(better, carry.q, carry.best),
+            jnp.where(better, value, carry.lowest),
+            done,
+        )
+
+    many = starts.shape[1:]
+    end = lax.while_loop(
+        onward,
+        iterate,
+        _Carry(
+            jnp.int32(0),
+            starts,
+            jnp.zeros_like(starts),
+            jnp.full(many, jnp.inf, starts.dtype),
+            starts,
+            jnp.full(many, jnp.inf, starts.dtype),
+            jnp.zeros(many, bool),
+        ),
+    )
+    return end.best, end.lowest, end.evaluations
 
 
 def scattered_starts(
@@ -75,7 +190,7 @@ SPREAD: Final = 0.2
 """Standard deviation of parallel starts about the last answer [rad]: the sampler's own."""
 
 TEMPERATURE: Final = 0.1
-"""Of the softmax over the outputs: the sampler's own."""
+"""Temperature of the softmax over the outputs: the sampler's own."""
 
 NEWTON_CONFIG: Final = NewtonConfig(10, (0.0, 0.1, 1.0, 10.0, 100.0, 1000.0))
 """DexPilot's closed pinches weigh 200 and 400, and bend the loss accordingly: where it is that far
@@ -91,12 +206,12 @@ Knobs: TypeAlias = Float[Array, " k"]
 
 @dataclass(frozen=True)
 class Starts:
-    """Where a descent begins.
+    """Starts of a descent.
 
     Attributes:
         count: N; 1 is the last answer alone.
         spread: standard deviation of the others about it [rad].
-        temperature: of the softmax over their results.
+        temperature: temperature of the softmax over their results.
     """
 
     count: int = 1
@@ -107,58 +222,59 @@ class Starts:
         return "" if self.count == 1 else f" × {self.count}"
 
 
-class Solver(Protocol):
-    """A solver with its settings; frozen."""
+class Solver(ABC):
+    """A solver with its settings; frozen.
+
+    Attributes:
+        family: sampling, rmsprop, slsqp or newton.
+    """
+
+    family: ClassVar[str]
 
     @property
-    def family(self) -> str:
-        """Which solver: sampling, rmsprop, slsqp or newton."""
-
-    @property
+    @abstractmethod
     def label(self) -> str:
-        """How it is called in tables and figures."""
+        """Name in tables and figures."""
 
     @property
+    @abstractmethod
     def random(self) -> bool:
         """Does its answer depend on a seed?"""
 
     @property
+    @abstractmethod
     def effort(self) -> float:
         """About how long a frame takes on two cores [ms]; for the time that is left."""
 
 
-@runtime_checkable
-class CompiledSolver(Solver, Protocol):
+class CompiledSolver(Solver):
     """One whose frame is a compiled program."""
 
     @property
     def knobs(self) -> tuple[float, ...]:
         """Values of the settings that are arguments of the program."""
-
-    def __hash__(self) -> int: ...
+        return ()
 
     def program_key(self) -> CompiledSolver:
         """The same with its knobs at their defaults: those with one key share a program."""
+        return self
 
+    @abstractmethod
     def solve(
-        self,
-        objective: Objective,
-        goal: FrameGoal,
-        last: Float[Array, " m"],
-        key: UInt32[Array, "2"],
-        knobs: Knobs,
-    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
+        self, objective: Objective, goal: FrameGoal, last: Float[Array, " m"],
+        key: UInt32[Array, "2"], knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
         """The answer to a frame, and how many iterations or evaluations it took; traceable."""
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(CompiledSolver):
     """Algorithm 1.
 
     Attributes:
         samples, elites, cycles, sigma: N, M, L and the initial standard deviation [rad].
         most_cycles: L that the program is compiled for.
-        note: what is said of it after its name.
+        note: words after its name.
     """
 
     samples: int = 8192
@@ -168,11 +284,11 @@ class Sampling:
     most_cycles: int = 20
     note: str = ""
     family: ClassVar[str] = "sampling"
-    random: ClassVar[bool] = True
+    random = True
 
     @property
     def label(self) -> str:
-        """Its size."""
+        """See ``Solver``."""
         return f"sampling{self.note}"
 
     @property
@@ -190,13 +306,9 @@ class Sampling:
         return replace(self, sigma=0.2, cycles=self.most_cycles, note="")
 
     def solve(
-        self,
-        objective: Objective,
-        goal: FrameGoal,
-        last: Float[Array, " m"],
-        key: UInt32[Array, "2"],
-        knobs: Knobs,
-    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
+        self, objective: Objective, goal: FrameGoal, last: Float[Array, " m"],
+        key: UInt32[Array, "2"], knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
         """See ``CompiledSolver``."""
         config = SamplingConfig(self.samples, min(self.elites, self.samples), self.most_cycles)
         cycles = knobs[1].astype(jnp.int32)
@@ -207,8 +319,8 @@ class Sampling:
         return q, cycles
 
 
-class _FromStarts:
-    """What solvers share that descend from one start or several; each has its own settings."""
+class _FromStarts(Solver):
+    """Solvers that descend from one start or several."""
 
     name: ClassVar[str]
     starts: Starts
@@ -223,9 +335,16 @@ class _FromStarts:
         """Only where there are other starts than the last answer."""
         return self.starts.count > 1
 
+    def all_starts(
+        self, objective: Objective, last: Float[Array, " m"], key: UInt32[Array, "2"]
+    ) -> Float[Array, "m N"]:
+        """The starts of a frame."""
+        limits = objective.hand.limits
+        return scattered_starts(last, limits, key, self.starts.count, self.starts.spread)
+
 
 @dataclass(frozen=True)
-class Rmsprop(_FromStarts):
+class Rmsprop(_FromStarts, CompiledSolver):
     """RMSProp, single-start or in the batched form."""
 
     config: RmspropConfig = field(default_factory=RmspropConfig)
@@ -248,25 +367,20 @@ class Rmsprop(_FromStarts):
         return replace(self, config=replace(self.config, step=0.01, final=0.01))
 
     def solve(
-        self,
-        objective: Objective,
-        goal: FrameGoal,
-        last: Float[Array, " m"],
-        key: UInt32[Array, "2"],
-        knobs: Knobs,
-    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
+        self, objective: Objective, goal: FrameGoal, last: Float[Array, " m"],
+        key: UInt32[Array, "2"], knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
         """See ``CompiledSolver``."""
-        limits, starts = objective.hand.limits, self.starts
-        many = scattered_starts(last, limits, key, starts.count, starts.spread)
-        both = _few_gradients if starts.count <= _FEW else _many_gradients
+        both = _few_gradients if self.starts.count <= _FEW else _many_gradients
         solution, costs, evaluations = rmsprop_minimise(
-            lambda q: both(objective, goal, q), many, limits, self.config, knobs[0], knobs[1]
-        )
-        return soft_mean(solution, costs, starts.temperature), evaluations
+            lambda q: both(objective, goal, q), self.all_starts(objective, last, key),
+            objective.hand.limits, self.config, knobs[0], knobs[1],
+        )  # fmt: skip
+        return soft_mean(solution, costs, self.starts.temperature), evaluations
 
 
 @dataclass(frozen=True)
-class Newton(_FromStarts):
+class Newton(_FromStarts, CompiledSolver):
     """Projected Newton steps with the exact Hessian: ours, not the paper's.
 
     The number of steps is fixed; those after the last that gains are cheap, and change nothing.
@@ -276,37 +390,28 @@ class Newton(_FromStarts):
     starts: Starts = field(default_factory=Starts)
     name: ClassVar[str] = "Newton"
     family: ClassVar[str] = "newton"
-    knobs: ClassVar[tuple[float, ...]] = ()
 
     @property
     def effort(self) -> float:
         """By Hessians."""
         return 0.5 * (1 + self.starts.count)
 
-    def program_key(self) -> Newton:
-        """Nothing is tuned."""
-        return self
-
     def solve(
-        self,
-        objective: Objective,
-        goal: FrameGoal,
-        last: Float[Array, " m"],
-        key: UInt32[Array, "2"],
-        knobs: Knobs,
-    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
+        self, objective: Objective, goal: FrameGoal, last: Float[Array, " m"],
+        key: UInt32[Array, "2"], knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
         """See ``CompiledSolver``."""
-        limits, starts = objective.hand.limits, self.starts
-        many = scattered_starts(last, limits, key, starts.count, starts.spread)
 
         def descend(q: Array) -> tuple[Array, Array]:
-            solution = newton_minimise(
-                lambda few: objective.few_value_grad_hess(few, goal), q, limits, self.config
-            )
-            return solution[:2]
+            return newton_minimise(
+                lambda few: objective.few_value_grad_hess(few, goal), q, objective.hand.limits,
+                self.config,
+            )[:2]  # fmt: skip
 
+        many = self.all_starts(objective, last, key)
         solution, costs = jax.vmap(descend, in_axes=1, out_axes=(1, 0))(many)
-        return soft_mean(solution, costs, starts.temperature), jnp.int32(self.config.iterations)
+        mean = soft_mean(solution, costs, self.starts.temperature)
+        return mean, jnp.int32(self.config.iterations)
 
 
 @dataclass(frozen=True)
@@ -333,11 +438,9 @@ class Slsqp(_FromStarts):
         return 2.5 * self.starts.count
 
     def minimise(
-        self,
-        objective: ValueAndGradient,
-        start: Float[np.ndarray, " m"],
+        self, objective: ValueAndGradient, start: Float[np.ndarray, " m"],
         limits: Float[np.ndarray, "m 2"],
-    ) -> SlsqpResult:
+    ) -> SlsqpResult:  # fmt: skip
         """From one start."""
         if isinstance(self.config, ScipySlsqpConfig):
             return scipy_slsqp_minimise(objective, start, limits, self.config)

@@ -20,8 +20,7 @@ from smooth_operator_research.paper.experiment import (
 )
 from smooth_operator_research.paper.figures import compute_figure
 from smooth_operator_research.paper.intervals import Estimate, Samples, contrast, typical
-from smooth_operator_research.paper.problems import Problem
-from smooth_operator_research.paper.runs import measure_run
+from smooth_operator_research.paper.runs import Problem, measure_run
 from smooth_operator_research.paper.solver import percent
 from smooth_operator_research.paper.solver_grid import Point, contours, grid_points, most_cycles
 from smooth_operator_research.paper.verdicts import Direction, Verdict, judge
@@ -182,7 +181,7 @@ def _balance_verdict(losses: Losses, lines: list[list[Point]]) -> Verdict:
 
 
 def _wins(ends: Sequence[Estimate], among: int) -> bool:
-    """Whether the middle of a contour beats both ends, this being one of several contours."""
+    """True if the middle of a contour beats both ends, this being one of several contours."""
     judging = Direction(-LEAST, upwards=False)
     return all(judging(end, among=among) == "held" for end in ends)
 

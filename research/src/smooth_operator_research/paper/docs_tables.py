@@ -1,8 +1,7 @@
 r"""Writes the tables of research/docs/paper.md from the results of `smooth-operator paper`.
 
 Each table stands between a line `<!-- table: NAME -->` and a line `<!-- end -->`; what stands
-between them is replaced. Without `--docs` the tables are printed. ``interval_coverage`` makes the
-table of coverage.
+between them is replaced. Without `--docs` the tables are printed.
 
     smooth-operator paper --output build/paper
     smooth-operator paper RECORDING ... --output build/paper-real
@@ -15,70 +14,39 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, TypeAlias
 
 import tyro
 
 from smooth_operator_research.paper import interval_coverage
-from smooth_operator_research.paper.experiment import RESULTS, Table
-from smooth_operator_research.paper.experiment_report import markdown
-from smooth_operator_research.paper.registry import EXPERIMENTS
+from smooth_operator_research.paper.experiment import EXPERIMENTS, RESULTS, Table
+from smooth_operator_research.run_report import markdown
 
 ORDER: Final = ("solver", "velocity", "hessian", "compute", "fk", "table", "noise", "rate")
 """Experiments as the page has them."""
 
-Results = Mapping[str, Any]
+Results: TypeAlias = Mapping[str, Any]
 """``results.json`` of each experiment."""
 
-Make = Callable[[Results, Results], Table]
-"""Makes a table from the results on the built-in operators and on real recordings."""
-
-Groups = Sequence[tuple[str, Callable[[Sequence[str]], Sequence[str]]]]
-"""Figures, and what chooses the conditions that each is given for."""
-
 BLOCK: Final = re.compile(r"<!-- table: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOTALL)
-
-
-@dataclass(frozen=True)
-class Settings:
-    """The tables of research/docs/paper.md."""
-
-    built_in: Annotated[Path, tyro.conf.Positional]
-    """Folder of `paper` on the built-in operators."""
-
-    real: Annotated[Path, tyro.conf.Positional]
-    """Folder of `paper` on recordings of real trackers."""
-
-    docs: Path | None = None
-    """Page whose tables are replaced; they are printed if left out."""
-
-    only: tuple[str, ...] = ()
-    """Only these tables."""
 
 
 def read_results(folder: Path) -> dict[str, Any]:
     """The experiments that are in a folder."""
     paths = {name: folder / name / RESULTS for name in EXPERIMENTS}
-    return {
-        name: json.loads(path.read_text(encoding="utf-8"))
-        for name, path in paths.items()
-        if path.exists()
-    }
+    return {name: json.loads(p.read_text("utf-8")) for name, p in paths.items() if p.exists()}
 
 
-def _table(results: Results, experiment: str, title: str, columns: Sequence[str] = ()) -> Table:
-    """One of an experiment's tables, or some columns of it."""
-    for table in results[experiment]["tables"]:
-        if table["title"].startswith(title):
-            indices = [table["headers"].index(name) for name in columns or table["headers"]]
-            return Table(
-                table["title"],
-                [table["headers"][i] for i in indices],
-                [[row[i] for i in indices] for row in table["rows"]],
-            )
-    raise KeyError(f"{experiment} has no table {title!r}")
+def _table(
+    results: Results, experiment: str, title: str, columns: Sequence[str] = (), heading: str = "{}"
+) -> Table:
+    """One of an experiment's tables, or some of its columns, headed anew after the first."""
+    own = next(t for t in results[experiment]["tables"] if t["title"].startswith(title))
+    at = [own["headers"].index(name) for name in columns or own["headers"]]
+    first, *others = (own["headers"][i] for i in at)
+    headers = [first, *(heading.format(name) for name in others)]
+    return Table(own["title"], headers, [[row[i] for i in at] for row in own["rows"]])
 
 
 def _joined(first: Table, *others: Table) -> Table:
@@ -92,29 +60,18 @@ def _joined(first: Table, *others: Table) -> Table:
     return Table(first.title, headers, rows)
 
 
-def _headed(table: Table, heading: str) -> Table:
-    """With a heading, ``{}`` in it is the former one, for each column but the first."""
-    headers = [table.headers[0], *(heading.format(name) for name in table.headers[1:])]
-    return Table(table.title, headers, table.rows)
-
-
-def _wide(results: Results, experiment: str, title: str, groups: Groups) -> Table:
-    """A row for each method, a column for each figure under each condition.
-
-    Args:
-        results: of a folder.
-        experiment: whose table has a row for each method and condition.
-        title: of the table.
-        groups: figures, and the conditions that each is given for.
-    """
-    tables: list[Table] = []
-    for figure, choose in groups:
-        own = _table(results, experiment, title)
-        where = own.headers.index(figure)
-        for condition in choose(list(dict.fromkeys(row[1] for row in own.rows))):
-            rows = [[row[0], row[where]] for row in own.rows if row[1] == condition]
-            tables.append(Table(own.title, [own.headers[0], f"{figure}, {condition}"], rows))
-    return _joined(*tables)
+def _by_condition(
+    results: Results, experiment: str, title: str, figure: str,
+    choose: Callable[[list[str]], Sequence[str]],
+) -> Table:  # fmt: skip
+    """A row for each method, a column for each of some conditions, of one figure."""
+    own = _table(results, experiment, title)
+    at = own.headers.index(figure)
+    return _joined(*(
+        Table(own.title, [own.headers[0], f"{figure}, {condition}"],
+              [[row[0], row[at]] for row in own.rows if row[1] == condition])
+        for condition in choose(list(dict.fromkeys(row[1] for row in own.rows)))
+    ))  # fmt: skip
 
 
 def _number(text: str) -> float:
@@ -123,24 +80,25 @@ def _number(text: str) -> float:
     return float(number[0]) if number else 0.0
 
 
-def _nearest_mm(conditions: Sequence[str]) -> Sequence[str]:
-    """No noise, and the noise nearest to 1 mm."""
-    return conditions[0], min(conditions[1:], key=lambda text: abs(_number(text) - 1.0))
+def _noise(results: Results) -> Table:
+    def near(conditions: list[str]) -> str:  # 1 mm
+        return min(conditions[1:], key=lambda text: abs(_number(text) - 1.0))
+
+    return _joined(
+        _by_condition(results, "noise", "Under noise", "flatness [mm²]", lambda c: (c[0], near(c))),
+        _by_condition(results, "noise", "Under noise", "motion", lambda c: (near(c),)),
+        _by_condition(results, "noise", "With frames lost", "largest step [rad]",
+                      lambda c: (max(c, key=_number),)),
+    )  # fmt: skip
 
 
-def _least(conditions: Sequence[str]) -> Sequence[str]:
-    """The smallest figure."""
-    return (min(conditions, key=_number),)
-
-
-def _most(conditions: Sequence[str]) -> Sequence[str]:
-    """The largest figure."""
-    return (max(conditions, key=_number),)
-
-
-def _extremes(conditions: Sequence[str]) -> Sequence[str]:
-    """The smallest and the largest figure."""
-    return *_least(conditions), *_most(conditions)
+def _rate(results: Results) -> Table:
+    title = "Methods by frame rate"
+    return _joined(
+        _by_condition(results, "rate", title, "fingertips [m/s²]",
+                      lambda c: (min(c, key=_number), max(c, key=_number))),
+        _by_condition(results, "rate", title, "lag [ms]", lambda c: (min(c, key=_number),)),
+    )  # fmt: skip
 
 
 def _quality(results: Results) -> Table:
@@ -151,25 +109,18 @@ def _quality(results: Results) -> Table:
 
 
 def _velocity(built_in: Results, real: Results) -> Table:
-    title, divided = "What the velocity term does", ("solver", "divided by")
-    own = _table(built_in, "velocity", title, ("solver", "jitter without [mrad]", divided[1]))
-    return _joined(own, _headed(_table(real, "velocity", title, divided), "real: {}"))
-
-
-def _noise(results: Results) -> Table:
-    noise = [("flatness [mm²]", _nearest_mm), ("motion", lambda found: _nearest_mm(found)[1:])]
-    return _joined(
-        _wide(results, "noise", "Under noise", noise),
-        _wide(results, "noise", "With frames lost", [("largest step [rad]", _most)]),
-    )
+    title, columns = "What the velocity term does", ("solver", "jitter without [mrad]")
+    own = _table(built_in, "velocity", title, (*columns, "divided by"))
+    recorded = _table(real, "velocity", title, (columns[0], "divided by"), "real: {}")
+    return _joined(own, recorded)
 
 
 def _solvers(built_in: Results, real: Results) -> Table:
-    own, recorded = (
-        _table(results, "solver", "Relative to sampling", ("solver", "jitter"))
-        for results in (built_in, real)
+    title, columns = "Relative to sampling", ("solver", "jitter")
+    return _joined(
+        _table(built_in, "solver", title, columns, "{} against sampling"),
+        _table(real, "solver", title, columns, "real: the same"),
     )
-    return _joined(_headed(own, "{} against sampling"), _headed(recorded, "real: the same"))
 
 
 def _claims(built_in: Results, real: Results) -> Table:
@@ -197,9 +148,8 @@ def _claims(built_in: Results, real: Results) -> Table:
 _RANKS: Final = ("solver", "ranks 1–5, flat [mrad]", "ranks 12–16, stiff [mrad]")
 _CONTOURS: Final = ("N × L", "against the widest", "against the deepest")
 _SOUND: Final = ("method", "cosine similarity (→ 1)", "motion preservation (→ 1)")
-_RATE: Final = (("fingertips [m/s²]", _extremes), ("lag [ms]", _least))
 
-TABLES: Final[dict[str, Make]] = {
+TABLES: Final[dict[str, Callable[[Results, Results], Table]]] = {
     "claims": _claims,
     "solver": _solvers,
     "velocity": _velocity,
@@ -210,16 +160,16 @@ TABLES: Final[dict[str, Make]] = {
     "table-real": lambda _, b: _quality(b),
     "table-sound": lambda a, _: _table(a, "table", "All methods, by the sound", _SOUND),
     "noise": lambda a, _: _noise(a),
-    "rate": lambda a, _: _wide(a, "rate", "Methods by frame rate", _RATE),
+    "rate": lambda a, _: _rate(a),
     "coverage": lambda a, b: interval_coverage.coverage_table(interval_coverage.Settings()),
 }
-"""Name of a table in the page -> what makes it."""
+"""Name of a table in the page -> what makes it of the results on the built-in operators and on
+recordings of real trackers."""
 
 
 def block(name: str, table: Table) -> str:
     """A table between its marks; its note is left out, for the page says it."""
-    bare = Table(table.title, table.headers, table.rows)
-    return f"<!-- table: {name} -->\n{markdown(bare)}\n<!-- end -->"
+    return f"<!-- table: {name} -->\n{markdown(table.headers, table.rows)}\n<!-- end -->"
 
 
 def replaced(text: str, name: str, block: str) -> str:
@@ -227,19 +177,28 @@ def replaced(text: str, name: str, block: str) -> str:
     return BLOCK.sub(lambda match: block if match[1] == name else match[0], text)
 
 
-def main(settings: Settings) -> None:
-    """Prints the tables, or replaces them in the page."""
-    built_in, real = (read_results(folder) for folder in (settings.built_in, settings.real))
-    text = "" if settings.docs is None else settings.docs.read_text(encoding="utf-8")
-    names = settings.only or ([match[1] for match in BLOCK.finditer(text)] if text else TABLES)
-    for name in names:
-        content = block(name, TABLES[name](built_in, real))
-        if settings.docs is None:
+def main(
+    built_in: Annotated[Path, tyro.conf.Positional],
+    real: Annotated[Path, tyro.conf.Positional],
+    docs: Path | None = None,
+) -> None:
+    """Prints the tables, or replaces them in the page.
+
+    Args:
+        built_in: folder of `paper` on the built-in operators.
+        real: folder of `paper` on recordings of real trackers.
+        docs: page whose tables are replaced; they are printed if left out.
+    """
+    results = read_results(built_in), read_results(real)
+    text = "" if docs is None else docs.read_text(encoding="utf-8")
+    for name in [match[1] for match in BLOCK.finditer(text)] if text else TABLES:
+        content = block(name, TABLES[name](*results))
+        if docs is None:
             print(content, end="\n\n")
         text = replaced(text, name, content)
-    if settings.docs is not None:
-        settings.docs.write_text(text, encoding="utf-8")
+    if docs is not None:
+        docs.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Settings, description=__doc__))
+    tyro.cli(main, description=__doc__)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, TypeAlias
 
@@ -13,9 +14,9 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
-from smooth_operator.errors import DocumentError
+from smooth_operator.errors import DocumentError, UnknownNameError
 from smooth_operator.formats.environment import environment
-from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.suite import check_folder as check_benchmark_folder
 from smooth_operator.lab.offline.finished import read_configuration
@@ -33,8 +34,7 @@ from smooth_operator.result_cache import (
 )
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.paper.compared_solvers import Solver
-from smooth_operator_research.paper.problems import Problem, make_problems
-from smooth_operator_research.paper.runs import Run, run_solver
+from smooth_operator_research.paper.runs import Problem, Run, make_problems, run_solver
 from smooth_operator_research.paper.verdicts import Verdict
 
 
@@ -62,13 +62,13 @@ class ArrayCache(ResultCache):
 
 @dataclass(frozen=True)
 class Size:
-    """How much is computed.
+    """Amount of computing.
 
     Attributes:
         name: what it is called.
-        recordings: of the built-in operator, where none are given.
-        frames: of each recording, for the solvers.
-        seeds: of each random solver on each recording.
+        recordings: requests for the built-in operator, where none are given.
+        frames: most frames of each recording, for the solvers.
+        seeds: runs of each random solver on each recording.
         samples: N of Algorithm 1.
         cycles: L of Algorithm 1.
         rmsprop_starts, slsqp_starts, newton_starts: N of the batched forms.
@@ -79,7 +79,17 @@ class Size:
         grid_samples: N of the grid N x L.
         grid_cycles: L of the grid.
         grid_budget: cells with a larger N x L are left out.
-        grid_frames: of each recording, for the grid.
+        grid_frames: most frames of each recording, for the grid.
+        fk_batches: sizes of the batch of forward kinematics.
+        fk_rounds: rounds of its timing.
+        table_frames: most frames of each recording, for the table.
+        latency_frames: frames of them for latency.
+        noise_frames: most frames of each recording, for ``noise``.
+        noises: standard deviations of a coordinate of a landmark [m].
+        losses: shares of frames that never arrive.
+        tracker_seeds: seeds of the tracker's noise and losses on each recording.
+        rates: frame rates [Hz].
+        rate_seconds: most of each recording, for ``rate`` [s].
     """
 
     name: str
@@ -99,10 +109,20 @@ class Size:
     grid_cycles: tuple[int, ...]
     grid_budget: int
     grid_frames: int
+    fk_batches: tuple[int, ...]
+    fk_rounds: int
+    table_frames: int
+    latency_frames: int
+    noise_frames: int
+    noises: tuple[float, ...]
+    losses: tuple[float, ...]
+    tracker_seeds: int
+    rates: tuple[float, ...]
+    rate_seconds: float
 
 
 def trial_note(size: Size) -> str:
-    """What is said before the results of a size that is too small to judge by."""
+    """Warning before the results of a size that is too small to judge by."""
     return "" if size.name != "quick" else _TRIAL
 
 
@@ -124,8 +144,7 @@ def synthetic_operators(count: int, frames: int) -> tuple[str, ...]:
     tempo of 0.8 to 1.3, and another part of the round of gestures.
 
     Args:
-        count: how many.
-        frames: of each.
+        frames: length of each.
     """
     names = []
     for seed in range(count):
@@ -138,67 +157,43 @@ def synthetic_operators(count: int, frames: int) -> tuple[str, ...]:
     return tuple(names)
 
 
-QUICK: Final = Size(
-    name="quick",
-    recordings=synthetic_operators(4, 100),
-    frames=25,
-    seeds=1,
-    samples=1024,
-    cycles=10,
-    rmsprop_starts=16,
-    slsqp_starts=2,
-    newton_starts=8,
-    steps=(0.003, 0.03),
-    finals=(0.01,),
-    sigmas=(0.1, 0.2),
-    tuning_frames=20,
-    grid_samples=(256, 1024, 4096),
-    grid_cycles=(5, 20, 80),
-    grid_budget=20480,
-    grid_frames=20,
-)
-"""For a test that it runs; its figures mean little."""
-
 DEFAULT: Final = Size(
-    name="default",
-    recordings=synthetic_operators(20, 300),
-    frames=150,
+    name="default", recordings=synthetic_operators(20, 300), frames=150,
     seeds=1,  # a seed's chance is in the spread among the operators
-    samples=8192,
-    cycles=20,
-    rmsprop_starts=256,
-    slsqp_starts=4,
-    newton_starts=16,
-    steps=(0.001, 0.003, 0.01, 0.03, 0.1),
-    finals=(0.01, 1.0),
-    sigmas=(0.05, 0.1, 0.2, 0.4),
+    samples=8192, cycles=20, rmsprop_starts=256, slsqp_starts=4, newton_starts=16,
+    steps=(0.001, 0.003, 0.01, 0.03, 0.1), finals=(0.01, 1.0), sigmas=(0.05, 0.1, 0.2, 0.4),
     tuning_frames=60,
-    grid_samples=(256, 512, 1024, 2048, 4096, 8192, 16384),
-    grid_cycles=(5, 10, 20, 40, 80, 160),
-    grid_budget=163_840,
-    grid_frames=25,
-)
+    grid_samples=(256, 512, 1024, 2048, 4096, 8192, 16384), grid_cycles=(5, 10, 20, 40, 80, 160),
+    grid_budget=163_840, grid_frames=25,
+    fk_batches=(1, 4, 16, 64, 256, 1024, 4096, 16384, 65536), fk_rounds=7,
+    table_frames=300, latency_frames=100,
+    noise_frames=80, noises=(0.0, 0.5e-3, 1e-3, 5e-3), losses=(0.0, 0.2), tracker_seeds=1,
+    rates=(15.0, 30.0, 100.0), rate_seconds=2.0,
+)  # fmt: skip
 """For two cores: twenty independent operators, so that a direction that is there can be shown."""
 
-PUBLISHED: Final = Size(
-    name="published",
-    recordings=synthetic_operators(20, 500),
-    frames=500,
-    seeds=1,
-    samples=PUBLISHED_STARTS,
-    cycles=20,
-    rmsprop_starts=PUBLISHED_STARTS,
+QUICK: Final = replace(
+    DEFAULT,
+    name="quick", recordings=synthetic_operators(4, 100), frames=25,
+    samples=1024, cycles=10, rmsprop_starts=16, slsqp_starts=2, newton_starts=8,
+    steps=(0.003, 0.03), finals=(0.01,), sigmas=(0.1, 0.2), tuning_frames=20,
+    grid_samples=(256, 1024, 4096), grid_cycles=(5, 20, 80), grid_budget=20480, grid_frames=20,
+    fk_batches=(1, 64, 1024), fk_rounds=3, table_frames=60, latency_frames=20,
+    noise_frames=40, noises=(0.0, 2e-3), rates=(30.0, 100.0), rate_seconds=1.0,
+)  # fmt: skip
+"""For a test that it runs; its figures mean little."""
+
+PUBLISHED: Final = replace(
+    DEFAULT,
+    name="published", recordings=synthetic_operators(20, 500), frames=500,
+    samples=PUBLISHED_STARTS, rmsprop_starts=PUBLISHED_STARTS,
     slsqp_starts=64,  # NLopt runs one start after the other, whatever the machine
-    newton_starts=PUBLISHED_STARTS // 32,
-    steps=DEFAULT.steps,
-    finals=DEFAULT.finals,
-    sigmas=DEFAULT.sigmas,
-    tuning_frames=100,
-    grid_samples=(256, 512, 1024, 2048, 4096, 8192, 16384, 32768),
-    grid_cycles=(5, 10, 20, 40, 80, 160, 320),
-    grid_budget=655_360,
-    grid_frames=500,
-)
+    newton_starts=PUBLISHED_STARTS // 32, tuning_frames=100,
+    grid_samples=(*DEFAULT.grid_samples, 32768), grid_cycles=(*DEFAULT.grid_cycles, 320),
+    grid_budget=655_360, grid_frames=500,
+    table_frames=500, noise_frames=200, noises=(0.0, 0.5e-3, 1e-3, 2e-3, 5e-3),
+    losses=(0.0, 0.05, 0.1, 0.2), rates=(15.0, 30.0, 60.0, 100.0, 200.0), rate_seconds=5.0,
+)  # fmt: skip
 """N as published for sampling and RMSProp, less for SLSQP and Newton; for an accelerator."""
 
 
@@ -222,7 +217,6 @@ class ExperimentFolder:
 
     Args:
         folder: made if need be.
-        settings: what was asked for, as JSON has it.
         note: called with cells that can't be used.
 
     Attributes:
@@ -248,11 +242,11 @@ class ExperimentFolder:
 
     @property
     def machine(self) -> dict[str, Any]:
-        """What times depend on: processor, cores and device."""
+        """Facts that times depend on: processor, cores and device."""
         return {key: self.environment[key] for key in ("cpu", "cpu_cores", "device")}
 
     def experiment_folder(self, name: str) -> Path:
-        """Where an experiment's results stand; made if need be.
+        """Folder of an experiment's results; made if need be.
 
         Raises:
             OutputError: it can't be.
@@ -269,7 +263,7 @@ def experiment_code() -> str:
     """Digest of the code and the models that a cell depends on."""
     return research_digest(
         "hands", "objective", "solvers", "baselines/slsqp.py",
-        "paper/compared_solvers.py", "paper/solver_grid.py", "paper/rmsprop.py", "paper/runs.py",
+        "paper/compared_solvers.py", "paper/solver_grid.py", "paper/runs.py",
     )  # fmt: skip
 
 
@@ -282,7 +276,7 @@ class Drawing:
     """A figure.
 
     Attributes:
-        name: of its files, ``NAME.png`` and ``NAME.svg``.
+        name: name of its files, ``NAME.png`` and ``NAME.svg``.
         caption: what is seen.
         figure: matplotlib's.
     """
@@ -298,7 +292,7 @@ class Table:
 
     Attributes:
         title: above it.
-        headers: of the columns.
+        headers: headings of the columns.
         rows: cells.
         note: below it.
     """
@@ -349,6 +343,33 @@ class Experiment(Protocol):
         """
 
 
+EXPERIMENTS: Final[dict[str, tuple[str, str]]] = {
+    "fk": ("fk", "FkLibraries"),
+    "compute": ("compute", "Compute"),
+    "solver": ("solver", "SolverSwap"),
+    "velocity": ("solver", "VelocityTerm"),
+    "hessian": ("hessian", "HessianDirections"),
+    "table": ("table", "BenchmarkTable"),
+    "noise": ("sweeps", "TrackerNoise"),
+    "rate": ("sweeps", "FrameRate"),
+}
+"""Name -> module of this package and class in it, in the order of the report. A new experiment is a
+file and a line here."""
+
+
+def experiment(name: str) -> Experiment:
+    """An experiment by its name.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+    """
+    if name not in EXPERIMENTS:
+        raise UnknownNameError("experiment", name, EXPERIMENTS)
+    module, kind = EXPERIMENTS[name]
+    result: Experiment = getattr(import_module(f"smooth_operator_research.paper.{module}"), kind)()
+    return result
+
+
 TUNING_OPERATOR: Final = 1001
 """Seed of the built-in operator whose frames are tuned on, and never judged."""
 
@@ -365,7 +386,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def recordings_of(units: Sequence[str]) -> str:
-    """How many recordings there are, and how many of them are independent."""
+    """Number of recordings, and of independent ones among them."""
     alone = len(set(units))
     own = counted(len(units), "recording")
     return own if alone == len(units) else f"{own} ({alone} independent)"
@@ -387,7 +408,6 @@ def cell_job(
     """A cell to be computed, unless it is there already.
 
     Args:
-        label: for a person.
         key: what its content depends on, but for code; its ``kind`` begins the name of the file.
         effort: about how long it takes [ms]; only the proportions matter.
         compute: makes it.
@@ -417,7 +437,7 @@ class ExperimentContext:
 
     @property
     def recordings(self) -> str:
-        """How many recordings are judged, and how many of them are independent."""
+        """Number of judged recordings, and of independent ones among them."""
         return recordings_of([source.request.unit for source in self.sources])
 
     @property

@@ -23,13 +23,12 @@ from smooth_operator.reporting.report_page import (
     write_report_page,
 )
 from smooth_operator_research.paper.experiment import (
+    EXPERIMENTS,
     RESULTS,
     Experiment,
     ExperimentFolder,
     Outcome,
-    Table,
 )
-from smooth_operator_research.paper.registry import EXPERIMENTS
 from smooth_operator_research.paper.verdicts import RULES
 
 REPORT: Final = "report.html"
@@ -53,13 +52,6 @@ def write_outcome(
     store: ExperimentFolder, name: str, experiment: Experiment, outcome: Outcome, warning: str = ""
 ) -> Path:
     """Writes the outcome of an experiment.
-
-    Args:
-        store: the folder.
-        name: of the experiment.
-        experiment: the experiment.
-        outcome: of the experiment.
-        warning: what a reader must know before the verdicts.
 
     Returns:
         ``results.json``, written last: where it stands, the figures do.
@@ -185,23 +177,6 @@ def _picture(path: Path, caption: str) -> Html:
         return paragraph(f"{path.name} is missing: run the experiment again.", "warning")
     image = f'<img src="data:image/svg+xml;base64,{content}" alt="{escape(caption)}">'
     return element("figure", Html(f"{image}{element('figcaption', escape(caption))}"))
-
-
-def markdown(table: Table) -> str:
-    """A table as Markdown, its columns but the first to the right where they hold figures."""
-    numbers = [
-        all(
-            not row[i] or row[i].lstrip("*−+÷×<~ ")[:1].isdigit() or row[i] == "–"
-            for row in table.rows
-        )
-        for i in range(len(table.headers))
-    ]
-    ruler = ["---:" if i and right else "---" for i, right in enumerate(numbers)]
-    lines = [table.headers, None, *table.rows]
-    text = [
-        "|" + "|".join(ruler) + "|" if line is None else f"| {' | '.join(line)} |" for line in lines
-    ]
-    return "\n".join(text) + (f"\n\n{table.note}" if table.note else "")
 
 
 def verdict_lines(outcomes: Sequence[tuple[str, Outcome]]) -> list[tuple[str, str, str, str, str]]:

@@ -1,25 +1,21 @@
-"""Figures of the solver experiments: loss, jitter and time, solver by solver."""
+"""Figures of the experiments: dots with intervals, grids, lines over conditions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
-from smooth_operator.methods.registry import COLORS
-from smooth_operator.reporting.drawing import GRID, INK, MARKERS
-from smooth_operator_research.paper.compared_solvers import Newton, Rmsprop, Slsqp
-from smooth_operator_research.paper.comparison import Comparison
-from smooth_operator_research.paper.fk_libraries import LIBRARIES
-from smooth_operator_research.paper.intervals import Estimate
-from smooth_operator_research.paper.solver_grid import TUNED, Point
+from smooth_operator.reporting.drawing import COLORS, GRID, INK, MARKERS
+from smooth_operator_research.paper.solver_grid import Point
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from smooth_operator_research.paper.intervals import Estimate
 
 FAMILY_COLORS: Final = {
     "sampling": "#0072b2",
@@ -27,81 +23,33 @@ FAMILY_COLORS: Final = {
     "rmsprop": "#009e73",
     "newton": "#cc79a7",
 }
-"""Of Okabe and Ito's palette, which colour-blind readers can distinguish."""
+"""Colours of Okabe and Ito's palette, which colour-blind readers can distinguish."""
 
 FAMILY_MARKERS: Final = {"sampling": "o", "slsqp": "s", "rmsprop": "^", "newton": "D"}
 """Shapes, so that nothing depends on colour alone."""
 
-_PANELS: Final = (
-    ("loss", 1.0, "tracking loss [–]"),
-    ("jitter", 1e3, "joint jitter [mrad]"),
-    ("frame_ms", 1.0, "time a frame [ms]"),
-)
+
+def dot(
+    ax: Axes, y: float, mean: Estimate, each: Sequence[float] | np.ndarray, factor: float,
+    style: Mapping[str, Any], *, bar: bool = True,
+) -> None:  # fmt: skip
+    """A mean with its interval, and a tick for each recording."""
+    color, own = style["color"], factor * np.asarray(each)
+    ax.plot(own, [y] * len(own), "|", color=color, markersize=6, alpha=0.55, zorder=2)
+    if bar and mean.low is not None and mean.high is not None:
+        ax.plot([factor * mean.low, factor * mean.high], [y, y], color=color, linewidth=1.4,
+                zorder=3)  # fmt: skip
+    ax.plot(factor * mean.value, y, zorder=4, **{"linestyle": "", **style})
 
 
-def comparison_figure(several: Sequence[Comparison]) -> Figure:
-    """Dots with intervals: a row for each solver, a panel for each figure; logarithmic.
-
-    Args:
-        several: one, or the one without and the one with a velocity term.
-    """
-    from matplotlib.figure import Figure
-
-    labels = list(dict.fromkeys(label for comparison in several for label in comparison.runs))
-    height = 1.25 + 0.36 * len(labels)
-    figure = Figure(figsize=(9.6, height))
-    axes = figure.subplots(1, len(_PANELS), sharey=True)
-    figure.subplots_adjust(
-        left=0.145, right=0.985, top=1 - 0.2 / height, bottom=0.85 / height, wspace=0.09
-    )
-    for ax, (metric, factor, title) in zip(axes, _PANELS, strict=True):
-        for k, comparison in enumerate(several):
-            offset = 0.0 if len(several) == 1 else (-0.17, 0.17)[k]
-            for row, label in enumerate(labels):
-                if label not in comparison.runs:
-                    continue
-                _dot(ax, comparison, label, metric, factor, row + offset, k == len(several) - 1)
-        ax.set_xscale("log")
-        plain_log(ax.xaxis)
-        ax.set_xlabel(title)
-        ax.set_ylim(len(labels) - 0.5, -0.5)
-        ax.set_yticks(range(len(labels)), labels)
-        ax.tick_params(axis="y", length=0)
-        ax.grid(visible=False, axis="y")
-        for row in range(1, len(labels), 2):
-            ax.axhspan(row - 0.5, row + 0.5, color=INK, alpha=0.045, linewidth=0)
-    if len(several) > 1:
-        from matplotlib.lines import Line2D
-
-        empty: dict[str, Any] = {"color": INK, "linestyle": "", "marker": "o"}
-        entries = [("without velocity term", "white"),
-                (f"with w_v = {several[-1].velocity_weight:g}", INK)]  # fmt: skip
-        figure.legend(
-            handles=[
-                Line2D([], [], markerfacecolor=face, label=text, **empty)
-                for text, face in entries
-            ],
-            loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=1, fontsize=8,
-        )  # fmt: skip
-    return figure
-
-
-def _dot(
-    ax: Axes, comparison: Comparison, label: str, metric: str, factor: float, y: float, filled: bool
-) -> None:
-    family = comparison.solver_grid.solvers[label].family
-    color = FAMILY_COLORS[family]
-    mean = comparison.mean(label, metric)
-    each = factor * comparison.samples(label, metric).means
-    ax.plot(each, [y] * len(each), "|", color=color, markersize=6, alpha=0.55, zorder=2)
-    if mean.low is not None and mean.high is not None and metric != "frame_ms":
-        ax.plot(
-            [factor * mean.low, factor * mean.high], [y, y], color=color, linewidth=1.4, zorder=3
-        )
-    ax.plot(
-        factor * mean.value, y, FAMILY_MARKERS[family], color=color, markersize=6.5, zorder=4,
-        markerfacecolor=color if filled else "white", markeredgewidth=1.3,
-    )  # fmt: skip
+def name_rows(ax: Axes, labels: Sequence[str]) -> None:
+    """Names on the vertical axis, every other row shaded."""
+    ax.set_ylim(len(labels) - 0.5, -0.5)
+    ax.set_yticks(range(len(labels)), labels)
+    ax.tick_params(axis="y", length=0)
+    ax.grid(visible=False, axis="y")
+    for row in range(1, len(labels), 2):
+        ax.axhspan(row - 0.5, row + 0.5, color=INK, alpha=0.045, linewidth=0)
 
 
 def plain_log(axis: object) -> None:
@@ -119,10 +67,6 @@ def plain_log(axis: object) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _FLOOR: Final = 0.003
 """Less above the best cell than this is drawn as this [%]: differences there are chance."""
@@ -223,77 +167,9 @@ def _lines(ax: Axes, means: Mapping[Point, Estimate], lines: Sequence[Sequence[P
 
 
 def _excess(mean: Estimate, best: float) -> float:
-    """How much a loss is above the best cell's [%]."""
+    """Excess of a loss over the best cell's [%]."""
     return 100 * (mean.value / best - 1)
 
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-def hessian_figure(
-    several: Sequence[Comparison],
-    ranked: Sequence[dict[str, list[list[Float[np.ndarray, " m"]]]]],
-    spectra: Sequence[Float[np.ndarray, "T m"]],
-) -> Figure:
-    """Jitter by rank, without and with the velocity term, and the spectrum.
-
-    Args:
-        several: the solvers without and with the term.
-        ranked: for each, label -> recording -> seed -> (m,) jitter along each rank [rad].
-        spectra: (T, m) eigenvalues of each recording, ascending.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.2, 4.0))
-    axes = figure.subplots(1, 3, width_ratios=(1.15, 1.15, 0.9))
-    figure.subplots_adjust(left=0.065, right=0.985, top=0.92, bottom=0.3, wspace=0.3)
-    axes[1].sharey(axes[0])
-    for ax, comparison, by_rank in zip(axes, several, ranked, strict=False):
-        for label, recordings in by_rank.items():
-            if label == TUNED:
-                continue  # its settings are near the published ones; it is in the tables
-            one = comparison.solver_grid.solvers[label]
-            many = isinstance(one, (Slsqp, Rmsprop, Newton)) and one.starts.count > 1
-            mean = np.mean([np.mean(seeds, axis=0) for seeds in recordings], axis=0)
-            ranks = np.arange(1, len(mean) + 1)
-            ax.plot(
-                ranks, 1e3 * mean, color=FAMILY_COLORS[one.family], label=label, linewidth=1.3,
-                marker=FAMILY_MARKERS[one.family], markersize=4.2, linestyle="--" if many else "-",
-                markerfacecolor="white" if many else FAMILY_COLORS[one.family],
-            )  # fmt: skip
-        ax.set_yscale("log")
-        ax.set_xlabel("eigenvector rank, 1 = flattest")
-        weight = comparison.velocity_weight
-        ax.set_title(f"with w_v = {weight:g}" if weight else "without velocity term")
-        ax.set_xticks(ranks[::3])
-    axes[0].set_ylabel("jitter along the eigenvector [mrad]")
-    plain_log(axes[0].yaxis)
-    values = np.concatenate([np.asarray(own) for own in spectra])
-    low, middle, high = np.percentile(values, [10, 50, 90], axis=0)
-    ax = axes[2]
-    ranks = np.arange(1, values.shape[1] + 1)
-    floor = max(float(np.min(middle[middle > 0], initial=1.0)) / 30, 1e-12)
-    ax.fill_between(ranks, np.maximum(low, floor), np.maximum(high, floor), color=INK, alpha=0.15,
-                    linewidth=0, label="central 80 %")  # fmt: skip
-    ax.plot(ranks, np.maximum(middle, floor), color=INK, linewidth=1.4, label="median")
-    ax.set_yscale("log")
-    plain_log(ax.yaxis)
-    ax.set_xlabel("eigenvector rank, 1 = flattest")
-    ax.set_ylabel("eigenvalue of the Hessian [1/rad²]")
-    ax.set_title("how stiff the directions are")
-    ax.set_xticks(ranks[::3])
-    ax.legend(fontsize=8, loc="upper left")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncols=4, fontsize=8
-    )
-    return figure
-
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _LIBRARY_COLORS: Final = ("#0072b2", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7f8790")
 _SPARE: Final = ("#7a68c7", "#6b9c2f", "#7f8790")
@@ -301,7 +177,7 @@ _SPARE: Final = ("#7a68c7", "#6b9c2f", "#7f8790")
 
 @dataclass(frozen=True)
 class Look:
-    """How a method is drawn: presets of one method share a colour and differ by line and fill."""
+    """Style of a method: presets of one method share a colour and differ by line and fill."""
 
     color: str
     marker: str
@@ -339,6 +215,7 @@ def fk_figure(
     mean: Callable[[str, int], Estimate],
     names: Sequence[str],
     gaps: Mapping[str, str],
+    libraries: Sequence[str],
 ) -> Figure:
     """Time a pose over the size of the batch, a line for each library; gaps are named."""
     from matplotlib.figure import Figure
@@ -348,7 +225,7 @@ def fk_figure(
     ax = figure.add_axes((0.105, 0.2, 0.525, 0.775))
     handles = []
     for name in [*names, *gaps]:
-        i = LIBRARIES.index(name)  # a library looks alike whichever others are missing
+        i = libraries.index(name)  # a library looks alike whichever others are missing
         look = Look(
             _LIBRARY_COLORS[i % len(_LIBRARY_COLORS)] if name not in gaps else GRID,
             MARKERS[i], "," not in name,
@@ -371,17 +248,9 @@ def fk_figure(
     return figure
 
 
-@dataclass(frozen=True)
-class Row:
-    """A row of panels.
-
-    Attributes:
-        metric: which figure.
-        factor: to the unit of the axis.
-        title: of the axis.
-        log: is it logarithmic?
-        human: name -> figure of the human that is drawn with the methods.
-    """
+class Row(NamedTuple):
+    """A row of panels: a metric, its factor to the unit of the axis, the axis; and name -> figure
+    of the human that is drawn with the methods."""
 
     metric: str
     factor: float
@@ -390,17 +259,9 @@ class Row:
     human: Mapping[str, str] | None = None
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of panels.
-
-    Attributes:
-        title: of the axis.
-        places: where each condition stands on it.
-        conditions: as the sweep knows them.
-        log: is it logarithmic?
-        marks: what stands at each place; its number where there are none.
-    """
+class Column(NamedTuple):
+    """A column of panels: the axis, the place of each condition on it, the conditions as the sweep
+    knows them, and marks at the places if their numbers won't do."""
 
     title: str
     places: Sequence[float]
@@ -409,7 +270,7 @@ class Column:
     marks: Sequence[str] = ()
 
 
-Mean = Callable[[str, Any, str], "Estimate | None"]
+Mean: TypeAlias = "Callable[[str, Any, str], Estimate | None]"
 
 
 def sweep_figure(
@@ -508,17 +369,16 @@ def _line(
     ax.plot([x for x, _ in points], [factor * e.value for _, e in points], zorder=3, **look.line)
 
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """One metric of the benchmark's table.
 
     Attributes:
-        title: of the axis.
+        title: title of the axis.
         log: is it logarithmic?
         factor: to the unit of the axis.
         means: method -> our figure.
-        each: method -> those of the recordings.
-        paper: method -> the paper's.
+        each: method -> figures of the recordings.
+        paper: method -> figure of the paper.
         goal: where the best is, or None.
     """
 
@@ -548,31 +408,19 @@ def table_figure(panels: Sequence[Panel], labels: Sequence[str]) -> Figure:
     )  # fmt: skip
     for ax, panel in zip(axes.flat, panels, strict=False):
         for y, label in enumerate(labels):
-            mean, look = panel.means[label], looks[label]
             if label in panel.paper:
                 ax.plot(panel.factor * panel.paper[label], y, "D", color=INK, markersize=8,
                         markerfacecolor="none", markeredgewidth=1.0, zorder=2)  # fmt: skip
-            if mean is None:
-                continue
-            own = [panel.factor * value for value in panel.each[label]]
-            ax.plot(own, [y] * len(own), "|", color=look.color, markersize=6, alpha=0.55)
-            if mean.low is not None and mean.high is not None:
-                ends = [panel.factor * mean.low, panel.factor * mean.high]
-                ax.plot(ends, [y, y], color=look.color, linewidth=1.4, zorder=3)
-            dot = {**look.line, "linestyle": "", "markersize": 6.0}
-            ax.plot(panel.factor * mean.value, y, zorder=4, **dot)
+            if (mean := panel.means[label]) is not None:
+                style = {**looks[label].line, "linestyle": "", "markersize": 6.0}
+                dot(ax, y, mean, panel.each[label], panel.factor, style)
         if panel.log:
             ax.set_xscale("log")
             plain_log(ax.xaxis)
         if panel.goal is not None:
             ax.axvline(panel.goal, color=GRID, linewidth=1.0, linestyle=(0, (4, 3)))
         ax.set_xlabel(panel.title)
-        ax.set_ylim(len(labels) - 0.4, -0.6)
-        ax.set_yticks(range(len(labels)), labels)
-        ax.tick_params(axis="y", length=0)
-        ax.grid(visible=False, axis="y")
-        for y in range(1, len(labels), 2):
-            ax.axhspan(y - 0.5, y + 0.5, color=INK, alpha=0.045, linewidth=0)
+        name_rows(ax, labels)
     keys = [
         Line2D([], [], color=INK, linestyle="", marker="o", label="here, mean of recordings"),
         Line2D([], [], color=INK, linestyle="", marker="|", label="here, each recording"),

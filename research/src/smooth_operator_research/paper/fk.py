@@ -1,22 +1,34 @@
-"""Experiment ``fk``: libraries of forward kinematics over the size of the batch."""
+"""Experiment ``fk``: libraries of forward kinematics over the size of the batch.
+
+Each is given the same positions of all joints, prepared beforehand in the form that it likes best:
+what is timed is kinematics, and not the way to it.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import io
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
+from xml.sax.saxutils import quoteattr
 
+import jax
+import jax.numpy as jnp
+import mujoco
 import numpy as np
+from jaxtyping import Array, Float
 
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.quality import Watch
 from smooth_operator.lab.offline.finished import digest
-from smooth_operator_research.paper import fk_libraries
 from smooth_operator_research.paper.experiment import (
     Drawing,
     ExperimentContext,
@@ -25,23 +37,6 @@ from smooth_operator_research.paper.experiment import (
     cell_job,
 )
 from smooth_operator_research.paper.figures import fk_figure
-from smooth_operator_research.paper.fk_libraries import (
-    AGREEMENT,
-    LIBRARIES,
-    MJX,
-    MUJOCO,
-    OURS,
-    PINOCCHIO,
-    PYTORCH,
-    Library,
-    Run,
-    disagreement,
-    library_version,
-    make_library,
-    missing,
-    random_poses,
-    write_urdf,
-)
 from smooth_operator_research.paper.intervals import (
     Estimate,
     Samples,
@@ -49,8 +44,353 @@ from smooth_operator_research.paper.intervals import (
     independent,
     typical,
 )
-from smooth_operator_research.paper.more_sizes import more_size
 from smooth_operator_research.paper.verdicts import Direction, Verdict, judge
+
+ROOT: Final = "palm"
+"""Name of the link that is the frame of all positions."""
+
+_LIMIT: Final = 100.0  # beyond any joint's; limits are not what is compared [rad or m]
+
+_INERTIAL: Final = (
+    '<inertial><mass value="0.01"/><inertia ixx="1e-5" ixy="0" ixz="0" iyy="1e-5" iyz="0" '
+    'izz="1e-5"/></inertial>'
+)
+"""Some readers refuse moving links without a mass."""
+
+
+@dataclass(frozen=True, eq=False)
+class Urdf:
+    """A hand for other libraries.
+
+    Attributes:
+        text: the file.
+        joints: (n,) names in it of the hand's joints, in the hand's order.
+        zero: (n,) position of each joint in the hand where it is 0 here [rad].
+        tips: (F,) names of the links whose origins are the fingertips, thumb first.
+    """
+
+    text: str
+    joints: tuple[str, ...]
+    zero: Float[np.ndarray, " n"]
+    tips: tuple[str, ...]
+
+
+def write_urdf(hand: Hand) -> Urdf:
+    """The hand's joints below the palm; coupled ones are joints like any other."""
+    model, parts = hand.model, [f'<link name="{ROOT}"/>']
+    palm = int(model.body(hand.spec.palm).id)
+    at: dict[int, tuple[str, np.ndarray]] = {palm: (ROOT, np.eye(4))}
+    names: dict[int, str] = {}
+    for body in np.flatnonzero(hand.bodies):
+        parent = int(model.body_parentid[body])
+        if body == palm or parent not in at:
+            continue
+        link, inside = at[parent]
+        inside = inside @ _pose(model.body_pos[body], model.body_quat[body])
+        first = int(model.body_jntadr[body])
+        for joint in range(first, first + int(model.body_jntnum[body])):
+            name, moved = f"joint_{joint}", f"link_{joint}"
+            anchor = _moved(model.jnt_pos[joint])
+            slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+            parts += [
+                f'<link name="{moved}">{_INERTIAL}</link>',
+                _joint(name, "prismatic" if slides else "revolute", link, moved, inside @ anchor,
+                       model.jnt_axis[joint]),
+            ]  # fmt: skip
+            names[joint] = name
+            link, inside = moved, np.linalg.inv(anchor)
+        at[int(body)] = (link, inside)
+    tips = []
+    for finger in hand.spec.fingers:
+        tip = finger.tip.mirrored if hand.spec.mirror else finger.tip
+        link, inside = at[int(model.body(tip.body).id)]
+        name = f"tip_{finger.name}"
+        parts += [
+            f"<link name={quoteattr(name)}/>",
+            _joint(f"fixed_{finger.name}", "fixed", link, name, inside @ _moved(tip.offset)),
+        ]
+        tips.append(name)
+    joints = [int(model.joint(name).id) for name in hand.joint_names]
+    zero = np.array([model.qpos0[model.jnt_qposadr[joint]] for joint in joints], float)
+    text = f'<robot name="hand">{"".join(parts)}</robot>'
+    return Urdf(text, tuple(names[joint] for joint in joints), zero, tuple(tips))
+
+
+def _joint(
+    name: str,
+    kind: str,
+    parent: str,
+    child: str,
+    pose: Float[np.ndarray, "4 4"],
+    axis: Float[np.ndarray, "3"] | None = None,
+) -> str:
+    from scipy.spatial.transform import Rotation
+
+    angles = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz")  # about fixed axes, as URDF has it
+    more = "" if axis is None else (
+        f'<axis xyz="{_numbers(axis)}"/>'
+        f'<limit lower="{-_LIMIT}" upper="{_LIMIT}" effort="1" velocity="1"/>'
+    )  # fmt: skip
+    return (
+        f"<joint name={quoteattr(name)} type={quoteattr(kind)}>"
+        f'<origin xyz="{_numbers(pose[:3, 3])}" rpy="{_numbers(angles)}"/>'
+        f"<parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>{more}</joint>"
+    )
+
+
+def _numbers(values: Float[np.ndarray, "3"]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _pose(position: Float[np.ndarray, "3"], quat: Float[np.ndarray, "4"]) -> np.ndarray:
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(quat, float))
+    pose = _moved(position)
+    pose[:3, :3] = matrix.reshape(3, 3)
+    return pose
+
+
+def _moved(position: Float[np.ndarray, "3"] | tuple[float, ...]) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, 3] = position
+    return pose
+
+
+AGREEMENT: Final = 1e-5
+"""Fingertips that differ by less are the same [m]; float32 is good to about 1e-7."""
+
+OURS: Final = "smooth-operator"
+BOUNDED: Final = "smooth-operator, within limits"
+MJX: Final = "MJX"
+PINOCCHIO: Final = "Pinocchio"
+PYTORCH: Final = "PyTorch Kinematics"
+MUJOCO: Final = "MuJoCo C"
+
+_NEEDS: Final = {
+    OURS: (("jax",), "jax"),
+    BOUNDED: (("jax",), "jax"),
+    MJX: (("mujoco.mjx",), "mujoco-mjx"),
+    PINOCCHIO: (("pinocchio",), "pin"),
+    PYTORCH: (("torch", "pytorch_kinematics"), "pytorch-kinematics"),
+    MUJOCO: (("mujoco",), "mujoco"),
+}
+"""Library -> modules that it needs, and the distribution that brings them."""
+
+LIBRARIES: Final = tuple(_NEEDS)
+
+Run = Callable[[], Any]
+"""Computes the fingertips of the prepared poses, and returns when they are there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Library:
+    """Forward kinematics of one hand.
+
+    Attributes:
+        name: one of ``LIBRARIES``.
+        prepare: (N, n) positions of all joints [rad] -> what is timed.
+        read: what that returns -> (N, F, 3) fingertips in the palm frame [m].
+    """
+
+    name: str
+    prepare: Callable[[Float[np.ndarray, "N n"]], Run]
+    read: Callable[[Any], Float[np.ndarray, "N F 3"]]
+
+    def tips(self, q: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N F 3"]:
+        """Fingertips of some poses [m]."""
+        return self.read(self.prepare(q)())
+
+
+def missing(name: str) -> str | None:
+    """Why a library can't be used here, for a person; None if it can."""
+    modules, distribution = _NEEDS[name]
+    for module in modules:
+        try:
+            with contextlib.redirect_stdout(io.StringIO()):  # MJX lists what it can do without
+                importlib.import_module(module)
+        except ImportError as error:
+            absent = isinstance(error, ModuleNotFoundError) and (
+                (error.name or "").partition(".")[0] == module.partition(".")[0]
+                or error.name == module
+            )
+            return "not installed" if absent else f"{distribution} can't be imported: {error}"
+    return None
+
+
+def library_version(name: str) -> str:
+    """Version of the distribution; ``unknown`` where it has none."""
+    try:
+        return version(_NEEDS[name][1])
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def make_library(name: str, hand: Hand) -> Library:
+    """A library ready for a hand.
+
+    Args:
+        name: one of ``LIBRARIES``, for which ``missing`` found nothing.
+    """
+    if name in (OURS, BOUNDED):
+        return _own_program(hand, name)
+    return {MJX: _mjx, PINOCCHIO: _pinocchio, PYTORCH: _pytorch, MUJOCO: _mujoco}[name](hand)
+
+
+def random_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "N n"]:
+    """(N, n) random positions of all joints [rad], within the limits, couplings respected."""
+    low, high = hand.limits.T
+    rng = np.random.default_rng(seed)
+    return hand.full_configuration(rng.uniform(low, high, (count, len(low))))
+
+
+def disagreement(library: Library, hand: Hand, q: Float[np.ndarray, "N n"]) -> float:
+    """Largest distance of a fingertip from MuJoCo's own [m]; NaN where one is not finite."""
+    truth = _mujoco(hand).tips(q)
+    return float(np.linalg.norm(library.tips(q) - truth, axis=-1).max())
+
+
+def _own_program(hand: Hand, name: str) -> Library:
+    bounded, tips = name == BOUNDED, len(hand.tip_names)
+
+    def positions(q: Array) -> Array:
+        points = hand.tree.forward_kinematics(list(q), hand.tip_names, within_limits=bounded)
+        return jnp.stack([jnp.broadcast_to(c, q.shape[1:]) for p in points for c in p])
+
+    compiled = jax.jit(positions)
+
+    def prepare(q: np.ndarray) -> Run:
+        there = jnp.asarray(np.ascontiguousarray(q.T), jnp.float32)  # batch last
+        return lambda: compiled(there).block_until_ready()
+
+    def read(points: Array) -> np.ndarray:
+        return np.asarray(points, float).T.reshape(-1, tips, 3)
+
+    return Library(name, prepare, read)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tips:
+    """Fingertips in the compiled model, and its palm in the world."""
+
+    bodies: np.ndarray  # (F,)
+    offsets: np.ndarray  # (F, 3) in the body's frame [m]
+    rotation: np.ndarray  # (3, 3) of the palm
+    origin: np.ndarray  # (3,) of the palm [m]
+
+    @classmethod
+    def of(cls, hand: Hand) -> _Tips:
+        tips = [f.tip.mirrored if hand.spec.mirror else f.tip for f in hand.spec.fingers]
+        data = mujoco.MjData(hand.model)
+        mujoco.mj_kinematics(hand.model, data)  # what carries the palm stays where it is
+        palm = int(hand.model.body(hand.spec.palm).id)
+        return cls(
+            np.array([hand.model.body(tip.body).id for tip in tips]),
+            np.array([tip.offset for tip in tips]),
+            data.xmat[palm].reshape(3, 3).copy(),
+            data.xpos[palm].copy(),
+        )
+
+    def read(self, world: Any) -> np.ndarray:
+        return np.asarray((np.asarray(world, float) - self.origin) @ self.rotation)
+
+
+def _mjx(hand: Hand) -> Library:
+    from mujoco import mjx
+
+    tips, model = _Tips.of(hand), mjx.put_model(hand.model)
+    data = mjx.make_data(model)
+
+    def one(q: Array) -> Array:
+        moved = mjx.kinematics(model, data.replace(qpos=q))
+        turned = jnp.einsum("fij,fj->fi", moved.xmat[tips.bodies], tips.offsets)
+        world: Array = moved.xpos[tips.bodies] + turned
+        return world
+
+    compiled = jax.jit(jax.vmap(one))
+
+    def prepare(q: np.ndarray) -> Run:
+        there = jnp.asarray(hand.qpos(q), jnp.float32)
+        return lambda: compiled(there).block_until_ready()
+
+    return Library(MJX, prepare, tips.read)
+
+
+def _mujoco(hand: Hand) -> Library:
+    tips, model = _Tips.of(hand), hand.model
+    data = mujoco.MjData(model)
+    qpos, xpos, xmat = data.qpos, data.xpos, data.xmat  # views: the loop pays for little but C
+
+    def prepare(q: np.ndarray) -> Run:
+        whole = hand.qpos(q)
+        points, matrices = np.empty((len(q), *xpos.shape)), np.empty((len(q), *xmat.shape))
+
+        def run() -> np.ndarray:
+            for i, pose in enumerate(whole):
+                qpos[:] = pose
+                mujoco.mj_kinematics(model, data)
+                points[i], matrices[i] = xpos, xmat
+            turn = matrices[:, tips.bodies].reshape(len(q), -1, 3, 3)
+            return np.asarray(
+                points[:, tips.bodies] + np.einsum("nfij,fj->nfi", turn, tips.offsets)
+            )
+
+        return run
+
+    return Library(MUJOCO, prepare, tips.read)
+
+
+def _pinocchio(hand: Hand) -> Library:
+    import pinocchio
+
+    urdf = write_urdf(hand)
+    model = pinocchio.buildModelFromXML(urdf.text)
+    data = model.createData()
+    at = [model.joints[model.getJointId(name)].idx_q for name in urdf.joints]
+    places = [data.oMf[model.getFrameId(name)] for name in urdf.tips]
+
+    def prepare(q: np.ndarray) -> Run:
+        there = np.zeros((len(q), model.nq))
+        there[:, at] = q - urdf.zero
+        points = np.empty((len(q), len(places), 3))
+
+        def run() -> np.ndarray:
+            for i, pose in enumerate(there):
+                pinocchio.framesForwardKinematics(model, data, pose)
+                for k, place in enumerate(places):
+                    points[i, k] = place.translation
+            return points
+
+        return run
+
+    return Library(PINOCCHIO, prepare, lambda points: np.array(points))
+
+
+def _pytorch(hand: Hand) -> Library:
+    import pytorch_kinematics
+    import torch
+
+    urdf = write_urdf(hand)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    chain = pytorch_kinematics.build_chain_from_urdf(urdf.text.encode())
+    chain = chain.to(dtype=torch.float32, device=device)
+    order = [urdf.joints.index(name) for name in chain.get_joint_parameter_names()]
+    frames = chain.get_frame_indices(*urdf.tips)
+
+    def prepare(q: np.ndarray) -> Run:
+        there = torch.tensor((q - urdf.zero)[:, order], dtype=torch.float32, device=device)
+
+        def run() -> Any:
+            with torch.no_grad():
+                poses = chain.forward_kinematics(there, frames)
+                points = torch.stack([poses[tip].get_matrix()[:, :3, 3] for tip in urdf.tips], 1)
+            if device == "cuda":
+                torch.cuda.synchronize()
+            return points
+
+        return run
+
+    return Library(PYTORCH, prepare, lambda points: points.cpu().numpy().astype(float))
+
 
 INSTALL: Final = 'python -m pip install "./research[fk]"'
 """Command that installs the compared libraries, in a clone."""
@@ -63,7 +403,7 @@ CHECKED: Final = 200
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """What was measured.
+    """Measured times.
 
     Attributes:
         batches: sizes.
@@ -89,7 +429,7 @@ class Timing:
         return typical(self.rounds(library, batch))
 
     def over(self, slow: str, fast: str, batch: int) -> Estimate:
-        """How many times as long one takes as another, round by round."""
+        """Ratio of the times of two libraries, round by round."""
         return contrast(self.rounds(slow, batch), self.rounds(fast, batch), "ratio")
 
 
@@ -110,7 +450,7 @@ class FkLibraries:
             "library likes best; the model of Pinocchio and PyTorch Kinematics is URDF that is "
             "written from the compiled one. Before the clock starts each must agree with MuJoCo's "
             f"own kinematics on {CHECKED} poses to {1e6 * AGREEMENT:g} µm. Warm; libraries take "
-            f"turns, {more_size(context).fk_rounds} rounds, and are compared round by round; a "
+            f"turns, {context.size.fk_rounds} rounds, and are compared round by round; a "
             f"round is the median of the calls in {1e3 * SLICE_S:g} ms. Intervals are over the "
             "rounds of this run on this machine, and say nothing of another. Ours, MJX and PyTorch "
             f"Kinematics compute in float32 and on as many threads as they like ({device}); "
@@ -125,7 +465,9 @@ class FkLibraries:
                     "Time a pose over the size of the batch; lower is faster. Bars: 95 % intervals "
                     "over rounds, mostly smaller than the marks. Libraries that are missing here "
                     "are named.",
-                    fk_figure(timing.batches, timing.mean, list(timing.per_pose), timing.gaps),
+                    fk_figure(
+                        timing.batches, timing.mean, list(timing.per_pose), timing.gaps, LIBRARIES
+                    ),
                 )
             ],
             {
@@ -147,7 +489,7 @@ def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
 
     def key(kind: str, names: Sequence[str], **more: Any) -> dict[str, Any]:
         versions = {name: library_version(name) for name in names}
-        model = [write_urdf(hand).text, to_json(hand.limits), digest(Path(fk_libraries.__file__))]
+        model = [write_urdf(hand).text, to_json(hand.limits), digest(Path(__file__))]
         return {
             "kind": kind,
             "libraries": versions,
@@ -172,7 +514,7 @@ def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
             gaps[name] = f"its fingertips are up to {error:.1e} m from MuJoCo's, so it is not timed"
     here = [name for name in here if name not in gaps]
 
-    size = more_size(context)
+    size = context.size
 
     def timed(batch: int, advance: Callable[[float], None]) -> dict[str, np.ndarray]:
         poses = random_poses(hand, batch, 1)

@@ -14,7 +14,8 @@ from jaxtyping import Float, Int
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.lab.benchmark.cells import (
     Cell,
     Choice,
@@ -75,7 +76,7 @@ class DegradedRecording:
 
     @property
     def digest(self) -> str:
-        """Of what is seen, as one word."""
+        """Digest of what the method receives."""
         assert self.seen.valid is not None  # filled in on construction
         points = np.where(self.seen.valid[..., None], self.seen.landmarks, np.nan)
         total = hashlib.sha256(self.seen.side.encode())
@@ -102,7 +103,7 @@ def middle(recording: HandRecording, frames: int) -> HandRecording:
 
 
 def through_tracker(source: Source, clean: HandRecording, model: TrackerModel) -> DegradedRecording:
-    """What a tracker with noise and losses makes of a recording.
+    """A recording behind a tracker with noise and losses.
 
     A lost frame stays in its place without a valid landmark, as a loop meets it that has to send a
     command anyway. The recording's own noise, where a real tracker made it, is in both.
@@ -131,7 +132,6 @@ def at_rate(source: Source, rate_hz: float, seconds: float) -> DegradedRecording
     recording the frames nearest to the ticks are taken with their own stamps.
 
     Args:
-        source: the recording.
         rate_hz: frames a second.
         seconds: how much of its middle.
 
@@ -189,7 +189,7 @@ LONGEST_S: Final = 0.25
 """Longest delay that is looked for [s]; a result near it means that or more."""
 
 EARLIEST_S: Final = 0.04
-"""How far before the human the robot is looked for [s], so that a lag of nothing is no edge."""
+"""Longest time by which the robot may be ahead of the human [s]; so a lag of nothing is no edge."""
 
 _STEP_S: Final = 0.002
 _SHORTEST_S: Final = 0.2  # of overlap; less correlates by chance
@@ -428,7 +428,7 @@ class Sweep:
 
     Attributes:
         conditions: in their order; what they are is the experiment's.
-        labels: of the methods.
+        labels: names of the methods.
         measured: (label, condition, recording) -> one set of figures for each seed.
         human: (condition, recording) -> the same of the human.
         units: name of a recording -> the independent unit that it belongs to.
@@ -501,9 +501,6 @@ def run_sweep(
     """Runs what is missing.
 
     Args:
-        context: the recordings, the size and the folder.
-        name: of the phase, for the display.
-        field: the methods.
         inputs: (condition, recording) -> one degraded recording for each seed.
         timing: measure the lag, too.
     """

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Final
 
 import jax
 import numpy as np
@@ -12,8 +12,9 @@ from jaxtyping import Float
 
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.reporting.drawing import INK
 from smooth_operator.result_cache import Job
-from smooth_operator_research.paper.comparison import Comparison, compare_solvers, setup_of
+from smooth_operator_research.paper.compared_solvers import Newton, Rmsprop, Slsqp
 from smooth_operator_research.paper.experiment import (
     Compute,
     Drawing,
@@ -22,12 +23,20 @@ from smooth_operator_research.paper.experiment import (
     Table,
     cell_job,
 )
-from smooth_operator_research.paper.figures import hessian_figure
+from smooth_operator_research.paper.figures import FAMILY_COLORS, FAMILY_MARKERS, plain_log
 from smooth_operator_research.paper.intervals import Estimate, Samples, contrast, pooled, typical
-from smooth_operator_research.paper.problems import Problem
-from smooth_operator_research.paper.solver_grid import NEWTON, SAMPLING
-from smooth_operator_research.paper.velocity import VELOCITY_WEIGHT
+from smooth_operator_research.paper.runs import Problem
+from smooth_operator_research.paper.solver import (
+    VELOCITY_WEIGHT,
+    Comparison,
+    compare_solvers,
+    setup_of,
+)
+from smooth_operator_research.paper.solver_grid import NEWTON, SAMPLING, SLSQP, TUNED
 from smooth_operator_research.paper.verdicts import Direction, Equality, Verdict, judge
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FLOAT64_STEP: Final = 1e-6
 """Step of the finite differences [rad]."""
@@ -49,7 +58,7 @@ class HessianDirections:
         """See ``Experiment``."""
         without, held = compare_solvers(context, 0.0), compare_solvers(context, VELOCITY_WEIGHT)
         # Where all are looked at: along DexPilot's own answers, single-start SLSQP's.
-        centres = [seeds[0].q for seeds in without.runs[without.solver_grid.slsqp]]
+        centres = [seeds[0].q for seeds in without.runs[SLSQP]]
         jobs = [_job(problem, q) for problem, q in zip(without.problems, centres, strict=True)]
         cells = context.finish("Hessians", jobs)
         spectra = [cell["values"] for cell in cells]
@@ -87,6 +96,65 @@ class HessianDirections:
         )  # fmt: skip
 
 
+def hessian_figure(
+    several: Sequence[Comparison],
+    ranked: Sequence[dict[str, list[list[Float[np.ndarray, " m"]]]]],
+    spectra: Sequence[Float[np.ndarray, "T m"]],
+) -> Figure:
+    """Jitter by rank, without and with the velocity term, and the spectrum.
+
+    Args:
+        ranked: for each, label -> recording -> seed -> (m,) jitter along each rank [rad].
+        spectra: (T, m) eigenvalues of each recording, ascending.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.2, 4.0))
+    axes = figure.subplots(1, 3, width_ratios=(1.15, 1.15, 0.9))
+    figure.subplots_adjust(left=0.065, right=0.985, top=0.92, bottom=0.3, wspace=0.3)
+    axes[1].sharey(axes[0])
+    for ax, comparison, by_rank in zip(axes, several, ranked, strict=False):
+        for label, recordings in by_rank.items():
+            if label == TUNED:
+                continue  # its settings are near the published ones; it is in the tables
+            one = comparison.solver_grid.solvers[label]
+            many = isinstance(one, (Slsqp, Rmsprop, Newton)) and one.starts.count > 1
+            mean = np.mean([np.mean(seeds, axis=0) for seeds in recordings], axis=0)
+            ranks = np.arange(1, len(mean) + 1)
+            ax.plot(
+                ranks, 1e3 * mean, color=FAMILY_COLORS[one.family], label=label, linewidth=1.3,
+                marker=FAMILY_MARKERS[one.family], markersize=4.2, linestyle="--" if many else "-",
+                markerfacecolor="white" if many else FAMILY_COLORS[one.family],
+            )  # fmt: skip
+        ax.set_yscale("log")
+        ax.set_xlabel("eigenvector rank, 1 = flattest")
+        weight = comparison.velocity_weight
+        ax.set_title(f"with w_v = {weight:g}" if weight else "without velocity term")
+        ax.set_xticks(ranks[::3])
+    axes[0].set_ylabel("jitter along the eigenvector [mrad]")
+    plain_log(axes[0].yaxis)
+    values = np.concatenate([np.asarray(own) for own in spectra])
+    low, middle, high = np.percentile(values, [10, 50, 90], axis=0)
+    ax = axes[2]
+    ranks = np.arange(1, values.shape[1] + 1)
+    floor = max(float(np.min(middle[middle > 0], initial=1.0)) / 30, 1e-12)
+    ax.fill_between(ranks, np.maximum(low, floor), np.maximum(high, floor), color=INK, alpha=0.15,
+                    linewidth=0, label="central 80 %")  # fmt: skip
+    ax.plot(ranks, np.maximum(middle, floor), color=INK, linewidth=1.4, label="median")
+    ax.set_yscale("log")
+    plain_log(ax.yaxis)
+    ax.set_xlabel("eigenvector rank, 1 = flattest")
+    ax.set_ylabel("eigenvalue of the Hessian [1/rad²]")
+    ax.set_title("how stiff the directions are")
+    ax.set_xticks(ranks[::3])
+    ax.legend(fontsize=8, loc="upper left")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncols=4, fontsize=8
+    )
+    return figure
+
+
 Ranked = dict[str, list[list[Float[np.ndarray, " m"]]]]
 """Label -> recording -> seed -> jitter along each rank [rad]."""
 
@@ -122,7 +190,6 @@ def hessians(
     """Exact Hessians of the loss, without velocity term, and how far finite differences are off.
 
     Args:
-        problem: the recording.
         q: (T, m) where [rad].
 
     Returns:

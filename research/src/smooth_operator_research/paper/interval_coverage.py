@@ -1,4 +1,4 @@
-"""How often the intervals of the paper's experiments hold the truth, by simulation.
+"""Coverage of the intervals of the paper's experiments, by simulation.
 
 Log ratios of independent recordings are drawn about no effect at all, from several distributions,
 and given to the project's own `contrast` and judge. An interval of 95 % ought to hold the truth in
@@ -11,15 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import tyro
 
 from smooth_operator_research.paper.experiment import Table
-from smooth_operator_research.paper.experiment_report import markdown
 from smooth_operator_research.paper.intervals import Samples, contrast
 from smooth_operator_research.paper.verdicts import Direction, judge
+from smooth_operator_research.run_report import markdown
 
 COUNTS: Final = (4, 20)
 """Independent recordings."""
@@ -35,28 +35,22 @@ DRAWS: Final[dict[str, Draw]] = {
         rng.normal(0.0, 0.1, n) * np.where(rng.random(n) < 0.1, 10.0, 1.0)
     ),
 }
-"""How recordings may differ; the spreads are about those of the experiments."""
+"""Differences between recordings; the spreads are about those of the experiments."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How often intervals hold the truth, by simulation."""
+    """Coverage of intervals, by simulation."""
 
     draws: int = 10_000
-    """Of each cell of the table."""
+    """Draws for each cell of the table."""
 
     counts: tuple[int, ...] = COUNTS
     """Independent recordings, a column for each."""
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """What came of the draws.
-
-    Attributes:
-        covered: share of intervals that hold the truth.
-        shown: share of draws in which one direction or the other is shown.
-    """
+class Coverage(NamedTuple):
+    """Shares of intervals that hold the truth, and of draws in which a direction is shown."""
 
     covered: float
     shown: float
@@ -66,9 +60,7 @@ def coverage(draw: Draw, count: int, draws: int, windows: int = 1, alone: bool =
     """Judges draws without any effect.
 
     Args:
-        draw: of the log ratios.
         count: independent recordings.
-        draws: how many.
         windows: parts that each recording is cut into, which share its log ratio.
         alone: count the parts as independent recordings, which they are not.
     """
@@ -110,7 +102,8 @@ def coverage_table(settings: Settings) -> Table:
 
 def main(settings: Settings) -> None:
     """Prints the table."""
-    print(markdown(coverage_table(settings)))
+    table = coverage_table(settings)
+    print(markdown(table.headers, table.rows), table.note, sep="\n\n")
 
 
 if __name__ == "__main__":

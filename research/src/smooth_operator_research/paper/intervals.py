@@ -20,7 +20,7 @@ from jaxtyping import Float
 Contrast: TypeAlias = Literal["ratio", "change", "difference"]
 
 LEVEL: Final = 0.95
-"""How often an interval holds the truth."""
+"""Share of intervals that hold the truth."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Samples:
 
     Attributes:
         values: by recording, then by seed; a solver without chance has one seed.
-        units: of each recording, the independent unit that it belongs to.
+        units: independent unit of each recording.
 
     Raises:
         ValueError: the two differ in length, or there is no recording, or one without a value.
@@ -46,7 +46,7 @@ class Samples:
 
     @property
     def means(self) -> Float[np.ndarray, " R"]:
-        """Of each recording, over its seeds."""
+        """Means of the recordings, over their seeds."""
         return np.array([float(np.mean(own)) for own in self.values])
 
 
@@ -86,7 +86,7 @@ class Estimate:
 
     @property
     def units(self) -> int:
-        """How many independent units it is over."""
+        """Number of independent units."""
         return len(self.points)
 
     def interval(self, among: int = 1) -> tuple[float, float] | tuple[None, None]:
@@ -151,7 +151,7 @@ def contrast(a: Samples, b: Samples, kind: Contrast) -> Estimate:
     """A against B, recording by recording: both stem from the same frames.
 
     Args:
-        a, b: of the same recordings in the same order.
+        a, b: samples of the same recordings in the same order.
         kind: ``ratio``: geometric mean of a / b; ``change``: that less 1; ``difference``: mean of
             a - b.
 
@@ -188,7 +188,7 @@ def _by_unit(values: Float[np.ndarray, " R"], units: Sequence[str]) -> tuple[flo
 
 @cache
 def _quantile(probability: float, degrees: int) -> float:
-    """Of Student's t."""
+    """Quantile of Student's t."""
     from scipy.special import stdtrit
 
     return float(stdtrit(degrees, probability))

@@ -12,13 +12,13 @@ from smooth_operator.baselines.slsqp import ScipySlsqpConfig
 from smooth_operator_research.paper.compared_solvers import (
     Newton,
     Rmsprop,
+    RmspropConfig,
     Sampling,
     Slsqp,
     Solver,
     Starts,
 )
 from smooth_operator_research.paper.experiment import ExperimentContext, Size
-from smooth_operator_research.paper.rmsprop import RmspropConfig
 from smooth_operator_research.paper.runs import measure_run
 
 
@@ -62,7 +62,6 @@ def contours(points: Sequence[Point], fewest: int = 3) -> list[list[Point]]:
     """Cells of equal N x L, from the widest (largest N) to the deepest (largest L).
 
     Args:
-        points: of the grid.
         fewest: contours with fewer cells have no middle, and are left out.
 
     Returns:
@@ -82,7 +81,7 @@ NEWTON: Final = "Newton"
 
 @dataclass(frozen=True)
 class Tuned:
-    """What came of tuning a setting.
+    """Result of tuning a setting.
 
     Attributes:
         solver: label of the solver.
@@ -106,11 +105,6 @@ class SolverGrid:
 
     solvers: dict[str, Solver]
     tuning: tuple[Tuned, ...]
-
-    @property
-    def slsqp(self) -> str:
-        """Label of single-start SLSQP."""
-        return SLSQP
 
     def of(self, family: str) -> list[str]:
         """Labels of all forms of a solver."""

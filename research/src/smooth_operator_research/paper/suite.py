@@ -20,18 +20,18 @@ from smooth_operator_research.paper.experiment import (
     Outcome,
     Size,
     Track,
+    experiment,
     silent,
     trial_note,
 )
 from smooth_operator_research.paper.experiment_report import write_outcome, write_report
-from smooth_operator_research.paper.registry import experiment
 
 SIZES: Final = {size.name: size for size in (QUICK, DEFAULT, PUBLISHED)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What is asked for.
+    """Settings of a run.
 
     Attributes:
         output: folder of the results.
@@ -94,8 +94,7 @@ def run_experiments(
     """Runs the experiments one after the other, and writes each as soon as it is done.
 
     Args:
-        settings: what is asked for.
-        sources: of ``load_recordings``.
+        sources: result of ``load_recordings``.
         track: shows the progress.
         done: called after each.
         note: called with kept cells that can't be used.

@@ -30,7 +30,6 @@ from smooth_operator_research.paper.follow import (
     through_tracker,
 )
 from smooth_operator_research.paper.intervals import Estimate
-from smooth_operator_research.paper.more_sizes import more_size
 from smooth_operator_research.paper.verdicts import Direction, Equality, Verdict, judge
 
 NOISE: Final = 1e-3
@@ -39,7 +38,7 @@ NOISE: Final = 1e-3
 
 @dataclass(frozen=True)
 class Condition:
-    """What the tracker does.
+    """Faults of the tracker.
 
     Attributes:
         noise: standard deviation of each coordinate of each landmark [m].
@@ -63,18 +62,18 @@ class TrackerNoise:
 
     def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        size, field = more_size(context), field_of(context)
+        size, field = context.size, field_of(context)
         noises = [Condition(noise=noise) for noise in size.noises]
         losses = [Condition(loss=loss) for loss in size.losses]
         inputs = {
             (condition, source.name): [
                 through_tracker(
                     source,
-                    middle(recording_of(source), size.frames),
+                    middle(recording_of(source), size.noise_frames),
                     TrackerModel(noise=condition.noise, frame_loss=condition.loss, seed=seed),
                 )
                 # a clean tracker has no seed; the methods' own is not what is looked at
-                for seed in range(size.seeds if condition.noise or condition.loss else 1)
+                for seed in range(size.tracker_seeds if condition.noise or condition.loss else 1)
             ]
             for condition in dict.fromkeys([*noises, *losses])
             for source in context.sources
@@ -85,11 +84,11 @@ class TrackerNoise:
         return Outcome(
             f"{len(field.choices)} methods on {context.hand}, {frames:,} frames of "
             f"{context.recordings} at {' and '.join(map(str, rates))} Hz, "
-            f"{counted(size.seeds, 'seed')} of the tracker for each condition. Noise is white and "
-            "Gaussian, independent for "
-            "each coordinate of each landmark and each frame; frames are lost in bursts of 30 ms "
-            "in the mean, whose commands repeat the last. Methods see the bad tracker and are "
-            "measured against the hand as it was; a recording of a real tracker has its own noise "
+            f"{counted(size.tracker_seeds, 'seed')} of the tracker for each condition. Noise is "
+            "white and Gaussian, independent for each coordinate of each landmark and each frame; "
+            "frames are lost in bursts of 30 ms in the mean, whose commands repeat the last. "
+            "Methods see the bad tracker and are measured against the hand as it was; a "
+            "recording of a real tracker has its own noise "
             f"in both. The first frame is shown {LEAD} times before anything counts. Those of "
             "the paper's table are as their authors run them (sbr:paper, dexpilot:published, "
             "hybrid:published), but for GeoRT, which has our model; the others are as they come "
@@ -132,12 +131,12 @@ class FrameRate:
 
     def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        size, field = more_size(context), field_of(context)
+        size, field = context.size, field_of(context)
         inputs: dict[tuple[float, str], list[DegradedRecording]] = {}
         slow = []
         for rate in size.rates:
             for source in context.sources:
-                degraded = at_rate(source, rate, size.seconds)
+                degraded = at_rate(source, rate, size.rate_seconds)
                 if degraded is None:
                     slow.append(f"{source.name} at {rate:g} Hz")
                 else:
@@ -270,7 +269,7 @@ def signed(change: Estimate, unit: str = "") -> str:
 
 
 def not_compared(claim: str, paper: str, sweep: Sweep) -> Verdict:
-    """Where the paper's SBR or all its rivals are missing."""
+    """Verdict without the paper's SBR or without all its rivals."""
     absent = ", ".join(n for n in (PUBLISHED_SBR, *BASELINES) if n not in sweep.labels)
     note = f"{absent or 'Nothing to compare'} missing on this hand."
     return Verdict(claim, paper, "not measured", "not shown", note)

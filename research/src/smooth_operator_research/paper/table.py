@@ -40,7 +40,6 @@ from smooth_operator_research.paper.follow import (
     recording_of,
 )
 from smooth_operator_research.paper.intervals import Estimate, Samples, contrast, mean_of, typical
-from smooth_operator_research.paper.more_sizes import more_size
 from smooth_operator_research.paper.verdicts import Direction, Verdict, judge
 
 
@@ -117,10 +116,10 @@ Definition = str
 
 @dataclass(frozen=True, eq=False)
 class Benchmark:
-    """What was measured.
+    """Figures of all methods.
 
     Attributes:
-        labels: of the methods.
+        labels: names of the methods.
         values: (definition, label, metric) -> recording -> figure.
         units: name of a recording -> the independent unit that it belongs to.
         others: the largest share of the cores that other processes took while latency was measured.
@@ -131,45 +130,37 @@ class Benchmark:
     units: Mapping[str, str]
     others: float | None
 
-    def each(self, definition: Definition, label: str, metric: Metric) -> list[float]:
+    def each(self, definition: Definition, label: str, metric: Metric) -> dict[str, float]:
         """A figure by recording; those without it are left out."""
-        return list(self._own(definition, label, metric).values())
-
-    def mean(self, definition: Definition, label: str, metric: Metric) -> Estimate | None:
-        """With an interval over independent recordings, geometric for what is to be small; None
-        where there is none."""
-        own = self._own(definition, label, metric)
-        if not own:
-            return None
-        over = typical if metric.goal == "down" else mean_of
-        return over(self._samples(own))
-
-    def _own(self, definition: Definition, label: str, metric: Metric) -> dict[str, float]:
         own = self.values.get((definition, label, metric.name), {})
         return {name: own[name] for name in self.units if name in own}
 
     def _samples(self, own: Mapping[str, float]) -> Samples:
         return Samples([[value] for value in own.values()], [self.units[name] for name in own])
 
+    def mean(self, definition: Definition, label: str, metric: Metric) -> Estimate | None:
+        """With an interval over independent recordings, geometric for what is to be small; None
+        where there is none."""
+        own = self.each(definition, label, metric)
+        over = typical if metric.goal == "down" else mean_of
+        return over(self._samples(own)) if own else None
+
     def better(self, definition: Definition, a: str, b: str, metric: Metric) -> Estimate | None:
         """By how much a method is better than another, recording by recording: positive is better.
 
-        Of a figure that is to be small it is the share by which the other's is larger, else a
-        difference in the metric's unit; of one whose goal is 1 of the distance from it.
+        For a figure that is to be small it is the share by which the other's is larger, else a
+        difference in the metric's unit; for one whose goal is 1 of the distance from it.
         """
-        x, y = (self._own(definition, label, metric) for label in (a, b))
-        both_have = [name for name in x if name in y]
-        if not both_have:
+        down = metric.goal == "down"
+        x, y = (self.each(definition, label, metric) for label in (a, b))
+        both = [name for name in x if name in y]
+        if not both:
             return None
-        if metric.goal == "down":
-            mine, others = (
-                self._samples({name: own[name] for name in both_have}) for own in (x, y)
-            )
-            return contrast(others, mine, "change")
-        merits = [
-            self._samples({name: merit(metric, own[name]) for name in both_have}) for own in (x, y)
-        ]
-        return contrast(merits[0], merits[1], "difference")
+        mine, others = (
+            self._samples({name: own[name] if down else merit(metric, own[name]) for name in both})
+            for own in (x, y)
+        )
+        return contrast(others, mine, "change") if down else contrast(mine, others, "difference")
 
     def winners(self, definition: Definition, metric: Metric, labels: Sequence[str]) -> set[str]:
         """The best of some methods, as tables print figures."""
@@ -189,7 +180,7 @@ class BenchmarkTable:
 
     def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
-        size, field = more_size(context), field_of(context, METHODS)
+        size, field = context.size, field_of(context, METHODS)
         benchmark = measure_benchmark(context, field)
         frames = sum(min(len(recording_of(s)), size.table_frames) for s in context.sources)
         papers = [label for label in PAPERS if label in benchmark.labels]
@@ -234,7 +225,7 @@ class BenchmarkTable:
 
 def measure_benchmark(context: ExperimentContext, field: Field) -> Benchmark:
     """Quality of all methods on all recordings, then their latency alone; what is missing of it."""
-    size = more_size(context)
+    size = context.size
     cells = {
         (source.name, label): Cell(
             _cut(source, size.table_frames),
@@ -399,7 +390,7 @@ def _panels(benchmark: Benchmark) -> list[Panel]:
                 metric.name in ("flatness", LATENCY),
                 100.0 if percent else 1.0,
                 {one: benchmark.mean("paper", one, metric) for one in benchmark.labels},
-                {one: benchmark.each("paper", one, metric) for one in benchmark.labels},
+                {one: [*benchmark.each("paper", one, metric).values()] for one in benchmark.labels},
                 {
                     label: PAPER_TABLE[name][metric.name]
                     for label, name in PAPERS.items() if label in benchmark.labels

@@ -129,7 +129,6 @@ def judge(judging: Judge, estimates: Sequence[Estimate], missing: int = 0) -> He
 
     Args:
         judging: judges a part.
-        estimates: what was measured of each part.
         missing: parts without a measurement: the claim can't hold as a whole then.
     """
     parts = len(estimates) + missing

@@ -11,16 +11,16 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.task import TASKS, rotation
-from smooth_operator.simulation.tasks.trial import Outcome
 from smooth_operator.types import HandRecording, Side
 from smooth_operator_research.demonstrations.demonstration import (
     PERIOD_S,
     Demonstration,
     DemonstrationLandmarks,
     load_demonstration,
+    own_commands,
 )
 from smooth_operator_research.demonstrations.perturbation import (
     Perturbation,
@@ -50,7 +50,7 @@ what hangs between two fingertips swings for a while before."""
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What all worlds of a task and hand share."""
+    """Demonstration, scene and landmarks that all worlds of a task and hand share."""
 
     demonstration: Demonstration
     scene: Scene
@@ -154,19 +154,11 @@ def _task(name: str, hand_name: str, side: Side) -> _Task:
 def _own_score(name: str, hand_name: str, side: Side, number: int, seed: int) -> float:
     """Score of the demonstration's own joint positions in a world; the same for all methods."""
     task, world = _task(name, hand_name, side), draw_perturbation(number, seed)
-    hand = task.demonstration.robot
-    physics = ScenePhysics(hand, world.scene(task.scene))
+    physics = ScenePhysics(task.demonstration.robot, world.scene(task.scene))
     world.prepare(physics)
-    outcome: Outcome | None = None
     score = 0.0
-    for moment in perform(
-        physics,
-        TASKS[name],
-        lambda time, state, physics: hand.full_configuration(
-            task.demonstration.pose(time + PERIOD_S)
-        ),
-        seconds=task.seconds,
-    ):
+    commands = own_commands(task.demonstration)
+    for moment in perform(physics, TASKS[name], commands, seconds=task.seconds):
         outcome = moment.run.outcome
         score = moment.run.assessment.score if outcome is None else outcome.score
     return score
@@ -180,7 +172,7 @@ def _tip_error_mm(hand: Hand, demonstration: Demonstration, trace: TrialTrace) -
 
 
 def _quantities(world: Perturbation) -> Row:
-    """What is perturbed, for those who look for what makes trials fail."""
+    """The perturbed quantities, for those who look for causes of failure."""
     return {
         "shift_x_mm": 1e3 * float(world.shift[0]),
         "shift_y_mm": 1e3 * float(world.shift[1]),
@@ -197,7 +189,7 @@ def _quantities(world: Perturbation) -> Row:
 
 
 def _clip(case: Case, scene: Scene, trace: TrialTrace) -> Clip:
-    """What is seen: the human, the hand where physics has it, and the outlines of things."""
+    """The human, the hand where physics has it, and the outlines of things."""
     parts = ScenePhysics(case.hand, scene).parts()
     at, turn = scene.mount.palm
     corners: list[Float[np.ndarray, "t 8 3"]] = []

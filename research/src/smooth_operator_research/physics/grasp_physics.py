@@ -68,11 +68,6 @@ class GraspObject:
             "ball": _HOLLOW * np.pi / 6 * w**3,
         }[self.kind]
 
-    @property
-    def long(self) -> bool:
-        """Whether it is longer along z than across."""
-        return self.kind in ("card", "pen")
-
     def add_to(self, body: mujoco.MjsBody) -> None:
         """Give a body the object's shape."""
         half, geom = self.width / 2, mujoco.mjtGeom
@@ -141,10 +136,10 @@ def grasp_scene(hand: Hand, thing: GraspObject) -> GraspScene:
 
 
 _BIT: Final = 1 << 14
-"""Of the shapes that may touch the object."""
+"""Contact bit of the shapes that may touch the object."""
 
 _TURNS: Final = 12
-"""How many ways a long object is turned about the line between the pads, to find room for it."""
+"""Directions of a long object about the line between the pads that are tried."""
 
 _DRAG: Final = (5.0, 2e-3)
 """While somebody holds the object it resists: force per speed [N s/m], torque per spin [N m s]."""
@@ -169,10 +164,8 @@ class GraspPhysics(HandPhysics, ABC):
     """A hand and an object that a person hands over to it.
 
     Args:
-        hand: the robot hand.
-        thing: the object.
-        timestep: of the physics [s].
-        bandwidth: of the servos [Hz].
+        timestep: step of the physics [s].
+        bandwidth: bandwidth of the servos [Hz].
     """
 
     def __init__(
@@ -271,10 +264,8 @@ class PinchPhysics(GraspPhysics):
     Only these two fingers and the floor can touch it.
 
     Args:
-        hand: the robot hand.
-        thing: the object.
-        timestep: of the physics [s].
-        bandwidth: of the servos [Hz].
+        timestep: step of the physics [s].
+        bandwidth: bandwidth of the servos [Hz].
 
     Raises:
         HandModelError: a fingertip has no shape.
@@ -378,19 +369,17 @@ _ALONG: Final = (0.0, -0.01, 0.01, -0.02, 0.02, -0.03, 0.03)
 _ASIDE: Final = (0.0, -0.01, -0.02, -0.03, -0.04)
 """Places towards the thumb [m]; a long object may have to lie next to it."""
 _YAWS: Final = (0.0, np.radians(20.0), np.radians(-20.0))
-"""How a long object is turned in front of the palm [rad]."""
+"""Turns of a long object in front of the palm [rad]."""
 _WORTH: Final = 0.2
-"""How much nearer to the palm it must come for each metre that it lies off the middle."""
+"""Gain in distance to the palm that each metre off the middle must bring."""
 
 
 class PowerGraspPhysics(GraspPhysics):
     """A hand and an object that a person lays into its palm; all of the hand can touch it.
 
     Args:
-        hand: the robot hand.
-        thing: the object.
-        timestep: of the physics [s].
-        bandwidth: of the servos [Hz].
+        timestep: step of the physics [s].
+        bandwidth: bandwidth of the servos [Hz].
     """
 
     def __init__(
@@ -445,7 +434,7 @@ class PowerGraspPhysics(GraspPhysics):
         palmar: Float[np.ndarray, "3"],
         turn: Float[np.ndarray, "4"],
     ) -> float:
-        """How near to a place the object comes from the front [m]."""
+        """Distance to a place that the object reaches from the front [m]."""
         depth = _FROM
         while depth > -_FROM:
             self._put(place + (depth - _STEP) * palmar, turn)

@@ -1,4 +1,4 @@
-"""What a measure of ``bench --physics`` has to offer, and the cases that it is run on.
+"""Interface of a measure of ``bench --physics``, and the cases that it is run on.
 
 A measure is a class without arguments, named in ``physics.suite``. The framework makes the
 cases (each hand, method, condition and independent unit), runs them in workers, keeps what came of
@@ -32,7 +32,7 @@ from smooth_operator_research.physics.results import Figure, MeasureResults, Row
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsSettings:
-    """What to measure, and where to write it.
+    """Settings of a run of measures.
 
     Attributes:
         output: folder of the results.
@@ -40,15 +40,15 @@ class PhysicsSettings:
         hands: names of robot hands.
         methods: names as ``lab.benchmark.settings.select_methods`` takes them.
         side: which hand, of measures that need no recording.
-        recordings: of measures that need some: files, folders, or ``synthetic``; empty for what a
-            measure takes by itself.
+        recordings: files, folders, or ``synthetic``, for measures that need some; empty for
+            those that a measure takes by itself.
         frames: ``A:B``, of each recording that brings no range of its own.
         rate: frames a second of recordings without stamps [Hz].
         layout: order of the landmarks in plain arrays; None for the project's own.
         units: how many independent units (seeds, worlds, operators) each measure takes; None for
             as many as it takes by itself.
         quick: take fewer and shorter cases, to try things out.
-        seed: of the units and of the methods' random numbers.
+        seed: seed of the units and of the methods' random numbers.
         workers: processes; None for one per core, 0 for none.
         cluster: address of a Ray cluster instead of processes on this machine.
 
@@ -81,7 +81,7 @@ class PhysicsSettings:
         select_methods(self.methods)
 
     def count(self, default: int, quick: int) -> int:
-        """How many units a measure takes.
+        """Number of units that a measure takes.
 
         Args:
             default: where nothing is said.
@@ -124,9 +124,9 @@ class Case:
         method: name of the method.
         preset: name of its preset.
         config: its configuration.
-        condition: of ``Measure.conditions``.
+        condition: one of ``Measure.conditions``.
         unit: the independent unit.
-        seed: of the method's random numbers.
+        seed: seed of the method's random numbers.
         quick: a shorter case is asked for.
         clip: a clip is wanted.
     """
@@ -145,7 +145,7 @@ class Case:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """What names it among all cases."""
+        """Key of the case among all cases."""
         return (
             self.measure, self.hand_name, self.side, self.method, self.preset, self.condition,
             self.unit.name,
@@ -153,7 +153,7 @@ class Case:
 
     @property
     def method_label(self) -> str:
-        """What the method is called in tables."""
+        """Name of the method in tables."""
         return method_label(self.method, self.preset)
 
     @property
@@ -195,7 +195,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """What a player shows of a case; positions in the palm frame [m].
+    """Motion that a player shows of a case; positions in the palm frame [m].
 
     Attributes:
         stamps: (T,) [s].
@@ -214,7 +214,7 @@ class Clip:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What came of a case.
+    """Result of a case.
 
     Attributes:
         row: numbers and short texts.
@@ -230,7 +230,7 @@ class Drawing:
     """A plot of a measure.
 
     Attributes:
-        name: of its files, ``NAME.png`` and ``NAME.svg``.
+        name: name of its files, ``NAME.png`` and ``NAME.svg``.
         caption: what is seen.
         plot: matplotlib's figure.
     """
@@ -260,8 +260,7 @@ class Measure(Protocol):
     figures: tuple[Figure, ...]
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
-        """What is varied on purpose, as tracker noise or a task; a table for each. ("",) for
-        nothing."""
+        """Values of what is varied, as tracker noise or a task; a table for each."""
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
         """The independent units; all hands, methods and conditions take the same ones.

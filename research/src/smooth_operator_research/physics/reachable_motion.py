@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandRecording, Side, Status
@@ -90,8 +90,6 @@ def joint_motion(
     far as the model has shapes that collide.
 
     Args:
-        hand: the robot hand.
-        seed: of the random numbers.
         duration: length [s].
         rate_hz: frames a second [Hz].
     """
@@ -157,7 +155,7 @@ class _KeyPoses:
 
     @property
     def can_pinch(self) -> bool:
-        """Whether the thumb reaches a finger."""
+        """True if the thumb reaches a finger."""
         return bool(self._found)
 
     def free(self, count: int = 1) -> Float[np.ndarray, "k m"]:
@@ -240,7 +238,7 @@ SECONDS: Final = 8.0
 QUICK_SECONDS: Final = 3.0
 RATE_HZ: Final = 100.0
 WARM_UP_S: Final = 0.5
-"""What is left out at the beginning [s]: the hand starts at its neutral pose, and so do methods."""
+"""Time left out at the beginning [s]: the hand starts at its neutral pose, and so do methods."""
 NOISE: Final = {"clean": 0.0, "noise 0.5 mm": 0.5e-3}
 """Condition -> standard deviation of each coordinate of each landmark [m]."""
 EXACT: Final = 0.5e-3
@@ -279,9 +277,7 @@ def reachable_motion(
     """A random smooth, collision-free motion of a hand, with pinches; see ``joint_motion``.
 
     Args:
-        hand: the robot hand.
-        seed: of the random numbers.
-        noise: of the tracker: standard deviation of each coordinate of each landmark in each
+        noise: noise of the tracker: standard deviation of each coordinate of each landmark in each
             frame, independent (white) [m]. It moves the landmarks of the palm, too.
         duration: length [s].
         rate_hz: frames a second [Hz].
@@ -378,8 +374,6 @@ def motion_figures(
     """The figures of one motion; the first half second is left out.
 
     Args:
-        hand: the robot hand.
-        request: what it was asked for.
         joints: (T, n) what it was commanded [rad].
     """
     warm = _warm(request)
@@ -411,7 +405,7 @@ def motion_figures(
 
 
 def _warm(request: AskedMotion) -> int:
-    """How many frames are left out."""
+    """Number of frames that are left out."""
     stamps = request.recording.stamps
     return int(np.searchsorted(stamps, stamps[0] + WARM_UP_S))
 

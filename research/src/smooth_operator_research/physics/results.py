@@ -12,7 +12,7 @@ from smooth_operator.metrics import Metric
 from smooth_operator_research.paper.intervals import Samples, independent, mean_of
 
 Row: TypeAlias = dict[str, float | int | str | None]
-"""What came of a case: a number for each figure (None where it can't be measured), and any other
+"""Result of a case: a number for each figure (None where it can't be measured), and any other
 numbers and short texts, all with a JSON form."""
 
 _Z: Final = 1.959963984540054  # of the normal distribution, for 95 %
@@ -146,7 +146,7 @@ class MeasureResults:
 
     @property
     def methods(self) -> list[str]:
-        """What the methods are called, in the order of the rows."""
+        """Names of the methods, in the order of the rows."""
         return list(dict.fromkeys(row_method(row) for row in self.rows))
 
     def of(self, panel: tuple[str, str, str], method: str | None = None) -> list[Row]:
@@ -173,7 +173,6 @@ class MeasureResults:
 
         Args:
             panel: hand, side and condition.
-            against: the one method.
 
         Returns:
             method -> name of a figure -> the mean difference with Student's t interval.
@@ -241,5 +240,5 @@ def table_rows(
 
 
 def row_method(row: Mapping[str, Any]) -> str:
-    """What the method of a row is called in tables."""
+    """Name of a row's method in tables."""
     return method_label(str(row["method"]), str(row["preset"]))

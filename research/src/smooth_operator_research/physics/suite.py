@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import write_json
@@ -47,8 +46,8 @@ from smooth_operator_research.physics.results import MeasureResults, Row
 MEASURES: Final[dict[str, tuple[str, str]]] = {
     "reachable": ("reachable_motion", "ReachableMotion"),
     "demonstrations": ("demonstrations", "Demonstrations"),
-    "pinch": ("pinch_hold", "PinchHold"),
-    "grasp": ("power_grasp", "PowerGrasp"),
+    "pinch": ("grasp_measures", "PinchHold"),
+    "grasp": ("grasp_measures", "PowerGrasp"),
     "operators": ("virtual_operators", "VirtualOperators"),
 }
 """Name -> module of this package and class in it, in the order of the report. A new measure is a
@@ -85,7 +84,7 @@ _CODE: Final = ("physics", "demonstrations", "virtual_operator", "simulation", "
 
 @dataclass(frozen=True, eq=False)
 class MeasureOutcome:
-    """What a measure came to.
+    """Results of a measure.
 
     Attributes:
         measure: the measure.
@@ -98,15 +97,6 @@ class MeasureOutcome:
     clips: Mapping[tuple[str, str, str], Mapping[str, Clip]]
 
 
-def check_output(folder: Path) -> None:
-    """Looks whether results may be written into a folder; writes nothing.
-
-    Raises:
-        OutputError: it holds something other than results of this command.
-    """
-    check_folder(folder, COMMAND, f"an earlier {COMMAND}")
-
-
 def plan_cases(settings: PhysicsSettings) -> dict[str, list[Case]]:
     """All that is to be run, measure by measure; reads recordings, writes nothing.
 
@@ -115,7 +105,7 @@ def plan_cases(settings: PhysicsSettings) -> dict[str, list[Case]]:
         OutputError: the folder holds something else.
         RecordingError: a recording can't be read.
     """
-    check_output(settings.output)
+    check_folder(settings.output, COMMAND, f"an earlier {COMMAND}")
     planned: dict[str, list[Case]] = {}
     for name in settings.measures or measure_names():
         measure = find_measure(name)
@@ -145,8 +135,7 @@ def run_cases(
     loses only the cases that it was at.
 
     Args:
-        settings: what was asked for.
-        planned: of ``plan_cases``.
+        planned: result of ``plan_cases``.
         track: shows the progress.
         note: called with kept results that can't be used.
 
@@ -189,7 +178,7 @@ def _run_measure(
 
 
 def run_case(case: Case) -> Measured:
-    """What a worker does.
+    """Runs a case in a worker.
 
     Raises:
         SmoothOperatorError: the case can't be measured.

@@ -14,8 +14,9 @@ import numpy as np
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.simulation.scenes.physics import soften_pads
 from smooth_operator.simulation.scenes.scene import OBJECT, empty_world
+from smooth_operator_research.physics.grasp_measures import GraspResult, RobotPinch, try_pinch
 from smooth_operator_research.physics.grasp_physics import GRASP_OBJECTS, GraspObject, PinchPhysics
-from smooth_operator_research.physics.grasp_trial import GraspResult, RobotPinch, try_pinch
+from smooth_operator_research.run_report import markdown
 
 STEP_S: Final = 0.002
 FRICTION: Final = 0.9
@@ -59,13 +60,13 @@ class Pinched(NamedTuple):
 
     @property
     def depth(self) -> float:
-        """How deep a pad is in the object, mean [m]."""
+        """Mean depth of a pad in the object [m]."""
         contacts = [-float(c.dist) for c in self.data.contact[: self.data.ncon]]
         return float(np.mean(contacts)) if contacts else 0.0
 
     @property
     def energy(self) -> float:
-        """Of the object, kinetic and potential [J]."""
+        """Kinetic and potential energy of the object [J]."""
         joint = self.model.joint(OBJECT)
         speed = self.data.qvel[int(joint.dofadr[0]) :][:6]
         mass = float(self.model.body_mass[self.body])
@@ -74,21 +75,30 @@ class Pinched(NamedTuple):
         return 0.5 * (mass * float(speed[:3] @ speed[:3]) + turning) + 9.81 * mass * high
 
 
-def pinched(thing: GraspObject, force: float, *, step: float = STEP_S, gap: float = 0.0) -> Pinched:
-    """An object between two pads, at rest.
-
-    Args:
-        thing: the object.
-        force: of each pad [N].
-        step: of the physics [s].
-        gap: between each pad and the object at first [m].
-    """
+def _world(step: float) -> mujoco.MjSpec:
     bare = mujoco.MjSpec()
     bare.option.timestep = step
     bare.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    world = empty_world(bare)
+    return empty_world(bare)
+
+
+def _built(
+    world: mujoco.MjSpec, thing: GraspObject, height: float, pads: tuple[str, ...]
+) -> Pinched:
+    """The world with an object at a height [m]."""
+    body = world.worldbody.add_body(name=OBJECT, pos=(0.0, 0.0, height))
+    body.add_freejoint(name=OBJECT)
+    thing.add_to(body)
+    model = world.compile()
+    soften_pads(model, model.body(OBJECT).id, [model.body(name).id for name in pads])
+    return Pinched(model, mujoco.MjData(model), model.body(OBJECT).id)
+
+
+def pinched(thing: GraspObject, force: float) -> Pinched:
+    """An object at rest between two pads that press with a force each [N]."""
+    world = _world(STEP_S)
     for sign, name in zip((-1.0, 1.0), _PADS, strict=True):
-        away = sign * (thing.width / 2 + _RADIUS + gap)
+        away = sign * (thing.width / 2 + _RADIUS)
         pad = world.worldbody.add_body(name=name, pos=(away, 0.0, _HIGH), gravcomp=1.0)
         pad.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(-sign, 0.0, 0.0))
         pad.add_geom(
@@ -97,19 +107,14 @@ def pinched(thing: GraspObject, force: float, *, step: float = STEP_S, gap: floa
         )  # fmt: skip
         motor = world.add_actuator(name=name, target=name)
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
-    body = world.worldbody.add_body(name=OBJECT, pos=(0.0, 0.0, _HIGH))
-    body.add_freejoint(name=OBJECT)
-    thing.add_to(body)
-    model = world.compile()
-    soften_pads(model, model.body(OBJECT).id, [model.body(name).id for name in _PADS])
-    data = mujoco.MjData(model)
-    data.ctrl[:] = force
-    mujoco.mj_forward(model, data)
-    return Pinched(model, data, model.body(OBJECT).id)
+    state = _built(world, thing, _HIGH, _PADS)
+    state.data.ctrl[:] = force
+    mujoco.mj_forward(state.model, state.data)
+    return state
 
 
 def indentation(force: float, thing: GraspObject) -> float:
-    """How deep a pad that presses so hard is in an object's face, per point of contact [m]."""
+    """Depth of a pad that presses with a force [N] in an object's face, by point of contact [m]."""
     world = pinched(thing, force)
     world.model.opt.gravity[:] = 0.0
     world.run(_SETTLE_S)
@@ -123,25 +128,17 @@ def energy_gain(thing: GraspObject, height: float = 0.05) -> tuple[float, float]
         By how much its energy ever rises, as a share of what it fell with; and how high it
         bounces, as a share of the height.
     """
-    bare = mujoco.MjSpec()
-    bare.option.timestep = STEP_S
-    bare.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    world = empty_world(bare)
+    world = _world(STEP_S)
     pad = world.worldbody.add_body(name=_PADS[0], pos=(0.0, 0.0, _HIGH))
     pad.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(_RADIUS, _HALF, 0.0))
     top = _HIGH + _RADIUS + _HALF + thing.width / 2
-    body = world.worldbody.add_body(name=OBJECT, pos=(0.0, 0.0, top + height))
-    body.add_freejoint(name=OBJECT)
-    thing.add_to(body)
-    model = world.compile()
-    soften_pads(model, model.body(OBJECT).id, [model.body(_PADS[0]).id])
-    state = Pinched(model, mujoco.MjData(model), model.body(OBJECT).id)
-    mujoco.mj_forward(model, state.data)
+    state = _built(world, thing, top + height, _PADS[:1])
+    mujoco.mj_forward(state.model, state.data)
     fall = thing.mass * 9.81 * height
     least = state.energy
     gain, highest, touched = 0.0, 0.0, False
     for _ in range(round(1.0 / STEP_S)):
-        mujoco.mj_step(model, state.data)
+        mujoco.mj_step(state.model, state.data)
         touched |= state.data.ncon > 0
         now = state.energy
         # What the pad stores while it is pressed comes back.
@@ -166,7 +163,7 @@ def slip_ratio(force: float, thing: GraspObject) -> float:
 
 
 def creep(force: float, thing: GraspObject, seconds: float = 10.0) -> float:
-    """How far an object sinks through two pads that hold it [m], from 0.05 s after they press."""
+    """Way that an object sinks through two pads that hold it [m], from 0.05 s after they press."""
     world = pinched(thing, force)
     world.run(0.05)
     before = float(world.data.xpos[world.body, 2])
@@ -188,33 +185,33 @@ def mimic_pinch(thing: GraspObject, step: float) -> GraspResult:
     return try_pinch(physics, pinch)
 
 
-def _table() -> None:
+def main() -> None:
+    """Prints the tables."""
     by_name = {thing.name: thing for thing in GRASP_OBJECTS}
-    print("| check | object | value |\n|---|---|---:|")
+    rows: list[list[object]] = []
     for name in ("cube 10", "cube 30"):
-        depths = ", ".join(
-            f"{1e3 * indentation(force, by_name[name]):.2f}" for force in (1.0, 2.0, 5.0)
-        )
-        print(f"| depth of a pad at 1, 2, 5 N per pad [mm] | {name} | {depths} |")
+        depths = [f"{1e3 * indentation(force, by_name[name]):.2f}" for force in (1.0, 2.0, 5.0)]
+        rows.append(["depth of a pad at 1, 2, 5 N per pad [mm]", name, ", ".join(depths)])
     for name in ("sphere 10", "sphere 30"):
         gain, bounce = energy_gain(by_name[name])
-        print(f"| energy gained in a fall of 50 mm on a pad [share] | {name} | {gain:.4f} |")
-        print(f"| height of the bounce [share] | {name} | {bounce:.3f} |")
+        rows.append(["energy gained in a fall of 50 mm on a pad [share]", name, gain])
+        rows.append(["height of the bounce [share]", name, bounce])
     for name in ("cube 10", "cube 20", "cube 30"):
-        ratios = ", ".join(f"{slip_ratio(force, by_name[name]):.2f}" for force in (1.0, 5.0))
-        print(f"| pull at which it slips, over 2 mu N, at 1 and 5 N | {name} | {ratios} |")
-    for name in ("card 2", "cube 30"):
-        sunk = 1e3 * creep(2.0, by_name[name])
-        print(f"| sinks in 10 s at 2 N per pad [mm] | {name} | {sunk:.3f} |")
-    print("\n| object | held at 2 ms | held at 1 ms | force at 2 ms [N] | force at 1 ms [N] |")
-    print("|---|---|---|---:|---:|")
+        ratios = [f"{slip_ratio(force, by_name[name]):.2f}" for force in (1.0, 5.0)]
+        rows.append(["pull at which it slips, over 2 mu N, at 1 and 5 N", name, ", ".join(ratios)])
+    rows += [
+        ["sinks in 10 s at 2 N per pad [mm]", name, 1e3 * creep(2.0, by_name[name])]
+        for name in ("card 2", "cube 30")
+    ]
+    print(markdown(("check", "object", "value"), rows), end="\n\n")
+    rows = []
     for thing in GRASP_OBJECTS:
-        coarse, fine = (mimic_pinch(thing, step) for step in (STEP_S, STEP_S / 2))
-        print(
-            f"| {thing.name} | {'yes' if coarse.held else 'no'} | {'yes' if fine.held else 'no'} "
-            f"| {coarse.force or 0.0:.2f} | {fine.force or 0.0:.2f} |"
-        )
+        both = [mimic_pinch(thing, step) for step in (STEP_S, STEP_S / 2)]
+        held, forces = ["yes" if one.held else "no" for one in both], [one.force for one in both]
+        rows.append([thing.name, *held, *forces])
+    steps = ("held at 2 ms", "held at 1 ms", "force at 2 ms [N]", "force at 1 ms [N]")
+    print(markdown(("object", *steps), rows))
 
 
 if __name__ == "__main__":
-    _table()
+    main()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -15,18 +15,13 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.result_cache import (
-    Job,
-    Note,
-    ResultLog,
-    no_note,
-)
+from smooth_operator.result_cache import Job, Note, ResultLog, no_note
 from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import task_named
 from smooth_operator.study.chunks import chunk_values
-from smooth_operator.study.data.reading import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
-from smooth_operator.study.design.plan import Plan, lot, make_plan, scaled
+from smooth_operator.study.design.plan import Block, Plan, lot, make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_table
+from smooth_operator.study.store.export import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND
 from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial
@@ -44,13 +39,13 @@ _CHUNK: Final = 5
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """How a plan is simulated.
+    """Settings of a simulation.
 
     Attributes:
         plan: who does what.
         hand: robot hand, which must be able to do the tasks.
         body: whose kinematics the persons' hands have.
-        seed: of persons and trials.
+        seed: seed of persons and trials.
     """
 
     plan: Plan
@@ -63,14 +58,8 @@ class SimulationSettings:
             raise StudyError(f"the seed must be 0 or more, not {self.seed}")
         for task in self.plan.protocol.tasks:
             try:
-                simulated = task_named(task.name)
-            except UnknownNameError as error:
-                raise StudyError(
-                    f"task {task.name!r} of the plan can't be simulated: {error}"
-                ) from error
-            try:
-                scene_for(simulated.name, load_hand(self.hand, "right"))
-            except HandModelError as error:
+                scene_for(task_named(task.name).name, load_hand(self.hand, "right"))
+            except (HandModelError, UnknownNameError) as error:
                 raise StudyError(
                     f"task {task.name!r} of the plan can't be simulated: {error}"
                 ) from error
@@ -86,50 +75,41 @@ class SimulationSettings:
                 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Chunk:
     """Some trials of a block, in turn.
 
     Attributes:
-        operator: code in the plan.
-        person: number of the person.
-        task: name in the plan.
-        condition: name in the plan.
-        block: number of the block in the task.
-        method: of the condition.
-        preset: of the condition.
-        trials: numbers in the block.
-        done: trials of the task before this block.
-        rate_hz: commands a second.
-        resets: allowed in a trial.
-        reset_cap: the best score after one.
-        limit_s: of a trial, from the plan; None for the task's own.
-        hand: robot hand.
-        body: whose kinematics the person's hand has.
-        seed: of the simulation.
+        settings: how the plan is simulated.
+        block: the block of an operator.
+        trials: their numbers in the block.
     """
 
-    operator: str
-    person: int
-    task: str
-    condition: str
-    block: int
-    method: str
-    preset: str | None
+    settings: SimulationSettings
+    block: Block
     trials: tuple[int, ...]
-    done: int
-    rate_hz: float
-    resets: int
-    reset_cap: float
-    limit_s: float | None
-    hand: str
-    body: Body
-    seed: int
-    key: dict[str, Any] = field(init=False, repr=False, compare=False, default_factory=dict)
 
-    def __post_init__(self) -> None:
-        content = {k: v for k, v in asdict(self).items() if k not in ("key", "condition")}
-        object.__setattr__(self, "key", content)
+    @property
+    def key(self) -> dict[str, Any]:
+        """Key of the trials: all that they depend on, with a JSON form."""
+        block, protocol = self.block, self.settings.plan.protocol
+        return {
+            "operator": block.operator,
+            "person": self.settings.plan.codes.index(block.operator),
+            "task": block.task.name,
+            "block": block.number,
+            "method": block.condition.method,
+            "preset": block.condition.preset,
+            "trials": self.trials,
+            "done": block.trial_global(1) - 1,  # trials of the task before this block
+            "rate_hz": _RATE_HZ if protocol.rate_hz is None else protocol.rate_hz,
+            "resets": min(protocol.resets, 1),
+            "reset_cap": protocol.reset_cap,
+            "limit_s": block.task.time_limit_s,
+            "hand": self.settings.hand,
+            "body": self.settings.body,
+            "seed": self.settings.seed,
+        }
 
 
 def plan_for(plan: Plan, operators: int | None) -> Plan:
@@ -149,62 +129,37 @@ def plan_for(plan: Plan, operators: int | None) -> Plan:
 
 def chunks(settings: SimulationSettings) -> Iterator[Chunk]:
     """All trials of a plan."""
-    plan, protocol = settings.plan, settings.plan.protocol
-    for block in plan.schedule():
+    for block in settings.plan.schedule():
         for first in range(1, block.task.trials + 1, _CHUNK):
-            yield Chunk(
-                operator=block.operator,
-                person=plan.codes.index(block.operator),
-                task=block.task.name,
-                condition=block.condition.name,
-                block=block.number,
-                method=block.condition.method,
-                preset=block.condition.preset,
-                trials=tuple(range(first, min(first + _CHUNK, block.task.trials + 1))),
-                done=block.trial_global(1) - 1,
-                rate_hz=_RATE_HZ if protocol.rate_hz is None else protocol.rate_hz,
-                resets=min(protocol.resets, 1),
-                reset_cap=protocol.reset_cap,
-                limit_s=block.task.time_limit_s,
-                hand=settings.hand,
-                body=settings.body,
-                seed=settings.seed,
-            )
+            last = min(first + _CHUNK, block.task.trials + 1)
+            yield Chunk(settings, block, tuple(range(first, last)))
 
 
 def simulate_chunk(chunk: Chunk) -> list[dict[str, Any]]:
     """Rows of some trials; what a worker does."""
+    key = chunk.key
     familiar = _familiar(
-        chunk.person, chunk.seed, chunk.hand, chunk.method, chunk.preset, chunk.body
+        key["person"], key["seed"], key["hand"], key["method"], key["preset"], key["body"]
     )
     rows = []
     for number in chunk.trials:
-        place = (chunk.operator, chunk.task, chunk.block, number)
+        place = (key["operator"], key["task"], key["block"], number)
         trial = simulate_trial(
-            familiar,
-            task_named(chunk.task),
-            rate_hz=chunk.rate_hz,
-            practised=chunk.done + number - 1,
-            practised_here=number - 1,
-            resets=chunk.resets,
-            seconds=chunk.limit_s,
-            seed=int(lot(chunk.seed, "simulated trial", *place) * 2**32),
-        )
+            familiar, task_named(key["task"]), rate_hz=key["rate_hz"],
+            practised=key["done"] + number - 1, practised_here=number - 1, resets=key["resets"],
+            seconds=key["limit_s"],
+            seed=int(lot(key["seed"], "simulated trial", *place) * 2**32),
+        )  # fmt: skip
         outcome = trial.outcome
-        score = min(outcome.score, chunk.reset_cap) if outcome.resets else outcome.score
-        rows.append(
-            {
-                "trial_in_block": number,
-                "score": score,
-                "duration_s": round(outcome.seconds, 3),
-                "line": outcome.line,
-                "ended": outcome.ended,
-                "reason": outcome.reason,
-                "resets": outcome.resets,
-                "attempts": trial.attempts,
-                "diverged": trial.diverged,
-            }
-        )
+        score = min(outcome.score, key["reset_cap"]) if outcome.resets else outcome.score
+        rows.append({
+            "trial_in_block": number,
+            "score": score,
+            "duration_s": round(outcome.seconds, 3),
+            **{name: getattr(outcome, name) for name in ("line", "ended", "reason", "resets")},
+            "attempts": trial.attempts,
+            "diverged": trial.diverged,
+        })  # fmt: skip
     return rows
 
 
@@ -248,7 +203,6 @@ def simulate_study(
     """Simulates every trial; goes on where an earlier run in the same folder stopped.
 
     Args:
-        settings: what to simulate.
         folder: keeps what is done, and gets the tables; must exist.
         workers: processes; None for as many as there are cores, 0 for none.
         report: called after each chunk of trials.
@@ -262,24 +216,30 @@ def simulate_study(
         OutputError: the folder can't be written to.
     """
     code = _code()
-    jobs = [Job("", chunk.key, code, chunk) for chunk in chunks(settings)]
+    jobs = [
+        Job(
+            "",
+            one.key,
+            code,
+            one,
+            f"simulating operator {one.block.operator}, task {one.block.task.name}, "
+            f"condition {one.block.condition.name}",
+            len(one.trials),
+        )
+        for one in chunks(settings)
+    ]
     log = ResultLog(folder / LOG, note)
-    known_settings = dict(
+    results = dict(
         chunk_values(
             jobs,
             log,
             simulate_chunk,
             field="trials",
-            count=lambda chunk: len(chunk.trials),
-            failure=lambda chunk: (
-                f"simulating operator {chunk.operator}, task {chunk.task}, condition "
-                f"{chunk.condition}"
-            ),
             workers=workers,
             report=report,
         )
     )
-    rows = [row for job in jobs for row in _rows(job.task, known_settings[job.task])]
+    rows = [row for job in jobs for row in _rows(job.task, results[job.task])]
     _write(settings, folder, rows)
     return rows
 
@@ -292,13 +252,14 @@ def _code() -> str:
 
 
 def _rows(chunk: Chunk, trials: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    block = chunk.block
     return [
         {
-            "operator": PREFIX + chunk.operator,
-            "task": chunk.task,
-            "retargeter": chunk.condition,
-            "block": chunk.block,
-            "trial_global": chunk.done + trial["trial_in_block"],
+            "operator": PREFIX + block.operator,
+            "task": block.task.name,
+            "retargeter": block.condition.name,
+            "block": block.number,
+            "trial_global": block.trial_global(trial["trial_in_block"]),
             # The time of a failure is not the time that the task takes.
             "time_s": trial["duration_s"] if trial["score"] > 0 else None,
             **trial,

@@ -3,7 +3,7 @@
 There are two. ``human``: published human anatomy with the person's bone lengths and human joint
 ranges. ``matched``: the kinematics of the robot hand at human size, each bone 10 % longer or
 shorter at most, and its joint ranges. The demonstrations of the tasks use fingertip positions that
-a human thumb, aligned by the palm, does not reach (``docs/reference/study.md`` has the figures), so
+a human thumb, aligned by the palm, does not reach (``research/docs/study.md`` has the figures), so
 trials are simulated with the matched hand.
 """
 
@@ -19,22 +19,19 @@ from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.physics import FURNISHED
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene
 from smooth_operator.synthetic.gestures import RELAXED
 from smooth_operator.synthetic.hand_anatomy import FREE, LOWER, UPPER, couple, mirror, pose_hand
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
-from smooth_operator.types import Side
+from smooth_operator.types import HandFrame, Side
 from smooth_operator_research.virtual_operator.person import Person
 
 
 class SeenTips:
-    """The fingertips of a hand in a scene.
-
-    Args:
-        physics: the scene.
-    """
+    """The fingertips of a hand in a scene."""
 
     def __init__(self, physics: ScenePhysics) -> None:
         hand, model = physics.hand, physics.model
@@ -53,12 +50,7 @@ class SeenTips:
 
 
 class HandPoints:
-    """Landmarks of a robot hand in a pose, and their derivatives.
-
-    Args:
-        hand: the robot hand.
-        names: of the landmarks.
-    """
+    """Landmarks of a robot hand in a pose, and their derivatives."""
 
     def __init__(self, hand: Hand, names: Sequence[str]) -> None:
         places = landmark_points(hand.model, hand.spec)
@@ -127,23 +119,12 @@ class HandModel(ABC):
 
 
 def hand_model(person: Person, hand: Hand, body: Body = "matched") -> HandModel:
-    """The hand of a person who drives a robot hand.
-
-    Args:
-        person: who.
-        hand: the robot hand.
-        body: whose kinematics.
-    """
+    """The hand of a person who drives a robot hand."""
     return HumanHand(person, hand.spec.side) if body == "human" else MatchedHand(person, hand)
 
 
 class HumanHand(HandModel):
-    """Published anatomy with a person's bones.
-
-    Args:
-        person: whose.
-        side: which hand.
-    """
+    """Published anatomy with a person's bones."""
 
     def __init__(self, person: Person, side: Side) -> None:
         self.lower, self.upper, self.relaxed = LOWER[list(FREE)], UPPER[list(FREE)], RELAXED
@@ -162,12 +143,7 @@ class HumanHand(HandModel):
 
 
 class MatchedHand(HandModel):
-    """The robot hand's kinematics at the size of a person, with the person's bones.
-
-    Args:
-        person: whose.
-        hand: the robot hand.
-    """
+    """The robot hand's kinematics at the size of a person, with the person's bones."""
 
     def __init__(self, person: Person, hand: Hand) -> None:
         self.lower, self.upper = hand.limits.T
@@ -214,9 +190,6 @@ def _length(hand: Hand, points: Float[np.ndarray, "21 3"]) -> float:
 class ReachingHand:
     """A hand whose fingertips go where they are wanted, as far as joints and their speed allow.
 
-    Args:
-        model: its kinematics.
-
     Attributes:
         angles: (m,) joint angles [rad].
     """
@@ -246,7 +219,7 @@ class ReachingHand:
         Args:
             tips: (5, 3) thumb first [m]; NaN for a finger that stays relaxed.
             seconds: since the last call [s]; infinite for no limit of the speed.
-            rounds: of Gauss-Newton, from the last angles.
+            rounds: rounds of Gauss-Newton, from the last angles.
 
         Returns:
             (21, 3) landmarks [m].
@@ -304,12 +277,7 @@ class _RobotTips(HandModel):
 
 
 class GripReach:
-    """What the fingertips of a hand in a scene reach.
-
-    Args:
-        hand: the robot hand.
-        scene: where it stands.
-    """
+    """Reach of a hand's fingertips in a scene."""
 
     def __init__(self, hand: Hand, scene: Scene) -> None:
         self._hand, self._model = hand, _RobotTips(hand)
@@ -320,7 +288,7 @@ class GripReach:
         self._turns: dict[tuple[float, ...], dict[int, tuple[float, float]]] = {}
 
     def off(self, aims: dict[int, Float[np.ndarray, "3"]]) -> float:
-        """How far the farthest fingertip stays from its aim [m].
+        """Distance of the farthest fingertip from its aim [m].
 
         Args:
             aims: finger -> place in the world [m].
@@ -336,8 +304,8 @@ class GripReach:
         """Finger and place along the edge where it and the thumb can pinch a card best.
 
         Args:
-            x: of the pinch [m].
-            y: of the card's centre [m].
+            x: place of the pinch [m].
+            y: place of the card's centre [m].
             top: height of the table [m].
             gap: between the fingertips [m].
         """
@@ -357,11 +325,11 @@ class GripReach:
         """Finger, first and last angle of the best stroke that turns a block about the vertical.
 
         Args:
-            centre: of the block [m].
+            centre: middle of the block [m].
             normals: (n,) directions of its faces [rad].
             sign: in which direction it is to be turned; 0 for either.
             missing: by how much [rad].
-            width: of fingertips from the centre [m].
+            width: distance of fingertips from the centre [m].
             wide: the same of the open hand [m].
 
         Returns:
@@ -434,10 +402,10 @@ class GripReach:
         """Finger opposite the thumb, the second finger, and how far along the handle that is [m].
 
         Args:
-            centre: of the grip [m].
+            centre: middle of the grip [m].
             across: direction to the thumb.
             along: direction to the handle's end.
-            width: of fingertips from the handle's axis [m].
+            width: distance of fingertips from the handle's axis [m].
         """
         fingers = []
         for pivot, second in ((1, 2), (2, 3), (2, 1)):
@@ -466,3 +434,74 @@ def _longest_run(fits: np.ndarray) -> tuple[int, int] | None:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], rolled.astype(int), [0]])))
     first, past = max(zip(edges[::2], edges[1::2], strict=True), key=lambda run: run[1] - run[0])
     return int(first + begin), int(past - 1 + begin)
+
+
+POSTURES: Final = 48
+"""Postures that a person moves through; movements of 0.7 s, with pauses, fill two minutes."""
+
+_MOVE_S: Final = 0.5
+_RATE_HZ: Final = 15.0  # of the frames that are remembered
+_KERNEL_M: Final = 0.02  # movements this far off count 61 % in the local fit [m]
+_RIDGE: Final = 0.05  # pulls the local fit to the fit over all, where movements were few
+
+
+class InternalModel:
+    """Own fingertips for wanted robot fingertips, by locally weighted affine regression.
+
+    Args:
+        robot: (n, f, 3) fingertips that were seen, in the robot's palm frame [m].
+        own: (n, f, 3) the person's at those moments [m].
+        fingers: (f,) index of each in ``FINGERS``.
+    """
+
+    def __init__(
+        self,
+        robot: Float[np.ndarray, "n f 3"],
+        own: Float[np.ndarray, "n f 3"],
+        fingers: list[int],
+    ) -> None:
+        self._robot, self._own = np.swapaxes(robot, 0, 1), np.swapaxes(own, 0, 1)
+        self._fingers = fingers
+        ones = np.ones((*self._robot.shape[:2], 1))
+        self._inputs = np.concatenate([self._robot, ones], axis=-1)
+        self._global = np.stack(
+            [
+                np.linalg.lstsq(x, y, rcond=None)[0]
+                for x, y in zip(self._inputs, self._own, strict=True)
+            ]
+        )
+        self._rest = self._own - self._inputs @ self._global
+
+    def own_tips(self, robot: Float[np.ndarray, "f 3"]) -> Float[np.ndarray, "5 3"]:
+        """(5, 3) in the frame of the person's landmarks [m]; NaN for fingers the robot lacks."""
+        away = ((self._robot - robot[:, None]) ** 2).sum(axis=-1)
+        nearest = away.min(axis=1, keepdims=True)  # outside of what was tried, its border counts
+        weight = np.exp(-0.5 * (away - nearest) / _KERNEL_M**2)
+        inputs = np.concatenate([self._robot - robot[:, None], self._inputs[..., 3:]], axis=-1)
+        weighted = np.swapaxes(inputs * weight[..., None], 1, 2)
+        # About the wanted point, in units of the kernel, so that one ridge serves all terms.
+        unit = np.array([_KERNEL_M, _KERNEL_M, _KERNEL_M, 1.0])
+        gram = (weighted @ inputs) / np.outer(unit, unit)
+        ridge = _RIDGE * weight.sum(axis=1)[:, None, None] * np.eye(4)
+        solved = np.linalg.solve(gram + ridge, (weighted @ self._rest) / unit[:, None])
+        here = np.concatenate([robot, np.ones((len(robot), 1))], axis=-1)
+        out = np.full((len(FINGERS), 3), np.nan)
+        out[self._fingers] = (here[:, None] @ self._global)[:, 0] + solved[:, 3]
+        return out
+
+
+def familiarise(model: HandModel, retargeter: Retargeter, seed: int = 0) -> InternalModel:
+    """Move freely with a retargeter, and learn."""
+    hand, rng = retargeter.hand, np.random.default_rng([seed, 0xFA])
+    reach = rng.uniform(0.02, 0.98, (POSTURES, len(model.relaxed)))
+    postures = np.concatenate([[model.relaxed], model.lower + (model.upper - model.lower) * reach])
+    share = np.arange(1, round(_MOVE_S * _RATE_HZ) + 1)[:, None] / round(_MOVE_S * _RATE_HZ)
+    share = share * share * (3 - 2 * share)
+    path = postures[:-1, None] + share * np.diff(postures, axis=0)[:, None]
+    points = np.array([model.landmarks(q)[0] for q in path.reshape(-1, len(model.relaxed))])
+    fingers = [FINGERS.index(name) for name in hand.fingers]
+    state, robot = retargeter.init(seed), []
+    for k, landmarks in enumerate(points):
+        state, result = retargeter.step(state, HandFrame(landmarks, k / _RATE_HZ, hand.spec.side))
+        robot.append(hand.tips(result.command.positions))
+    return InternalModel(np.array(robot), points[:, [TIPS[row] for row in fingers]], fingers)

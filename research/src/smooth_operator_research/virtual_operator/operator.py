@@ -1,10 +1,14 @@
 """A person at the tracker: intends, looks with a delay, corrects, and tries again.
 
-The parts are: what the person does with the object (``strategies.py``), the delay and the
-correction (``visual_feedback.py``), tremor and motor noise (``motor_noise.py``), the hand
-(``hand_model.py``) and the person's figures (``person.py``). This file is the movement: a step of
-the strategy takes the time of Fitts' law; the person looks whether what is wanted is seen, corrects
-fingertips that are not where they should be, and goes on.
+The parts are: what the person does with the object (``strategies.py``), tremor and motor noise and
+the person's figures (``person.py``), the hand (``hand_model.py``), and here delay and correction
+and the movement: a step of the strategy takes the time of Fitts' law; the person looks whether what
+is wanted is seen, corrects fingertips that are not where they should be, and goes on.
+
+The correction is McRuer's crossover model: near the frequency at which the open loop's gain is 1, a
+person's correction and the machine together behave as omega_c exp(-tau s) / s, whatever the machine
+is (McRuer and Jex 1967). The machine here follows the fingers without much dynamics of its own, so
+the person integrates the error that is seen.
 
 Simplifications: a finger that presses is not corrected by what is seen of it (that made grips slip
 in trials); nothing is felt, as in the paper's study.
@@ -12,7 +16,9 @@ in trials); nothing is felt, as in the paper's study.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -22,10 +28,10 @@ from smooth_operator.landmarks import FINGERS
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
 from smooth_operator.simulation.tasks.task import Scorer, SimulatedTask
-from smooth_operator_research.virtual_operator.familiarisation import InternalModel
 from smooth_operator_research.virtual_operator.hand_model import (
     GripReach,
     HandModel,
+    InternalModel,
     ReachingHand,
     SeenTips,
 )
@@ -36,15 +42,88 @@ from smooth_operator_research.virtual_operator.strategies import (
     Step,
     Strategy,
 )
-from smooth_operator_research.virtual_operator.visual_feedback import (
-    CrossoverCorrection,
-    DelayedView,
-)
+
+T = TypeVar("T")
+
+SPEED_LIMIT: Final = 0.10
+"""Fastest correction of a fingertip [m/s]: corrective submovements of some 10 to 20 mm last 150 to
+200 ms (Meyer et al. 1988)."""
+
+REACH_LIMIT: Final = 0.015
+"""Largest correction [m]; ours: a fingertip that does not follow further can't go there."""
+
+
+class DelayedView(Generic[T]):
+    """A line of images: what comes out is as old as the delay.
+
+    Args:
+        delay_s: delay of what is seen [s].
+    """
+
+    def __init__(self, delay_s: float) -> None:
+        self._delay = delay_s
+        self._waiting: deque[tuple[float, T]] = deque()
+        self._latest: T | None = None
+
+    def show(self, time: float, image: T) -> None:
+        """An image of a moment, later than the last one."""
+        self._waiting.append((time, image))
+
+    def latest(self, time: float) -> T | None:
+        """The newest image that is at least as old as the delay; None before the first."""
+        while self._waiting and self._waiting[0][0] <= time - self._delay + 1e-9:
+            self._latest = self._waiting.popleft()[1]
+        return self._latest
+
+
+class CrossoverCorrection:
+    """A correction that integrates the seen error.
+
+    Args:
+        gain: crossover frequency [rad/s].
+        threshold: errors shorter than this count as none [m]; longer ones lose this length.
+        shape: shape of the correction, (..., 3).
+        speed_limit: fastest change of each point [m/s].
+        reach_limit: largest offset of each point [m].
+    """
+
+    def __init__(
+        self,
+        gain: float,
+        threshold: float,
+        shape: tuple[int, ...],
+        speed_limit: float = SPEED_LIMIT,
+        reach_limit: float = REACH_LIMIT,
+    ) -> None:
+        self._gain, self._threshold = gain, threshold
+        self._speed, self._reach = speed_limit, reach_limit
+        self.value: Float[np.ndarray, "*n 3"] = np.zeros(shape)
+
+    def update(self, error: Float[np.ndarray, "*n 3"], seconds: float) -> Float[np.ndarray, "*n 3"]:
+        """Integrate for a while.
+
+        Args:
+            error: (..., 3) wanted minus seen [m], as old as the person's delay.
+            seconds: since the last call [s].
+
+        Returns:
+            the correction (..., 3) [m].
+        """
+        size = np.linalg.norm(error, axis=-1, keepdims=True)
+        felt = error * np.maximum(size - self._threshold, 0.0) / np.maximum(size, 1e-12)
+        velocity = _at_most(self._gain * felt, self._speed)
+        self.value = _at_most(self.value + velocity * seconds, self._reach)
+        return self.value
+
+
+def _at_most(vector: Float[np.ndarray, "*n 3"], most: float) -> Float[np.ndarray, "*n 3"]:
+    size = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.asarray(vector * np.minimum(1.0, most / np.maximum(size, 1e-12)))
 
 
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """What there was to see at one moment, and where fingertips were wanted."""
+    """The scene at one moment, and goals of the fingertips then."""
 
     time: float
     obs: Observation
@@ -56,17 +135,9 @@ class VirtualOperator:
     """The hand of a person who does a trial; a ``LandmarkSource``.
 
     Args:
-        person: who.
-        hand: the robot hand.
-        body: the person's hand.
-        model: what the person has learnt of the retargeter.
-        task: what is to be done: the person knows the instruction.
-        scene: of the trial.
-        reach: what the robot's fingertips reach in it.
         practised: trials of the task before this one, with any retargeter.
         practised_here: trials before this one with this retargeter.
         lag_s: from the hand to the robot's motion [s], which slows a person down.
-        seed: of the noise.
 
     Attributes:
         gave_up: the person can do no more.
@@ -122,8 +193,6 @@ class VirtualOperator:
 
         Args:
             time: since 'go' [s].
-            state: the scene.
-            physics: the hand in it.
         """
         if self._tips is None:
             self._tips = SeenTips(physics)
@@ -193,7 +262,7 @@ class VirtualOperator:
                 self.gave_up = True
 
     def _over(self, step: Step, time: float, image: _Image, used: list[int]) -> bool:
-        """Whether what the step is for is seen, or the person waits no longer."""
+        """True if what the step is for is seen, or the person waits no longer."""
         waited = time - self._since - self._duration
         if step.until is not None and image.time >= self._since and step.until(image.obs):
             return True

@@ -29,7 +29,7 @@ class Person:
     """One person in front of the robot hand.
 
     Attributes:
-        number: of the person, from 0.
+        number: number of the person, from 0.
         delay_s: from an image to the correction that it causes [s]. 0.20 +- 0.025 (Keele and Posner
             1968: 190 to 260 ms; Saunders and Knill 2003: 160 to 200 ms).
         crossover: gain of the correction [rad/s]: Y_p Y_c = crossover exp(-delay s) / s. 3.0 +- 0.7
@@ -52,8 +52,8 @@ class Person:
             Crossman 1959).
         bone_factors: (5, 3) length of each finger bone over the expected one. 5 %, 10 % at most;
             ours.
-        anatomy: of the hand. Length 190 +- 10 mm for one half, 175 +- 9 mm for the other (Pheasant
-            and Haslegrave 2006: British men and women); bones as ``draw_anatomy``.
+        anatomy: anatomy of the hand. Length 190 +- 10 mm for one half, 175 +- 9 mm for the other
+            (Pheasant and Haslegrave 2006: British men and women); bones as ``draw_anatomy``.
         tracker_noise: standard deviation of each joint angle that the glove gives [rad]. 0.1 to
             0.25 degrees: in a recording of a MANUS glove the palm is rigid and fingertips have
             noise of up to 0.24 mm in each coordinate (third differences, the quietest 5 % of the
@@ -94,10 +94,6 @@ def largest_crossover(delay_s: float) -> float:
 def draw_person(number: int, seed: int = 0) -> Person:
     """A person, the same for the same number and seed.
 
-    Args:
-        number: which of the persons, from 0.
-        seed: of all of them.
-
     Raises:
         ConfigError: number or seed is negative.
     """
@@ -136,7 +132,7 @@ def movement_time(distance_m: float, width_m: float, lag_s: float) -> float:
     Args:
         distance_m: length of the movement [m].
         width_m: width of its goal [m].
-        lag_s: of the machine, from hand to image [s].
+        lag_s: lag of the machine, from hand to image [s].
     """
     difficulty = float(np.log2(distance_m / width_m + 1.0))
     return 0.230 + (0.169 + 1.03 * lag_s) * difficulty
@@ -160,7 +156,6 @@ class MotorNoise:
     Args:
         share: standard deviation at the end of a movement over its length.
         tremor: root mean square of the tremor along an axis [m].
-        fingers: how many.
         rng: source of random numbers.
     """
 

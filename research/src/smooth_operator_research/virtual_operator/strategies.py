@@ -1,4 +1,4 @@
-"""How people do the tasks: steps for the fingertips that depend on what is seen of the object.
+"""Strategies of people for the tasks: steps for the fingertips that depend on the seen object.
 
 A strategy is a generator. It yields the next step and receives what the person sees when the step
 is over, so that strokes are repeated until the goal is seen, and what slipped is taken again.
@@ -41,7 +41,7 @@ PAD_M: Final = 0.004
 """From a fingertip's landmark to the surface of its pad [m]."""
 
 PRESS_M: Final = 0.002
-"""How far beyond the object's surface a person presses in the first attempt [m]; ours."""
+"""Depth beyond the object's surface to which a person presses in the first attempt [m]; ours."""
 
 OPEN_M: Final = 0.010
 """Width by which open fingers are away from a surface [m]; people open 10 to 20 mm wider than the
@@ -61,7 +61,7 @@ Aims: TypeAlias = dict[int, Float[np.ndarray, "3"]]
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a person sees at one moment.
+    """The scene as a person sees it at one moment.
 
     Attributes:
         state: the object.
@@ -76,13 +76,13 @@ class Observation:
     sent: Float[np.ndarray, "f 3"]
 
     def touches(self, *fingers: int) -> bool:
-        """Whether all of these fingers touch the object."""
+        """True if all of these fingers touch the object."""
         return bool((self.state.force[list(fingers)] > 0.0).all())
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What a person does next.
+    """A person's next movement.
 
     Attributes:
         aims: share of the movement from 0 to 1, and what is seen -> where fingertips go.
@@ -121,7 +121,6 @@ class Closing:
     """Fingers close on an object; each stops where it is seen to touch, and presses from there.
 
     Args:
-        wide: where fingers begin.
         inward: finger -> direction in which it closes.
         press: how far fingers press beyond the place of the contact [m].
         opened: how far fingers are from the surface at first [m].
@@ -146,11 +145,11 @@ class Closing:
 
     @property
     def complete(self) -> bool:
-        """Whether all fingers have touched."""
+        """True if all fingers have touched."""
         return len(self.contact) == len(self._wide)
 
     def pressed(self, press: float) -> Aims:
-        """Where fingers go to press so far beyond the contact [m], seen or expected."""
+        """Goals of fingers that press to a depth beyond the contact [m], seen or expected."""
         expected = {f: p + self._opened * self._inward[f] for f, p in self._wide.items()}
         return {f: p + press * self._inward[f] for f, p in (expected | self.contact).items()}
 
@@ -199,8 +198,6 @@ def card_strategy(scene: CardScene, reach: GripReach, obs: Observation) -> Strat
     """Press on the card, draw it over the edge, pinch it, pull it off.
 
     Args:
-        scene: where.
-        reach: of the hand.
         obs: at the start.
     """
     edge, top = scene.edge, scene.top
@@ -280,7 +277,7 @@ def _with_thumb(step: Step, place: Float[np.ndarray, "3"]) -> Step:
 
 
 def _clear(obs: Observation, seconds: float) -> bool:
-    """Whether the card has been in the pinch alone for so long."""
+    """True if the card has been in the pinch alone for so long."""
     since = obs.scorer.pinched
     return since is not None and obs.state.time - since >= seconds
 
@@ -302,8 +299,6 @@ def cube_strategy(scene: CubeScene, reach: GripReach, obs: Observation) -> Strat
     """Grip the cube, turn it as far as the fingers reach, let go, and again until it is turned.
 
     Args:
-        scene: where.
-        reach: of the hand.
         obs: at the start.
     """
     sign, press, above = 0.0, _PRESS_M, True
@@ -387,8 +382,6 @@ def screwdriver_strategy(scene: ScrewdriverScene, reach: GripReach, obs: Observa
     """Take the handle between thumb and fingers, loosen until the blade hangs, and hold.
 
     Args:
-        scene: where.
-        reach: of the hand.
         obs: at the start.
     """
     press = PRESS_M

@@ -10,24 +10,19 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes.physics import ObjectVariation, ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
 from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import SimulatedTask
 from smooth_operator.simulation.tasks.trial import Outcome
-from smooth_operator_research.demonstrations.trial_loop import (
-    FrameRetargeter,
-    TrialTrace,
-    run_trial,
-)
-from smooth_operator_research.virtual_operator.familiarisation import (
-    InternalModel,
-    familiarise,
-)
+from smooth_operator_research.demonstrations.trial_loop import TrialTrace, run_trial
 from smooth_operator_research.virtual_operator.hand_model import (
     Body,
     GripReach,
     HandModel,
+    InternalModel,
+    familiarise,
     hand_model,
 )
 from smooth_operator_research.virtual_operator.operator import VirtualOperator
@@ -40,7 +35,7 @@ LEAD_S: Final = 1.0
 """So long the person holds the open hand before 'go' [s]."""
 
 _SERVO_LAG_S: Final = 0.016
-"""Of a critically damped servo of 20 Hz: 2 / (2 pi 20 Hz) [s]."""
+"""Lag of a critically damped servo of 20 Hz: 2 / (2 pi 20 Hz) [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,22 +50,15 @@ class Familiar:
     """
 
     person: Person
-    retargeter: FrameRetargeter
+    retargeter: Retargeter
     body: HandModel
     model: InternalModel
 
 
 def make_familiar(
-    person: Person, retargeter: FrameRetargeter, body: Body = "matched", seed: int = 0
+    person: Person, retargeter: Retargeter, body: Body = "matched", seed: int = 0
 ) -> Familiar:
-    """Have a person move freely with a retargeter.
-
-    Args:
-        person: who.
-        retargeter: for the robot hand.
-        body: whose kinematics the person's hand has.
-        seed: of the movements.
-    """
+    """Have a person move freely with a retargeter."""
     model = hand_model(person, retargeter.hand, body)
     learnt = familiarise(model, retargeter, seed)
     return Familiar(person, retargeter, model, learnt)
@@ -78,7 +66,7 @@ def make_familiar(
 
 @dataclass(frozen=True)
 class OperatorTrial:
-    """How a trial of a virtual operator ended.
+    """Result of a trial of a virtual operator.
 
     Attributes:
         outcome: score, time, reason.
@@ -111,15 +99,12 @@ def simulate_trial(
     """Have a person do a trial with a retargeter.
 
     Args:
-        familiar: the person, and the retargeter.
-        task: what is done.
         rate_hz: frames of the tracker and commands a second [Hz].
         practised: trials of the task before this one, with any retargeter.
         practised_here: trials before this one with this retargeter.
         resets: how often the object may be put back: 0 or 1.
         seconds: time limit [s]; None for the task's own.
-        seed: of all noise of this trial.
-        variation: of the object; None for the nominal one.
+        variation: variation of the object; None for the nominal one.
         trace: keep what happened.
 
     Raises:

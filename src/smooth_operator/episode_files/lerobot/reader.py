@@ -12,15 +12,8 @@ import numpy as np
 
 from smooth_operator.episode_files.lerobot.columns import NO_COMMAND
 from smooth_operator.episode_files.lerobot.tables import OWN_COLUMN, numbers, read_table
-from smooth_operator.errors import (
-    UPGRADE,
-    ConfigError,
-    DocumentError,
-    RecordingError,
-    brief,
-    listed,
-    reason,
-)
+from smooth_operator.errors import ConfigError, DocumentError, RecordingError, brief, listed, reason
+from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.checks import (
     check_rate,
     check_recording,

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import MissingExtraError, RecordingError, listed
 from smooth_operator.formats.arrays import NUMBER_BYTES, Allowance, damaged
-from smooth_operator.io.documents import check_plain_file
+from smooth_operator.io.plain_files import check_plain_file
 
 CODEBASE_VERSION: Final = "v3.0"
 CHUNK_PATH: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}"

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from smooth_operator.atomic_files import output_error
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import align_recording
+from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.lab.benchmark.cells import Cell, method_label
 from smooth_operator.lab.benchmark.quality import Measured
 from smooth_operator.lab.benchmark.suite import Finished, Row, row_method, value_of

@@ -12,9 +12,10 @@ from jaxtyping import Bool, Float
 
 from smooth_operator import poses
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import AlignmentConfig, align_recording
+from smooth_operator.hands.penetration import penetration_depths
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.lab.datasets.clip import RobotClip, robot_part
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.metrics import summary

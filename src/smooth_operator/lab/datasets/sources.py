@@ -26,7 +26,8 @@ from smooth_operator.errors import (
     require,
 )
 from smooth_operator.formats.checks import frame_slice
-from smooth_operator.io.documents import check_plain_file, parse_json, read_text
+from smooth_operator.io.documents import parse_json
+from smooth_operator.io.plain_files import check_plain_file, read_text
 from smooth_operator.lab.datasets.registry import (
     DATASETS,
     RESEARCH_LAYOUTS,
@@ -240,7 +241,7 @@ def read_manifest(path: Path) -> Iterator[Item]:
         yield _row(values, where)
 
 
-def _of_csv(text: str, path: Path) -> Iterator[Row]:
+def _of_csv(text: str, path: Path) -> Iterator[Item]:
     table = csv.DictReader(io.StringIO(text))
     if "path" not in (table.fieldnames or ()):
         raise RecordingError(

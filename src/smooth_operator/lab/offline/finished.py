@@ -12,7 +12,8 @@ from typing import Any, Final
 from smooth_operator.atomic_files import claimed as claimed
 from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.commands import config_path, read_commands
-from smooth_operator.io.documents import check_plain_file, read_json
+from smooth_operator.io.documents import read_json
+from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.planning import PROGRAM
 from smooth_operator.version import package_version
 

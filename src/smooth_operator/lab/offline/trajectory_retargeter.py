@@ -34,10 +34,11 @@ from smooth_operator.lab.offline.trajectory_solver import (
     smooth_trajectory,
 )
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
-from smooth_operator.methods.method import FrameGoals, Method, MethodConfig, TrajectoryMethodConfig
-from smooth_operator.methods.program import align_frame
+from smooth_operator.methods.frame import align_frame
+from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.loss import Objective
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 WINDOW: Final = 2048
@@ -66,10 +67,9 @@ class TrajectoryRetargeter:
         self.hand, self.config, self.seed = hand, config, seed
         self.causal = Retargeter(hand, config=config.causal, seed=seed)
         method = self.causal.shared.method  # that of the mirror image for hands described as one
-        goals = _frame_goals(method)
-        objective, alignment = goals.objective, config.alignment
+        objective, alignment = _objective(method), config.alignment
         tips = np.array([TIPS[FINGERS.index(finger)] for finger in method.hand.fingers])
-        self._begin = goals.begin
+        self._targets_at_first = objective.config.targets.init(objective.layout)
 
         def aligned(landmarks: Array, valid: Array) -> Array:
             return jax.vmap(lambda *frame: align_frame(method, alignment, *frame).aligned)(
@@ -81,7 +81,7 @@ class TrajectoryRetargeter:
         ) -> tuple[Any, tuple[FrameGoal, Array]]:
             def one(memory: Any, frame: tuple[Array, Array]) -> tuple[Any, tuple[FrameGoal, Array]]:
                 points, usable = frame
-                after, goal = goals.follow(memory, points)
+                after, goal = goal_alone(objective, memory, points)
                 after = jax.tree.map(lambda new, old: jnp.where(usable, new, old), after, memory)
                 return after, (goal, points[tips] - points[WRIST])
 
@@ -233,7 +233,7 @@ class TrajectoryRetargeter:
             noise = tracker_noise(points[stretch][:, needs], tracked[stretch])
             jump = self.config.jump + self.config.noise * noise
             points[stretch] = without_jumps(points[stretch], tracked[stretch], jump)
-        memory, parts = self._begin(), []
+        memory, parts = self._targets_at_first, []
         for part in chunks:
             memory, goal = self._follow(memory, _filled(points[part]), _filled(tracked[part]))
             parts.append(goal)
@@ -353,16 +353,35 @@ def check_method(config: MethodConfig, hand: Hand) -> None:
     if whole is None:
         config.build(hand)
     else:
-        _frame_goals(whole.causal.build(hand))
+        _objective(whole.causal.build(hand))
 
 
-def _frame_goals(method: Method) -> FrameGoals:
-    goals = method.frame_goals()
-    if goals is None:
+def _objective(method: Method) -> Objective:
+    objective = method.trajectory_objective
+    if objective is None:
         raise ConfigError(
             f"{type(method).__name__} can't be solved for a whole recording; sbr and smooth can"
         )
-    return goals
+    return objective
+
+
+def goal_alone(
+    objective: Objective, memory: Any, aligned: Float[Array, "21 3"]
+) -> tuple[Any, FrameGoal]:
+    """The target policy's state after a frame, and the frame's goal without regard to the command
+    before it; traceable. What passes from frame to frame is in and out, never inside.
+
+    Args:
+        memory: state of the target policy before the frame.
+        aligned: (21, 3) landmarks in the palm frame [m].
+    """
+    hand, layout = objective.hand, objective.layout
+    targets, memory = objective.config.targets(memory, layout, layout.human(aligned))
+    neutral = jnp.asarray(hand.neutral, aligned.dtype)
+    none = jnp.zeros((), aligned.dtype)
+    tips = jnp.zeros((len(hand.fingers), 3), aligned.dtype)
+    goal = FrameGoal(targets.vectors, targets.weights, neutral, none, tips, tips[:, 0])
+    return memory, goal
 
 
 def fingertips(

@@ -31,8 +31,9 @@ from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.lab.benchmark.recordings import Request, load_sources
 from smooth_operator.lab.offline import TrajectoryRetargeter
 from smooth_operator.lab.tuning.search_plan import COMMAND, Tuning, figure
+from smooth_operator.methods.frame import FrameState
 from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.program import FrameState, frame_step, ticks_of
+from smooth_operator.methods.program import frame_step, ticks_of
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
@@ -62,7 +63,7 @@ class TracedRun:
                 config, {path: values[i] for i, path in enumerate(self._paths)}
             )
             method = traced.build(served)
-            assert method.host is None  # looked at by can_trace
+            assert not method.on_host  # looked at by can_trace
             step = frame_step(method, traced.alignment)
             return jax.lax.scan(lambda carry, frame: step(carry, *frame), state, frames)
 
@@ -105,7 +106,7 @@ class TracedRun:
 def can_trace(retargeter: Retargeter, values: Mapping[str, float | int]) -> bool:
     """True if tracing may work: fractions only, and a method that is one program."""
     fractions = all(isinstance(value, float) for value in values.values())
-    return fractions and retargeter.method.host is None
+    return fractions and not retargeter.method.on_host
 
 
 UNTRACEABLE = (
@@ -201,7 +202,7 @@ def _commands(task: TrialTask, config: MethodConfig, recording: HandRecording) -
 def _compiled(task: TrialTask, config: MethodConfig, recording: HandRecording) -> CommandTrajectory:
     """Compiled for these values."""
     retargeter = Retargeter(task.hand, side=recording.side, config=config, seed=task.seed)
-    if retargeter.method.host is not None:
+    if retargeter.method.on_host:
         return retargeter.run(recording)[0]
     return TracedRun(retargeter, ()).run(recording, {})
 

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.hands.collision import penetration_depths
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.lab.validation.checks import Check, HandValidation, Samples, Verdict
@@ -35,8 +35,8 @@ from smooth_operator.lab.validation.joints import (
     check_size,
     check_tilt,
 )
-from smooth_operator.methods.default import DEFAULT_METHOD
 from smooth_operator.methods.presets import method_config, method_names
+from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics.consistency import frozen_share
 from smooth_operator.synthetic.robot_landmarks import human_landmarks

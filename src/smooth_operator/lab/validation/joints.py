@@ -8,15 +8,12 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from smooth_operator.hands.collision import neutral_overlaps, solid_shapes
+from smooth_operator.hands.collision import solid_shapes
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.penetration import neutral_overlaps
 from smooth_operator.hands.stand_ins import stand_in_links
-from smooth_operator.human.alignment import (
-    MIN_CONDITION,
-    palm_alignment,
-    palm_tilt_deg,
-    reference_landmarks,
-)
+from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
+from smooth_operator.human.flat_hand import palm_tilt_deg
 from smooth_operator.lab.validation.checks import Check, Samples, Verdict, worst
 from smooth_operator.landmarks import LANDMARKS
 

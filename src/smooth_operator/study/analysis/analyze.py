@@ -7,16 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final
 
-import numpy as np
-
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.study.analysis.frame import (
-    Frame,
-    success_frame,
-    time_frame,
-    tlx_frame,
-    within,
-)
+from smooth_operator.study.analysis.frame import Frame, Index, frame_of, outcome_frames
 from smooth_operator.study.analysis.learning import linear_slope, logistic_slope
 from smooth_operator.study.analysis.operators import leave_out, variance
 from smooth_operator.study.analysis.outcomes import analyze
@@ -36,10 +28,18 @@ from smooth_operator.study.analysis.results import (
     plain,
 )
 from smooth_operator.study.analysis.spearman import correlations
-from smooth_operator.study.data.rows import ITEMS, StudyData
+from smooth_operator.study.data.rows import StudyData, answers
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 
 _DEFAULT_BASELINE: Final = "dexpilot"
 """Baseline of the paper, for data without a plan."""
+_SLOPES: Final[tuple[tuple[str, Index, tuple[Outcome, ...]], ...]] = (
+    ("trial_global", "global", ("time", "success")),
+    ("trial_in_block", "in block", ("time", "success")),
+    ("tlx_index", "global", ("tlx",)),
+    ("in_block", "in block", ("tlx",)),
+)
+"""Name, index and outcomes of the slopes of learning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class Analysis:
         content["readings"] = plain(self.readings)
         content["operator_variance"] = plain(variance(self.data))
         content["flow"] = plain(self.data.flow)
-        planned = self.data.plan
+        planned, filled = self.data.plan, self.data.questionnaires
         content["study"] = {
             "baseline": self.baseline,
             "planned_baseline": None if planned is None else planned.baseline,
@@ -114,7 +114,7 @@ class Analysis:
             "tasks": [scope for scope in self.scopes if scope != POOLED],
             "operators": sorted({str(name) for name in self.data.trials.operator}),
             "trials": len(self.data.trials),
-            "questionnaires": len(self.data.questionnaires or ()),
+            "questionnaires": 0 if filled is None else len(filled),
             "workload": "raw",
             "notes": list(self.data.notes),
             "files": list(self.data.sources),
@@ -186,35 +186,24 @@ def analyze_study(
 
 
 def _analyze_scope(analysis: Analysis, scope: str) -> None:
-    data, baseline = analysis.data, analysis.baseline
-    frame = success_frame(data.trials, scope, baseline)
-    by_outcome: dict[Outcome, dict[Mode, ScopeResult]] = {
-        "success": analyze("success", frame, _missing(analysis, frame, scope))
-    }
-    frame = time_frame(data.trials, scope, baseline)
-    notes = _missing(analysis, frame, scope)
-    untimed = int(
-        np.sum(within(data.trials, scope) & data.trials.success & np.isnan(data.trials.time))
+    trials, filled = (
+        table if table is None or scope == POOLED else table[table.task == scope]
+        for table in (analysis.data.trials, analysis.data.questionnaires)
     )
-    if untimed:
-        notes = (*notes, f"{untimed} successful trial(s) without a time are left out")
-    by_outcome["time"] = analyze("time", frame, notes)
-    if data.questionnaires is None:
+    notes = {}
+    if untimed := int((trials.success & trials.time.isna()).sum()):
+        notes["time"] = f"{untimed} successful trial(s) without a time are left out"
+    if unanswered := 0 if filled is None else int(filled.workload.isna().sum()):
+        notes["tlx"] = f"{unanswered} questionnaire(s) with an answer missing are left out"
+    for outcome, frame in outcome_frames(analysis.data, scope, analysis.baseline).items():
+        missing = (*_missing(analysis, frame, scope), *filter(None, [notes.get(outcome)]))
+        for mode, result in analyze(outcome, frame, missing).items():
+            analysis.results[mode].setdefault(outcome, {})[scope] = result
+    if filled is None:
         reason = "no questionnaires were given"
         none = ScopeResult(refused=reason, warnings=(f"not tested: {reason}",))
-        by_outcome["tlx"] = dict.fromkeys(MODES, none)
-    else:
-        frame = tlx_frame(data.questionnaires, scope, baseline)
-        notes = _missing(analysis, frame, scope)
-        left_out = int(
-            np.sum(within(data.questionnaires, scope) & np.isnan(data.questionnaires.workload))
-        )
-        if left_out:
-            notes = (*notes, f"{left_out} questionnaire(s) with an answer missing are left out")
-        by_outcome["tlx"] = analyze("tlx", frame, notes)
-    for outcome, by_mode in by_outcome.items():
-        for mode, result in by_mode.items():
-            analysis.results[mode].setdefault(outcome, {})[scope] = result
+        for mode in MODES:
+            analysis.results[mode].setdefault("tlx", {})[scope] = none
 
 
 def _warn_of_interactions(analysis: Analysis) -> None:
@@ -251,19 +240,13 @@ def _missing(analysis: Analysis, frame: Frame, scope: str) -> tuple[str, ...]:
 
 
 def _learning(data: StudyData, scope: str, baseline: str) -> dict[str, Any]:
-    trials = data.trials
-    slopes: dict[str, Any] = {
-        name: {
-            "time": linear_slope(time_frame(trials, scope, baseline, index)),
-            "success": logistic_slope(success_frame(trials, scope, baseline, index)),
-        }
-        for name, index in (("trial_global", "global"), ("trial_in_block", "in block"))
+    rows = data.outcomes()
+    slopes = {"success": logistic_slope, "time": linear_slope, "tlx": linear_slope}
+    return {
+        name: {one: slopes[one](frame_of(rows[one], scope, baseline, index)) for one in outcomes}
+        for name, index, outcomes in _SLOPES
+        if outcomes[0] in rows
     }
-    if data.questionnaires is not None:
-        for name, index in (("tlx_index", "global"), ("in_block", "in block")):
-            frame = tlx_frame(data.questionnaires, scope, baseline, index)
-            slopes[name] = {"tlx": linear_slope(frame)}
-    return slopes
 
 
 def _items(analysis: Analysis, scope: str) -> dict[str, ScopeResult]:
@@ -271,8 +254,11 @@ def _items(analysis: Analysis, scope: str) -> dict[str, ScopeResult]:
     if table is None:
         return {}
     return {
-        item: analyze(
-            "tlx", tlx_frame(table, scope, analysis.baseline, item=k), modes=MODES[:1], limits=False
+        scale: analyze(
+            "tlx",
+            frame_of(answers(table, scale), scope, analysis.baseline),
+            modes=MODES[:1],
+            limits=False,
         )[MODES[0]]
-        for k, item in enumerate(ITEMS)
+        for scale in SCALE_NAMES
     }

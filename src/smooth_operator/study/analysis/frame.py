@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.results import POOLED
-from smooth_operator.study.data.rows import Questionnaires, Trials
+from smooth_operator.study.analysis.results import POOLED, Outcome
+from smooth_operator.study.data.rows import StudyData
 
 INTERCEPT: Final = "(Intercept)"
 INDEX: Final = "t"
@@ -119,18 +120,16 @@ def make_frame(
         outcome: outcome y, without NaN (n,).
         baseline: retargeter that comes first, if it occurs.
     """
-    names = sorted({str(name) for name in retargeter}, key=lambda name: (name != baseline, name))
-    place = {name: j for j, name in enumerate(names)}
-    tasks, task_codes = np.unique(task, return_inverse=True)
-    operators, groups = np.unique(operator, return_inverse=True)
+    names = sorted({*retargeter}, key=lambda name: (name != baseline, name))
+    tasks, operators = (pd.factorize(column, sort=True) for column in (task, operator))
     return Frame(
         outcome=np.asarray(outcome, float),
-        retargeters=tuple(names),
-        retargeter=np.array([place[str(name)] for name in retargeter], int),
-        tasks=tuple(str(name) for name in tasks),
-        task=task_codes.astype(int),
-        operators=tuple(str(name) for name in operators),
-        group=groups.astype(int),
+        retargeters=tuple(map(str, names)),
+        retargeter=pd.Categorical(retargeter, names).codes.astype(int),
+        tasks=tuple(map(str, tasks[1])),
+        task=tasks[0],
+        operators=tuple(map(str, operators[1])),
+        group=operators[0],
         index=np.asarray(index, float),
         baseline=baseline,
     )
@@ -138,14 +137,10 @@ def make_frame(
 
 def keep_rows(frame: Frame, rows: Bool[np.ndarray, " n"]) -> Frame:
     """Selects rows of a frame; names that no longer occur are dropped."""
-    return make_frame(
-        frame.outcome[rows],
-        np.array(frame.retargeters)[frame.retargeter[rows]],
-        np.array(frame.tasks)[frame.task[rows]],
-        np.array(frame.operators)[frame.group[rows]],
-        frame.index[rows],
-        frame.baseline,
-    )
+    names = (frame.retargeters, frame.tasks, frame.operators)
+    codes = (frame.retargeter, frame.task, frame.group)
+    columns = (np.array(one)[code[rows]] for one, code in zip(names, codes, strict=True))
+    return make_frame(frame.outcome[rows], *columns, frame.index[rows], frame.baseline)
 
 
 def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
@@ -187,68 +182,32 @@ def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
 
 def dependent_columns(design: Float[np.ndarray, "n p"]) -> list[int]:
     """Finds columns that are linear combinations of earlier ones."""
-    basis: list[np.ndarray] = []
-    dependent = []
-    for j in range(design.shape[1]):
-        rest = design[:, j].astype(float)
-        length = float(np.linalg.norm(rest))
-        for _ in range(2):  # twice is enough for orthogonality to rounding
-            for direction in basis:
-                rest = rest - direction * (direction @ rest)
-        if np.linalg.norm(rest) <= _DEPENDENT * max(length, 1e-300):
-            dependent.append(j)
-        else:
-            basis.append(rest / np.linalg.norm(rest))
-    return dependent
+    lengths = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    left = np.zeros(design.shape[1])  # rows beyond those of the design are zero
+    diagonal = np.diag(np.linalg.qr(design / lengths, mode="r"))
+    left[: len(diagonal)] = np.abs(diagonal)
+    return np.flatnonzero(left <= _DEPENDENT).tolist()
 
 
-def success_frame(trials: Trials, scope: str, baseline: str, index: str = "global") -> Frame:
-    """Makes a frame of all trials of a scope; the outcome is 1 for a score of 0.5 or 1."""
-    return _trial_frame(
-        trials, trials.success.astype(float), within(trials, scope), baseline, index
-    )
+Index: TypeAlias = Literal["global", "in block"]
+"""Number of a trial or questionnaire in the operator's task, or in its block."""
+_INDICES: Final = {"global": ("trial_global", "index"), "in block": ("trial_in_block", "point")}
 
 
-def time_frame(trials: Trials, scope: str, baseline: str, index: str = "global") -> Frame:
-    """Makes a frame of the successful trials of a scope; the outcome is the time [s]."""
-    rows = within(trials, scope) & trials.success & np.isfinite(trials.time)
-    return _trial_frame(trials, trials.time, rows, baseline, index)
+def frame_of(rows: pd.DataFrame, scope: str, baseline: str, index: Index = "global") -> Frame:
+    """Makes a frame of the rows of an outcome in a scope.
 
-
-def tlx_frame(
-    table: Questionnaires,
-    scope: str,
-    baseline: str,
-    index: str = "global",
-    item: int | None = None,
-) -> Frame:
-    """Makes a frame of the questionnaires of a scope; the outcome is the workload, or one scale."""
-    outcome = table.workload if item is None else table.answers[:, item]
-    rows = within(table, scope) & np.isfinite(outcome)
+    Args:
+        rows: rows as those of ``StudyData.outcomes``.
+        baseline: retargeter that comes first, if it occurs.
+    """
+    rows = rows if scope == POOLED else rows[rows.task == scope]
+    number = next(column for column in _INDICES[index] if column in rows)
     return make_frame(
-        outcome[rows],
-        table.retargeter[rows],
-        table.task[rows],
-        table.operator[rows],
-        (table.index if index == "global" else table.point)[rows],
-        baseline,
+        *(rows[c].to_numpy() for c in ("value", "retargeter", "task", "operator", number)), baseline
     )
 
 
-def _trial_frame(
-    trials: Trials, outcome: Float[np.ndarray, " n"], rows: np.ndarray, baseline: str, index: str
-) -> Frame:
-    return make_frame(
-        outcome[rows],
-        trials.retargeter[rows],
-        trials.task[rows],
-        trials.operator[rows],
-        (trials.trial_global if index == "global" else trials.trial_in_block)[rows],
-        baseline,
-    )
-
-
-def within(table: Trials | Questionnaires, scope: str) -> np.ndarray:
-    """True for rows of a scope (n,)."""
-    everything = np.ones(len(table), bool)
-    return everything if scope == POOLED else np.asarray(table.task == scope)
+def outcome_frames(data: StudyData, scope: str, baseline: str) -> dict[Outcome, Frame]:
+    """Makes the frame of each outcome that a study has."""
+    return {name: frame_of(rows, scope, baseline) for name, rows in data.outcomes().items()}

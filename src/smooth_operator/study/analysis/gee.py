@@ -1,4 +1,4 @@
-"""Population-averaged logistic regression: GEE with an exchangeable working correlation.
+"""Population-averaged regression: GEE with an exchangeable working correlation.
 
 The fit is statsmodels' ``GEE``. Rows of one operator share the correlation α; scale φ and α are
 moment estimates without correction for the number of coefficients, as geepack has them.
@@ -55,7 +55,6 @@ class GeeFit:
         robust: sandwich covariance (p, p).
         mancl_derouen: sandwich covariance with residuals corrected for leverage (p, p); None if the
             leverage of an operator can't be corrected.
-        naive: covariance under the working correlation (p, p).
         alpha: working correlation α of two rows of one operator.
         phi: scale φ.
         operators: number of operators.
@@ -66,7 +65,6 @@ class GeeFit:
     beta: Float[np.ndarray, " p"]
     robust: Float[np.ndarray, "p p"]
     mancl_derouen: Float[np.ndarray, "p p"] | None
-    naive: Float[np.ndarray, "p p"]
     alpha: float
     phi: float
     operators: int
@@ -124,7 +122,7 @@ def fit_gee(
     from statsmodels.genmod.families import Binomial
 
     sizes = np.bincount(groups)
-    correctable = bool(np.max(_leverages(design, groups)) < _ALONE)
+    correctable = _correctable(design, groups)
     try:
         # A fit that diverges is refused below, with its own message.
         with np.errstate(all="ignore"), warnings.catch_warnings():
@@ -164,7 +162,6 @@ def fit_gee(
         beta=fit.params,
         robust=fit.cov_robust,
         mancl_derouen=fit.cov_robust_bc if correctable else None,
-        naive=fit.cov_naive,
         alpha=alpha,
         phi=float(fit.scale),
         operators=len(sizes),
@@ -172,16 +169,54 @@ def fit_gee(
     )
 
 
-def _leverages(
-    design: Float[np.ndarray, "n p"], groups: Int[np.ndarray, " n"]
-) -> Float[np.ndarray, " g"]:
-    """Largest eigenvalue of each operator's block of the hat matrix, 0 to 1.
+def mancl_derouen(
+    design: Float[np.ndarray, "n p"],
+    residuals: Float[np.ndarray, " n"],
+    groups: Int[np.ndarray, " n"],
+    ratio: float,
+) -> Float[np.ndarray, "p p"] | None:
+    """Covariance of a linear model's coefficients that is robust against any correlation within
+    operators.
 
+    It is the sandwich covariance of a fit with a random intercept as working covariance, corrected
+    for leverage. With t on one degree of freedom less than operators it also holds where operators
+    differ in a slope, unlike Satterthwaite's t on a model without random slopes.
+
+    Args:
+        design: fixed effects, with full column rank.
+        residuals: y - X β, with the predicted intercepts still in them.
+        groups: operator of each row, codes from 0.
+        ratio: variance of operators over residual variance in the working covariance.
+
+    Returns:
+        The covariance; None where an operator's leverage can't be corrected.
+    """
+    if not _correctable(design, groups):
+        return None
+    estimating_equations = require_statsmodels()
+    from statsmodels.genmod.cov_struct import Exchangeable
+
+    structure = Exchangeable()
+    model = estimating_equations.GEE(
+        residuals, design, groups=groups, cov_struct=structure, update_dep=False
+    )
+    structure.dep_params = ratio / (1 + ratio)
+    start = np.zeros(design.shape[1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fit = model.fit(maxiter=2, start_params=start, cov_type="bias_reduced")
+    return np.asarray(fit.cov_robust_bc)
+
+
+def _correctable(design: Float[np.ndarray, "n p"], groups: Int[np.ndarray, " n"]) -> bool:
+    """True if no operator alone determines a coefficient.
+
+    The leverage of an operator is the largest eigenvalue of its block of the hat matrix, 0 to 1.
     Without an operator with leverage 1 the design loses rank, whatever the weights.
     """
     basis, _ = np.linalg.qr(design)
     blocks = (basis[groups == k] for k in range(int(groups.max()) + 1))
-    return np.array([np.linalg.norm(block, 2) ** 2 for block in blocks])
+    return max(np.linalg.norm(block, 2) ** 2 for block in blocks) < _ALONE
 
 
 _ANY: Final = 1e-7

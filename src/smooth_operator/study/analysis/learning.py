@@ -14,9 +14,9 @@ from scipy.special import expit
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.dunnett import two_sided
 from smooth_operator.study.analysis.frame import Frame, check_frame
-from smooth_operator.study.analysis.gee import fit_gee, separating
-from smooth_operator.study.analysis.mixed import fit_mixed, mancl_derouen
-from smooth_operator.study.analysis.separated import split
+from smooth_operator.study.analysis.gee import fit_gee, mancl_derouen, separating
+from smooth_operator.study.analysis.mixed import fit_mixed
+from smooth_operator.study.analysis.outcomes import split
 
 
 def linear_slope(frame: Frame) -> dict[str, Any]:

@@ -11,8 +11,7 @@ Criterion, gradient and Hessian are exact. Degrees of freedom are Satterthwaite'
 variance that is estimated as zero does not count.
 
 Sources: Bates et al. 2015 (profiled criterion), Gilmour, Thompson and Cullis 1995 (derivatives),
-Fai and Cornelius 1996 and Kuznetsova et al. 2017 (Satterthwaite's approximation), Mancl and
-DeRouen 2001 (``mancl_derouen``).
+Fai and Cornelius 1996 and Kuznetsova et al. 2017 (Satterthwaite's approximation).
 """
 
 from __future__ import annotations
@@ -34,8 +33,6 @@ _FLAT: Final = 1e-13
 """Expected gain of a step at which the search ends, in units of -2 log L."""
 _NO_RESIDUAL: Final = 1e-12
 """Share of the outcome's sum of squares within leaves below which there is no residual."""
-_ALONE: Final = 1 - 1e-10
-"""Leverage from which an operator alone determines a coefficient."""
 _EXPLAINED: Final = (
     "the model explains the outcome without any residual, so nothing can be tested: within the "
     "blocks of operators it never varies, or never but as the model says"
@@ -125,49 +122,6 @@ def fit_mixed(
             f"a mixed model with {width} coefficients needs more rows than that; came {rows}"
         )
     return _Profile(design, outcome, _estimable(levels)).fit()
-
-
-def mancl_derouen(
-    design: Float[np.ndarray, "n p"],
-    residuals: Float[np.ndarray, " n"],
-    groups: Int[np.ndarray, " n"],
-    ratio: float,
-) -> Float[np.ndarray, "p p"] | None:
-    """Covariance of the coefficients that is robust against any correlation within operators.
-
-    It is the sandwich covariance of a fit by generalised least squares with a random intercept as
-    working covariance V, with each operator's residuals corrected for their leverage. With t on one
-    degree of freedom less than operators it also holds where operators differ in a slope, unlike
-    Satterthwaite's t on a model without random slopes.
-
-    Args:
-        design: fixed effects, with full column rank.
-        residuals: y - X β, with the predicted intercepts still in them.
-        groups: operator of each row, codes from 0.
-        ratio: variance of operators over residual variance in the working covariance.
-
-    Returns:
-        The covariance; None where an operator's leverage can't be corrected.
-    """
-    rows = [np.flatnonzero(groups == k) for k in range(int(groups.max()) + 1)]
-    # V⁻¹ X of each operator, up to the residual variance, which cancels.
-    weighted_rows = []
-    for own in rows:
-        part = design[own]
-        weighted_rows.append(part - ratio / (1 + ratio * len(own)) * part.sum(axis=0))
-    bread = np.linalg.inv(
-        sum(design[own].T @ w for own, w in zip(rows, weighted_rows, strict=True))
-    )
-    meat = np.zeros_like(bread)
-    for own, weighted in zip(rows, weighted_rows, strict=True):
-        # (I - X B W')⁻¹ r by the inverse of a p x p matrix (Woodbury).
-        inner = np.eye(len(bread)) - weighted.T @ design[own] @ bread
-        if np.min(np.abs(np.linalg.eigvals(inner))) < 1 - _ALONE:
-            return None
-        score = weighted.T @ residuals[own]
-        corrected = np.linalg.solve(inner, score)
-        meat += np.outer(corrected, corrected)
-    return np.asarray(bread @ meat @ bread)
 
 
 def _estimable(levels: Mapping[str, Int[np.ndarray, " n"]]) -> dict[str, Int[np.ndarray, " n"]]:

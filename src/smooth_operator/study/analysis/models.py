@@ -155,80 +155,28 @@ def compare(
         value = float(means.values[j])
         emm[name] = Mean(value, se, df, value - reach, value + reach)
     warnings = []
-    tests = {}
+    tests: dict[tuple[int, int], tuple[float, float, float, float, float]] = {}
     least = _NO_SPREAD * float(np.sqrt(np.max(np.diag(covariance))))
     for a, b in combinations(range(len(means.names)), 2):
-        test = _difference(means, of_coefficients, a, b, freedom)
-        if not test.se > least:
+        contrast = means.gradient[a] - means.gradient[b]
+        se = float(np.sqrt(max(float(contrast @ of_coefficients @ contrast), 0)))
+        if not se > least:
             warnings.append(
                 f"{means.names[a]} and {means.names[b]} differ without any estimated error; there "
                 "are too few operators for a test"
             )
-        tests[a, b] = test
-    usable = {key: test for key, test in tests.items() if test.se > least}
-    adjusted = dict(zip(usable, holm([test.p for test in usable.values()]), strict=True))
+            continue
+        difference, df = float(means.values[a] - means.values[b]), freedom(contrast)
+        statistic = difference / se
+        tests[a, b] = difference, se, df, statistic, two_sided(statistic, df)
     pairs = {}
-    for (a, b), test in usable.items():
-        size = effect(means.values[a], means.values[b])
-        first, second = means.names[a], means.names[b]
-        pairs[f"{first}-{second}"] = Pair(
-            first, second, test.difference, test.se, test.df, test.statistic, test.p,
-            adjusted[a, b], size, in_words(size),
-        )  # fmt: skip
-    against: dict[str, Against] = {}
-    correlation: list[list[float]] = []
-    if means.names[0] == baseline:
-        others = [j for j in range(1, len(means.names)) if (0, j) in usable]
-        if others:
-            against, correlation, error = _against(
-                means, covariance, others, {j: usable[0, j] for j in others}, effect, limits, decide
-            )
-            if error > _ROUGH:
-                warnings.append(f"Dunnett p-values are known to {error:.1g} only")
-    return Comparisons(emm, against, pairs, correlation, tuple(warnings))
-
-
-@dataclass(frozen=True)
-class _Test:
-    difference: float
-    se: float
-    df: float
-
-    @property
-    def statistic(self) -> float:
-        return self.difference / self.se
-
-    @property
-    def p(self) -> float:
-        return two_sided(self.statistic, self.df)
-
-
-def _difference(
-    means: MarginalMeans,
-    of_coefficients: Float[np.ndarray, "p p"],
-    a: int,
-    b: int,
-    freedom: Freedom,
-) -> _Test:
-    contrast = means.gradient[a] - means.gradient[b]
-    variance = float(contrast @ of_coefficients @ contrast)
-    return _Test(
-        float(means.values[a] - means.values[b]),
-        float(np.sqrt(max(variance, 0))),
-        freedom(contrast),
-    )
-
-
-def _against(
-    means: MarginalMeans,
-    covariance: Float[np.ndarray, "r r"],
-    others: list[int],
-    tests: dict[int, _Test],
-    effect: Effect,
-    limits: bool,
-    decide: float | None,
-) -> tuple[dict[str, Against], list[list[float]], float]:
-    # Tests are baseline minus other; Dunnett's are the other way round, with equal correlations.
+    for (a, b), p_holm in zip(tests, holm([p for *_, p in tests.values()]), strict=True):
+        size, names = effect(means.values[a], means.values[b]), (means.names[a], means.names[b])
+        pairs["-".join(names)] = Pair(*names, *tests[a, b], p_holm, size, in_words(size))
+    others = [b for a, b in tests if a == 0] if means.names[0] == baseline else []
+    if not others:
+        return Comparisons(emm, {}, pairs, [], tuple(warnings))
+    # Pairs are baseline minus other; Dunnett's are the other way round, with equal correlations.
     matrix = np.zeros((len(others), len(means.names)))
     matrix[:, 0] = -1
     matrix[np.arange(len(others)), others] = 1
@@ -236,21 +184,23 @@ def _against(
     scale = np.sqrt(np.diag(spread))
     correlation = spread / np.outer(scale, scale)
     family = dunnett(
-        [-tests[j].statistic for j in others],
+        [-tests[0, j][3] for j in others],
         correlation,
-        [tests[j].df for j in others],
+        [tests[0, j][2] for j in others],
         level=0.95 if limits else None,
         decide=decide,
     )
-    comparisons = {}
+    against = {}
     for j, p, reach in zip(others, family.p, family.critical, strict=True):
-        test, size = tests[j], effect(means.values[j], means.values[0])
-        difference, half = -test.difference, reach * test.se
-        comparisons[means.names[j]] = Against(
-            difference, test.se, test.df, -test.statistic, test.p, p,
-            difference - half, difference + half, size, in_words(size),
+        difference, se, df, statistic, p_raw = tests[0, j]
+        size, half = effect(means.values[j], means.values[0]), reach * se
+        against[means.names[j]] = Against(
+            -difference, se, df, -statistic, p_raw, p, -difference - half, -difference + half,
+            size, in_words(size),
         )  # fmt: skip
-    return comparisons, [[float(x) for x in row] for row in correlation], family.error
+    if family.error > _ROUGH:
+        warnings.append(f"Dunnett p-values are known to {family.error:.1g} only")
+    return Comparisons(emm, against, pairs, correlation.tolist(), tuple(warnings))
 
 
 ONE_SIDED: Final = "no retargeter has both successes and failures"

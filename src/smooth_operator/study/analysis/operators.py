@@ -7,13 +7,14 @@ statement. doi:10.1136/bmj.c332
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.study.analysis.results import OUTCOMES, Outcome
+from smooth_operator.study.analysis.results import OUTCOMES
 from smooth_operator.study.data.rows import Flow, StudyData
 
 FLOW_COLUMNS: Final = ("step", "retargeter", "count", "operators", "reason")
@@ -50,9 +51,8 @@ def leave_out(data: StudyData, exclude: Mapping[str, str] | None = None) -> Stud
     flow = replace(flow, excluded=excluded, analysed=analysed)
     if not out:
         return replace(data, flow=flow)
-    gone = sorted(out)
     changes: dict[str, Any] = {
-        name: table.where(~np.isin(table.operator, gone))
+        name: table[~table.operator.isin(out)].reset_index(drop=True)
         for name in ("trials", "questionnaires", "metrics")
         if (table := getattr(data, name)) is not None
     }
@@ -118,46 +118,18 @@ def _keep_text(keep: bool) -> str:
     return "data kept" if keep else "data left out"
 
 
-_SHOWN: Final = 4
-
-
-@dataclass(frozen=True)
-class OperatorMean:
-    """Mean outcome of one operator with one retargeter in one task."""
-
-    outcome: Outcome
-    task: str
-    retargeter: str
-    operator: str
-    n: int
-    mean: float
-
-
-def operator_means(data: StudyData) -> list[OperatorMean]:
+def operator_means(data: StudyData) -> pd.DataFrame:
     """Computes success rate, mean time of successes [s] and mean workload of each operator.
 
     Returns:
-        The means, sorted by outcome, task, retargeter and operator.
+        Columns ``outcome``, ``task``, ``retargeter``, ``operator``, ``n`` (number of rows) and
+        ``mean``.
     """
-    trials = data.trials
-    columns: list[tuple[Outcome, Any, np.ndarray, np.ndarray]] = [
-        ("success", trials, trials.success.astype(float), np.ones(len(trials), bool)),
-        ("time", trials, trials.time, trials.success & np.isfinite(trials.time)),
-    ]
-    if data.questionnaires is not None:
-        workload = data.questionnaires.workload
-        columns.append(("tlx", data.questionnaires, workload, np.isfinite(workload)))
-    means = []
-    for outcome, table, values, rows in columns:
-        groups: dict[tuple[str, str, str], list[float]] = {}
-        for i in np.flatnonzero(rows):
-            key = (str(table.task[i]), str(table.retargeter[i]), str(table.operator[i]))
-            groups.setdefault(key, []).append(float(values[i]))
-        means += [
-            OperatorMean(outcome, *key, len(group), float(np.mean(group)))
-            for key, group in sorted(groups.items())
-        ]
-    return means
+    groups = {
+        outcome: rows.groupby(["task", "retargeter", "operator"]).value.agg(n="size", mean="mean")
+        for outcome, rows in data.outcomes().items()
+    }
+    return pd.concat(groups, names=["outcome"]).reset_index()
 
 
 def variance(data: StudyData) -> dict[str, Any]:
@@ -167,20 +139,15 @@ def variance(data: StudyData) -> dict[str, Any]:
         By outcome, task and retargeter: ``operators``, ``mean``, ``sd``, ``min``, ``q25``,
         ``median``, ``q75`` and ``max``.
     """
-    groups: dict[tuple[str, str, str], list[float]] = {}
-    for one in operator_means(data):
-        groups.setdefault((one.outcome, one.task, one.retargeter), []).append(one.mean)
+    names = ["min", "q25", "median", "q75", "max"]
     spread: dict[str, Any] = {outcome: {} for outcome in OUTCOMES}
-    for (outcome, task, retargeter), means in groups.items():
-        low, q25, median, q75, high = np.percentile(means, [0, 25, 50, 75, 100])
+    groups = operator_means(data).groupby(["outcome", "task", "retargeter"])["mean"]
+    for (outcome, task, retargeter), means in groups:
+        quantiles = np.percentile(means, [0, 25, 50, 75, 100]).tolist()
         spread[outcome].setdefault(task, {})[retargeter] = {
             "operators": len(means),
-            "mean": float(np.mean(means)),
-            "sd": float(np.std(means, ddof=1)) if len(means) > 1 else None,
-            "min": float(low),
-            "q25": float(q25),
-            "median": float(median),
-            "q75": float(q75),
-            "max": float(high),
+            "mean": float(means.mean()),
+            "sd": float(means.std()) if len(means) > 1 else None,
+            **dict(zip(names, quantiles, strict=True)),
         }
     return spread

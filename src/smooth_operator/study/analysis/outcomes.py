@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.stats import kurtosis, levene, shapiro, skew
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.analysis.frame import INDEX, Frame, check_frame
+from smooth_operator.study.analysis.frame import INDEX, Frame, check_frame, keep_rows
 from smooth_operator.study.analysis.gee import (
     GeeFit,
     one_sided_cells,
@@ -28,8 +28,15 @@ from smooth_operator.study.analysis.models import (
     fit_modes,
     linear_means,
 )
-from smooth_operator.study.analysis.results import MODES, Mode, Outcome, Refused, ScopeResult
-from smooth_operator.study.analysis.separated import in_words, split
+from smooth_operator.study.analysis.results import (
+    MODES,
+    ExactTest,
+    Mode,
+    Outcome,
+    Refused,
+    ScopeResult,
+    Separated,
+)
 
 FEW_OPERATORS: Final = 10
 """Number of operators below which asymptotic tests have a warning."""
@@ -47,6 +54,7 @@ _OWN: Final = {
     "operator:retargeter": "of operator by retargeter",
     "block": "between blocks of one operator and retargeter",
 }
+_TAIL: Final = 0.05
 _UNITS: Final[dict[Outcome, str]] = {"success": "", "time": " s", "tlx": " points"}
 _IGNORED: Final = (
     "mode paper has no term for that and takes trials of one block for independent: it finds "
@@ -61,12 +69,16 @@ def analyze(
     *,
     modes: Sequence[Mode] = MODES,
     limits: bool = True,
+    decide: float | None = None,
 ) -> dict[Mode, ScopeResult]:
     """Fits the models of an outcome and compares the retargeters.
 
     Args:
         frame: rows of the model; success has an outcome of 0 and 1.
         limits: whether to compute simultaneous intervals against the baseline.
+        decide: significance level. Only the means and tests are then computed, fast: p-values may
+            be bounds on the same side of the level; intervals, odds ratios, the checks of residuals
+            and the search for combinations of terms that separate are left out.
 
     Returns:
         The result in each mode. A retargeter that never or always succeeds is left out of the model
@@ -74,7 +86,7 @@ def analyze(
     """
     blank = ScopeResult(n=len(frame), operators=len(frame.operators), warnings=missing)
     success = outcome == "success"
-    if len(frame):
+    if len(frame) and decide is None:
         facts, notes = layout(frame)
         if success:
             facts["one_sided_cells"] = one_sided_cells(frame)
@@ -85,7 +97,7 @@ def analyze(
         check_frame(frame)
         if success:
             rest, separated = split(frame)
-            notes = [in_words(name, results) for name, results in separated.items()]
+            notes = [separated_in_words(name, results) for name, results in separated.items()]
             blank = replace(blank, separated=separated, warnings=(*blank.warnings, *notes))
             if rest is None:
                 raise StudyError(ONE_SIDED)
@@ -93,11 +105,11 @@ def analyze(
             warnings = (*blank.warnings, *rare_outcomes(frame))
             blank = replace(blank, n=len(frame), operators=len(frame.operators), warnings=warnings)
             check_frame(frame, retargeters=1)
-            _check_separation(frame)
+            _check_separation(frame, levels_only=decide is not None)
         fits = fit_modes(outcome, frame, modes)
     except StudyError as error:
         return dict.fromkeys(modes, refuse(blank, str(error)))
-    results = {mode: _result(blank, fit, limits) for mode, fit in fits.items()}
+    results = {mode: _result(blank, fit, limits, decide) for mode, fit in fits.items()}
     if success:
         # A refused covariance does not concern the facts of the fit.
         gee = next((fit.model for fit in fits.values() if isinstance(fit, Fit)), None)
@@ -229,10 +241,14 @@ def rare_outcomes(frame: Frame) -> list[str]:
     return notes
 
 
-def _result(blank: ScopeResult, fit: Fit | Refused, limits: bool) -> ScopeResult:
+def _result(
+    blank: ScopeResult, fit: Fit | Refused, limits: bool, decide: float | None
+) -> ScopeResult:
     if isinstance(fit, Refused):
         return refuse(blank, fit.refused)
-    compared = fit.compare(limits=limits)
+    compared = fit.compare(limits=limits and decide is None, decide=decide)
+    if decide is not None:
+        return replace(blank, emm=compared.emm, dunnett=compared.dunnett, pairs=compared.pairs)
     frame, checks = fit.frame, dict[str, Any]()
     if isinstance(fit.model, MixedFit):
         checks, notes = residual_checks(fit.model.residuals, fit.model.intercepts, frame)
@@ -343,13 +359,15 @@ def _odds(fit: Fit) -> dict[str, dict[str, float]]:
     }
 
 
-def _check_separation(frame: Frame) -> None:
+def _check_separation(frame: Frame, *, levels_only: bool) -> None:
     levels = one_sided_levels(frame)
     if levels:
         raise StudyError(
             f"separation: {'; '.join(levels)}, so its odds are estimated as zero or infinite and "
             "have no standard error; see the observed rates"
         )
+    if levels_only:
+        return
     design, names = frame.design()
     direction = separating(design, frame.outcome)
     if direction is not None:
@@ -373,3 +391,109 @@ def _gee_warnings(frame: Frame, fit: GeeFit) -> list[str]:
             "more alike than those of different ones"
         )
     return notes
+
+
+def split(frame: Frame) -> tuple[Frame | None, dict[str, Separated]]:
+    """Splits off the retargeters that never or always succeed.
+
+    Their odds are zero or infinite, so they have no logistic model. Instead they have:
+
+    - A bound, with each operator as one observation, whatever the correlation of their trials. If
+      none of G operators succeeds, the share of operators who do is at most 1 - 0.05^(1/G). So is
+      the success rate, since an operator's rate is at most the probability of one success or more.
+    - A test. If two retargeters are equally good, swapping them in the trials of one operator is
+      equally likely. For a retargeter that never succeeds, every swap with an effect makes the sum
+      of the operators' differences less extreme. The exact two-sided p over all 2^G swaps is
+      2^(1-k), where k operators differ (sign test).
+
+    Args:
+        frame: frame whose outcome is the success of each trial, 0 or 1.
+
+    Returns:
+        The rows of the others, None if there are none; and the separated retargeters by name. If
+        all trials have one outcome, none is separated.
+    """
+    count = len(frame.retargeters)
+    trials = np.bincount(frame.retargeter, minlength=count)
+    wins = np.bincount(frame.retargeter, frame.outcome, minlength=count)
+    out = (wins == 0) | (wins == trials)
+    if not out.any() or np.ptp(frame.outcome) == 0:
+        return frame, {}
+    separated = {
+        name: _separated(frame, j, count) for j, name in enumerate(frame.retargeters) if out[j]
+    }
+    rest = ~out[frame.retargeter]
+    if not rest.any():
+        return None, separated
+    return keep_rows(frame, rest), separated
+
+
+def _separated(frame: Frame, which: int, count: int) -> Separated:
+    rows = frame.retargeter == which
+    trials, operators = int(rows.sum()), len(np.unique(frame.group[rows]))
+    always = bool(frame.outcome[rows].all())
+
+    def bound(units: int) -> float:
+        edge = float(_TAIL ** (1 / units))
+        return edge if always else 1 - edge
+
+    against = {}
+    others = [j for j in range(count) if j != which]
+    for other in others:
+        test = _swapped(frame, which, other)
+        pairs = count * (count - 1) // 2
+        name = frame.retargeters[other]
+        with_baseline = frame.baseline in (name, frame.retargeters[which])
+        against[name] = replace(
+            test,
+            p_holm=min(1.0, pairs * test.p_raw),
+            p_dunnett=min(1.0, len(others) * test.p_raw) if with_baseline else None,
+        )
+    return Separated(
+        rate=float(always),
+        trials=trials,
+        operators=operators,
+        bound=bound(operators),
+        bound_if_independent=bound(trials),
+        against=against,
+    )
+
+
+def _swapped(frame: Frame, which: int, other: int) -> ExactTest:
+    """Tests two retargeters by swaps within operators, over tasks that they did with both."""
+    shape = (len(frame.operators), len(frame.tasks), len(frame.retargeters))
+    trials, wins = np.zeros(shape), np.zeros(shape)
+    np.add.at(trials, (frame.group, frame.task, frame.retargeter), 1)
+    np.add.at(wins, (frame.group, frame.task, frame.retargeter), frame.outcome)
+    both = (trials[:, :, which] > 0) & (trials[:, :, other] > 0)
+    rates = wins / np.maximum(trials, 1)
+    apart = np.where(both, rates[:, :, which] - rates[:, :, other], 0.0)
+    tasks = both.sum(axis=1)
+    of_operators = apart.sum(axis=1)[tasks > 0] / tasks[tasks > 0]
+    differing = int(np.count_nonzero(of_operators))
+    return ExactTest(
+        difference=float(of_operators.mean()) if len(of_operators) else float("nan"),
+        operators=len(of_operators),
+        differing=differing,
+        p_raw=min(1.0, 2.0 ** (1 - differing)),
+    )
+
+
+def separated_in_words(name: str, result: Separated) -> str:
+    """Describes a separated retargeter for the warnings."""
+    share, side = ("all", "at least") if result.rate else ("none", "at most")
+    return (
+        f"{name} succeeded in {share} of {result.trials} trials of {result.operators} "
+        "operators: it is left out of the model; its success rate is "
+        f"{side} {100 * result.bound:.1f} % (exact 95 % bound with operators as units; "
+        f"{100 * result.bound_if_independent:.1f} % if all "
+        "trials were independent). It is compared by an exact test that swaps retargeters within "
+        f"operators: {_tests(result)}"
+    )
+
+
+def _tests(result: Separated) -> str:
+    return ", ".join(
+        f"{other} p {'=' if test.p_holm >= 1e-4 else '<'} {max(test.p_holm, 1e-4):.2g}"
+        for other, test in result.against.items()
+    ) + " (times the number of all pairs)"  # fmt: skip

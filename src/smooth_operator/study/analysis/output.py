@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.formats.csv_table import csv_text
+from smooth_operator.reporting.drawing import colors_of, styled
+from smooth_operator.reporting.report_page import Html, Plots, templates, write_report_page
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.methods_text import cited, methods_paragraph
 from smooth_operator.study.analysis.operators import flow_rows, operator_means
 from smooth_operator.study.analysis.readings import reading_rows
+from smooth_operator.study.analysis.report import tables
+from smooth_operator.study.analysis.report.figures import FIGURES
+from smooth_operator.study.analysis.report.tables import NAMES, conclusion
 from smooth_operator.study.analysis.results import ScopeResult, plain
-from smooth_operator.study.data.rows import Questionnaires, Trials
 
 RESULTS: Final = "results.json"
 METHODS: Final = "methods.txt"
@@ -25,7 +27,8 @@ SCRIPT: Final = "analysis.R"
 TRIALS: Final = "rows_trials.csv"
 TLX: Final = "rows_tlx.csv"
 _TRIALS: Final = (
-    "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score",
+    "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "success",
+    "time_s",
 )  # fmt: skip
 _TLX: Final = ("operator", "task", "retargeter", "block", "point", "index", "workload")
 _FAMILIES: Final = {
@@ -59,8 +62,6 @@ def write_analysis(analysis: Analysis, folder: Path, *, report: bool = True) -> 
     written = [RESULTS, *write_tables(analysis, folder), METHODS]
     written += write_r_script(analysis, folder)
     if report:
-        from smooth_operator.study.analysis.report import write_report
-
         written.append(write_report(analysis, folder).name)
     return written
 
@@ -118,7 +119,7 @@ def _tables(analysis: Analysis) -> dict[str, list[dict[str, Any]]]:
     ]
     tables["readings"] = reading_rows(analysis.readings)
     tables["flow"] = flow_rows(analysis.data.flow)
-    tables["operators"] = [plain(one) for one in operator_means(analysis.data)]
+    tables["operators"] = operator_means(analysis.data).to_dict("records")
     return tables
 
 
@@ -146,16 +147,6 @@ def _named(numbers: Mapping[str, float]) -> str:
     return ", ".join(f"{json.dumps(name)} = {value!r}" for name, value in numbers.items())
 
 
-def _csv(table: Trials | Questionnaires, names: Sequence[str], **more: np.ndarray) -> str:
-    columns = {name: getattr(table, name) for name in names} | more
-    values = [column.tolist() for column in columns.values()]
-    rows: list[dict[str, Any]] = [
-        {name: None if cell != cell else cell for name, cell in zip(columns, row, strict=True)}
-        for row in zip(*values, strict=True)
-    ]
-    return csv_text(list(columns), rows)
-
-
 def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
     """Writes ``analysis.R``, which fits the same models in R, and the rows that it reads.
 
@@ -176,10 +167,15 @@ def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
         .read_text("utf-8")
         .replace("@BASELINE@", json.dumps(analysis.baseline))
         .replace("@MARGINS@", _named(data.plan.margins if data.plan else {})),
-        TRIALS: _csv(
-            data.trials, _TRIALS, success=data.trials.success.astype(int), time_s=data.trials.time
+        TRIALS: csv_text(
+            _TRIALS,
+            plain(
+                data.trials.assign(
+                    success=data.trials.success.astype(int), time_s=data.trials.time
+                ).to_dict("records")
+            ),
         ),
-        TLX: None if table is None else _csv(table, _TLX),
+        TLX: None if table is None else csv_text(_TLX, plain(table.to_dict("records"))),
     }
     for name, text in texts.items():
         if text is None:
@@ -188,3 +184,66 @@ def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
         with atomic_write(folder / name) as file:
             file.write(text.encode("utf-8"))
     return [name for name, text in texts.items() if text is not None]
+
+
+REPORT: Final = "report.html"
+FOLDER: Final = "figures"
+_SECTIONS: Final = (
+    ("Success", "success", "success"),
+    ("Time", "time", "time"),
+    ("Workload", "workload", "workload"),
+    ("Learning", "learning", "learning"),
+    ("Other readings", "readings", "readings"),
+    ("Simulation", "simulation", "simulation"),
+    ("Participants", "participants", "participants"),
+    ("Checks", "checks", "checks"),
+    ("Methods", "methods", "methods"),
+    ("Appendix: as published", "published", "published"),
+)
+"""Title, anchor and macro of each section."""
+
+
+def write_report(analysis: Analysis, folder: Path) -> Path:
+    """Writes the page and its figures.
+
+    Returns:
+        The page. It needs no other file, and nothing from the network.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    plots, colors = Plots(folder / FOLDER), colors_of(analysis.retargeters)
+
+    def figure(stem: str, caption: str) -> Html:
+        with styled():
+            drawn = FIGURES[stem](analysis, colors)
+        return plots.element(drawn, stem, caption)
+
+    text = methods_paragraph(analysis)
+    template = templates(f"{__package__}.report").get_template("sections.html.j2")
+    macros = template.make_module(
+        {
+            "analysis": analysis,
+            "colors": colors,
+            "conclusion": conclusion(analysis),
+            "figure": figure,
+            "flow": analysis.data.flow,
+            "names": NAMES,
+            "operators": len({str(name) for name in analysis.data.trials.operator}),
+            "tables": tables,
+            "text": text,
+            "works": cited(text),
+        }
+    )
+    return write_report_page(
+        folder / REPORT,
+        "User study",
+        Html(str(macros.header())),  # type: ignore[attr-defined]
+        [
+            (title, anchor, Html(str(getattr(macros, macro)())))
+            for title, anchor, macro in _SECTIONS
+            if anchor != "simulation" or analysis.spearman
+        ],
+        "Made by smooth-operator study analyze. Figures: results.json and the CSV tables; "
+        "plots as files: figures/.",
+    )

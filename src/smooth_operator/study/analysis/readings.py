@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 from scipy.special import ndtr, stdtr
 from scipy.stats import chi2
@@ -21,13 +22,11 @@ from smooth_operator.study.analysis.dunnett import holm, quantile
 from smooth_operator.study.analysis.frame import (
     Frame,
     check_frame,
-    success_frame,
-    time_frame,
-    tlx_frame,
-    within,
+    frame_of,
+    outcome_frames,
 )
 from smooth_operator.study.analysis.models import WaldTest, fit_with
-from smooth_operator.study.analysis.outcomes import observed
+from smooth_operator.study.analysis.outcomes import observed, split
 from smooth_operator.study.analysis.results import (
     OUTCOMES,
     POOLED,
@@ -38,8 +37,7 @@ from smooth_operator.study.analysis.results import (
     plain,
     refusable,
 )
-from smooth_operator.study.analysis.separated import split
-from smooth_operator.study.data.rows import StudyData, Trials
+from smooth_operator.study.data.rows import StudyData
 
 _PERMUTATIONS: Final = 20_000
 
@@ -117,10 +115,9 @@ def _friedman(sums: Float[np.ndarray, "*k r"], operators: int) -> Float[np.ndarr
 ALPHA: Final = 0.05
 
 
-def full_success(trials: Trials, scope: str, baseline: str) -> ScopeResult:
+def full_success(trials: pd.DataFrame, scope: str, baseline: str) -> ScopeResult:
     """Analyses success as a score of 1, by the model of success in mode small-sample."""
-    frame = success_frame(trials, scope, baseline)
-    frame = replace(frame, outcome=(trials.score[within(trials, scope)] >= 1).astype(float))
+    frame = frame_of(trials.assign(value=(trials.score >= 1).astype(float)), scope, baseline)
     blank = ScopeResult(n=len(frame), operators=len(frame.operators), observed=observed(frame))
     try:
         rest, separated = split(frame)
@@ -301,19 +298,10 @@ def interactions(data: StudyData, baseline: str) -> dict[Outcome, Interaction | 
     Args:
         baseline: retargeter that the others are compared with.
     """
-    frames = _frames(data, baseline)
+    frames = outcome_frames(data, POOLED, baseline)
+    # without retargeters that never or always succeed
+    frames["success"] = split(frames["success"])[0] or frames["success"]
     return {outcome: joint_interaction(outcome, frame) for outcome, frame in frames.items()}
-
-
-def _frames(data: StudyData, baseline: str) -> dict[Outcome, Frame]:
-    success = success_frame(data.trials, POOLED, baseline)
-    frames: dict[Outcome, Frame] = {
-        "success": split(success)[0] or success,  # without retargeters that never or always succeed
-        "time": time_frame(data.trials, POOLED, baseline),
-    }
-    if data.questionnaires is not None:
-        frames["tlx"] = tlx_frame(data.questionnaires, POOLED, baseline)
-    return frames
 
 
 Row = dict[str, Any]

@@ -14,18 +14,15 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal, ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
 from smooth_operator.errors import StudyError
+from smooth_operator.study.design.protocol import OUTCOMES as OUTCOMES
+from smooth_operator.study.design.protocol import POOLED as POOLED
+from smooth_operator.study.design.protocol import Outcome as Outcome
 
 Mode: TypeAlias = Literal["small-sample", "paper"]
-Outcome: TypeAlias = Literal["success", "time", "tlx"]
 MODES: Final[tuple[Mode, ...]] = ("small-sample", "paper")
 """Modes of the analysis, the default first."""
-DRAWS: Final = 2000
-"""Number of samples of a bootstrap over operators."""
-OUTCOMES: Final[tuple[Outcome, ...]] = ("success", "time", "tlx")
-POOLED: Final = "pooled"
 
 
 @dataclass(frozen=True)
@@ -182,31 +179,6 @@ class ScopeResult:
     observed: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     refused: str | None = None
-
-
-def operator_weights(operators: int, *, seed: int, draws: int = DRAWS) -> Float[np.ndarray, "k g"]:
-    """Draws counts of each operator in each sample; the first sample has each operator once.
-
-    Args:
-        operators: number of operators.
-        draws: number of samples after the first.
-    """
-    rng = np.random.default_rng(seed)
-    chosen = rng.integers(operators, size=(draws, operators))
-    counts = np.zeros((draws + 1, operators))
-    counts[0] = 1
-    np.add.at(counts, (np.arange(1, draws + 1)[:, None], chosen), 1)
-    return counts
-
-
-def operator_signs(operators: int, *, seed: int, draws: int) -> Float[np.ndarray, "k g"]:
-    """Draws 1 or -1 for each operator of each sample, for tests by sign changes.
-
-    Args:
-        operators: number of operators.
-        draws: number of samples.
-    """
-    return np.random.default_rng(seed).choice([-1.0, 1.0], (draws, operators))
 
 
 def plain(value: Any) -> Any:

@@ -12,21 +12,22 @@ retargeters: operators are drawn, retargeters are not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 
 from smooth_operator.study.analysis.dunnett import holm, quantile, two_sided
 from smooth_operator.study.analysis.models import correlation_in_words
-from smooth_operator.study.analysis.results import operator_signs, operator_weights
+from smooth_operator.study.analysis.results import Outcome
 from smooth_operator.study.data.rows import StudyData
 
 _DIGITS: Final = 9
 """Digits of means before ranking, so that equal means tie whatever their order of summation."""
 _FEWEST: Final = 4
 DRAWS: Final = 4000
+_NAMES: Final[dict[Outcome, str]] = {"success": "success", "time": "time_s", "tlx": "raw_tlx"}
 
 
 def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict[str, Any]:
@@ -45,62 +46,48 @@ def correlations(data: StudyData, *, seed: int = 11, draws: int = DRAWS) -> dict
     """
     if data.metrics is None:
         return {}
-    means = _means(data)
+    pair = ["operator", "retargeter"]
     table: dict[str, Any] = {}
-    for j, metric in enumerate(data.metrics.names):
-        for name, mean in means.items():
-            points = [
-                (operator, retargeter, value, mean[operator, retargeter])
-                for operator, retargeter, value in zip(
-                    map(str, data.metrics.operator),
-                    map(str, data.metrics.retargeter),
-                    np.round(data.metrics.values[:, j], _DIGITS),
-                    strict=True,
-                )
-                if np.isfinite(value) and (operator, retargeter) in mean
-            ]
+    for metric in data.metrics.columns.drop(pair):
+        for outcome, rows in data.outcomes().items():
+            means = rows.groupby(pair).value.mean().rename("y")
+            points = data.metrics[pair].assign(x=data.metrics[metric])
+            points = points.join(means, on=pair).round(_DIGITS).dropna()
             # All pairs draw the same operators, so that their figures are comparable.
-            entry = _correlate([(p[0], p[2], p[3]) for p in points], seed, draws)
+            entry = correlation(points, seed=seed, draws=draws)
             if "rho" in entry:
                 entry["within"] = correlation_within(points, seed=seed, draws=draws)
                 entry["means"] = _over_means(points)
-            table[f"{metric}~{name}"] = entry
+            table[f"{metric}~{_NAMES[outcome]}"] = entry
     tested = [e["within"] for e in table.values() if "p" in e.get("within", {})]
     for entry, p in zip(tested, holm([entry["p"] for entry in tested]), strict=True):
         entry["p_holm"] = p
     return table
 
 
-Point = tuple[str, str, float, float]
-"""Operator, retargeter, metric, mean outcome."""
-
-
-def correlation_within(points: Sequence[Point], *, seed: int, draws: int) -> dict[str, Any]:
+def correlation_within(points: pd.DataFrame, *, seed: int, draws: int) -> dict[str, Any]:
     """Computes the correlation of ranks within operators.
 
     Args:
-        points: points, one for each operator and retargeter.
+        points: ``operator``, ``retargeter``, ``x`` and ``y``, a row for each operator and
+            retargeter.
         seed: seed of bootstrap and sign changes.
         draws: number of samples of both.
 
     Returns:
         ``within`` of ``correlations``; ``refused`` if ranks never vary within an operator.
     """
-    parts = []
-    for operator in sorted({point[0] for point in points}):
-        own = [point for point in points if point[0] == operator]
-        one = np.ones((1, len(own)))
-        x, y = (_ranks(np.array([p[k] for p in own]), one)[0] for k in (2, 3))
-        x, y = x - x.mean(), y - y.mean()
-        parts.append((x @ y, x @ x, y @ y))
-    sums = np.array(parts)
+    ranks = points.groupby("operator")[["x", "y"]].rank()
+    x, y = (ranks - ranks.groupby(points.operator).transform("mean")).to_numpy().T
+    products = pd.DataFrame({"xy": x * y, "xx": x * x, "yy": y * y}, index=points.index)
+    sums = products.groupby(points.operator).sum().to_numpy()
     if not np.all(sums[:, 1:].sum(axis=0) > 0):
         return {"refused": "within operators the metric or the outcome never varies"}
     drawn = operator_weights(len(sums), seed=seed, draws=draws) @ sums
     scale = np.sqrt(drawn[:, 1] * drawn[:, 2])
     rho = np.divide(drawn[:, 0], scale, out=np.full(len(scale), np.nan), where=scale > 0)
     low, high = np.nanpercentile(rho[1:], [2.5, 97.5])
-    signs = operator_signs(len(sums), seed=seed, draws=draws)
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (draws, len(sums)))
     as_far = np.abs(signs @ sums[:, 0]) >= abs(sums[:, 0].sum()) - 1e-9
     return {
         "rho": float(rho[0]),
@@ -112,38 +99,10 @@ def correlation_within(points: Sequence[Point], *, seed: int, draws: int) -> dic
     }
 
 
-def _over_means(points: Sequence[Point]) -> dict[str, Any]:
+def _over_means(points: pd.DataFrame) -> dict[str, Any]:
     """Computes the correlation of the retargeters' means of metric and outcome."""
-    names = sorted({point[1] for point in points})
-    means = np.array(
-        [np.mean([p[2:] for p in points if p[1] == name], axis=0) for name in names]
-    ).round(_DIGITS)
-    return {"rho": spearman(means[:, 0], means[:, 1]), "n": len(names)}
-
-
-def _means(data: StudyData) -> dict[str, dict[tuple[str, str], float]]:
-    trials = data.trials
-    timed = trials.success & np.isfinite(trials.time)
-    means = {
-        "success": _by_pair(trials.operator, trials.retargeter, trials.success.astype(float)),
-        "time_s": _by_pair(trials.operator[timed], trials.retargeter[timed], trials.time[timed]),
-    }
-    if data.questionnaires is not None:
-        table = data.questionnaires
-        answered = np.isfinite(table.workload)
-        means["raw_tlx"] = _by_pair(
-            table.operator[answered], table.retargeter[answered], table.workload[answered]
-        )
-    return means
-
-
-def _by_pair(
-    operator: np.ndarray, retargeter: np.ndarray, values: Float[np.ndarray, " n"]
-) -> dict[tuple[str, str], float]:
-    gathered: dict[tuple[str, str], list[float]] = {}
-    for one, other, value in zip(operator, retargeter, values, strict=True):
-        gathered.setdefault((str(one), str(other)), []).append(float(value))
-    return {key: round(float(np.mean(group)), _DIGITS) for key, group in gathered.items()}
+    means = points.groupby("retargeter")[["x", "y"]].mean().round(_DIGITS)
+    return {"rho": spearman(*means.to_numpy().T), "n": len(means)}
 
 
 def spearman(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> float:
@@ -175,21 +134,28 @@ def _ranks(
     return np.asarray((below + (counts + 1) / 2)[:, level])
 
 
-def _correlate(points: list[tuple[str, float, float]], seed: int, draws: int) -> dict[str, Any]:
-    count = len(points)
-    operators = sorted({operator for operator, _, _ in points})
+def correlation(points: pd.DataFrame, *, seed: int, draws: int) -> dict[str, Any]:
+    """Computes the correlation over all points.
+
+    Args:
+        points: ``operator``, ``x`` and ``y``.
+        seed: seed of the bootstrap.
+        draws: number of its samples.
+
+    Returns:
+        Figures of ``correlations`` without ``within`` and ``means``; or ``refused`` and ``n``.
+    """
+    count, (owner, operators) = len(points), pd.factorize(points.operator, sort=True)
     if count < _FEWEST or len(operators) < 2:
         return {
             "refused": f"{count} points of {len(operators)} operator(s): at least {_FEWEST} points "
             "of two operators are needed",
             "n": count,
         }
-    x, y = np.array([p[1] for p in points]), np.array([p[2] for p in points])
+    x, y = points[["x", "y"]].to_numpy().T
     rho = spearman(x, y)
     if np.isnan(rho):
         return {"refused": "the metric or the outcome is constant", "n": count}
-    place = {operator: i for i, operator in enumerate(operators)}
-    owner = np.array([place[operator] for operator, _, _ in points])
     times = operator_weights(len(operators), seed=seed, draws=draws)[1:]
     drawn = _weighted(x, y, times[:, owner])
     low, high = np.nanpercentile(drawn, [2.5, 97.5])
@@ -208,3 +174,18 @@ def _correlate(points: list[tuple[str, float, float]], seed: int, draws: int) ->
         "ci_boot_operators": {"lcl": float(low), "ucl": float(high)},
         "effect_words": correlation_in_words(rho),
     }
+
+
+def operator_weights(operators: int, *, seed: int, draws: int) -> Float[np.ndarray, "k g"]:
+    """Draws counts of each operator in each sample; the first sample has each operator once.
+
+    Args:
+        operators: number of operators.
+        draws: number of samples after the first.
+    """
+    rng = np.random.default_rng(seed)
+    chosen = rng.integers(operators, size=(draws, operators))
+    counts = np.zeros((draws + 1, operators))
+    counts[0] = 1
+    np.add.at(counts, (np.arange(1, draws + 1)[:, None], chosen), 1)
+    return counts

@@ -35,6 +35,7 @@ BLOCK_S: Final = 60.0
 """Assumed time of switching and explaining at the start of a block [s]."""
 _BEFORE_BLOCK: Final = ("form", "calibrate", "start_block", "start_familiarisation", "break")
 _LONGEST_LOG: Final = 250
+_TRIAL: Final = ("score", "line", "time_s", "resets", "amended")
 
 
 def naming_for(plan: Plan, blind: bool) -> Naming:
@@ -116,7 +117,7 @@ def _field(field: FormField, progress: Progress) -> dict[str, Any]:
 
 def _met(label: str, progress: Progress) -> str:
     """Names the blocks in which an operator has met a label, as a reminder."""
-    blocks = {(t.block.task.name, t.block.number): t.block for t in progress.trials}
+    blocks = {trial.block.place: trial.block for trial in progress.trials}
     return ", ".join(
         f"{block.task.title or block.task.name}, block {block.number}"
         for block in blocks.values()
@@ -180,7 +181,7 @@ def _overview(progress: Progress, naming: Naming) -> dict[str, Any]:
     step = progress.step
     blocks = []
     for block in progress.blocks:
-        key = (block.task.name, block.number)
+        key = block.place
         state = "done" if progress.finished(block) else "on" if block == step.block else "next"
         blocks.append(
             {
@@ -228,7 +229,6 @@ def step_view(progress: Progress, naming: Naming) -> dict[str, Any]:
         return view
     running = progress.running
     resets = running.resets if running is not None else 0
-    place = (step.block.task.name, step.block.number)
     return (
         view
         | _place(step.block, progress)
@@ -237,7 +237,7 @@ def step_view(progress: Progress, naming: Naming) -> dict[str, Any]:
             "paused_ms": 0.0 if running is None else 1e3 * running.paused_s,
             "started": None if running is None else _milliseconds(running.started),
             "can_calibrate": can_happen(progress, Recalibrated(step.block.task.name)),
-            "can_end_block": can_happen(progress, BlockEnded(*place, "asked")),
+            "can_end_block": can_happen(progress, BlockEnded(*step.block.place, "asked")),
             "resets": resets,
             "resets_left": max(0, protocol.resets - resets),
             "reset_cap": protocol.reset_cap,
@@ -260,7 +260,7 @@ def time_left(progress: Progress) -> float:
     for block in progress.blocks:
         if progress.over or progress.finished(block):
             continue
-        key = (block.task.name, block.number)
+        key = block.place
         limit = block.task.time_limit_s
         guess = TRIAL_S if limit is None else min(TRIAL_S, limit / 2)
         trial_s = sum(times) / len(times) if times else guess
@@ -297,19 +297,11 @@ def _scored_view(progress: Progress, naming: Naming) -> list[dict[str, Any]]:
     for trial in progress.trials:
         if not trial.counts:
             continue
-        task, block = key = (trial.block.task.name, trial.block.number)
+        task, block = trial.block.place
         condition = naming(trial.block.condition.name)
         view = {"task": task, "block": block, "condition": condition, "trials": []}
-        blocks.setdefault(key, view)["trials"].append(
-            {
-                "trial": trial.number,
-                "score": trial.score,
-                "line": trial.line,
-                "time_s": trial.time_s,
-                "resets": trial.resets,
-                "amended": trial.amended,
-            }
-        )
+        facts = {name: getattr(trial, name) for name in _TRIAL}
+        blocks.setdefault((task, block), view)["trials"].append({"trial": trial.number, **facts})
     return list(blocks.values())
 
 
@@ -345,7 +337,7 @@ def _text(progress: Progress, record: Record, naming: Naming) -> str:
         headings = {form.name: form.heading for form in progress.plan.protocol.forms}
         event = replace(event, form=headings.get(event.form, event.form))
     workload = not isinstance(event, QuestionnaireAnswered) or any(
-        block.task.name == event.task and block.number == event.block and progress.finished(block)
+        block.place == (event.task, event.block) and progress.finished(block)
         for block in progress.blocks
     )
     return event.describe(naming, workload=workload)

@@ -27,7 +27,6 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 from urllib.parse import urlsplit
 
@@ -123,26 +122,17 @@ def _secret() -> bytes:
     file = user_cache() / "study" / "console.key"
     try:
         make_private(file.parent)
-        _write_once(file, drawn)
+        # The first of two parallel writers wins.
+        with contextlib.suppress(FileExistsError), open(file, "xb", opener=_open_private) as out:
+            out.write(drawn)
         stored = read_own_file(file, len(drawn), secret=True)
     except (OSError, DocumentError):  # others may be able to read the file
         return drawn
     return stored if len(stored) == len(drawn) else drawn
 
 
-def _write_once(file: Path, content: bytes) -> None:
-    """Writes a file unless it exists; no reader sees a part of it."""
-    if file.exists():
-        return
-    draft = file.with_name(f".{file.name}.{secrets.token_hex(4)}")
-    handle = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    try:
-        with os.fdopen(handle, "wb") as out:
-            out.write(content)
-        with contextlib.suppress(FileExistsError):
-            os.link(draft, file)  # the first of two parallel writers wins
-    finally:
-        draft.unlink()
+def _open_private(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)
 
 
 _TICK_S: Final = 0.2
@@ -214,7 +204,16 @@ class Console:
         if not self._local:
             site["/operator.svg"] = (qr_code(self._links["operator"]), "image/svg+xml")
         await self._draw()
-        jobs = [asyncio.create_task(job()) for job in (self._tick, self._look, self._redraw)]
+        service = self._service
+        jobs = [
+            asyncio.create_task(job)
+            for job in (
+                self._repeat(service.tick, lambda: _TICK_S),
+                self._repeat(service.watch, self._look_s),
+                self._repeat(service.has_news, self._look_s),
+                self._redraw(),
+            )
+        ]
         try:
             async with serve(
                 self._talk,
@@ -264,7 +263,7 @@ class Console:
         path = urlsplit(request.path).path if request is not None else ""
         page = _Page(connection, _role_of(path))
         self._pages.add(page)
-        self._count_pages()
+        self._stale.set()
         page.news.set()
         sending = asyncio.create_task(self._send_news(page))
         try:
@@ -274,7 +273,7 @@ class Console:
             pass
         finally:
             self._pages.discard(page)
-            self._count_pages()
+            self._stale.set()
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
 
@@ -369,46 +368,29 @@ class Console:
     def _counts(self) -> dict[Role, int]:
         return {role: sum(page.role == role for page in self._pages) for role in HOME}
 
-    def _count_pages(self) -> None:
-        self._stale.set()
-
     async def _redraw(self) -> None:
         while True:
             await self._stale.wait()
             await self._draw()
             await asyncio.sleep(0.02)
 
-    async def _tick(self) -> None:
+    async def _repeat(self, job: Callable[[], object], pause: Callable[[], float]) -> None:
+        """Runs a job regularly; a failure of the store is shown on the pages."""
         while True:
-            await self._regularly(self._service.tick)
-            await asyncio.sleep(_TICK_S)
+            try:
+                if await self._in_thread(job) is True or self._troubles:
+                    self._stale.set()
+                self._note_trouble(job.__name__, None)
+            except SmoothOperatorError as error:
+                if isinstance(error, StoreFailedError):
+                    self._note_trouble(job.__name__, error)
+            except Exception:
+                _LOGGER.exception("a regular job failed")
+            await asyncio.sleep(pause())
 
-    async def _look(self) -> None:
-        marks: object = None
-        while True:
-            await self._regularly(self._service.watch)
-            marks_now = await self._regularly(self._service.marks)
-            if marks_now != marks or self._troubles:
-                marks = marks_now
-                self._stale.set()
-            hand = self._states.get("experimenter", {}).get("teleop") or {}
-            await asyncio.sleep(_LOOK_S if hand.get("trial") is None else _LOOK_CLOSER_S)
-
-    async def _regularly(self, job: Callable[[], object]) -> object:
-        """Runs a regular job; a failure of the store is shown on the pages."""
-        try:
-            result = await self._in_thread(job)
-            self._note_trouble(job.__name__, None)
-        except SmoothOperatorError as error:
-            if isinstance(error, StoreFailedError):
-                self._note_trouble(job.__name__, error)
-            return None
-        except Exception:
-            _LOGGER.exception("a regular job failed")
-            return None
-        if result is True:
-            self._stale.set()
-        return result
+    def _look_s(self) -> float:
+        hand = self._states.get("experimenter", {}).get("teleop") or {}
+        return _LOOK_S if hand.get("trial") is None else _LOOK_CLOSER_S
 
     def _note_trouble(self, where: str, error: Exception | None) -> None:
         before = self._trouble()

@@ -19,7 +19,7 @@ from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.errors import SmoothOperatorError, StudyError
 from smooth_operator.study.console.page_state import experimenter_view, operator_view
-from smooth_operator.study.console.switching import SessionTeleop, Switch, Teleop
+from smooth_operator.study.console.switching import SessionTeleop, Teleop
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.store import events
 from smooth_operator.study.store.events import (
@@ -261,8 +261,12 @@ class SessionService:
         self._report = report
         self._lock = threading.RLock()
         self._switching = threading.RLock()
-        switch = None if teleop is None else Switch(teleop, lambda: self._changed())
-        self._hand = None if switch is None else SessionTeleop(switch, blind=blind, report=report)
+        self._marks: tuple[object, ...] = ()
+        self._hand = None
+        if teleop is not None:
+            self._hand = SessionTeleop(
+                teleop, blind=blind, report=report, changed=lambda: self._changed()
+            )
         if operator is not None:
             store.progress(operator)
         self.operator = self._latest() if operator is None else operator
@@ -422,10 +426,11 @@ class SessionService:
         """Returns this moment by the clock of the store."""
         return self._store.clock.now()
 
-    def marks(self) -> tuple[object, ...]:
-        """Returns values that change whenever the content of the pages changes."""
+    def has_news(self) -> bool:
+        """True if the store or the operator has changed since the last call."""
         with store_failures():
-            return (self.operator, *self._store.version())
+            before, self._marks = self._marks, (self.operator, *self._store.version())
+        return before != self._marks
 
     # Events.
 
@@ -470,7 +475,7 @@ class SessionService:
                 number = self._write(command, role, at, measured, facts)
             except StudyError:
                 if command.do == "start_trial":
-                    hand.scenes.abandon()
+                    hand.abandon()
                 raise
         # ``watch`` compares the hand with the log, so a pause is not seen half done.
         with self._switching if command.do in ("pause", "resume") else nullcontext():

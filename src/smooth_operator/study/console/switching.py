@@ -23,6 +23,7 @@ from smooth_operator.errors import (
     StudyError,
     UnknownNameError,
 )
+from smooth_operator.simulation.tasks.task import SimulatedTask, task_named
 from smooth_operator.study.design.plan import Block
 from smooth_operator.study.design.protocol import Condition
 from smooth_operator.study.store.progress import Progress
@@ -98,33 +99,235 @@ class TeleopStatus:
     has_object: bool | None = None
 
 
-class Switch:
-    """Selects the method of the teleoperation, and checks that it still runs it.
+HIDDEN: Final = "the teleoperation could not be switched; the terminal of the console says why"
+"""Message for a blind experimenter, since the reason may name the method."""
+
+
+class SessionTeleop:
+    """Prepares the teleoperation for each step of the protocol, and follows the trials with it.
 
     Args:
         teleop: remote control of the teleoperation.
+        blind: whether methods are not to be named.
+        report: called with reasons that a blind experimenter may not see.
         changed: called when ``status`` has changed, from the thread that changed it.
     """
 
-    def __init__(self, teleop: Teleop, changed: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self,
+        teleop: Teleop,
+        *,
+        blind: bool,
+        report: Callable[[str], None],
+        changed: Callable[[], None],
+    ) -> None:
         self.status = TeleopStatus()
         self._teleop = teleop
+        self._blind = blind
+        self._report = report
         self._changed = changed
         self._lock = threading.RLock()
+        self._reported = ""
+        self._loaded: tuple[str, tuple[tuple[str, str], ...]] | None = None
         self._answers: dict[str, tuple[str, str | None]] = {}
 
-    def to(self, condition: Condition) -> None:
-        """Switches to a condition; returns when its method runs.
+    # Steps of the protocol.
+
+    def before(self, do: str, fields: Mapping[str, Any], progress: Progress) -> None:
+        """Prepares the hand before a calibration counts, or a block or a trial starts.
 
         Raises:
-            StudyError: the method does not run.
+            StudyError: the hand can't be prepared; nothing may start.
         """
+        block = progress.step.block
+        if do in ("calibrated", "recalibrate"):
+            try:
+                self._calibrate(_file(str(fields.get("detail", ""))))
+            except StudyError as error:
+                raise StudyError(
+                    f"the calibration was not loaded into the hand: {error}"
+                ) from error
+        if block is not None and do == "start_familiarisation":
+            with contextlib.suppress(StudyError):  # watching tries again
+                self._load_scene(block, with_object=False)
+        if block is None or do not in ("start_block", "start_trial"):
+            return
+        what = "block" if do == "start_block" else "trial"
+        try:
+            if do == "start_block" or not self._runs(block.condition, progress):
+                self._switch(block.condition)
+            self._set_rate(progress)
+            self._calibrate(_file(progress.calibrations.get(block.task.name, "")))
+        except StudyError as error:
+            self._report_once(error)
+            why = HIDDEN if self._blind else f"the teleoperation could not be switched: {error}"
+            raise StudyError(f"the {what} does not start: {why}") from error
+        try:
+            if do == "start_block":
+                self._look()
+                self._load_scene(block, with_object=False)
+            else:
+                self._load_scene(block)
+                self._begin_trial(progress, block)
+        except StudyError as error:
+            raise StudyError(f"the {what} does not start: the simulation: {error}") from error
+
+    def facts(self, do: str, progress: Progress) -> dict[str, str | float]:
+        """Returns fields of an event that only the teleoperation knows.
+
+        They are the method that runs at the start of a block, and the simulation's proposal of a
+        score.
+        """
+        if do == "start_block" and self.status.running is not None:
+            method, preset = self.status.running
+            return {"method": method, "preset": preset or ""}
+        if do == "score":
+            trial = self._current_trial(progress)
+            if trial is not None and trial.phase == "done":
+                return {"proposed_line": trial.line, "proposed_score": trial.score}
+        return {}
+
+    def measured(self, progress: Progress) -> float | None:
+        """Time of the running trial by the simulation [s]; None where the trial is not over."""
+        trial = self._current_trial(progress, fresh=True)
+        return trial.time_s if trial is not None and trial.phase == "done" else None
+
+    def along(self, do: str, progress: Progress) -> None:
+        """Lets the simulation follow a trial that was reset, paused, void, scored or undone.
+
+        Never raises.
+        """
+        running, undone = progress.running, progress.undoable
+        if running is None or not self._in_scene(running.block):
+            return
+        if do == "undo" and undone is not None:
+            do = _OPPOSITES.get(undone.event.kind, "")
+        with contextlib.suppress(StudyError):
+            trial = self._look_at_trial()
+            if trial is None or not same_trial(trial.about, progress):
+                return
+            if do == "reset":
+                self._request("reset")
+            elif do in ("pause", "resume"):
+                self._request("trial", **{do: True})
+            elif do == "score" and trial.phase == "running":
+                self._request("trial", finish=True)
+            elif do in ("void", "undone", "withdraw"):
+                mark = "undone" if do == "undone" else "void"
+                about = {key: trial.about[key] for key in _KEYS}
+                self._request("trial", cancel=True, mark=mark, about=about)
+
+    def abandon(self) -> None:
+        """Cancels the simulated trial of a trial that the log does not have."""
+        with contextlib.suppress(StudyError):
+            self._request("trial", cancel=True)
+            self._look_at_trial()
+
+    def watch(self, progress: Progress | None) -> str:
+        """Looks at the teleoperation; restores condition and scene of the current block.
+
+        Returns:
+            Text to note in the log; empty for none.
+        """
+        block = None if progress is None else progress.begun
+        if progress is None or block is None:
+            self._look()
+            return ""
+        switched = False
+        try:
+            if not self._runs(block.condition, progress) and self.status.state != "refused":
+                self._switch(block.condition)  # a refused switch is repeated on request only
+                switched = True
+            self._set_rate(progress)
+            if switched or self._loaded is not None:
+                self._calibrate(_file(progress.calibrations.get(block.task.name, "")))
+            if progress.running is None:
+                # Before the first trial of a block the operator moves without the object.
+                tried = any(trial.block == block for trial in progress.trials)
+                self._load_scene(block, with_object=None if tried else False)
+        except StudyError as error:
+            self._report_once(error)
+        if switched and progress.running is not None:
+            return "the teleoperation ran something else during a trial; switched back"
+        return ""
+
+    def again(self, progress: Progress) -> None:
+        """Switches once more, on request.
+
+        Raises:
+            StudyError: the hand can't be switched.
+        """
+        block = progress.begun
+        if block is None:
+            self._look()
+            return
+        try:
+            self._switch(block.condition)
+        except StudyError as error:
+            self._report_once(error)
+            raise StudyError(HIDDEN if self._blind else str(error)) from error
+
+    def view(self, progress: Progress | None) -> dict[str, Any]:
+        """Returns the state of the hand for the experimenter's page."""
+        status = self.status
+        hidden = self._blind and status.state == "refused"
+        block = None if progress is None else progress.step.block
+        scene = None if block is None or not self._in_scene(block) else simulated_task(block)
+        trial = None if progress is None else self._current_trial(progress)
+        return {
+            "state": status.state,
+            "detail": HIDDEN if hidden else status.detail,
+            "running": None
+            if self._blind or status.running is None
+            else " ".join(filter(None, status.running)),
+            "scene": status.task,
+            "limit_s": None if scene is None else scene.seconds,
+            "trial": None if trial is None else {**asdict(trial), "about": None},
+        }
+
+    # Requests; each failure changes the status.
+
+    def _request(self, do: str, **fields: Any) -> Mapping[str, Any]:
+        """Sends a request.
+
+        Raises:
+            StudyError: it is refused, or there is no answer.
+        """
+        try:
+            answer = self._teleop.request(do, **fields)
+            if answer.get("ok") is not True:
+                raise RemoteRefusedError(
+                    str(answer.get("error") or f"{do}: refused without a reason")
+                )
+        except SmoothOperatorError as error:
+            if not isinstance(error, RemoteRefusedError):
+                self._set(TeleopStatus("gone", str(error)))
+            elif do == "method":
+                self._set(replace(self.status, state="refused", detail=str(error)))
+            raise StudyError(str(error)) from error
+        return answer
+
+    def _set(self, status: TeleopStatus) -> None:
+        if status != self.status:
+            self.status = status
+            self._changed()
+
+    def _look(self) -> None:
+        """Asks for the status where no particular method has to run. Never raises."""
+        with self._lock, contextlib.suppress(StudyError):
+            self._set(_status(self._request("status"), "ready"))
+
+    def _look_at_trial(self) -> TrialStatus | None:
+        trial = trial_status(self._request("trial"))
+        self._set(replace(self.status, trial=trial))
+        return trial
+
+    def _switch(self, condition: Condition) -> None:
+        """Switches to a condition; returns when its method runs."""
         with self._lock:
             self._set(replace(self.status, state="switching", detail=""))
-            fields: dict[str, Any] = {"method": condition.method}
-            if condition.preset is not None:
-                fields["preset"] = condition.preset
-            running = _running(self.request("method", **fields))
+            preset = {} if condition.preset is None else {"preset": condition.preset}
+            running = _running(self._request("method", method=condition.method, **preset))
             if running[0] != condition.method:
                 why = (
                     f"it was asked for {condition.method!r} and answers that it runs {running[0]!r}"
@@ -134,17 +337,14 @@ class Switch:
             self._answers[condition.name] = running
             self._set(replace(self.status, state="ready", detail="", running=running))
 
-    def runs(self, condition: Condition) -> bool:
-        """Asks the teleoperation whether it runs a condition.
-
-        Raises:
-            StudyError: it does not answer.
-        """
+    def _runs(self, condition: Condition, progress: Progress) -> bool:
+        """Asks the teleoperation whether it runs the condition of the current block."""
         with self._lock:
-            answer = self.request("status")
+            answer = self._request("status")
             running = _running(answer)
-            target = self._answers.get(condition.name)
-            if target is None:  # the console was started again
+            # After a restart of the console, the log has the answer from the start of the block.
+            target = self._answers.get(condition.name) or progress.begun_with
+            if target is None:
                 target = (condition.method, condition.preset or _default_preset(running))
             right = running == target
             if not right and self.status.state == "refused":
@@ -153,51 +353,122 @@ class Switch:
                 self._set(_status(answer, "ready" if right else "unknown"))
             return right
 
-    def remember(self, condition: Condition, answer: tuple[str, str | None] | None) -> None:
-        """Takes over the answer to a condition from before this program was started."""
-        if answer is not None:
-            self._answers.setdefault(condition.name, answer)
+    def _calibrate(self, file: str | None) -> None:
+        """Loads a calibration into the hand, unless the hand still uses it."""
+        if file is None or self._loaded == (file, self.status.calibrations):
+            return
+        self._request("calibration", path=file)
+        self._look()
+        self._loaded = (file, self.status.calibrations)
 
-    def look(self) -> None:
-        """Asks for the status where no particular method has to run. Never raises."""
-        with self._lock, contextlib.suppress(StudyError):
-            self._set(_status(self.request("status"), "ready"))
+    def _set_rate(self, progress: Progress) -> None:
+        """Sets the plan's rate of commands, unless the hand has it."""
+        rate = progress.plan.protocol.rate_hz
+        if rate is not None and self.status.rate_hz != rate:
+            self._request("rate", rate=rate)
+            self._look()
 
-    def look_at_trial(self) -> TrialStatus | None:
-        """Asks for the status of the simulated trial.
+    def _report_once(self, error: Exception) -> None:
+        if str(error) != self._reported:
+            self._reported = str(error)
+            self._report(f"the teleoperation: {error}")
+
+    # The simulation.
+
+    def _load_scene(self, block: Block, *, with_object: bool | None = None) -> None:
+        """Loads the scene of a block, unless the simulation has it.
+
+        Args:
+            with_object: whether the scene is to have its object; None leaves it unchanged.
 
         Raises:
-            StudyError: there is none, or no answer.
+            StudyError: the scene can't be loaded, or its rubric contradicts the plan's.
         """
-        trial = trial_status(self.request("trial"))
-        self._set(replace(self.status, trial=trial))
-        return trial
+        status, task = self.status, simulated_task(block)
+        if task is None or not status.simulated:
+            return
+        check_rubric(block, task)
+        if status.task != task.name or with_object not in (None, status.has_object):
+            fields = {} if with_object is None else {"object": with_object}
+            self._request("task", task=task.name, **fields)
+            self._look()
 
-    def request(self, do: str, **fields: Any) -> Mapping[str, Any]:
-        """Sends any request; a failure changes the status.
+    def _begin_trial(self, progress: Progress, block: Block) -> None:
+        """Starts the simulated trial."""
+        if not self._in_scene(block):
+            return
+        trial, limit = self.status.trial, block.task.time_limit_s
+        if trial is not None and trial.phase in ("running", "waiting"):  # of one that was undone
+            self._request("trial", cancel=True)
+        about = {
+            "study": progress.plan.protocol.name,
+            "operator": progress.operator,
+            "condition": block.condition.name,
+            "task": block.task.name,
+            "block": block.number,
+            "trial": progress.step.trial,
+            "trials": block.task.trials,
+        }
+        fields = {} if limit is None else {"limit_s": limit}
+        self._request("trial", begin=True, about=about, **fields)
+        self._look_at_trial()
 
-        Raises:
-            StudyError: it is refused, or there is no answer.
+    def _current_trial(self, progress: Progress, *, fresh: bool = False) -> TrialStatus | None:
+        """Status of the running trial, if the simulation knows all of its resets.
+
+        Args:
+            fresh: whether to ask the simulation again.
         """
-        try:
-            answer = self._teleop.request(do, **fields)
-        except SmoothOperatorError as error:
-            if not isinstance(error, RemoteRefusedError):
-                self._set(TeleopStatus("gone", str(error)))
-            elif do == "method":
-                self._set(replace(self.status, state="refused", detail=str(error)))
-            raise StudyError(str(error)) from error
-        if answer.get("ok") is not True:
-            why = str(answer.get("error") or f"{do}: refused without a reason")
-            if do == "method":
-                self._set(replace(self.status, state="refused", detail=why))
-            raise StudyError(why)
-        return answer
+        running = progress.running
+        if running is None or not self._in_scene(running.block):
+            return None
+        trial = self.status.trial
+        if fresh:
+            trial = None
+            with contextlib.suppress(StudyError):
+                trial = self._look_at_trial()
+        if trial is None or not same_trial(trial.about, progress):
+            return None
+        right = trial.phase in ("running", "done") and trial.resets == running.resets
+        return trial if right else None
 
-    def _set(self, status: TeleopStatus) -> None:
-        if status != self.status:
-            self.status = status
-            self._changed()
+    def _in_scene(self, block: Block) -> bool:
+        """True if the simulation has the scene of a block."""
+        task = simulated_task(block)
+        return task is not None and task.name == self.status.task
+
+
+def same_trial(about: Mapping[str, Any], progress: Progress) -> bool:
+    """True if a simulated trial was started for the running trial of an operator."""
+    running = progress.running
+    if running is None:
+        return False
+    place = (progress.operator, *running.block.place, running.number)
+    return tuple(about.get(key) for key in _KEYS) == place
+
+
+def simulated_task(block: Block) -> SimulatedTask | None:
+    """Simulated task of a block; None if its task is not simulated."""
+    try:
+        return task_named(block.task.name)
+    except UnknownNameError:
+        return None
+
+
+def check_rubric(block: Block, task: SimulatedTask) -> None:
+    """Refuses a plan whose rubric gives another score than the scene for the same line.
+
+    Raises:
+        StudyError: names both scores.
+    """
+    planned = {line.name: line.score for line in block.task.rubric}
+    for line in task.task.rubric:
+        if planned.get(line.name, line.score) != line.score:
+            raise StudyError(
+                f"line {line.name!r} of the rubric of task {block.task.name} scores "
+                f"{planned[line.name]:g} in the plan and {line.score:g} in the scene; give it "
+                "another name in study.toml, or the same score"
+            )
 
 
 def trial_status(answer: object) -> TrialStatus | None:
@@ -249,329 +520,6 @@ def _default_preset(running: tuple[str, str | None]) -> str | None:
         return default_preset(running[0])
     except (SmoothOperatorError, KeyError):
         return running[1]
-
-
-class SceneTrials:
-    """Lets the simulation follow the blocks and trials of the protocol.
-
-    Args:
-        switch: switch of the running teleoperation.
-    """
-
-    def __init__(self, switch: Switch) -> None:
-        self._switch = switch
-
-    def load(self, block: Block, *, with_object: bool | None = None) -> None:
-        """Loads the scene of a block, unless the simulation has it.
-
-        Args:
-            with_object: whether the scene is to have its object; None leaves it unchanged.
-
-        Raises:
-            StudyError: the scene can't be loaded, or its rubric contradicts the plan's.
-        """
-        status, scene = self._switch.status, scene_of(block)
-        if scene is None or not status.simulated:
-            return
-        check_rubric(block)
-        if status.task == scene and with_object in (None, status.has_object):
-            return
-        fields = {} if with_object is None else {"object": with_object}
-        self._switch.request("task", task=scene, **fields)
-        self._switch.look()
-
-    def begin(self, progress: Progress, block: Block) -> None:
-        """Starts the simulated trial.
-
-        Raises:
-            StudyError: it can't start.
-        """
-        if not self.in_scene(block):
-            return
-        trial, limit = self._switch.status.trial, block.task.time_limit_s
-        if trial is not None and trial.phase in ("running", "waiting"):  # of one that was undone
-            self._switch.request("trial", cancel=True)
-        about = {
-            "study": progress.plan.protocol.name,
-            "operator": progress.operator,
-            "condition": block.condition.name,
-            "task": block.task.name,
-            "block": block.number,
-            "trial": progress.step.trial,
-            "trials": block.task.trials,
-        }
-        fields = {} if limit is None else {"limit_s": limit}
-        self._switch.request("trial", begin=True, about=about, **fields)
-        self._switch.look_at_trial()
-
-    def abandon(self) -> None:
-        """Cancels the simulated trial of a trial that the log does not have."""
-        with contextlib.suppress(StudyError):
-            self._switch.request("trial", cancel=True)
-            self._switch.look_at_trial()
-
-    def along(self, do: str, progress: Progress) -> None:
-        """Lets the simulation follow a trial that was reset, paused, scored, undone or void."""
-        running, undone = progress.running, progress.undoable
-        if running is None or not self.in_scene(running.block):
-            return
-        if do == "undo" and undone is not None:
-            do = _OPPOSITES.get(undone.event.kind, "")
-        with contextlib.suppress(StudyError):
-            trial = self._switch.look_at_trial()
-            if trial is None or not same_trial(trial.about, progress):
-                return
-            if do == "reset":
-                self._switch.request("reset")
-            elif do in ("pause", "resume"):
-                self._switch.request("trial", **{do: True})
-            elif do == "score" and trial.phase == "running":
-                self._switch.request("trial", finish=True)
-            elif do in ("void", "undone", "withdraw"):
-                mark = "undone" if do == "undone" else "void"
-                about = {key: trial.about[key] for key in _KEYS}
-                self._switch.request("trial", cancel=True, mark=mark, about=about)
-
-    def current(self, progress: Progress, *, fresh: bool = False) -> TrialStatus | None:
-        """Status of the running trial, if the simulation knows all of its resets.
-
-        Args:
-            fresh: whether to ask the simulation again.
-        """
-        running = progress.running
-        if running is None or not self.in_scene(running.block):
-            return None
-        trial = self._switch.status.trial
-        if fresh:
-            trial = None
-            with contextlib.suppress(StudyError):
-                trial = self._switch.look_at_trial()
-        if trial is None or not same_trial(trial.about, progress):
-            return None
-        right = trial.phase in ("running", "done") and trial.resets == running.resets
-        return trial if right else None
-
-    def limit_s(self, block: Block) -> float | None:
-        """Time limit of the simulated task [s]; None if the simulation has another scene."""
-        from smooth_operator.simulation.tasks.task import task_named
-
-        return task_named(block.task.name).seconds if self.in_scene(block) else None
-
-    def in_scene(self, block: Block) -> bool:
-        """True if the simulation has the scene of a block."""
-        status = self._switch.status
-        return status.task is not None and status.task == scene_of(block)
-
-
-def same_trial(about: Mapping[str, Any], progress: Progress) -> bool:
-    """True if a simulated trial was started for the running trial of an operator."""
-    running = progress.running
-    if running is None:
-        return False
-    place = (progress.operator, running.block.task.name, running.block.number, running.number)
-    return tuple(about.get(key) for key in _KEYS) == place
-
-
-def scene_of(block: Block) -> str | None:
-    """Name of the simulated task of a block; None if its task is not simulated."""
-    from smooth_operator.simulation.tasks.task import task_named
-
-    try:
-        return task_named(block.task.name).name
-    except UnknownNameError:
-        return None
-
-
-def check_rubric(block: Block) -> None:
-    """Refuses a plan whose rubric gives another score than the scene for the same line.
-
-    Raises:
-        StudyError: names both scores.
-    """
-    from smooth_operator.simulation.tasks.task import task_named
-
-    planned = {line.name: line.score for line in block.task.rubric}
-    for line in task_named(block.task.name).task.rubric:
-        if planned.get(line.name, line.score) != line.score:
-            raise StudyError(
-                f"line {line.name!r} of the rubric of task {block.task.name} scores "
-                f"{planned[line.name]:g} in the plan and {line.score:g} in the scene; give it "
-                "another name in study.toml, or the same score"
-            )
-
-
-HIDDEN: Final = "the teleoperation could not be switched; the terminal of the console says why"
-"""Message for a blind experimenter, since the reason may name the method."""
-
-
-class SessionTeleop:
-    """Prepares the teleoperation for each step of the protocol, and follows the trials with it.
-
-    Args:
-        switch: switch of the running teleoperation.
-        blind: whether methods are not to be named.
-        report: called with reasons that a blind experimenter may not see.
-    """
-
-    def __init__(self, switch: Switch, *, blind: bool, report: Callable[[str], None]) -> None:
-        self.switch = switch
-        self._blind = blind
-        self._report = report
-        self._reported = ""
-        self._loaded: tuple[str, tuple[tuple[str, str], ...]] | None = None
-        self.scenes = SceneTrials(switch)
-
-    def before(self, do: str, fields: Mapping[str, Any], progress: Progress) -> None:
-        """Prepares the hand before a calibration counts, or a block or a trial starts.
-
-        Raises:
-            StudyError: the hand can't be prepared; nothing may start.
-        """
-        block = progress.step.block
-        if do in ("calibrated", "recalibrate"):
-            try:
-                self._calibrate(_file(str(fields.get("detail", ""))))
-            except StudyError as error:
-                raise StudyError(
-                    f"the calibration was not loaded into the hand: {error}"
-                ) from error
-        if block is not None and do == "start_familiarisation":
-            with contextlib.suppress(StudyError):  # watching tries again
-                self.scenes.load(block, with_object=False)
-        if block is None or do not in ("start_block", "start_trial"):
-            return
-        what = "block" if do == "start_block" else "trial"
-        try:
-            if do == "start_block":
-                self.switch.to(block.condition)
-            else:
-                self.switch.remember(block.condition, progress.begun_with)
-                if not self.switch.runs(block.condition):
-                    self.switch.to(block.condition)
-            self._set_rate(progress)
-            self._calibrate(_file(progress.calibrations.get(block.task.name, "")))
-        except StudyError as error:
-            self._report_once(error)
-            why = HIDDEN if self._blind else f"the teleoperation could not be switched: {error}"
-            raise StudyError(f"the {what} does not start: {why}") from error
-        try:
-            if do == "start_block":
-                self.switch.look()
-                self.scenes.load(block, with_object=False)
-            else:
-                self.scenes.load(block)
-                self.scenes.begin(progress, block)
-        except StudyError as error:
-            raise StudyError(f"the {what} does not start: the simulation: {error}") from error
-
-    def _calibrate(self, file: str | None) -> None:
-        """Loads a calibration into the hand, unless the hand still uses it."""
-        if file is None or self._loaded == (file, self.switch.status.calibrations):
-            return
-        self.switch.request("calibration", path=file)
-        self.switch.look()
-        self._loaded = (file, self.switch.status.calibrations)
-
-    def _set_rate(self, progress: Progress) -> None:
-        """Sets the plan's rate of commands, unless the hand has it."""
-        rate = progress.plan.protocol.rate_hz
-        if rate is None or self.switch.status.rate_hz == rate:
-            return
-        self.switch.request("rate", rate=rate)
-        self.switch.look()
-
-    def facts(self, do: str, progress: Progress) -> dict[str, str | float]:
-        """Returns fields of an event that only the teleoperation knows.
-
-        They are the method that runs at the start of a block, and the simulation's proposal of a
-        score.
-        """
-        if do == "start_block" and self.switch.status.running is not None:
-            method, preset = self.switch.status.running
-            return {"method": method, "preset": preset or ""}
-        if do == "score":
-            trial = self.scenes.current(progress)
-            if trial is not None and trial.phase == "done":
-                return {"proposed_line": trial.line, "proposed_score": trial.score}
-        return {}
-
-    def along(self, do: str, progress: Progress) -> None:
-        """Lets the simulation follow a trial that was reset, paused, void, scored or undone.
-
-        Never raises.
-        """
-        self.scenes.along(do, progress)
-
-    def measured(self, progress: Progress) -> float | None:
-        """Time of the running trial by the simulation [s]; None where the trial is not over."""
-        trial = self.scenes.current(progress, fresh=True)
-        return trial.time_s if trial is not None and trial.phase == "done" else None
-
-    def watch(self, progress: Progress | None) -> str:
-        """Looks at the teleoperation; restores condition and scene of the current block.
-
-        Returns:
-            Text to note in the log; empty for none.
-        """
-        block = None if progress is None else progress.begun
-        if progress is None or block is None:
-            self.switch.look()
-            return ""
-        switched = False
-        try:
-            self.switch.remember(block.condition, progress.begun_with)
-            if not self.switch.runs(block.condition) and self.switch.status.state != "refused":
-                self.switch.to(block.condition)  # a refused switch is repeated on request only
-                switched = True
-            self._set_rate(progress)
-            if switched or self._loaded is not None:
-                self._calibrate(_file(progress.calibrations.get(block.task.name, "")))
-            if progress.running is None:
-                # Before the first trial of a block the operator moves without the object.
-                tried = any(trial.block == block for trial in progress.trials)
-                self.scenes.load(block, with_object=None if tried else False)
-        except StudyError as error:
-            self._report_once(error)
-        if switched and progress.running is not None:
-            return "the teleoperation ran something else during a trial; switched back"
-        return ""
-
-    def again(self, progress: Progress) -> None:
-        """Switches once more, on request.
-
-        Raises:
-            StudyError: the hand can't be switched.
-        """
-        block = progress.begun
-        if block is None:
-            self.switch.look()
-            return
-        try:
-            self.switch.to(block.condition)
-        except StudyError as error:
-            self._report_once(error)
-            raise StudyError(HIDDEN if self._blind else str(error)) from error
-
-    def view(self, progress: Progress | None) -> dict[str, Any]:
-        """Returns the state of the hand for the experimenter's page."""
-        status = self.switch.status
-        running = None if status.running is None else " ".join(filter(None, status.running))
-        hidden = self._blind and status.state == "refused"
-        trial = None if progress is None else self.scenes.current(progress)
-        block = None if progress is None else progress.step.block
-        return {
-            "state": status.state,
-            "detail": HIDDEN if hidden else status.detail,
-            "running": None if self._blind else running,
-            "scene": status.task,
-            "limit_s": None if block is None else self.scenes.limit_s(block),
-            "trial": None if trial is None else {**asdict(trial), "about": None},
-        }
-
-    def _report_once(self, error: Exception) -> None:
-        if str(error) != self._reported:
-            self._reported = str(error)
-            self._report(f"the teleoperation: {error}")
 
 
 def _file(detail: str) -> str | None:

@@ -13,25 +13,25 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float, Int
+import pandas as pd
 
 from smooth_operator.errors import DocumentError, StudyError, brief, listed
 from smooth_operator.formats.csv_table import plain_cell
-from smooth_operator.io.documents import parse_json, read_text
+from smooth_operator.io.documents import parse_json
+from smooth_operator.io.plain_files import read_text
 from smooth_operator.study.data.rows import (
-    ITEMS,
-    POINTS,
-    SCORES,
-    SUCCESS,
     Flow,
-    Questionnaires,
-    SimulationMetrics,
     StudyData,
-    Trials,
     Withdrawal,
+    questionnaires_table,
+    trials_table,
 )
 from smooth_operator.study.design.plan import Plan
 from smooth_operator.study.design.plan_file import plan_of
+from smooth_operator.study.design.protocol import POINTS, SCORES
+from smooth_operator.study.store.export import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS, study_json
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
+from smooth_operator.study.store.study_store import FILE, open_study
 
 _MISSING = frozenset({"", "na", "n/a", "nan", "none", "null"})
 _SHOWN = 8
@@ -45,12 +45,14 @@ class Checked:
     """Rows of one table, and all of their problems.
 
     Attributes:
+        kind: kind of table, one of ``KEYS``.
         name: name of the file.
         rows: number of each row, and its values by column.
         unit: unit of these numbers: "row" of a file with a header in row 1, or "entry".
         problems: problems so far.
     """
 
+    kind: str
     name: str
     rows: Sequence[tuple[int, Mapping[str, Any]]]
     unit: str = "row"
@@ -73,8 +75,8 @@ class Checked:
         rest = f"\n  and {more} more" if more > 0 else ""
         raise StudyError(f"{self.name} can't be used:\n  {shown}{rest}")
 
-    def words(self, column: str) -> np.ndarray:
-        """Reads names (n,) of str; none is empty, and two differ by more than case."""
+    def words(self, column: str) -> list[str]:
+        """Reads names; none is empty, and two differ by more than case."""
         texts: list[str] = []
         first: dict[str, tuple[int, str]] = {}
         for number, row in self.rows:
@@ -90,9 +92,9 @@ class Checked:
                     "write both the same way",
                 )
             texts.append(text)
-        return np.array(texts, str)
+        return texts
 
-    def counts(self, column: str) -> Int[np.ndarray, " n"]:
+    def counts(self, column: str) -> list[int]:
         """Reads whole numbers from 1."""
         wholes = []
         for number, row in self.rows:
@@ -103,11 +105,11 @@ class Checked:
                 )
                 value = 1.0
             wholes.append(int(value))
-        return np.array(wholes, int)
+        return wholes
 
     def numbers(
         self, column: str, expected: str, allowed: Any, *, optional: bool = True
-    ) -> Float[np.ndarray, " n"]:
+    ) -> list[float]:
         """Reads numbers; NaN where the field is empty.
 
         Args:
@@ -128,7 +130,7 @@ class Checked:
                 self.complain(number, column, f"expected {expected}, came {brief(row[column])}")
                 value = math.nan
             floats.append(value)
-        return np.array(floats, float)
+        return floats
 
     def unique(self, columns: Sequence[str]) -> None:
         """Adds a problem for each row whose values in these columns occur twice."""
@@ -166,24 +168,12 @@ def _number(value: Any) -> float | None:
     return number if math.isfinite(number) else None
 
 
-TRIAL_COLUMNS: Final = (
-    "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
-)  # fmt: skip
-MORE_TRIAL_COLUMNS: Final = ("duration_s", "line", "resets", "started_at", "place", "amended")
-"""Further columns of exported trials, which the analysis does not read."""
-QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *ITEMS)
 METRIC_COLUMNS: Final = ("operator", "retargeter")
 """Columns of metrics, followed by one column for each metric."""
-Rows = Sequence[tuple[int, Mapping[str, Any]]]
 
 
-def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple[str, ...]]:
-    """Makes checked trials of rows.
-
-    Args:
-        name: name of the file, for messages.
-        rows: rows with all of ``TRIAL_COLUMNS``.
-        unit: unit of the row numbers.
+def make_trials(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Makes trials of a table with all of ``TRIAL_COLUMNS``.
 
     Returns:
         The trials, and notes on their oddities.
@@ -191,47 +181,37 @@ def make_trials(name: str, rows: Rows, unit: str = "row") -> tuple[Trials, tuple
     Raises:
         StudyError: a value does not fit its column; lists problems by row and column.
     """
-    table = Checked(name, rows, unit)
-    trials = Trials(
-        operator=table.words("operator"),
-        task=table.words("task"),
-        retargeter=table.words("retargeter"),
-        block=table.counts("block"),
-        trial_in_block=table.counts("trial_in_block"),
-        trial_global=table.counts("trial_global"),
-        score=table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False),
-        time=table.numbers("time_s", "a time in seconds above 0, or nothing", lambda x: x > 0),
-    )
+    columns = {
+        **{column: table.words(column) for column in ("operator", "task", "retargeter")},
+        **{column: table.counts(column) for column in ("block", "trial_in_block", "trial_global")},
+        "score": table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False),
+        "time": table.numbers("time_s", "a time in seconds above 0, or nothing", lambda x: x > 0),
+    }
     table.unique(("operator", "task", "block", "trial_in_block"))
     table.unique(("operator", "task", "trial_global"))
     table.raise_if_any()
-    notes = []
-    untimed = [
-        number
-        for (number, _), score, time in zip(rows, trials.score, trials.time, strict=True)
-        if score >= SUCCESS and np.isnan(time)
-    ]
+    trials, notes = trials_table(columns), []
+    untimed = [table.rows[i][0] for i in np.flatnonzero(trials.success & trials.time.isna())]
     if untimed:
         shown = ", ".join(str(number) for number in untimed[:8])
         shown += f" and {len(untimed) - 8} more" if len(untimed) > 8 else ""
         plural = "trials have" if len(untimed) > 1 else "trial has"
         notes.append(
             f"{len(untimed)} successful {plural} no time_s and can't enter the analysis of time "
-            f"({name}, {unit} {shown})"
+            f"({table.name}, {table.unit} {shown})"
         )
-    notes += _mixed_blocks(name, trials)
+    mixed = trials.groupby(["operator", "task", "block"]).retargeter.nunique()
+    if len(mixed := mixed[mixed > 1]):
+        operator, task, block = min(mixed.index)
+        notes.append(
+            f"{len(mixed)} block(s) hold trials of more than one retargeter, the first is block "
+            f"{block} of operator {operator} in task {task} ({table.name})"
+        )
     return trials, tuple(notes)
 
 
-def make_questionnaires(
-    name: str, rows: Rows, unit: str = "row"
-) -> tuple[Questionnaires, tuple[str, ...]]:
-    """Makes checked questionnaires of rows.
-
-    Args:
-        name: name of the file, for messages.
-        rows: rows with all of ``QUESTIONNAIRE_COLUMNS``.
-        unit: unit of the row numbers.
+def make_questionnaires(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Makes questionnaires of a table with all of ``QUESTIONNAIRE_COLUMNS``.
 
     Returns:
         The questionnaires, and notes on their oddities.
@@ -239,74 +219,47 @@ def make_questionnaires(
     Raises:
         StudyError: a value does not fit its column; lists problems by row and column.
     """
-    table = Checked(name, rows, unit)
     points = []
-    for (number, _), word in zip(rows, table.words("point").tolist(), strict=True):
+    for (number, _), word in zip(table.rows, table.words("point"), strict=True):
         if word.lower() not in POINTS:
             table.complain(number, "point", f"expected {', '.join(POINTS)}; came {brief(word)}")
         points.append(POINTS.index(word.lower()) + 1 if word.lower() in POINTS else 1)
-    answers = [
-        table.numbers(item, "0 to 100, or nothing", lambda x: 0 <= x <= 100) for item in ITEMS
-    ]
-    filled = Questionnaires(
-        operator=table.words("operator"),
-        task=table.words("task"),
-        retargeter=table.words("retargeter"),
-        block=table.counts("block"),
-        point=np.array(points, int),
-        answers=np.array(answers).T.reshape(-1, len(ITEMS)),
-    )
+    columns = {
+        **{column: table.words(column) for column in ("operator", "task", "retargeter")},
+        "block": table.counts("block"),
+        "point": points,
+        **{
+            scale: table.numbers(scale, "0 to 100, or nothing", lambda x: 0 <= x <= 100)
+            for scale in SCALE_NAMES
+        },
+    }
     table.unique(("operator", "task", "block", "point"))
     table.raise_if_any()
-    missing = int(np.isnan(filled.workload).sum())
+    filled = questionnaires_table(columns)
+    missing = int(filled.workload.isna().sum())
     notes = []
     if missing:
         notes.append(
             f"{missing} of {len(filled)} questionnaires have an answer left out and can't enter "
-            f"the analysis of workload ({name})"
+            f"the analysis of workload ({table.name})"
         )
     return filled, tuple(notes)
 
 
-def make_metrics(name: str, rows: Rows, unit: str = "row") -> SimulationMetrics:
-    """Makes checked metrics from simulation of rows.
+def make_metrics(table: Checked) -> pd.DataFrame:
+    """Makes metrics from simulation of a table.
 
     Raises:
         StudyError: a value does not fit its column; lists problems by row and column.
     """
-    table = Checked(name, rows, unit)
-    names = tuple(column for column in rows[0][1] if column not in METRIC_COLUMNS)
+    names = [column for column in table.rows[0][1] if column not in METRIC_COLUMNS]
     if not names:
         table.problems.append("expected a column for each metric next to operator and retargeter")
-    values = [table.numbers(metric, "a number, or nothing", lambda x: True) for metric in names]
-    metrics = SimulationMetrics(
-        operator=table.words("operator"),
-        retargeter=table.words("retargeter"),
-        names=names,
-        values=np.array(values).T.reshape(-1, len(names)),
-    )
+    columns: dict[str, Any] = {column: table.words(column) for column in METRIC_COLUMNS}
+    columns |= {one: table.numbers(one, "a number, or nothing", lambda x: True) for one in names}
     table.unique(METRIC_COLUMNS)
     table.raise_if_any()
-    return metrics
-
-
-def _mixed_blocks(name: str, trials: Trials) -> list[str]:
-    """Notes on blocks with trials of several retargeters, whose trial numbers mean little."""
-    first: dict[tuple[str, str, int], str] = {}
-    mixed = set()
-    for operator, task, block, retargeter in zip(
-        trials.operator, trials.task, trials.block, trials.retargeter, strict=True
-    ):
-        key = (str(operator), str(task), int(block))
-        if first.setdefault(key, str(retargeter)) != retargeter:
-            mixed.add(key)
-    if not mixed:
-        return []
-    operator, task, block = min(mixed)
-    return [
-        f"{len(mixed)} block(s) hold trials of more than one retargeter, the first is block "
-        f"{block} of operator {operator} in task {task} ({name})"
-    ]
+    return pd.DataFrame(columns)
 
 
 _START: Final = "block_started"
@@ -405,67 +358,68 @@ _TELLING: Final = {"score": "trials", "trial_in_block": "trials", "point": "ques
 """Columns that identify a table in which others are missing."""
 
 
-def read_study(
-    paths: Sequence[str | Path], *, exports: Mapping[str, Mapping[str, Any]] | None = None
-) -> StudyData:
+def read_study(paths: Sequence[str | Path]) -> StudyData:
     """Reads the data of a study.
 
     Args:
-        paths: folder with trials.csv and, if they exist, tlx.csv and sim_metrics.csv; or such
-            tables under any name and in any order; or one JSON file.
-        exports: name -> content of stores, as ``study_json`` returns it.
+        paths: folder or database of a study that was run; or folder with trials.csv and, if they
+            exist, tlx.csv and sim_metrics.csv; or such tables under any name and in any order; or
+            one JSON file. Next to trials.csv and to a database, sim_metrics.csv is read too.
 
     Returns:
-        The data with each value checked, and with plan and participants if a JSON file has them.
+        The data with each value checked, and with plan and participants if a database or a JSON
+        file has them.
 
     Raises:
         StudyError: there are no trials, two tables of a kind, a column is missing, or a value does
             not fit its column; lists problems by row and column.
     """
     files = [file for path in paths for file in _files(Path(path))]
-    tables: dict[str, tuple[str, Rows, str]] = {}
+    if all(file.name != NAMES[2] for file in files):
+        homes = [file for file in files if _is_store(file) or file.name == NAMES[0]]
+        metrics = [(home if home.is_dir() else home.parent) / NAMES[2] for home in homes]
+        files += [file for file in metrics if file.is_file()]
+    tables: dict[str, Checked] = {}
     facts: dict[str, Any] = {}
-    read: list[tuple[str, list[tuple[str, Rows, str]]]] = []
-    for name, content in (exports or {}).items():
-        facts |= study_facts(content, name)
-        read.append((name, _from_json(name, content)))
     for file in files:
-        text = _text(file)
-        if file.suffix.lower() == ".json" or text.lstrip().startswith("{"):
-            content = _content(file.name, text)
-            facts |= study_facts(content, file.name)
-            read.append((file.name, _from_json(file.name, content)))
+        text = None if _is_store(file) else _text(file)
+        if text is not None and file.suffix.lower() != ".json" and text.lstrip()[:1] != "{":
+            parts = [_from_csv(file.name, text)]
         else:
-            read.append((file.name, [_from_csv(file.name, text)]))
+            content = _stored(file) if text is None else _content(file.name, text)
+            facts |= study_facts(content, file.name)
+            parts = _from_json(file.name, content)
+        for part in parts:
+            if part.kind in tables:
+                first = tables[part.kind].name
+                raise StudyError(f"{file.name} and {first} both hold {part.kind}; give one")
+            tables[part.kind] = part
     for file in () if facts else _facts_files(files):
         facts |= study_facts(_plan_in(_content(file.name, _text(file))), file.name)
-    for name, contents in read:
-        for kind, rows, unit in contents:
-            if kind in tables:
-                raise StudyError(f"{name} and {tables[kind][0]} both hold {kind}; give one")
-            tables[kind] = (name, rows, unit)
+    names = tuple(file.name for file in files)
     if "trials" not in tables:
-        if exports:
+        if any(map(_is_store, files)):
             raise StudyError(
-                f"no trial of {', '.join(exports)} is scored yet: smooth-operator study run leads "
+                f"no trial of {', '.join(names)} is scored yet: smooth-operator study run leads "
                 "through them"
             )
         raise StudyError(
-            f"no trials in {', '.join(name for name, _ in read) or 'no files'}: expected a "
-            f"table with the columns {', '.join(TRIAL_COLUMNS)}"
+            f"no trials in {', '.join(names) or 'no files'}: expected a table with the columns "
+            f"{', '.join(TRIAL_COLUMNS)}"
         )
-    trials, notes = make_trials(*tables["trials"])
-    data = StudyData(trials, notes=notes, sources=tuple(name for name, _ in read), **facts)
+    trials, notes = make_trials(tables["trials"])
+    data = StudyData(trials, notes=notes, sources=names, **facts)
     if "questionnaires" in tables:
-        questionnaires, more = make_questionnaires(*tables["questionnaires"])
+        questionnaires, more = make_questionnaires(tables["questionnaires"])
         data = replace(data, questionnaires=questionnaires, notes=data.notes + more)
     if "simulation_metrics" in tables:
-        data = replace(data, metrics=make_metrics(*tables["simulation_metrics"]))
-    notes = _strange_names(data, {kind: table[0] for kind, table in tables.items()})
-    return replace(data, notes=data.notes + notes)
+        data = replace(data, metrics=make_metrics(tables["simulation_metrics"]))
+    return replace(data, notes=data.notes + _strange_names(data, tables))
 
 
 def _files(path: Path) -> list[Path]:
+    if _is_store(path):
+        return [path]
     if path.is_dir():
         files = [path / name for name in NAMES if (path / name).is_file()]
         if path / NAMES[0] not in files and (path / EXPORT).is_file():
@@ -477,8 +431,26 @@ def _files(path: Path) -> list[Path]:
             )
         return files
     if not path.is_file():
-        raise StudyError(f"no such file: {str(path)!r}; expected tables (.csv), JSON, or a folder")
+        raise StudyError(
+            f"no such file: {str(path)!r}; expected the folder of a study, tables (.csv) or JSON"
+        )
     return [path]
+
+
+def _is_store(path: Path) -> bool:
+    """True for the database of a study, or the folder of one."""
+    if path.is_dir():
+        return (path / FILE).is_file()
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return stream.read(6) == b"SQLite"
+
+
+def _stored(path: Path) -> Mapping[str, Any]:
+    """Data of a database, as ``study export`` writes it."""
+    with open_study(path) as store:
+        return study_json(store)
 
 
 def _facts_files(files: Sequence[Path]) -> list[Path]:
@@ -504,12 +476,12 @@ def _text(file: Path) -> str:
         raise StudyError(f"can't read {str(file)!r}: {error.strerror or error}") from error
 
 
-def _from_csv(name: str, text: str) -> tuple[str, Rows, str]:
+def _from_csv(name: str, text: str) -> Checked:
     header, rows = _csv(name, text)
     kind = _kind(name, header)
     if not rows:
         raise StudyError(f"{name} holds a header and no rows")
-    return kind, rows, "row"
+    return Checked(kind, name, rows)
 
 
 def _csv(name: str, text: str) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
@@ -566,11 +538,11 @@ def _content(name: str, text: str) -> Mapping[str, Any]:
     return content if isinstance(content, Mapping) else {}
 
 
-def _from_json(name: str, content: Mapping[str, Any]) -> list[tuple[str, Rows, str]]:
+def _from_json(name: str, content: Mapping[str, Any]) -> list[Checked]:
     if not isinstance(content.get("trials"), list):
         raise StudyError(f"{name}: expected an object with a list of trials ({', '.join(KEYS)})")
     needed = {**{k: sorted(v) for k, v in _KINDS.items()}, KEYS[2]: list(METRIC_COLUMNS)}
-    tables: list[tuple[str, Rows, str]] = []
+    tables = []
     for key in KEYS:
         entries = content.get(key)
         if not entries:
@@ -585,32 +557,20 @@ def _from_json(name: str, content: Mapping[str, Any]) -> list[tuple[str, Rows, s
                 raise StudyError(f"{name}: entry {number} of {key!r} has no {lacking[0]!r}")
             required = dict.fromkeys([*needed[key], *columns])
             rows.append((number, {**required, **entry}))
-        tables.append((key, rows, f"{key} entry"))
+        tables.append(Checked(key, name, rows, f"{key} entry"))
     return tables
 
 
-def _strange_names(data: StudyData, files: Mapping[str, str]) -> tuple[str, ...]:
+def _strange_names(data: StudyData, tables: Mapping[str, Checked]) -> tuple[str, ...]:
     """Notes on names in other tables that no trial has, which may be typing errors."""
-    others: list[tuple[str, Questionnaires | SimulationMetrics]] = []
-    if data.questionnaires is not None:
-        others.append(("questionnaires", data.questionnaires))
-    if data.metrics is not None:
-        others.append(("simulation_metrics", data.metrics))
     notes = []
-    for kind, table in others:
-        for column in ("operator", "task", "retargeter"):
-            if not hasattr(table, column):
-                continue
-            names = _distinct(data.trials, column)
-            strange = [word for word in _distinct(table, column) if word not in names]
+    for kind, table in zip(KEYS[1:], (data.questionnaires, data.metrics), strict=True):
+        for column in () if table is None else ("operator", "task", "retargeter"):
+            strange = sorted({*table.get(column, ())} - {*data.trials[column]})
             if strange:
                 more = f" and {len(strange) - 5} more" if len(strange) > 5 else ""
                 notes.append(
-                    f"{files[kind]}, column {column}: {listed(strange[:5])}{more} not in "
-                    f"{files['trials']}; a typing error?"
+                    f"{tables[kind].name}, column {column}: {listed(strange[:5])}{more} not in "
+                    f"{tables['trials'].name}; a typing error?"
                 )
     return tuple(notes)
-
-
-def _distinct(table: Trials | Questionnaires | SimulationMetrics, column: str) -> list[str]:
-    return [str(word) for word in np.unique(getattr(table, column))]

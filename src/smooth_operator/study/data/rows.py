@@ -1,15 +1,15 @@
-"""Data of a study as columns: trials, questionnaires, metrics, flow of participants."""
+"""Data of a study: tables of trials, questionnaires and metrics, and the flow of participants."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
-from typing import Final, Self
+from dataclasses import dataclass, field
+from typing import Any, Final
 
-import numpy as np
-from jaxtyping import Bool, Float, Int
+import pandas as pd
 
-from smooth_operator.study.design.protocol import Protocol
+from smooth_operator.study.design.protocol import POINTS, Outcome, Protocol
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 
 
 @dataclass(frozen=True)
@@ -65,104 +65,56 @@ class Flow:
     ended_early: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class _Table:
-    """Columns of equal length n."""
-
-    operator: np.ndarray
-    """Pseudonyms (n,) of str."""
-
-    def __len__(self) -> int:
-        return len(self.operator)
-
-    def where(self, rows: Bool[np.ndarray, " n"]) -> Self:
-        """Selects rows."""
-        columns = {f.name: getattr(self, f.name) for f in fields(self)}
-        return replace(
-            self, **{name: c[rows] for name, c in columns.items() if isinstance(c, np.ndarray)}
-        )
-
-
-ITEMS: Final = ("mental", "physical", "temporal", "performance", "effort", "frustration")
-"""Scales of the NASA-TLX, each 0 to 100, higher is worse."""
-POINTS: Final = ("initial", "midpoint", "final")
-"""Times of questionnaires: after the first, middle and last trial of a block."""
-SCORES: Final = (0.0, 0.5, 1.0)
-"""Failure, marginal success, success."""
 SUCCESS: Final = 0.5
 """Smallest score of a successful trial."""
 
 
-@dataclass(frozen=True, eq=False)
-class Trials(_Table):
-    """Trials, one a row.
+def trials_table(columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Makes the table of trials, one a row.
 
-    Attributes:
-        task: names of tasks (n,) of str.
-        retargeter: names of retargeters (n,) of str.
-        block: number of the block in the operator's task, from 1 (n,).
-        trial_in_block: number of the trial in its block, from 1 (n,).
-        trial_global: number of the trial in the operator's task, from 1 (n,).
-        score: 0, 0.5 or 1 (n,).
-        time: completion time [s], NaN where there is none (n,).
+    Args:
+        columns: ``operator``, ``task`` and ``retargeter``, names; ``block``, ``trial_in_block`` and
+            ``trial_global``, the number of the trial in the operator's task, from 1; ``score``, 0,
+            0.5 or 1; ``time``, completion time [s], NaN where there is none.
+
+    Returns:
+        The columns, and ``success``, True for a score of 0.5 or 1.
     """
-
-    task: np.ndarray
-    retargeter: np.ndarray
-    block: Int[np.ndarray, " n"]
-    trial_in_block: Int[np.ndarray, " n"]
-    trial_global: Int[np.ndarray, " n"]
-    score: Float[np.ndarray, " n"]
-    time: Float[np.ndarray, " n"]
-
-    @property
-    def success(self) -> np.ndarray:
-        """True for trials with a score of 0.5 or 1 (n,)."""
-        return np.asarray(self.score >= SUCCESS)
+    return pd.DataFrame(columns).assign(success=lambda table: table.score >= SUCCESS)
 
 
-@dataclass(frozen=True, eq=False)
-class Questionnaires(_Table):
-    """NASA-TLX answers, one questionnaire a row.
+def questionnaires_table(columns: Mapping[str, Any]) -> pd.DataFrame:
+    """Makes the table of NASA-TLX answers, one questionnaire a row.
 
-    Attributes:
-        task: names of tasks (n,) of str.
-        retargeter: names of retargeters (n,) of str.
-        block: number of the block in the operator's task, from 1 (n,).
-        point: 1, 2 or 3: initial, midpoint, final (n,).
-        answers: answers to ``ITEMS``, 0 to 100, NaN where one is missing (n, 6).
+    Args:
+        columns: ``operator``, ``task`` and ``retargeter``, names; ``block``, from 1; ``point``, 1,
+            2 or 3 for initial, midpoint and final; ``SCALE_NAMES``, answers of 0 to 100, NaN where
+            one is missing.
+
+    Returns:
+        The columns; ``workload``, the mean of the six answers (raw TLX, Hart 2006), NaN where one
+        is missing; ``index``, the number of the questionnaire in the operator's task, from 1.
     """
-
-    task: np.ndarray
-    retargeter: np.ndarray
-    block: Int[np.ndarray, " n"]
-    point: Int[np.ndarray, " n"]
-    answers: Float[np.ndarray, "n 6"]
-
-    @property
-    def workload(self) -> Float[np.ndarray, " n"]:
-        """Raw TLX, the mean of the six answers (Hart 2006); NaN where one is missing (n,)."""
-        return np.asarray(self.answers.mean(axis=1))
-
-    @property
-    def index(self) -> Int[np.ndarray, " n"]:
-        """Number of the questionnaire in the operator's task, from 1 (n,)."""
-        return np.asarray((self.block - 1) * len(POINTS) + self.point)
+    table = pd.DataFrame(columns)
+    return table.assign(
+        workload=table[[*SCALE_NAMES]].to_numpy().mean(axis=1),
+        index=(table.block - 1) * len(POINTS) + table.point,
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class SimulationMetrics(_Table):
-    """Metrics of an operator's motion with a retargeter, from simulation.
+def successes(trials: pd.DataFrame) -> pd.DataFrame:
+    """Returns all trials; ``value`` is 1 for a score of 0.5 or 1."""
+    return trials.assign(value=trials.success.astype(float))
 
-    Attributes:
-        retargeter: names of retargeters (n,) of str.
-        names: names of the metrics (m,).
-        values: values of the metrics, NaN where one is missing (n, m).
-    """
 
-    retargeter: np.ndarray
-    names: tuple[str, ...]
-    values: Float[np.ndarray, "n m"]
+def times(trials: pd.DataFrame) -> pd.DataFrame:
+    """Returns the successful trials with a time; ``value`` is the time [s]."""
+    return trials[trials.success & trials.time.notna()].assign(value=lambda table: table.time)
+
+
+def answers(questionnaires: pd.DataFrame, scale: str = "workload") -> pd.DataFrame:
+    """Returns the questionnaires with an answer; ``value`` is the workload, or one scale."""
+    return questionnaires.assign(value=questionnaires[scale]).dropna(subset="value")
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,9 +122,10 @@ class StudyData:
     """Data of a study.
 
     Attributes:
-        trials: all trials.
-        questionnaires: all questionnaires; None without any.
-        metrics: metrics from simulation; None without any.
+        trials: all trials, see ``trials_table``.
+        questionnaires: all questionnaires, see ``questionnaires_table``; None without any.
+        metrics: metrics of an operator's motion with a retargeter, from simulation: ``operator``,
+            ``retargeter`` and a column for each metric, NaN where one is missing; None without any.
         notes: oddities of the data that are no reason to refuse them.
         sources: names of the files.
         plan: protocol of the study; None if only tables are known.
@@ -181,12 +134,21 @@ class StudyData:
         ranking: operator -> retargeters, the best first.
     """
 
-    trials: Trials
-    questionnaires: Questionnaires | None = None
-    metrics: SimulationMetrics | None = None
+    trials: pd.DataFrame
+    questionnaires: pd.DataFrame | None = None
+    metrics: pd.DataFrame | None = None
     notes: tuple[str, ...] = ()
     sources: tuple[str, ...] = ()
     plan: Protocol | None = None
     orders: tuple[tuple[str, ...], ...] = ()
     flow: Flow = field(default_factory=Flow)
     ranking: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def outcomes(self) -> dict[Outcome, pd.DataFrame]:
+        """Returns the rows of each outcome, with its ``value``."""
+        rows: dict[Outcome, pd.DataFrame] = {
+            "success": successes(self.trials), "time": times(self.trials),
+        }  # fmt: skip
+        if self.questionnaires is not None:
+            rows["tlx"] = answers(self.questionnaires)
+        return rows

@@ -7,7 +7,7 @@ of all trials together.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Any, Final
@@ -20,7 +20,7 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.metrics.assemble import assemble_trace, sample_reach
 from smooth_operator.metrics.table import find_metric
 from smooth_operator.metrics.trace import Trace
-from smooth_operator.study.store.progress import Progress
+from smooth_operator.study.store.progress import Trial
 from smooth_operator.types import CommandTrajectory, HandRecording
 
 METRIC_NAMES: Final = (
@@ -33,29 +33,11 @@ _FEWEST: Final = 3  # frames of a trial, or there is no motion to measure
 _APART_S: Final = 1.0  # between trials that are put together
 
 
-@dataclass(frozen=True)
-class TrialSpan:
-    """Time span of a trial that counts.
-
-    Attributes:
-        operator: pseudonym.
-        retargeter: name of the condition.
-        begin: start of the trial, UTC.
-        seconds: time from the start to the score, pauses included [s].
-    """
-
-    operator: str
-    retargeter: str
-    begin: datetime
-    seconds: float
-
-
 @dataclass(frozen=True, eq=False)
 class Take:
     """A recording of teleoperation, with the frames that a command answered.
 
     Attributes:
-        name: name of the file.
         recording: T frames of the human hand.
         commands: T commands that answer them.
         hand: robot hand.
@@ -63,18 +45,18 @@ class Take:
         alignments: stamp of the first use [s] and alignment, in order.
     """
 
-    name: str
     recording: HandRecording
     commands: CommandTrajectory
     hand: Hand
     begin: datetime
     alignments: Sequence[tuple[float, AlignmentConfig]] = ()
 
-    def cut(self, span: TrialSpan) -> Trace | None:
+    def cut(self, trial: Trial) -> Trace | None:
         """Cuts out the frames of a trial; None if the recording has fewer than three of them."""
         stamps = self.recording.stamps
-        start = (span.begin - self.begin).total_seconds()
-        first, last = np.searchsorted(stamps, (start, start + span.seconds))
+        start = (trial.started - self.begin).total_seconds()
+        length = (trial.time_s or 0.0) + trial.paused_s
+        first, last = np.searchsorted(stamps, (start, start + length))
         if last - first < _FEWEST:
             return None
         commands = replace(
@@ -90,19 +72,13 @@ class Take:
         return assemble_trace(recording, commands, self.hand, alignment, reach_samples=0)
 
 
-def trial_spans(progress: Progress) -> Iterator[TrialSpan]:
-    """Yields the trials of an operator that count."""
-    for trial in progress.trials:
-        if trial.score is None or trial.void is not None or trial.time_s is None:
-            continue
-        paused = sum(length or 0.0 for _, length, _ in trial.pauses)
-        yield TrialSpan(
-            progress.operator, trial.block.condition.name, trial.started, trial.time_s + paused
-        )
-
-
-def take_metrics(pieces: Sequence[tuple[TrialSpan, Trace]], hand: Hand) -> list[dict[str, object]]:
+def take_metrics(
+    pieces: Sequence[tuple[tuple[str, str], Trace]], hand: Hand
+) -> list[dict[str, object]]:
     """Computes the metrics of each operator with each retargeter.
+
+    Args:
+        pieces: operator and retargeter of each trial, and its frames.
 
     Returns:
         One row for each operator and retargeter.
@@ -114,8 +90,8 @@ def take_metrics(pieces: Sequence[tuple[TrialSpan, Trace]], hand: Hand) -> list[
         raise StudyError("no trial of the study is in these recordings")
     reach = sample_reach(hand)
     of: dict[tuple[str, str], list[Trace]] = {}
-    for span, trace in pieces:
-        of.setdefault((span.operator, span.retargeter), []).append(trace)
+    for who, trace in pieces:
+        of.setdefault(who, []).append(trace)
     return [
         {"operator": operator, "retargeter": retargeter, **_row(traces, reach)}
         for (operator, retargeter), traces in sorted(of.items())

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Any, Final, Literal, TypeAlias, get_args
 
 from smooth_operator.errors import StudyError
+from smooth_operator.io.entries import Entries, record
 from smooth_operator.simulation.tasks.task import check_name, distinct, whole
 
 When: TypeAlias = Literal["before", "after"]
@@ -158,48 +161,8 @@ def _expected(field: FormField, value: Any, ranked: Sequence[str]) -> str:
     return "" if right else f"each of these once: {', '.join(ranked)}"
 
 
-_CONSENT: Final = Form(
-    "consent",
-    "before",
-    (
-        FormField(
-            "agreed",
-            "I have read the information for participants, and agree to take part.",
-            "consent",
-            required=True,
-        ),
-        FormField("recordings", "Recordings of my hand may be kept for research.", "consent",
-                  required=False),
-    ),
-    title="Consent",
-    text="You may stop at any time, without giving a reason.",
-)  # fmt: skip
-_OFTEN: Final = ("never", "once or twice", "up to ten times", "more often")
-_ABOUT: Final = Form(
-    "about-you",
-    "before",
-    (
-        FormField("age", "Age [years]", "number", least=16, most=120),
-        FormField("gender", "Gender"),
-        FormField("writes_with", "Hand that you write with", "choice",
-                  choices=("left", "right", "both")),
-        FormField("hand_length", "Hand length, wrist to tip of the middle finger [mm]", "number",
-                  least=100, most=280),
-        FormField("experience", "How often have you moved a robot hand with your own?", "choice",
-                  choices=_OFTEN),
-        FormField("author", "Do you work on one of the compared methods?", "choice",
-                  choices=("no", "yes")),
-    ),
-    title="About you",
-)  # fmt: skip
-_BACK: Final = Form(
-    "at-the-end",
-    "after",
-    (
-        FormField("ranking", "Which did you like best?", "ranking"),
-        FormField("comments", "What else would you like to say?"),
-    ),
-    title="Looking back",
+_DEFAULT: Final = tomllib.loads((files(__package__) / "forms.toml").read_text("utf-8"))
+DEFAULT_FORMS: Final = tuple(
+    record(Form, entries) for entries in Entries("forms.toml", _DEFAULT, StudyError).tables("forms")
 )
-DEFAULT_FORMS: Final = (_CONSENT, _ABOUT, _BACK)
 """Default forms of a study, in their order."""

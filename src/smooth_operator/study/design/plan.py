@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from itertools import pairwise
+from itertools import pairwise, permutations
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -72,47 +72,29 @@ def balanced_rows(count: int) -> tuple[tuple[int, ...], ...]:
     return tuple(rows)
 
 
-@dataclass(frozen=True)
-class Balance:
-    """Counts of places and neighbours of the conditions in a set of orders.
-
-    Attributes:
-        places: (condition, place) -> count.
-        neighbours: (condition, next condition) -> count.
-        conditions: names of the conditions.
-    """
-
-    places: Counter[tuple[str, int]]
-    neighbours: Counter[tuple[str, str]]
-    conditions: tuple[str, ...]
-
-    @property
-    def spread_of_places(self) -> int:
-        """Largest minus smallest count of a condition in a place; 0 is balanced."""
-        n = len(self.conditions)
-        counts = [self.places[name, place] for name in self.conditions for place in range(n)]
-        return max(counts) - min(counts)
-
-    @property
-    def spread_of_neighbours(self) -> int:
-        """Largest minus smallest count of two neighbours; 0 is balanced for carry-over."""
-        counts = [self.neighbours[a, b] for a in self.conditions for b in self.conditions if a != b]
-        return max(counts) - min(counts)
+def balance(orders: Iterable[Sequence[str]]) -> Counter[tuple[str, int | str]]:
+    """Counts (condition, place) and (condition, next condition) in a set of orders."""
+    counts: Counter[tuple[str, int | str]] = Counter()
+    for order in orders:
+        counts.update((name, place) for place, name in enumerate(order))
+        counts.update(pairwise(order))
+    return counts
 
 
-def balance(orders: Sequence[Sequence[str]], conditions: Sequence[str]) -> Balance:
-    """Counts places and neighbours.
+def imbalance(orders: Sequence[Sequence[str]], conditions: Sequence[str]) -> tuple[int, int]:
+    """Returns largest minus smallest count of a condition in a place, and of two neighbours.
 
     Args:
         orders: orders of all conditions, one for each operator.
         conditions: names of the conditions.
+
+    Returns:
+        (0, 0) for orders that are balanced for place and carry-over.
     """
-    places: Counter[tuple[str, int]] = Counter()
-    neighbours: Counter[tuple[str, str]] = Counter()
-    for order in orders:
-        places.update((name, place) for place, name in enumerate(order))
-        neighbours.update(pairwise(order))
-    return Balance(places, neighbours, tuple(conditions))
+    counts = balance(orders)
+    places = [counts[name, place] for name in conditions for place in range(len(conditions))]
+    neighbours = [counts[pair] for pair in permutations(conditions, 2)]
+    return max(places) - min(places), max(neighbours) - min(neighbours)
 
 
 COLUMNS: Final = (
@@ -123,25 +105,15 @@ COLUMNS: Final = (
 
 def schedule_csv(plan: Plan) -> str:
     """Returns the schedule as CSV, one row for each block."""
-    return csv_text(
-        COLUMNS,
+    rows = (
         (
-            {
-                "operator": block.operator,
-                "session": block.session,
-                "task": block.task.name,
-                "block": block.number,
-                "condition": block.condition.name,
-                "label": block.condition.label,
-                "row": block.row + 1,
-                "familiarisation_s": f"{plan.protocol.familiarisation_s:g}",
-                "trials": block.task.trials,
-                "first_trial_global": block.trial_global(1),
-                "questionnaires_after": " ".join(map(str, block.questionnaires)),
-            }
-            for block in plan.schedule()
-        ),
-    )
+            block.operator, block.session, block.task.name, block.number, block.condition.name,
+            block.condition.label, block.row + 1, f"{plan.protocol.familiarisation_s:g}",
+            block.task.trials, block.trial_global(1), " ".join(map(str, block.questionnaires)),
+        )
+        for block in plan.schedule()
+    )  # fmt: skip
+    return csv_text(COLUMNS, (dict(zip(COLUMNS, row, strict=True)) for row in rows))
 
 
 def schedule_table(plan: Plan) -> list[list[str]]:
@@ -159,8 +131,7 @@ def schedule_table(plan: Plan) -> list[list[str]]:
 
 def imbalances(plan: Plan) -> Iterator[str]:
     """Describes the imbalances of a plan in sentences; none if it is balanced."""
-    square = balance(plan.orders, plan.protocol.condition_names)
-    if square.spread_of_places or square.spread_of_neighbours:
+    if any(imbalance(plan.orders, plan.protocol.condition_names)):
         yield (
             "the orders are no balanced Latin square: places or neighbours of conditions differ "
             "in how often they come"
@@ -292,10 +263,9 @@ def _rows(
     for i, task in enumerate(tasks):
         used = [one.rows[task] for one in before if task in one.rows and one.code != code]
         counts = Counter(used)
-        so_far = balance([orders[row] for row in used], protocol.condition_names)
+        so_far = balance(orders[row] for row in used)
         for row, order in enumerate(orders):
-            uneven = sum(so_far.places[name, place] for place, name in enumerate(order))
-            uneven += sum(so_far.neighbours[pair] for pair in pairwise(order))
+            uneven = sum(so_far[key] for key in balance([order]))
             tie = lot(protocol.seed, "row", salt, code, task, row)
             cost[i, row] = _USED * counts[row] + uneven + 0.5 * tie
             cost[i, row] += _REPEATED * (row in had)
@@ -316,11 +286,11 @@ def _task_order(
     if protocol.task_order == "listed" or len(listed) < 2:
         return listed
     counts = Counter(tuple(one.rows) for one in before if set(one.rows) == set(listed))
-    so_far = balance([o for o, n in counts.items() for _ in range(n)], listed)
+    so_far = balance(counts.elements())
     ranked = []
     for row in balanced_rows(len(listed)):
         order = tuple(listed[k] for k in row)
-        uneven = sum(so_far.places[name, place] for place, name in enumerate(order))
+        uneven = sum(so_far[name, place] for place, name in enumerate(order))
         tie = lot(protocol.seed, "tasks", salt, code, *order)
         ranked.append((counts[order], uneven, tie, order))
     return list(min(ranked)[-1])
@@ -347,6 +317,11 @@ class Block:
     condition: Condition
     row: int
     questionnaires: dict[int, Point]
+
+    @property
+    def place(self) -> tuple[str, int]:
+        """Name of the task and number of the block."""
+        return self.task.name, self.number
 
     def trial_global(self, trial: int) -> int:
         """Number of a trial of this block among all trials of the task, from 1."""
@@ -468,11 +443,6 @@ class Plan:
         """Returns the plan without an operator."""
         self.enrolment(operator)
         return replace(self, enrolled=tuple(o for o in self.enrolled if o.code != operator))
-
-    def balance(self, task: str) -> Balance:
-        """Counts of places and neighbours of the conditions over the operators of a task."""
-        used = [self.orders[one.rows[task]] for one in self.enrolled if task in one.rows]
-        return balance(used, self.protocol.condition_names)
 
 
 def make_plan(protocol: Protocol) -> Plan:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, fields, is_dataclass
-from importlib.resources import files
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write, output_error
-from smooth_operator.errors import StudyError
-from smooth_operator.io.entries import Entries, read_entries
+from smooth_operator.errors import StudyError, require
+from smooth_operator.formats.toml_writer import toml_key, toml_value
+from smooth_operator.io.entries import Entries, read_entries, record
+from smooth_operator.reporting.report_page import templates
 from smooth_operator.study.design.forms import KINDS
 from smooth_operator.study.design.plan import (
     Enrolment,
@@ -23,7 +23,6 @@ from smooth_operator.study.design.plan import (
     schedule_csv,
 )
 from smooth_operator.study.design.protocol import (
-    OUTCOMES,
     POOLED,
     PRIMARY,
     Condition,
@@ -60,7 +59,6 @@ _COMMENTS: Final[Mapping[type, Mapping[str, str]]] = {
     Task: {"trials": "in a block", "rubric": ""},
 }
 """Entries that are written also if they have their default, and their comments."""
-_T = TypeVar("_T")
 
 
 def read_plan(path: str | Path) -> Plan:
@@ -138,66 +136,20 @@ def _protocol(entries: Entries) -> Protocol:
     conditions, tasks = entries.table("conditions"), entries.table("tasks")
     # A file with orders was written by this program: without an endpoint none was planned.
     primary = entries.text("primary", "" if "orders" in entries.names else PRIMARY)
-    return _record(
+    return record(
         Protocol,
         entries,
         ("format", "primary", "conditions", "tasks", "orders", "enrolled"),
         conditions=tuple(
-            _record(Condition, conditions.table(name), name=name) for name in conditions.names
+            record(Condition, conditions.table(name), name=name) for name in conditions.names
         ),
         tasks=tuple(
-            _record(Task, table := tasks.table(name), ("trials",), name=name,
+            record(Task, table := tasks.table(name), ("trials",), name=name,
                     trials=table.whole("trials"))
             for name in tasks.names
         ),
         primary=primary,
     )  # fmt: skip
-
-
-def _record(cls: type[_T], entries: Entries, more: tuple[str, ...] = (), **values: Any) -> _T:
-    """Makes a dataclass of a table, by the names and types of its fields.
-
-    Args:
-        cls: class of the result.
-        entries: table of the file.
-        more: further entries that the table may have.
-        **values: values of other fields.
-    """
-    hints = get_type_hints(cls)
-    columns = [f for f in fields(cls) if f.init and f.name not in values]  # type: ignore[arg-type]
-    entries.only(*(f.name for f in columns), *more)
-    for f in columns:
-        required = f.default is MISSING and f.default_factory is MISSING
-        if required or f.name in entries.names:
-            lines = bool(f.metadata.get("lines"))
-            values[f.name] = _value(entries, f.name, hints[f.name], lines=lines)
-    return cls(**values)
-
-
-def _value(entries: Entries, name: str, hint: Any, *, lines: bool) -> Any:
-    """Reads an entry of the type of a field; an empty text is None if the type allows it."""
-    inner = get_args(hint)
-    if type(None) in inner:
-        value = _value(entries, name, inner[0], lines=lines)
-        return None if value == "" else value
-    if get_origin(hint) is Literal:
-        return entries.choice(name, inner)
-    if get_origin(hint) is tuple and is_dataclass(inner[0]):
-        cls: Any = inner[0]
-        return tuple(_record(cls, one) for one in entries.tables(name))
-    if get_origin(hint) is tuple:
-        texts, options = entries.texts(name), get_args(inner[0])
-        if not set(texts) <= set(options or texts):
-            raise entries.error(name, f"expected some of {', '.join(options)}")
-        return tuple(option for option in options or texts if option in texts)
-    if get_origin(hint) is not None:
-        table = entries.table(name)
-        return {key: table.number(key) for key in table.names}
-    if hint is bool:
-        return entries.flag(name, False)
-    if hint is str:
-        return entries.text(name, lines=lines)
-    return entries.whole(name) if hint is int else entries.number(name)
 
 
 def _orders(entries: Entries) -> Orders:
@@ -225,10 +177,10 @@ def _lines(plan: Plan) -> Iterator[str]:
     if protocol.margins:
         yield "\n[margins]  # of equivalence: share of successes, seconds, points of workload"
         for name, margin in protocol.margins.items():
-            yield f"{name} = {float(margin)!r}"
+            yield f"{name} = {toml_value(float(margin))}"
     for table, items in (("conditions", protocol.conditions), ("tasks", protocol.tasks)):
         for item in items:
-            yield f"\n[{table}.{_key(item.name)}]"
+            yield f"\n[{table}.{toml_key(item.name)}]"
             yield from _settings(item, ("name",))
     if protocol.forms:
         yield "\n# Forms on the operator's page, before the first block or after the last."
@@ -238,11 +190,11 @@ def _lines(plan: Plan) -> Iterator[str]:
         yield from _settings(form)
     yield "\n[orders]  # a balanced Latin square: conditions of the first block, the second, ..."
     for number, order in enumerate(plan.orders, 1):
-        yield f"{number} = {_toml(order)}"
+        yield f"{number} = {toml_value(order)}"
     yield "\n[enrolled]  # operator = { task = row of orders }, tasks in the order they are done"
     for one in plan.enrolled:
-        rows = ", ".join(f"{_key(task)} = {row + 1}" for task, row in one.rows.items())
-        yield f"{_key(one.code)} = {{ {rows} }}"
+        rows = ", ".join(f"{toml_key(task)} = {row + 1}" for task, row in one.rows.items())
+        yield f"{toml_key(one.code)} = {{ {rows} }}"
 
 
 def _settings(item: Any, skip: tuple[str, ...] = ()) -> Iterator[str]:
@@ -264,16 +216,7 @@ def _toml(value: Any) -> str:
         return f"{{ {', '.join(_settings(value))} }}"
     if isinstance(value, tuple) and value and is_dataclass(value[0]):
         return "[\n" + "".join(f"  {_toml(one)},\n" for one in value) + "]"
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    if isinstance(value, bool | str):
-        # A JSON string is a TOML one, but for the one control character that JSON lets through.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
-    return repr(value)
-
-
-def _key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isalnum() else _toml(name)
+    return toml_value(value)
 
 
 def write_plan_files(plan: Plan, folder: Path) -> list[Path]:
@@ -333,93 +276,25 @@ def preregistration(plan: Plan) -> str:
         Hypotheses, design, operators, tasks, outcomes, models, corrections, exclusions, stopping
         rule and versions, with [square brackets] for facts that only the authors know.
     """
+    require("a pre-registration", "study", "jinja2")
     protocol = plan.protocol
-    rows, many = len(plan.orders), len(protocol.tasks) > 1
-    square = f"{rows} orders"
-    if rows == len(balanced_rows(len(protocol.conditions))):
-        square = (
-            f"the {rows} rows of a Williams square, so that each condition is equally often in "
-            "each place and right after each other one"
-        )
-    template = files("smooth_operator.study.design").joinpath("preregistration.md")
-    return template.read_text("utf-8").format(
-        protocol=protocol,
-        version=__version__,
-        conditions=len(protocol.conditions),
-        hypotheses="\n".join(_hypotheses(protocol)),
-        square=square,
-        task_order="The order of an operator's tasks is balanced."
-        if protocol.task_order == "balanced"
-        else "Tasks are done in the order in which they are listed.",
-        orders="\n".join(f"{number}. {', '.join(o)}" for number, o in enumerate(plan.orders, 1)),
-        methods="\n".join(
-            f"| {one.name}{' (baseline)' if one.name == protocol.baseline else ''} | {one.method} "
-            f"| {one.preset or 'default'} |"
-            for one in protocol.conditions
-        ),
-        rate=f" The hand gets {protocol.rate_hz:g} commands/s." if protocol.rate_hz else "",
-        tasks="\n".join(_tasks(protocol)),
-        outcomes="\n".join(_outcomes(protocol)),
-        fixed=f"retargeter {'+ task ' if many else ''}+ t",
-        blocks=", and `(1 | operator:retargeter:task)` over all tasks" if many else "",
-        decides=" The primary hypothesis is decided by this family alone."
-        if protocol.primary
-        else "",
-    )
-
-
-def _endpoint(protocol: Protocol) -> str:
-    """Describes the primary endpoint; empty without one."""
     outcome, _, scope = protocol.primary.partition("/")
     where = "over all tasks together" if scope == POOLED else f"in task {scope}"
-    return f"{_TITLES[outcome]}, {where}" if outcome else ""
-
-
-def _hypotheses(protocol: Protocol) -> Iterator[str]:
-    names = [name for name in protocol.condition_names if name != protocol.baseline]
-    others = " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-    if endpoint := _endpoint(protocol):
-        yield (
-            f"1. **Primary.** The {endpoint}, differs between {protocol.baseline} (baseline) and "
-            f"{others}: one two-sided comparison for each. [Expected direction and reason.]"
-        )
-    else:
-        yield "1. No primary endpoint is named: all results are exploratory."
-    if protocol.margins:
-        margins = ", ".join(
+    others = [name for name in protocol.condition_names if name != protocol.baseline]
+    template = templates(__package__).get_template("preregistration.md.j2")
+    return template.render(
+        protocol=protocol,
+        version=__version__,
+        orders=plan.orders,
+        williams=len(plan.orders) == len(balanced_rows(len(protocol.conditions))),
+        endpoint=outcome and f"{_TITLES[outcome]}, {where}",
+        others=" and ".join(filter(None, [", ".join(others[:-1]), others[-1]])),
+        margins=", ".join(
             f"{outcome} {_UNITS[outcome][0] * margin:g} {_UNITS[outcome][1]}"
             for outcome, margin in protocol.margins.items()
-        )
-        yield (
-            "2. **Equivalence.** Two conditions are called equivalent if the 90 % interval of "
-            f"their difference lies within ± the margin ({margins}; two one-sided tests, "
-            "α = 0.05). [Why these margins.]"
-        )
-
-
-def _tasks(protocol: Protocol) -> Iterator[str]:
-    for task in protocol.tasks:
-        limit = "none" if task.time_limit_s is None else f"{task.time_limit_s:g} s"
-        rubric = "; ".join(f"{line.score:g}: {line.text or line.name}" for line in task.rubric)
-        title = f"{task.name}, {task.title}" if task.title else task.name
-        cells = (title, protocol.planned(task), task.trials, limit, rubric)
-        yield "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
-
-
-def _outcomes(protocol: Protocol) -> Iterator[str]:
-    outcomes = OUTCOMES if protocol.questionnaires else OUTCOMES[:-1]
-    titles = ", ".join(_TITLES[outcome] for outcome in outcomes)
-    if endpoint := _endpoint(protocol):
-        yield f"- **Primary:** {endpoint}."
-        yield (
-            f"- **Exploratory:** all else, of {titles}, over all tasks together and in each; "
-            "learning over trials; correlations with simulation; the further readings of the "
-            "report."
-        )
-    else:
-        yield f"- **Exploratory:** {titles}, in every scope."
-    if protocol.questionnaires:
-        yield (
-            f"- NASA-TLX is filled in after the {', '.join(protocol.questionnaires)} trial of a "
-            f"block; workload is the unweighted mean of its six scales."
-        )
+        ),
+        outcomes=", ".join(
+            title for name, title in _TITLES.items() if name != "tlx" or protocol.questionnaires
+        ),
+        fixed=f"retargeter {'+ task ' if len(protocol.tasks) > 1 else ''}+ t",
+    )

@@ -13,7 +13,8 @@ from smooth_operator.simulation.tasks.task import Task as Task
 from smooth_operator.simulation.tasks.task import check_name, distinct, seconds, whole
 from smooth_operator.study.design.forms import Form
 
-OUTCOMES: Final = ("success", "time", "tlx")
+Outcome: TypeAlias = Literal["success", "time", "tlx"]
+OUTCOMES: Final[tuple[Outcome, ...]] = get_args(Outcome)
 """Success rate (0 to 1), completion time [s], workload (0 to 100 points)."""
 POOLED: Final = "pooled"
 """Name of the scope of all tasks together; the other scopes are the tasks."""
@@ -93,7 +94,8 @@ def check_margins(margins: Mapping[str, float]) -> None:
 Point: TypeAlias = Literal["initial", "midpoint", "final"]
 """Time of a questionnaire: after the first, the middle or the last trial of a block."""
 POINTS: Final[tuple[Point, ...]] = get_args(Point)
-_SCORES: Final = (0.0, 0.5, 1.0)
+SCORES: Final = (0.0, 0.5, 1.0)
+"""Failure, marginal success, success."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,7 @@ class Protocol:
         whole(self.resets, 0, 100, "resets of a trial")
         whole(self.break_every, 0, 1000, "blocks between two breaks")
         distinct([form.name for form in self.forms], "forms")
-        if self.reset_cap not in _SCORES:
+        if self.reset_cap not in SCORES:
             raise StudyError(f"the score after a reset must be 0, 0.5 or 1, not {self.reset_cap}")
         if self.task_order not in ("balanced", "listed"):
             raise StudyError(f"task order must be balanced or listed, not {self.task_order!r}")

@@ -7,16 +7,19 @@ interruption, give the same figures.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
+from scipy.stats import binomtest
 
-from smooth_operator.atomic_files import atomic_write, output_error
-from smooth_operator.errors import OutputError, StudyError
+from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.errors import StudyError
 from smooth_operator.result_cache import (
     Job,
     Note,
@@ -24,14 +27,24 @@ from smooth_operator.result_cache import (
     code_digest,
     no_note,
 )
+from smooth_operator.study.analysis.dunnett import quantile
+from smooth_operator.study.analysis.frame import outcome_frames
 from smooth_operator.study.analysis.gee import require_statsmodels
-from smooth_operator.study.analysis.results import MODES, POOLED, Mode, Outcome
+from smooth_operator.study.analysis.outcomes import analyze
+from smooth_operator.study.analysis.results import (
+    MODES,
+    OUTCOMES,
+    POOLED,
+    Mode,
+    Outcome,
+    ScopeResult,
+)
 from smooth_operator.study.chunks import chunk_values
+from smooth_operator.study.data.rows import StudyData
 from smooth_operator.study.design.plan import make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_of, plan_table
 from smooth_operator.study.design.protocol import Protocol
 from smooth_operator.study.power.simulated_study import Assumptions, Simulator, Spread
-from smooth_operator.study.power.verdicts import ALPHA, Rate, Tally, rate, rates, verdicts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,6 +56,10 @@ LOG: Final = "studies.jsonl"
 """Name of the file with the counts of finished chunks, one line each."""
 _CHUNK: Final = 10
 _LEAST_OPERATORS: Final = 3
+Tally: TypeAlias = "Counter[str]"
+"""Counts of verdicts: ``studies``, and ``OUTCOME/SCOPE/MODE/COUNT`` (see ``count``)."""
+Tallies: TypeAlias = Mapping[tuple[int, "Truth"], Tally]
+"""Counts for each number of operators and truth."""
 Report: TypeAlias = Callable[[int, int], None]
 """Function of the number of finished studies and the number of all studies."""
 
@@ -77,6 +94,11 @@ class PowerSettings:
             )
         if len(set(self.operators)) < len(self.operators):
             raise StudyError(f"a number of operators comes twice: {list(self.operators)}")
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """Outcomes of the analysis."""
+        return [one for one in OUTCOMES if one != "tlx" or self.protocol.questionnaires]
 
     @property
     def scopes(self) -> tuple[str, ...]:
@@ -122,7 +144,7 @@ def run_power(
     workers: int | None = None,
     report: Report | None = None,
     note: Note = no_note,
-) -> dict[tuple[int, Truth], Tally]:
+) -> Tallies:
     """Simulates and analyses studies; continues an earlier run in the same folder.
 
     Args:
@@ -130,46 +152,39 @@ def run_power(
         workers: number of processes; None for one for each core, 0 for this process.
         note: called with a text on each entry of the folder that can't be used.
 
-    Returns:
-        Counts for each number of operators and truth.
-
     Raises:
         StudyError: a study can't be simulated; says why.
         OutputError: the folder can't be written to.
         MissingExtraError: statsmodels is not installed.
     """
     code = code_digest("study/design", "study/power", "study/analysis")
-    jobs = [Job("", chunk, code, chunk) for chunk in _chunks(settings)]
+    require_statsmodels()  # one error here, not one from each worker
+    jobs = [
+        Job("", one, code, one, f"simulating {one.operators} operators", one.count)
+        for one in _chunks(settings)
+    ]
     log = ResultLog(folder / LOG, note)
-    tallies: dict[tuple[int, Truth], Tally] = {
-        (n, truth): Tally() for n in settings.operators for truth in TRUTHS
-    }
+    tallies = {(n, truth): Counter[str]() for n in settings.operators for truth in TRUTHS}
     for chunk, counts in chunk_values(
-        jobs,
-        log,
-        simulate_chunk,
-        field="counts",
-        count=lambda chunk: chunk.count,
-        failure=lambda chunk: f"simulating {chunk.operators} operators",
-        workers=workers,
-        report=report,
-        prepare=require_statsmodels,  # one error here, not one from each worker
+        jobs, log, simulate_chunk, field="counts", workers=workers, report=report
     ):
-        tallies[chunk.operators, chunk.truth].merge(chunk.count, counts)
+        tallies[chunk.operators, chunk.truth].update(counts)
     return tallies
 
 
-def simulate_chunk(chunk: Chunk) -> dict[str, dict[str, int]]:
+def simulate_chunk(chunk: Chunk) -> dict[str, int]:
     """Simulates and analyses the studies of a chunk in a worker; returns the counts."""
     simulator, truth, protocol, scopes, seed = _prepared(
         chunk.setting, chunk.operators, chunk.truth
     )
-    tally = Tally()
+    tally = Counter(studies=chunk.count)
     for number in range(chunk.first, chunk.first + chunk.count):
         rng = np.random.default_rng([seed, chunk.operators, TRUTHS.index(chunk.truth), number])
-        results = verdicts(simulator.draw(rng), protocol.baseline, scopes)
-        tally.add(results, truth, protocol.baseline, protocol.margins)
-    return {key: dict(counts) for key, counts in tally.counts.items()}
+        for one in verdicts(simulator.draw(rng), protocol.baseline, scopes):
+            where = f"{one.outcome}/{one.scope}/{one.mode}"
+            counts = count(one, truth, protocol.baseline, protocol.margins)
+            tally.update({f"{where}/{what}": number for what, number in counts.items()})
+    return dict(tally)
 
 
 @lru_cache(maxsize=8)
@@ -207,6 +222,149 @@ def _chunks(settings: PowerSettings) -> Iterator[Chunk]:
                 yield Chunk(setting, operators, truth, first, count)
 
 
+ALPHA: Final = 0.05
+Counts = dict[str, int]
+"""Name of a count (see ``count``) -> number of studies."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Significant differences of one outcome in one scope and mode.
+
+    Attributes:
+        outcome: success, time or tlx.
+        scope: ``pooled`` or a task.
+        mode: mode of the analysis.
+        against: condition -> sign of its significant difference from the baseline by Dunnett, or 0.
+        pairs: (condition, condition) -> sign of the significant difference by Holm, the first minus
+            the second, or 0.
+        smallest_margin: condition -> larger absolute end of the 90 % interval of its difference
+            from the baseline. By two one-sided tests at 5 % both are equivalent within any larger
+            margin.
+        refused: reason why the analysis has no figures; None if it has.
+    """
+
+    outcome: Outcome
+    scope: str
+    mode: Mode
+    against: dict[str, int]
+    pairs: dict[tuple[str, str], int]
+    refused: str | None = None
+    smallest_margin: dict[str, float] = field(default_factory=dict)
+
+
+def verdicts(
+    study: StudyData, baseline: str, scopes: Sequence[str] = (POOLED,)
+) -> Iterator[Verdict]:
+    """Yields the verdicts on all outcomes of a study, in both modes.
+
+    Args:
+        baseline: retargeter that the others are compared with.
+        scopes: ``pooled`` and tasks.
+    """
+    for scope in scopes:
+        for outcome, frame in outcome_frames(study, scope, baseline).items():
+            for mode, result in analyze(outcome, frame, decide=ALPHA).items():
+                yield _verdict(Verdict(outcome, scope, mode, {}, {}), result, baseline)
+
+
+def _verdict(blank: Verdict, result: ScopeResult, baseline: str) -> Verdict:
+    """Decides by the tests of a model, and by the exact tests of separated retargeters."""
+    count = len(result.emm)
+    if result.refused is not None or len(result.pairs) < count * (count - 1) // 2:
+        return replace(blank, refused=result.refused or "a difference has no estimated error")
+    pairs = {(one.a, one.b): _sign(one.difference, one.p_holm) for one in result.pairs.values()}
+    against = {name: _sign(one.difference, one.p_dunnett) for name, one in result.dunnett.items()}
+    margins = {
+        name: abs(one.difference) + one.se * quantile(one.df, ALPHA)
+        for name, one in result.dunnett.items()
+    }
+    for name, exact in result.separated.items():
+        for other, test in exact.against.items():
+            # Pairs of the analysis have the baseline first, then the order of names.
+            turned = other == baseline or (name != baseline and other < name)
+            sign = _sign(test.difference, test.p_holm)
+            pairs[(other, name) if turned else (name, other)] = -sign if turned else sign
+            if test.p_dunnett is not None:
+                sign = _sign(test.difference, test.p_dunnett)
+                against[name if other == baseline else other] = sign if other == baseline else -sign
+    return replace(blank, against=against, pairs=pairs, smallest_margin=margins)
+
+
+def _sign(difference: float, p: float) -> int:
+    return int(np.sign(difference)) if p <= ALPHA else 0
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Share of the simulated studies, with its error.
+
+    Attributes:
+        rate: share of the studies.
+        se: Monte-Carlo standard error of the share.
+        lower: lower end of the 95 % interval (Wilson 1927).
+        upper: upper end of the 95 % interval.
+    """
+
+    rate: float
+    se: float
+    lower: float
+    upper: float
+
+
+def count(
+    verdict: Verdict, truth: Assumptions, baseline: str, margins: Mapping[str, float] | None = None
+) -> Counts:
+    """Counts the right and wrong decisions of a verdict.
+
+    Args:
+        baseline: condition that the others are compared with.
+        margins: outcome -> margin of equivalence in its unit.
+
+    Returns:
+        ``dunnett:NAME`` and ``holm:A-B``: a true difference was significant with its sign;
+        ``dunnett:all`` and ``holm:all``: all true differences were; ``family:dunnett`` and
+        ``family:holm``: a difference was significant that does not exist, or with the wrong sign;
+        ``equivalent:NAME``: the difference from the baseline was shown to be below the margin;
+        ``refused``: the analysis was refused.
+    """
+    if verdict.refused is not None:
+        return {"refused": 1}
+    values = {"success": truth.success, "time": truth.time_s, "tlx": truth.workload}
+    value = values[verdict.outcome]
+    counts: Counts = {}
+    margin = (margins or {}).get(verdict.outcome)
+    if margin is not None:
+        for name, smallest in verdict.smallest_margin.items():
+            if smallest < margin:
+                counts[f"equivalent:{name}"] = 1
+    families = {
+        "dunnett": {name: (name, baseline, sign) for name, sign in verdict.against.items()},
+        "holm": {f"{a}-{b}": (a, b, sign) for (a, b), sign in verdict.pairs.items()},
+    }
+    for family, tests in families.items():
+        wrong, true, right = False, 0, 0
+        for name, (a, b, sign) in tests.items():
+            really = int(np.sign(value[a] - value[b]))
+            true += really != 0
+            if sign and sign == really:
+                counts[f"{family}:{name}"] = 1
+                right += 1
+            wrong = wrong or (sign != 0 and sign != really)
+        if wrong:
+            counts[f"family:{family}"] = 1
+        if true and right == true:
+            counts[f"{family}:all"] = 1
+    return counts
+
+
+def rate(hits: int, studies: int) -> Rate:
+    """Computes a share with its error."""
+    p = hits / studies
+    interval = binomtest(hits, studies).proportion_ci(method="wilson")
+    return Rate(p, float(np.sqrt(p * (1 - p) / studies)), *map(float, interval))
+
+
 FORMAT: Final = 1
 RESULT: Final = "power.json"
 PLOT: Final = "power.png"
@@ -215,7 +373,6 @@ ENOUGH: Final = 0.8
 """Usual target for the power."""
 MOST_ERROR: Final = 0.07
 """Family-wise error from which a test is unreliable: 5 % and the error of the simulation."""
-Tallies = Mapping[tuple[int, Truth], Tally]
 _LINES: Final[dict[Mode, str]] = {"small-sample": "-", "paper": "--"}
 
 
@@ -229,31 +386,32 @@ def power_json(settings: PowerSettings, tallies: Tallies) -> dict[str, Any]:
     studies with a significant difference that does not exist; ``errs`` is true above 7 %.
     """
     cells = []
-    for (operators, truth), tally in tallies.items():
-        for key, counts in rates(tally).items():
-            outcome, scope, mode = key.split("/", 2)
-            power: dict[str, dict[str, Any]] = {"dunnett": {}, "holm": {}, "equivalent": {}}
-            for what, value in counts.items():
-                family, _, name = what.partition(":")
-                if family in power:
-                    power[family][name] = asdict(value)
-            cells.append(
-                {
-                    "operators": operators,
-                    "truth": truth,
-                    "outcome": outcome,
-                    "scope": scope,
-                    "mode": mode,
-                    "studies": tally.studies,
-                    "power": power,
-                    "family_error": {
-                        "dunnett": asdict(counts["family:dunnett"]),
-                        "holm": asdict(counts["family:holm"]),
-                    },
-                    "errs": truth == "null" and errs(counts["family:dunnett"]),
-                    "refused": asdict(counts["refused"]),
-                }
-            )
+    analyses = product(tallies, settings.scopes, settings.outcomes, MODES)
+    for (operators, truth), scope, outcome, mode in analyses:
+        tally, where = tallies[operators, truth], f"{outcome}/{scope}/{mode}"
+        power: dict[str, dict[str, Any]] = {"dunnett": {}, "holm": {}, "equivalent": {}}
+        for what in sorted(key for key in tally if key.startswith(f"{where}/")):
+            family, _, name = what.removeprefix(f"{where}/").partition(":")
+            if family in power:
+                power[family][name] = asdict(rate(tally[what], tally["studies"]))
+        error = rate_of(tally, outcome, scope, mode, "family:dunnett")
+        cells.append(
+            {
+                "operators": operators,
+                "truth": truth,
+                "outcome": outcome,
+                "scope": scope,
+                "mode": mode,
+                "studies": tally["studies"],
+                "power": power,
+                "family_error": {
+                    "dunnett": asdict(error),
+                    "holm": asdict(rate_of(tally, outcome, scope, mode, "family:holm")),
+                },
+                "errs": truth == "null" and errs(error),
+                "refused": asdict(rate_of(tally, outcome, scope, mode, "refused")),
+            }
+        )
     return {"format": FORMAT, "alpha": ALPHA, "settings": settings.to_json(), "cells": cells}
 
 
@@ -268,17 +426,14 @@ def write_power(settings: PowerSettings, tallies: Tallies, folder: Path) -> list
     Raises:
         OutputError: a file can't be written.
     """
-    text = json.dumps(power_json(settings, tallies), indent=1) + "\n"
-    with atomic_write(folder / RESULT) as file:
-        file.write(text.encode("utf-8"))
+    write_json(folder / RESULT, power_json(settings, tallies), indent=1)
     draw_power(settings, tallies, folder / PLOT)
     return [folder / RESULT, folder / PLOT]
 
 
 def rate_of(tally: Tally, outcome: str, scope: str, mode: str, what: str) -> Rate:
     """Returns the rate of a count, which may be zero."""
-    counts = tally.counts.get(f"{outcome}/{scope}/{mode}")
-    return rate(0 if counts is None else counts[what], tally.studies)
+    return rate(tally[f"{outcome}/{scope}/{mode}/{what}"], tally["studies"])
 
 
 def draw_power(
@@ -293,11 +448,23 @@ def draw_power(
 
     truth = settings.truth
     values = {"success": truth.success, "time": truth.time_s, "tlx": truth.workload}
-    outcomes = [o for o in TITLES if o != "tlx" or settings.protocol.questionnaires]
+    outcomes = settings.outcomes
     figure = Figure(figsize=(4.2 * len(outcomes), 7.0), layout="constrained")
     axes = figure.subplots(2, len(outcomes), sharex=True, sharey="row", squeeze=False)
     baseline = settings.protocol.baseline
     others = [name for name in settings.protocol.condition_names if name != baseline]
+    numbers = sorted(settings.operators)
+
+    def line(
+        on: Axes, outcome: Outcome, mode: Mode, truth: Truth, what: str, colour: str, label: str
+    ) -> None:
+        rows = [rate_of(tallies[n, truth], outcome, scope, mode, what) for n in numbers]
+        bars = [[row.rate - row.lower for row in rows], [row.upper - row.rate for row in rows]]
+        on.errorbar(
+            numbers, [row.rate for row in rows], yerr=bars, color=colour, linestyle=_LINES[mode],
+            marker="o", markersize=3, linewidth=1.2, elinewidth=0.8, label=label,
+        )  # fmt: skip
+
     for column, outcome in enumerate(outcomes):
         top, bottom = axes[0, column], axes[1, column]
         for number, name in enumerate(others):
@@ -305,12 +472,10 @@ def draw_power(
             if difference == 0:
                 continue
             for mode in MODES:
-                shown = f"{name} ({_shown(outcome, difference)})" if mode == MODES[0] else None
-                _line(top, settings, tallies, (outcome, scope, mode), "effects",
-                      f"dunnett:{name}", f"C{number}", shown)  # fmt: skip
+                shown = f"{name} ({_shown(outcome, difference)})" if mode == MODES[0] else ""
+                line(top, outcome, mode, "effects", f"dunnett:{name}", f"C{number}", shown)
         for mode in MODES:
-            _line(bottom, settings, tallies, (outcome, scope, mode), "null", "family:dunnett",
-                  "black", mode)  # fmt: skip
+            line(bottom, outcome, mode, "null", "family:dunnett", "black", mode)
         top.set_title(f"{TITLES[outcome]}, against {baseline}")
         top.axhline(ENOUGH, color="0.7", linewidth=0.8, zorder=0)
         bottom.axhline(ALPHA, color="0.7", linewidth=0.8, zorder=0)
@@ -332,36 +497,8 @@ def draw_power(
         f"{settings.protocol.name}: {settings.studies} simulated studies each, bars 95 %",
         fontsize=10,
     )
-    try:
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise output_error(path, error) from error
-    except ValueError as error:
-        raise OutputError(f"can't write {str(path)!r}: {error}") from error
-
-
-def _line(
-    axes: Axes,
-    settings: PowerSettings,
-    tallies: Tallies,
-    where: tuple[Outcome, str, Mode],
-    truth: Truth,
-    what: str,
-    colour: str,
-    label: str | None,
-) -> None:
-    outcome, scope, mode = where
-    numbers = sorted(settings.operators)
-    rows = [rate_of(tallies[n, truth], outcome, scope, mode, what) for n in numbers]
-    middle = [row.rate for row in rows]
-    bars = [
-        [row.rate - row.lower for row in rows],
-        [row.upper - row.rate for row in rows],
-    ]
-    axes.errorbar(
-        numbers, middle, yerr=bars, color=colour, linestyle=_LINES[mode], marker="o",
-        markersize=3, linewidth=1.2, elinewidth=0.8, label=label,
-    )  # fmt: skip
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png", dpi=120)
 
 
 def _shown(outcome: Outcome, difference: float) -> str:

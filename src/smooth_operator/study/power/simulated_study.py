@@ -15,13 +15,16 @@ from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float, Int
 from scipy.optimize import brentq
 from scipy.special import expit
 
 from smooth_operator.errors import StudyError
-from smooth_operator.study.data.rows import ITEMS, POINTS, Questionnaires, StudyData, Trials
+from smooth_operator.study.data.rows import StudyData, questionnaires_table, trials_table
 from smooth_operator.study.design.plan import Block, Plan
+from smooth_operator.study.design.protocol import POINTS
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 
 PAPER_SUCCESS: Final = {"sbr": 0.541, "dexpilot": 0.440, "geort": 0.266, "hybrid": 0.521}
 """Probability of a score of 0.5 or 1."""
@@ -152,32 +155,37 @@ def planned_data(plan: Plan) -> StudyData:
     """Makes the rows of a planned study without dropouts: all trials fail, no answer is there."""
     blocks = list(plan.schedule())
     trials = [
-        (*_place(block), k, block.trial_global(k))
+        _place(block)
+        | {"trial_in_block": k, "trial_global": block.trial_global(k), "score": 0.0, "time": np.nan}
         for block in blocks
         for k in range(1, block.task.trials + 1)
     ]
-    points = [
-        (*_place(block), POINTS.index(point) + 1)
+    filled = [
+        _place(block) | {"point": POINTS.index(point) + 1} | dict.fromkeys(SCALE_NAMES, np.nan)
         for block in blocks
         for point in block.questionnaires.values()
     ]
-    columns = [np.array(column) for column in zip(*trials, strict=True)]
-    count = len(trials)
-    data = StudyData(Trials(*[*columns, np.zeros(count), np.full(count, np.nan)]))
-    if not points:
-        return data
-    columns = [np.array(column) for column in zip(*points, strict=True)]
-    answers = np.full((len(points), len(ITEMS)), np.nan)
-    return replace(data, questionnaires=Questionnaires(*[*columns, answers]))
+    return StudyData(
+        trials_table(_columns(trials)), questionnaires_table(_columns(filled)) if filled else None
+    )
 
 
-def _place(block: Block) -> tuple[str, str, str, int]:
-    return block.operator, block.task.name, block.condition.name, block.number
+def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    return {name: [row[name] for row in rows] for name in rows[0]}
 
 
-def codes_of(names: Sequence[str], column: np.ndarray) -> Int[np.ndarray, " n"]:
+def _place(block: Block) -> dict[str, Any]:
+    return {
+        "operator": block.operator,
+        "task": block.task.name,
+        "retargeter": block.condition.name,
+        "block": block.number,
+    }
+
+
+def codes_of(names: Sequence[str], column: pd.Series) -> Int[np.ndarray, " n"]:
     """Index into ``names`` of each element of a column (n,)."""
-    return np.array([names.index(name) for name in column.tolist()], int)
+    return np.asarray(pd.Categorical(column, names).codes, int)
 
 
 _CORRELATION: Final = np.array([[1.0, -0.4, -0.3], [-0.4, 1.0, 0.2], [-0.3, 0.2, 1.0]])
@@ -198,7 +206,7 @@ class Simulator:
 
     def __init__(self, plan: Plan, truth: Assumptions) -> None:
         self._data, self._truth = planned_data(plan), truth
-        trials, answers = self._data.trials, self._data.questionnaires
+        trials, filled = self._data.trials, self._data.questionnaires
         protocol = plan.protocol
         conditions = sorted(protocol.condition_names, key=lambda x: (x != protocol.baseline, x))
         tasks = [task.name for task in protocol.tasks]
@@ -209,7 +217,8 @@ class Simulator:
         points = [truth.workload[name] for name in conditions]
         practice = _three(truth.practice)
 
-        def mean(table: Trials | Questionnaires, values: list[float], index: Any, k: int) -> Any:
+        def mean(table: pd.DataFrame, values: list[float], column: str, k: int) -> Any:
+            index = table[column].to_numpy()
             condition, task = (
                 codes_of(conditions, table.retargeter), codes_of(tasks, table.task)
             )  # fmt: skip
@@ -217,9 +226,9 @@ class Simulator:
             about = offsets[task, k] + practice[k] * (index - index.mean())
             return np.array(values)[condition] + about, own
 
-        self._logit = mean(trials, logit, trials.trial_global, 0)
-        self._time = mean(trials, seconds, trials.trial_global, 1)
-        self._workload = None if answers is None else mean(answers, points, answers.index, 2)
+        self._logit = mean(trials, logit, "trial_global", 0)
+        self._time = mean(trials, seconds, "trial_global", 1)
+        self._workload = None if filled is None else mean(filled, points, "index", 2)
         self._root = np.linalg.cholesky(_CORRELATION)
 
     def draw(self, rng: np.random.Generator) -> StudyData:
@@ -231,8 +240,8 @@ class Simulator:
         logit, time = (mean + shift[where] for mean, where in (self._logit, self._time))
         success = rng.random(len(logit)) < expit(logit)
         time = time + truth.trials.time_s * rng.standard_normal(len(time))
-        trials = replace(
-            data.trials, score=success.astype(float), time=np.maximum(time, _SHORTEST_S)
+        trials = data.trials.assign(
+            score=success.astype(float), success=success, time=np.maximum(time, _SHORTEST_S)
         )
         if self._workload is None or data.questionnaires is None:
             return replace(data, trials=trials)
@@ -241,7 +250,9 @@ class Simulator:
         scales = workload[:, None] + _SCALES
         scales = scales + truth.scales * rng.standard_normal(scales.shape)
         answers = np.clip(_STEP * np.round(scales / _STEP), 0.0, 100.0)
-        filled = replace(data.questionnaires, answers=answers)
+        filled = questionnaires_table(
+            {**data.questionnaires, **dict(zip(SCALE_NAMES, answers.T, strict=True))}
+        )
         return replace(data, trials=trials, questionnaires=filled)
 
 

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any, ClassVar, Final, TypeAlias, get_args, get_type_hints
+from typing import Any, ClassVar, Final, TypeAlias
 
 from smooth_operator.errors import StudyError
+from smooth_operator.io.entries import Entries, record
 from smooth_operator.study.design.protocol import Point
 from smooth_operator.study.store.nasa_tlx import check_ratings, raw_workload
 
@@ -366,57 +366,34 @@ def event_of(kind: str, values: Mapping[str, Any]) -> Event:
     """
     if kind not in EVENTS:
         raise StudyError(f"no event is called {kind!r}; expected one of {', '.join(EVENTS)}")
-    event = EVENTS[kind]
-    hints = get_type_hints(event)
-    names = [f.name for f in fields(event)]
-    required = {f.name for f in fields(event) if f.default is dataclasses.MISSING}
-    missing, unknown = sorted(required - set(values)), sorted(set(values) - set(names))
-    if missing or unknown:
-        raise StudyError(
-            f"event {kind!r} has the fields {', '.join(names) or '(none)'}"
-            + (f"; missing: {', '.join(missing)}" if missing else "")
-            + (f"; unknown: {', '.join(unknown)}" if unknown else "")
-        )
-    return event(**{name: _checked(kind, name, v, hints[name]) for name, v in values.items()})
+    cls, entries = EVENTS[kind], Entries(f"event {kind!r}", values, StudyError)
+    tables = {
+        name: read(entries.table(name))
+        for name, read in (("ratings", _ratings), ("answers", _answers))
+        if name in cls.__dataclass_fields__
+    }
+    event = record(cls, entries, tuple(tables), lines=True, **tables)
+    for name, value in vars(event).items():
+        if isinstance(value, int | float) and value < 0:
+            raise entries.error(name, f"expected 0 or more, not {value!r}")
+        if isinstance(value, str) and (len(value) > _LONGEST_TEXT or "\x00" in value):
+            raise entries.error(name, f"expected a text of up to {_LONGEST_TEXT} characters")
+    return event
 
 
-def _checked(kind: str, name: str, value: Any, hint: Any) -> Any:
-    where = f"event {kind!r}: {name}"
-    if name == "ratings":
-        if not isinstance(value, Mapping):
-            raise StudyError(f"{where} must be a table of the six scales, not {value!r}")
-        check_ratings(value)
-        return dict(value)
-    if name == "answers":
-        return _answers(where, value)
-    if value is None and type(None) in get_args(hint):
-        return None
-    if hint is bool:
-        if not isinstance(value, bool):
-            raise StudyError(f"{where} must be true or false, not {value!r}")
-        return value
-    if hint is int:
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise StudyError(f"{where} must be a whole number, not {value!r}")
-        return value
-    if hint in (float, float | None):
-        right = isinstance(value, int | float) and not isinstance(value, bool)
-        if not right or not math.isfinite(value) or value < 0:
-            raise StudyError(f"{where} must be a number of 0 or more, not {value!r}")
-        return float(value)
-    if not isinstance(value, str) or len(value) > _LONGEST_TEXT or "\x00" in value:
-        raise StudyError(f"{where} must be a text of up to {_LONGEST_TEXT} characters")
-    return value
+def _ratings(entries: Entries) -> dict[str, int]:
+    check_ratings(entries.values)
+    return dict(entries.values)
 
 
-def _answers(where: str, value: Any) -> dict[str, Any]:
-    if not isinstance(value, Mapping) or len(json.dumps(dict(value))) > _LONGEST_TEXT:
-        raise StudyError(f"{where} must be a table of fields, not {str(value)[:80]!r}")
-    for name, one in value.items():
-        plain = isinstance(one, str | bool | int | float)
-        listed = isinstance(one, list | tuple) and all(isinstance(part, str) for part in one)
-        if not isinstance(name, str) or not (plain or listed):
-            raise StudyError(f"{where}: {name!r} must be a text, a number, yes or no, or a list")
-        if isinstance(one, float) and not math.isfinite(one):
-            raise StudyError(f"{where}: {name!r} must be a finite number")
-    return {name: list(v) if isinstance(v, tuple) else v for name, v in value.items()}
+def _answers(entries: Entries) -> dict[str, Any]:
+    if len(json.dumps(dict(entries.values))) > _LONGEST_TEXT:
+        raise StudyError(f"{entries.file}: the answers have more than {_LONGEST_TEXT} characters")
+    for name, one in entries.values.items():
+        if isinstance(one, list | tuple):
+            entries.texts(name)
+        elif isinstance(one, float):
+            entries.number(name)
+        elif not isinstance(one, str | bool | int):
+            raise entries.error(name, "expected a text, a number, yes or no, or a list of texts")
+    return {name: list(v) if isinstance(v, tuple) else v for name, v in entries.values.items()}

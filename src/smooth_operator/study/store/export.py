@@ -9,33 +9,36 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import OutputError
 from smooth_operator.formats.csv_table import csv_text
-from smooth_operator.study.data.reading import (
-    MORE_TRIAL_COLUMNS,
-    QUESTIONNAIRE_COLUMNS,
-    TRIAL_COLUMNS,
-)
 from smooth_operator.study.design.plan import Block
 from smooth_operator.study.design.plan_file import plan_table
 from smooth_operator.study.store.events import (
     BlockEnded,
     Event,
     Noted,
+    QuestionnaireAnswered,
     Recalibrated,
     Withdrawn,
     payload,
 )
 from smooth_operator.study.store.nasa_tlx import SCALE_NAMES, raw_workload
-from smooth_operator.study.store.progress import Progress, Questionnaire, Trial
+from smooth_operator.study.store.progress import Progress, Trial
 from smooth_operator.study.store.study_store import StudyStore
 
 FORMAT: Final = 1
 """Version of ``study.json``."""
+TRIAL_COLUMNS: Final = (
+    "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
+)  # fmt: skip
+MORE_TRIAL_COLUMNS: Final = ("duration_s", "line", "resets", "started_at", "place", "amended")
+"""Further columns of exported trials, which the analysis does not read."""
+QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *SCALE_NAMES)
 _TRIALS, _TLX, _ALL = "trials.csv", "tlx.csv", "study.json"
 _SCORING: Final = ("line", "score", "time_s")
 
@@ -89,7 +92,9 @@ def study_json(store: StudyStore, operators: Sequence[str] | None = None) -> dic
         "erased": list(store.erased),
         "trials": [_trial(one, trial) for one in everyone for trial in one.trials if trial.counts],
         "questionnaires": [
-            _questionnaire(one, answered) for one in everyone for answered in one.questionnaires
+            _questionnaire(one, at, event)
+            for one in everyone
+            for at, event in one.events(QuestionnaireAnswered)
         ],
         "operators": [operator_json(one) for one in everyone],
     }
@@ -100,8 +105,7 @@ def _trial(progress: Progress, trial: Trial) -> dict[str, Any]:
     assert trial.time_s is not None
     return {
         "operator": progress.operator,
-        **_place(trial.block),
-        "trial_in_block": trial.number,
+        **_trial_place(trial),
         "trial_global": trial.block.trial_global(trial.number),
         "score": trial.score,
         # The time of a failure is not the time that the task takes.
@@ -115,14 +119,17 @@ def _trial(progress: Progress, trial: Trial) -> dict[str, Any]:
     }
 
 
-def _questionnaire(progress: Progress, answered: Questionnaire) -> dict[str, Any]:
+def _questionnaire(
+    progress: Progress, at: datetime, event: QuestionnaireAnswered
+) -> dict[str, Any]:
+    block = next(one for one in progress.blocks if one.place == (event.task, event.block))
     return {
         "operator": progress.operator,
-        **_place(answered.block),
-        "point": answered.point,
-        **{name: answered.ratings[name] for name in SCALE_NAMES},
-        "raw_workload": raw_workload(answered.ratings),
-        "answered_at": answered.at.isoformat(),
+        **_place(block),
+        "point": event.point,
+        **{name: event.ratings[name] for name in SCALE_NAMES},
+        "raw_workload": raw_workload(event.ratings),
+        "answered_at": at.isoformat(),
     }
 
 
@@ -144,15 +151,11 @@ def _remove(path: Path) -> None:
 
 def operator_json(progress: Progress) -> dict[str, Any]:
     """Returns an operator's forms, notes, irregular events and whole log as plain values."""
-    blocks = {(block.task.name, block.number): block for block in progress.blocks}
+    blocks = {block.place: block for block in progress.blocks}
 
     def events(kind: type[Event]) -> list[dict[str, Any]]:
         """Fields of the events of a kind that count, with their times."""
-        return [
-            {"at": record.at.isoformat(), **payload(record.event)}
-            for record in progress.effective
-            if isinstance(record.event, kind)
-        ]
+        return [{"at": at.isoformat(), **payload(one)} for at, one in progress.events(kind)]
 
     return {
         "operator": progress.operator,
@@ -170,14 +173,13 @@ def operator_json(progress: Progress) -> dict[str, Any]:
         ],
         "recalibrations": events(Recalibrated),
         "voided": [
-            {**_place(trial.block), "trial_in_block": trial.number, "reason": trial.void}
+            {**_trial_place(trial), "reason": trial.void}
             for trial in progress.trials
             if trial.void is not None
         ],
         "pauses": [
             {
-                **_place(trial.block),
-                "trial_in_block": trial.number,
+                **_trial_place(trial),
                 "at": at.isoformat(),
                 "length_s": length,
                 "reason": reason,
@@ -191,8 +193,7 @@ def operator_json(progress: Progress) -> dict[str, Any]:
         ],
         "amendments": [
             {
-                **_place(trial.block),
-                "trial_in_block": trial.number,
+                **_trial_place(trial),
                 "at": record.at.isoformat(),
                 "before": dict(zip(_SCORING, before, strict=True)),
                 "after": {name: getattr(record.event, name) for name in _SCORING},
@@ -217,3 +218,7 @@ def operator_json(progress: Progress) -> dict[str, Any]:
 
 def _place(block: Block) -> dict[str, Any]:
     return {"task": block.task.name, "retargeter": block.condition.name, "block": block.number}
+
+
+def _trial_place(trial: Trial) -> dict[str, Any]:
+    return {**_place(trial.block), "trial_in_block": trial.number}

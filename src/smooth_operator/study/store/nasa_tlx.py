@@ -5,10 +5,11 @@ The workload is the unweighted mean of the scales (raw TLX, Hart 2006).
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final
 
 from smooth_operator.errors import DocumentError, StudyError
@@ -17,40 +18,10 @@ from smooth_operator.io.entries import Entries, read_entries
 
 STEP: Final = 5
 HIGHEST: Final = 100
-
-
-@dataclass(frozen=True)
-class Scale:
-    """One of the six scales.
-
-    Attributes:
-        name: column in data.
-        title: heading on the page.
-        question: question under the heading.
-        low: label of the end at 0.
-        high: label of the end at 100; more is always worse.
-    """
-
-    name: str
-    title: str
-    question: str
-    low: str = "Very low"
-    high: str = "Very high"
-
-
-SCALES: Final = (
-    Scale("mental", "Mental demand", "How mentally demanding was the task?"),
-    Scale("physical", "Physical demand", "How physically demanding was the task?"),
-    Scale("temporal", "Temporal demand", "How hurried or rushed was the pace of the task?"),
-    Scale("performance", "Performance",
-          "How successful were you in accomplishing what you were asked to do?",
-          "Perfect", "Failure"),
-    Scale("effort", "Effort",
-          "How hard did you have to work to accomplish your level of performance?"),
-    Scale("frustration", "Frustration",
-          "How insecure, discouraged, irritated, stressed, and annoyed were you?"),
+SCALE_NAMES: Final = (
+    "mental", "physical", "temporal", "performance", "effort", "frustration",
 )  # fmt: skip
-SCALE_NAMES: Final = tuple(scale.name for scale in SCALES)
+"""Names of the scales in data; each is 0 to 100, and more is always worse."""
 
 
 def check_ratings(ratings: Mapping[str, int]) -> None:
@@ -80,36 +51,23 @@ def raw_workload(ratings: Mapping[str, float]) -> float:
     return sum(ratings[name] for name in SCALE_NAMES) / len(SCALE_NAMES)
 
 
-_MOST_BYTES: Final = 200_000
-TEXTS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "heading": "How was it?",
-        "instruction": "Mark each of the six scales at the point that fits what you have just "
-        "done. There is no right or wrong.",
-        "initial": "You have done the first trial.",
-        "midpoint": "You have done half of the trials.",
-        "final": "You have done all trials of this block.",
-        "missing": "Still to mark:",
-        "complete": "All six are marked.",
-        "send": "Send my answers",
-        "sending": "Sending \u2026",
-        "form_missing": "Still to answer:",
-        "form_complete": "Nothing is missing.",
-        "yes": "Yes",
-        "no": "No",
-        "ranking": "Touch them in your order, the best one first.",
-        "again": "Start again",
-        "thanks": "Thank you",
-        "saved": "Your answers are saved.",
-        "done": "That was all",
-        "done_text": "Thank you for taking part.",
-        "break": "Break",
-        "break_text": "Rest your hand. The experimenter goes on when you are ready.",
-        "wait": "Please follow the experimenter",
-        "wait_text": "The next questions appear here by themselves.",
-    }
-)
-"""Name -> other texts of the operator's page, in English."""
+@dataclass(frozen=True)
+class Scale:
+    """One of the six scales.
+
+    Attributes:
+        name: column in data.
+        title: heading on the page.
+        question: question under the heading.
+        low: label of the end at 0.
+        high: label of the end at 100.
+    """
+
+    name: str
+    title: str
+    question: str
+    low: str
+    high: str
 
 
 @dataclass(frozen=True)
@@ -117,15 +75,37 @@ class TlxWords:
     """Words of the operator's page.
 
     Attributes:
-        scales: the six scales, in the order of ``SCALES``.
-        texts: name -> text, with the names of ``TEXTS``.
+        scales: the six scales, in the order of ``SCALE_NAMES``.
+        texts: name -> another text of the page.
     """
 
-    scales: tuple[Scale, ...] = SCALES
-    texts: Mapping[str, str] = field(default_factory=lambda: TEXTS)
+    scales: tuple[Scale, ...]
+    texts: Mapping[str, str]
 
 
-ENGLISH: Final = TlxWords()
+_MOST_BYTES: Final = 200_000
+
+
+def _words(entries: Entries, texts: Mapping[str, str]) -> TlxWords:
+    """Reads a table of words; ``texts`` are those that it may leave out."""
+    entries.only("scales", "texts")
+    scales, others = entries.table("scales"), entries.table("texts", {})
+    scales.only(*SCALE_NAMES)
+    others.only(*(texts or others.names))
+    return TlxWords(
+        tuple(_scale(scales.table(name), name) for name in SCALE_NAMES),
+        {**texts, **{name: others.text(name, empty=False) for name in others.names}},
+    )
+
+
+def _scale(entries: Entries, name: str) -> Scale:
+    entries.only("title", "question", "low", "high")
+    parts = (entries.text(part, empty=False) for part in ("title", "question", "low", "high"))
+    return Scale(name, *parts)
+
+
+_ENGLISH: Final = (files(__package__) / "tlx.toml").read_text("utf-8")
+ENGLISH: Final = _words(Entries("tlx.toml", tomllib.loads(_ENGLISH), StudyError), {})
 """The published wording."""
 
 
@@ -150,17 +130,4 @@ def read_words(path: Path) -> TlxWords:
         entries = Entries(str(path), table, StudyError)
     else:
         entries = read_entries(path, "words of NASA-TLX", StudyError, most_bytes=_MOST_BYTES)
-    entries.only("scales", "texts")
-    scales = entries.table("scales")
-    scales.only(*SCALE_NAMES)
-    texts = entries.table("texts", {})
-    texts.only(*TEXTS)
-    by_name = {name: texts.text(name, empty=False) for name in texts.names}
-    return TlxWords(tuple(_scale(scales.table(name), name) for name in SCALE_NAMES),
-                    {**TEXTS, **by_name})  # fmt: skip
-
-
-def _scale(entries: Entries, name: str) -> Scale:
-    entries.only("title", "question", "low", "high")
-    parts = (entries.text(part, empty=False) for part in ("title", "question", "low", "high"))
-    return Scale(name, *parts)
+    return _words(entries, ENGLISH.texts)

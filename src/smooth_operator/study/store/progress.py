@@ -7,10 +7,10 @@ undo the remaining events are folded again. Progress is never stored.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias, TypeVar
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.design.forms import Form, When
@@ -47,6 +47,7 @@ StepKind: TypeAlias = Literal[
     "form", "calibrate", "start_block", "start_familiarisation", "familiarise", "start_trial",
     "trial", "paused", "questionnaire", "break", "refused", "withdrawn", "done",
 ]  # fmt: skip
+E = TypeVar("E", bound=Event)
 _NO_BREAK: Final = ("break", "trial", "paused", "familiarise", "refused", "withdrawn", "done")
 """Steps in which no break can begin."""
 _NO_CALIBRATION: Final = ("form", "calibrate", "trial", "paused", "refused", "withdrawn", "done")
@@ -146,16 +147,6 @@ class Trial:
         return self.score is not None and self.void is None
 
 
-@dataclass(frozen=True)
-class Questionnaire:
-    """Ratings of one questionnaire."""
-
-    block: Block
-    point: Point
-    at: datetime
-    ratings: Mapping[str, int]
-
-
 @dataclass
 class Progress:
     """Progress of an operator; later events make a new one.
@@ -166,7 +157,6 @@ class Progress:
         records: all events of the log, undone ones included.
         effective: events that count, without undone ones and undoings.
         trials: trials that were started, void ones included.
-        questionnaires: answered questionnaires.
         breaks: start and end of each break; the end is None while it lasts.
         amendments: record of each correction, its trial, and line, score and time [s] before it.
         ended_early: (task, block) of blocks whose rest was left out.
@@ -185,7 +175,6 @@ class Progress:
     records: list[Record] = field(default_factory=list)
     effective: list[Record] = field(default_factory=list)
     trials: list[Trial] = field(default_factory=list)
-    questionnaires: list[Questionnaire] = field(default_factory=list)
     breaks: list[tuple[datetime, datetime | None]] = field(default_factory=list)
     amendments: list[tuple[Record, Trial, tuple[Any, ...]]] = field(default_factory=list)
     ended_early: set[tuple[str, int]] = field(default_factory=set)
@@ -215,7 +204,7 @@ class Progress:
         block = self._block()
         if block is None:
             return self._form_step("after") or Step("done")
-        key = (block.task.name, block.number)
+        key = block.place
         if block.task.name not in self.calibrations:
             return Step("calibrate", block)
         if key not in self.started:
@@ -251,13 +240,13 @@ class Progress:
     def begun(self) -> Block | None:
         """The current block once it was started: the hand should run its condition."""
         block = None if self.withdrawn else self._block()
-        return block if block and (block.task.name, block.number) in self.started else None
+        return block if block and block.place in self.started else None
 
     @property
     def begun_with(self) -> tuple[str, str | None] | None:
         """Method and preset that the hand reported as the current block began; None if unknown."""
         block = self.begun
-        method, preset = self.started[block.task.name, block.number] if block else ("", "")
+        method, preset = self.started[block.place] if block else ("", "")
         return (method, preset or None) if method else None
 
     @property
@@ -278,7 +267,7 @@ class Progress:
 
     def undone(self) -> Counter[str]:
         """Counts the undone events of each condition."""
-        conditions = {(b.task.name, b.number): b.condition.name for b in self.blocks}
+        conditions = {block.place: block.condition.name for block in self.blocks}
         counts: Counter[str] = Counter()
         for record in self.records:
             if isinstance(record.event, Undone):
@@ -287,6 +276,10 @@ class Progress:
                 if key in conditions:
                     counts[conditions[key]] += 1
         return counts
+
+    def events(self, kind: type[E]) -> list[tuple[datetime, E]]:
+        """Returns time and event of each event of a kind that counts."""
+        return [(one.at, one.event) for one in self.effective if isinstance(one.event, kind)]
 
     def ranking(self) -> tuple[str, ...]:
         """Conditions as the operator ranked them, the best first; empty without a ranking."""
@@ -327,8 +320,7 @@ class Progress:
             StudyError: there is none at that place.
         """
         for trial in self.trials:
-            place = (trial.block.task.name, trial.block.number, trial.number)
-            if trial.counts and place == (task, block, number):
+            if trial.counts and (*trial.block.place, trial.number) == (task, block, number):
                 return trial
         raise StudyError(
             f"operator {self.operator}: trial {number} in block {block} of {task} was not scored; "
@@ -337,7 +329,7 @@ class Progress:
 
     def finished(self, block: Block) -> bool:
         """True if no step of a block is due any more."""
-        key = (block.task.name, block.number)
+        key = block.place
         return key in self.ended_early or (
             self.scored[key] >= block.task.trials
             and all((*key, point) in self.answered for point in block.questionnaires.values())
@@ -414,9 +406,6 @@ class Progress:
                 trial.line, trial.score, trial.time_s = event.line, event.score, event.time_s
                 trial.amended = True
             case QuestionnaireAnswered():
-                block = self._current()
-                answers = Questionnaire(block, event.point, at, dict(event.ratings))
-                self.questionnaires.append(answers)
                 self.answered.add((*place, event.point))
             case FormAnswered():
                 self.forms[event.form] = (at, dict(event.answers))

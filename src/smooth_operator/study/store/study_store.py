@@ -15,7 +15,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -62,193 +62,6 @@ _TABLES: Final = (
 )
 
 
-class Database:
-    """One open file. All methods may be called from any thread; transactions take turns.
-
-    Args:
-        target: folder of a study, or its SQLite file, which is created if missing.
-
-    Raises:
-        StudyError: the file can't be opened, or is no SQLite database.
-    """
-
-    def __init__(self, target: str | Path) -> None:
-        self._path = _path_of(target)
-        self._lock = threading.RLock()
-        try:
-            _make_private(self._path)
-            self._connection = sqlite3.connect(
-                self._path, timeout=BUSY_S, isolation_level=None, check_same_thread=False
-            )
-        except (sqlite3.Error, OSError) as error:
-            raise StudyError(f"can't open the store {self._path}: {error}") from error
-        try:
-            self._connection.row_factory = sqlite3.Row
-            _use_write_ahead_log(self._connection)
-            # An event is on disk before it is acknowledged; an erased one can't be read from disk.
-            for setting in ("synchronous=FULL", "foreign_keys=ON", "secure_delete=ON"):
-                self._connection.execute(f"PRAGMA {setting}")
-            self._file = os.stat(self._path).st_ino
-            self._create()
-        except (sqlite3.Error, OSError) as error:
-            self.close()
-            raise StudyError(f"can't open the store {self._path}: {error}") from error
-        except BaseException:
-            self.close()
-            raise
-
-    def close(self) -> None:
-        """Closes the file."""
-        with self._lock:
-            self._connection.close()
-
-    @contextmanager
-    def writing(self) -> Iterator[sqlite3.Connection]:
-        """Runs a transaction that is on disk when it ends, or leaves nothing after an exception.
-
-        A writer locks the file before it reads, or two would decide on the same state.
-
-        Raises:
-            StudyError: nothing was written; says why.
-        """
-        with self._lock:
-            try:
-                with self._transaction("BEGIN IMMEDIATE"):
-                    yield self._connection
-                    self._check_file()
-            except (sqlite3.Error, OSError) as error:
-                raise StudyError(f"nothing was written: {error}") from error
-
-    @contextmanager
-    def reading(self) -> Iterator[sqlite3.Connection]:
-        """Runs a transaction that sees one state; inside ``writing`` it is a part of that one.
-
-        Raises:
-            StudyError: the file can't be read; says why.
-        """
-        with self._lock:
-            if self._connection.in_transaction:
-                yield self._connection
-                return
-            try:
-                with self._transaction("BEGIN"):
-                    self._check_file()
-                    yield self._connection
-            except (sqlite3.Error, OSError) as error:
-                raise StudyError(f"the store can't be read: {error}") from error
-
-    @contextmanager
-    def _transaction(self, begin: str) -> Iterator[None]:
-        self._connection.execute(begin)
-        try:
-            yield
-            self._connection.execute("COMMIT")
-        except BaseException:
-            if self._connection.in_transaction:
-                self._connection.execute("ROLLBACK")
-            raise
-
-    def version(self) -> tuple[int, int]:
-        """Numbers that differ after each change of the file, by this program or another one."""
-        with self.reading() as connection:
-            (others,) = connection.execute("PRAGMA data_version").fetchone()
-            return int(others), connection.total_changes
-
-    def empty_write_ahead_log(self) -> None:
-        """Removes deleted content that is still in the write-ahead log.
-
-        Raises:
-            StudyError: another program that reads the file keeps the content alive.
-        """
-        with self._lock:
-            busy, *_ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
-        if busy:
-            raise StudyError(
-                "the data was deleted, but another program that reads the store keeps old pages "
-                "of it alive; end that, and delete again"
-            )
-
-    def _check_file(self) -> None:
-        """Refuses a file that was deleted or moved away; SQLite would write into it silently."""
-        try:
-            now = os.stat(self._path).st_ino
-        except FileNotFoundError:
-            raise OSError(f"{self._path} was deleted or moved away") from None
-        if now != self._file:
-            raise OSError(f"{self._path} was replaced by another file")
-
-    def _create(self) -> None:
-        """Creates the tables in an empty file.
-
-        Raises:
-            StudyError: the file holds other tables, or those of a newer program.
-        """
-        with self.reading() as connection:
-            if self._has_tables(connection):
-                return
-        with self.writing() as connection:
-            if not self._has_tables(connection):
-                for statement in _TABLES:
-                    connection.execute(statement)
-
-    def _has_tables(self, connection: sqlite3.Connection) -> bool:
-        names = {row[0] for row in connection.execute("SELECT name FROM sqlite_master")}
-        (version,) = connection.execute("PRAGMA user_version").fetchone()
-        if names and (version != FORMAT or "events" not in names):
-            raise StudyError(
-                f"can't open the store {self._path}: it is in format {version}, this program reads "
-                f"{FORMAT}: update it, or give the study.db of a study"
-            )
-        return bool(names)
-
-
-def stored(text: str, what: str) -> Any:
-    """Parses a value that the database holds as JSON and another program may have damaged.
-
-    Raises:
-        StudyError: it is no JSON.
-    """
-    try:
-        return parse_json(text)
-    except DocumentError as error:
-        raise StudyError(f"{what} is damaged: {error}; restore the database from a copy") from error
-
-
-def _path_of(target: str | Path) -> Path:
-    path = Path(target)
-    if path.is_dir():
-        path = path / FILE
-    if not path.parent.is_dir():
-        raise StudyError(f"can't open the store {path}: there is no folder {path.parent}")
-    return path.absolute()
-
-
-def _make_private(path: Path) -> None:
-    """Creates the file for its owner alone; leaves an existing one unchanged.
-
-    It holds what people did and how they felt. SQLite gives its log file the same rights.
-    """
-    with contextlib.suppress(FileExistsError):
-        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
-
-
-def _use_write_ahead_log(connection: sqlite3.Connection) -> None:
-    """Turns on the write-ahead log, with which readers don't block writers.
-
-    SQLite does not wait for this change as it does for others.
-    """
-    until = time.monotonic() + BUSY_S
-    while True:
-        try:
-            if connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal":
-                return
-            connection.execute("PRAGMA journal_mode=WAL").fetchone()
-        except sqlite3.OperationalError as error:
-            if "locked" not in str(error) or time.monotonic() > until:
-                raise
-        time.sleep(0.01 + 0.01 * (os.getpid() % 7))
-
-
 AUTHORS: Final = ("experimenter", "operator", "system")
 """Possible authors of an event."""
 
@@ -293,15 +106,93 @@ def open_study(target: str | Path, plan: Plan | None = None) -> StudyStore:
         raise
 
 
-class StudyStore(Database):
-    """A study in a file; made by ``open_study``. All methods may be called from any thread."""
+class StudyStore:
+    """A study in a file; made by ``open_study``. All methods may be called from any thread.
+
+    Args:
+        target: folder of a study, or its SQLite file, which is created if missing.
+
+    Raises:
+        StudyError: the file can't be opened, or is no SQLite database.
+    """
 
     def __init__(self, target: str | Path) -> None:
-        super().__init__(target)
+        self._path = _path_of(target)
+        self._lock = threading.RLock()
         self._progress: dict[str, Progress] = {}
         self._plan: tuple[int, Plan] | None = None
         self.clock = Clock()
         """Clock of all times and durations."""
+        try:
+            _make_private(self._path)
+            self._connection = sqlite3.connect(
+                self._path, timeout=BUSY_S, isolation_level=None, check_same_thread=False
+            )
+        except (sqlite3.Error, OSError) as error:
+            raise StudyError(f"can't open the store {self._path}: {error}") from error
+        try:
+            self._connection.row_factory = sqlite3.Row
+            _use_write_ahead_log(self._connection)
+            # An event is on disk before it is acknowledged; an erased one can't be read from disk.
+            for setting in ("synchronous=FULL", "foreign_keys=ON", "secure_delete=ON"):
+                self._connection.execute(f"PRAGMA {setting}")
+            self._file = os.stat(self._path).st_ino
+            self._create()
+        except BaseException as error:
+            self.close()
+            if isinstance(error, sqlite3.Error | OSError):
+                raise StudyError(f"can't open the store {self._path}: {error}") from error
+            raise
+
+    def close(self) -> None:
+        """Closes the file."""
+        with self._lock:
+            self._connection.close()
+
+    def __enter__(self) -> StudyStore:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def writing(self) -> AbstractContextManager[Connection]:
+        """Runs a transaction that is on disk when it ends, or leaves nothing after an exception.
+
+        A writer locks the file before it reads, or two would decide on the same state.
+
+        Raises:
+            StudyError: nothing was written; says why.
+        """
+        return self._transaction("BEGIN IMMEDIATE", "nothing was written")
+
+    def reading(self) -> AbstractContextManager[Connection]:
+        """Runs a transaction that sees one state; inside ``writing`` it is a part of that one.
+
+        Raises:
+            StudyError: the file can't be read; says why.
+        """
+        return self._transaction("BEGIN", "the store can't be read")
+
+    @contextmanager
+    def _transaction(self, begin: str, failure: str) -> Iterator[Connection]:
+        connection = self._connection
+        with self._lock:
+            if connection.in_transaction:
+                yield connection
+                return
+            try:
+                connection.execute(begin)
+                try:
+                    self._check_file()
+                    yield connection
+                    self._check_file()
+                    connection.execute("COMMIT")
+                except BaseException:
+                    if connection.in_transaction:
+                        connection.execute("ROLLBACK")
+                    raise
+            except (sqlite3.Error, OSError) as error:
+                raise StudyError(f"{failure}: {error}") from error
 
     @property
     def plan(self) -> Plan:
@@ -393,7 +284,7 @@ class StudyStore(Database):
             StudyError: the data was deleted.
         """
         with self.reading() as connection:
-            _check_not_erased(connection, operator)
+            _check_not_erased(_participant(connection, operator))
             return self._updated(connection, operator)
 
     def records(self, operator: str) -> list[Record]:
@@ -432,28 +323,28 @@ class StudyStore(Database):
             if operator not in self.erased:
                 self._enter(connection, operator)
                 connection.execute(
-                    "UPDATE participants SET erased_at = ? WHERE operator = ?", (now(), operator)
+                    "UPDATE participants SET erased_at = ? WHERE operator = ?", (_now(), operator)
                 )
                 _insert_plan(connection, self._newest_plan(connection).withdraw(operator))
             query = "DELETE FROM events WHERE operator = ?"
             deleted = connection.execute(query, (operator,)).rowcount
-        self.empty_write_ahead_log()
+        self._empty_write_ahead_log()
         return deleted
 
-    def __enter__(self) -> StudyStore:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def version(self) -> tuple[int, int]:
+        """Numbers that differ after each change of the file, by this program or another one."""
+        with self.reading() as connection:
+            (others,) = connection.execute("PRAGMA data_version").fetchone()
+            return int(others), connection.total_changes
 
     def _enter(self, connection: Connection, operator: str) -> None:
         """Notes that an operator takes part; refuses one whose data was deleted."""
         if _participant(connection, operator) is None:
             self._newest_plan(connection).enrolment(operator)
             connection.execute(
-                "INSERT INTO participants (operator, created_at) VALUES (?, ?)", (operator, now())
+                "INSERT INTO participants (operator, created_at) VALUES (?, ?)", (operator, _now())
             )
-        _check_not_erased(connection, operator)
+        _check_not_erased(_participant(connection, operator))
 
     def _updated(self, connection: Connection, operator: str) -> Progress:
         """Progress with all stored events; a new object if there are new events."""
@@ -482,6 +373,100 @@ class StudyStore(Database):
             self._progress.clear()
         return self._plan[1]
 
+    def _empty_write_ahead_log(self) -> None:
+        """Removes deleted content that is still in the write-ahead log.
+
+        Raises:
+            StudyError: another program that reads the file keeps the content alive.
+        """
+        with self._lock:
+            busy, *_ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+        if busy:
+            raise StudyError(
+                "the data was deleted, but another program that reads the store keeps old pages "
+                "of it alive; end that, and delete again"
+            )
+
+    def _check_file(self) -> None:
+        """Refuses a file that was deleted or moved away; SQLite would write into it silently."""
+        try:
+            now = os.stat(self._path).st_ino
+        except FileNotFoundError:
+            raise OSError(f"{self._path} was deleted or moved away") from None
+        if now != self._file:
+            raise OSError(f"{self._path} was replaced by another file")
+
+    def _create(self) -> None:
+        """Creates the tables in an empty file.
+
+        Raises:
+            StudyError: the file holds other tables, or those of a newer program.
+        """
+        with self.reading() as connection:
+            if self._has_tables(connection):
+                return
+        with self.writing() as connection:
+            if not self._has_tables(connection):
+                for statement in _TABLES:
+                    connection.execute(statement)
+
+    def _has_tables(self, connection: Connection) -> bool:
+        names = {row[0] for row in connection.execute("SELECT name FROM sqlite_master")}
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        if names and (version != FORMAT or "events" not in names):
+            raise StudyError(
+                f"can't open the store {self._path}: it is in format {version}, this program reads "
+                f"{FORMAT}: update it, or give the study.db of a study"
+            )
+        return bool(names)
+
+
+def stored(text: str, what: str) -> Any:
+    """Parses a value that the database holds as JSON and another program may have damaged.
+
+    Raises:
+        StudyError: it is no JSON.
+    """
+    try:
+        return parse_json(text)
+    except DocumentError as error:
+        raise StudyError(f"{what} is damaged: {error}; restore the database from a copy") from error
+
+
+def _path_of(target: str | Path) -> Path:
+    path = Path(target)
+    if path.is_dir():
+        path = path / FILE
+    if not path.parent.is_dir():
+        raise StudyError(f"can't open the store {path}: there is no folder {path.parent}")
+    return path.absolute()
+
+
+def _make_private(path: Path) -> None:
+    """Creates the file for its owner alone; leaves an existing one unchanged.
+
+    It holds what people did and how they felt. SQLite gives its log file the same rights.
+    """
+    with contextlib.suppress(FileExistsError):
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+
+
+def _use_write_ahead_log(connection: Connection) -> None:
+    """Turns on the write-ahead log, with which readers don't block writers.
+
+    SQLite does not wait for this change as it does for others.
+    """
+    until = time.monotonic() + BUSY_S
+    while True:
+        try:
+            if connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal":
+                return
+            connection.execute("PRAGMA journal_mode=WAL").fetchone()
+        except sqlite3.OperationalError as error:
+            if "locked" not in str(error) or time.monotonic() > until:
+                raise
+        time.sleep(0.01 + 0.01 * (os.getpid() % 7))
+
 
 def record_of(row: Row) -> Record:
     """Makes a record of a row of the table of events."""
@@ -489,7 +474,7 @@ def record_of(row: Row) -> Record:
     return Record(int(row["number"]), datetime.fromisoformat(row["at"]), row["author"], event)
 
 
-def now() -> str:
+def _now() -> str:
     """This moment in UTC as ISO 8601 text."""
     return datetime.now(UTC).isoformat()
 
@@ -528,7 +513,7 @@ def _insert(connection: Connection, operator: str, record: Record, token: str | 
 
 def _insert_plan(connection: Connection, plan: Plan) -> None:
     query = "INSERT INTO plans (at, plan) VALUES (?, ?)"
-    connection.execute(query, (now(), json.dumps(plan_table(plan))))
+    connection.execute(query, (_now(), json.dumps(plan_table(plan))))
 
 
 def _check_revision(before: Plan, plan: Plan, begun: Sequence[Row]) -> None:
@@ -549,7 +534,7 @@ def _check_revision(before: Plan, plan: Plan, begun: Sequence[Row]) -> None:
     for row in begun:
         if row["erased_at"] is not None:
             if row["operator"] in plan.codes:
-                _refuse_erased(row)
+                _check_not_erased(row)
             continue
         rows = list(before.enrolment(row["operator"]).rows.items())
         enrolment = {one.code: one for one in plan.enrolled}.get(row["operator"])
@@ -560,14 +545,8 @@ def _check_revision(before: Plan, plan: Plan, begun: Sequence[Row]) -> None:
             )
 
 
-def _check_not_erased(connection: Connection, operator: str) -> None:
-    row = _participant(connection, operator)
-    if row is not None:
-        _refuse_erased(row)
-
-
-def _refuse_erased(row: Row) -> None:
-    if row["erased_at"] is not None:
+def _check_not_erased(row: Row | None) -> None:
+    if row is not None and row["erased_at"] is not None:
         raise StudyError(
             f"the data of operator {row['operator']} was deleted on {row['erased_at'][:10]}; enrol "
             "under another code"

@@ -1,23 +1,470 @@
-"""Base class of sinks that move a real hand."""
+"""Base class of sinks that move a real hand, and the thread that uses the hand's bus."""
 
 from __future__ import annotations
 
+import contextlib
 import math
+import threading
+import time
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Final, Literal, TypeVar
+
+import numpy as np
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
-from smooth_operator.teleop.hardware.device import HandDevice
-from smooth_operator.teleop.hardware.guard import GuardSettings
-from smooth_operator.teleop.hardware.table_file import find_table, read_table
-from smooth_operator.teleop.hardware.worker import BusStatistics, HandWorker, WorkerSettings
+from smooth_operator.teleop.hardware.actuator_map import (
+    ActuatorMap,
+    BoundMap,
+    Rest,
+    find_table,
+    read_table,
+)
+from smooth_operator.teleop.hardware.bus_lock import BusLock
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    HandDevice,
+    Reading,
+    SettingsWatch,
+    WrongAnswerError,
+    agreed_reading,
+    apart,
+)
+from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
 from smooth_operator.teleop.sinks.sink import Sink
-from smooth_operator.teleop.sinks.tick import HandState, Tick
-from smooth_operator.types import Side
+from smooth_operator.teleop.sinks.tick import HandState, Mode, Tick
+from smooth_operator.types import JointCommand, Side
+
+_T = TypeVar("_T")
+
+_RETRY_S: Final = 1.0
+"""Time after a loss until a device is opened again [s]."""
+
+_OPENING_S: Final = 15.0
+"""Time that a device may take to open [s]; some boot their motors one by one."""
+
+_MISSED: Final = 3
+"""Periods without a right answer, or ``_MISSED_S`` if that is longer, after which the hand is taken
+to have moved: it is read, and approached."""
+
+_MISSED_S: Final = 0.05
+"""Shortest outage that counts [s]: at high rates a few periods are normal jitter."""
+
+_TRIES: Final = 3
+"""Least number of tries to open a device and get its first answer, if answers are wrong."""
+
+_CLOSING_S: Final = 2.0
+"""Time that closing waits for a bus that may hang [s]."""
+
+_MANY: Final = 0.05
+"""Share of slow cycles from which the note has their number."""
+
+_HANGS_S: Final = 0.5
+"""Time inside one call to the bus after which the note says so [s]."""
+
+
+@dataclass(frozen=True)
+class WorkerSettings:
+    """Settings of a worker.
+
+    Attributes:
+        period: shortest period of a cycle [s].
+        silence_s: time for which a command counts [s].
+        lost_s: time without a valid answer after which the device counts as lost [s].
+        guard: limits of the commands.
+    """
+
+    period: float
+    silence_s: float
+    lost_s: float
+    guard: GuardSettings
+
+
+class HandWorker:
+    """Runs a device on a thread of its own, from ``start`` to ``end``.
+
+    Args:
+        label: for messages.
+        device: the hand; only the thread touches it.
+        bus: what only one program may use at a time (``BusLock``). It is locked while the device is
+            open: a port that is gone may come back as another device's.
+        actuators: its map.
+        side: side of the hand.
+        hand: name of the robot hand.
+        settings: see there.
+        statistics: to go on counting in; None for new ones.
+
+    Attributes:
+        state: the newest measured state; None before the first one and while the device is lost.
+        reading: the same in the actuators' unit.
+        statistics: what happened on the bus.
+    """
+
+    def __init__(
+        self,
+        label: str,
+        device: HandDevice,
+        bus: str,
+        actuators: BoundMap,
+        side: Side,
+        hand: str,
+        settings: WorkerSettings,
+        statistics: BusStatistics | None = None,
+    ) -> None:
+        self.state: HandState | None = None
+        self.reading: Reading | None = None
+        self.statistics = BusStatistics() if statistics is None else statistics
+        self._label, self._device, self._map = label, device, actuators
+        self._bus = bus
+        self._lock: BusLock | None = None
+        self.side = side
+        self._hand, self._settings = hand, settings
+        self._guard = CommandGuard(actuators, settings.guard)
+        self._watch = SettingsWatch(device, actuators.table.names)
+        self._tick: tuple[Tick, float] | None = None
+        self._finite: JointCommand | None = None  # the last command that was
+        self._error: Exception | None = None  # why the thread gave up
+        self._trouble = ""  # why the device is being opened again
+        self._doing = "opening"
+        self._busy_since: float | None = None
+        self._commands: np.ndarray | None = None  # the last ones; None without power
+        self._place: np.ndarray | None = None  # where it rests
+        self._resting = False
+        self._ending = False
+        self._opened = threading.Event()
+        self._change = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name=f"hand {label}", daemon=True)
+
+    def start(self) -> None:
+        """Open the device, and wait until its first answer is there.
+
+        Raises:
+            SinkError: it can't be opened, or does not answer in time.
+        """
+        self._thread.start()
+        if not self._opened.wait(_OPENING_S):
+            self._ending = True  # as soon as it comes back
+            self._release()
+            raise SinkError(
+                f"{self._label}: no answer for {_OPENING_S:g} s while it was opened; check its "
+                "power and cable, then start again"
+            )
+        if self._error is not None:
+            raise self._error
+
+    def post(self, tick: Tick) -> None:
+        """Leave a command for the thread; returns immediately, independent of the bus.
+
+        A command that is not finite is counted and replaced by the last finite one; before that
+        nothing moves.
+
+        Raises:
+            SinkError: the thread gave up, with its reason.
+        """
+        if self._error is not None:
+            raise SinkError(f"{self._label}: {self._error}") from self._error
+        if np.isfinite(tick.command.positions).all():
+            self._finite = tick.command
+        else:
+            self.statistics.not_finite += 1
+            if self._finite is not None:
+                tick = replace(tick, command=self._finite)
+            elif tick.mode is not Mode.STOPPED:
+                return
+        self._tick = (tick, time.perf_counter())
+        # If the thread has the lock it is awake. Waiting for it would cost the loop a time slice.
+        if self._change.acquire(blocking=False):
+            try:
+                self._change.notify()
+            finally:
+                self._change.release()
+
+    def end(self) -> None:
+        """Bring the hand to rest as its table says, and close the bus.
+
+        Raises:
+            SinkError: the bus hangs; it stays open.
+        """
+        with self._change:
+            self._ending = True
+            self._change.notify()
+        self._thread.join(_CLOSING_S)
+        if self._thread.is_alive():
+            self._release()
+            raise SinkError(f"{self._label}: the bus does not answer; the hand was left as it is")
+
+    @property
+    def note(self) -> str:
+        """A note for a person; empty if all is well."""
+        facts, since, reading = [], self._busy_since, self.reading
+        if since is not None and (waited := time.perf_counter() - since) > _HANGS_S:
+            facts.append(f"no answer from the bus for {waited:.1f} s")
+        if self._trouble:
+            facts.append(f"{self._trouble}; it is tried again every second")
+        elif self._doing != "following":
+            facts.append(self._doing)
+        if reading is not None and not self._trouble:
+            facts += self._warnings(reading)
+        count = self.statistics
+        slow = count.slow if count.slow > _MANY * count.cycles else 0
+        counted = {
+            "wrong answers": count.wrong,
+            "slow cycles": slow,
+            "losses": count.lost,
+            "commands not finite": count.not_finite,
+        }
+        facts += [f"{number} {what}" for what, number in counted.items() if number]
+        return "; ".join(facts)
+
+    def _warnings(self, reading: Reading) -> list[str]:
+        names = self._map.table.names
+        warnings = [*reading.errors, *self._watch.warnings]
+        held = [name for name, way in zip(names, self._guard.squeezing, strict=True) if way]
+        if held:
+            warnings.append(f"squeezes no further: {', '.join(held)}")
+        if reading.temperatures is not None:
+            pairs = zip(names, reading.temperatures, strict=True)
+            hot = [f"{name} {t:.0f} °C" for name, t in pairs if t >= self._map.table.hot]
+            warnings += [f"hot: {', '.join(hot)}"] if hot else []
+        return warnings
+
+    def _run(self) -> None:
+        try:
+            while not self._ending:
+                try:
+                    self._serve()
+                except Exception as error:  # of any library
+                    if not self._opened.is_set():
+                        raise
+                    self._lose(error)
+        except Exception as error:  # reaches the loop with its next command
+            self._error = error if isinstance(error, SinkError) else _described(error)
+        finally:
+            self.state = self.reading = None
+            self._close()  # before `start` returns: who tries again finds the bus free
+            self._opened.set()
+
+    def _lose(self, error: Exception) -> None:
+        """Report the loss of the device, and wait before the next opening."""
+        expected = isinstance(error, SinkError)
+        # Who sees the loss sees no measurement from before it.
+        self.state = self.reading = None
+        self.statistics.latest = self._trouble = str(error if expected else _described(error))
+        self.statistics.lost += 1
+        self._close()
+        with self._change:
+            self._change.wait_for(lambda: self._ending, _RETRY_S)
+
+    def _serve(self) -> None:
+        """Open the device and run cycles until the end, or until the device is lost."""
+        now, period = time.perf_counter, self._settings.period
+        self._commands = self._place = None
+        self._until_answered(self._open)
+        reading = self._until_answered(self._ask)
+        moving, cycle = False, now() - period
+        self._trouble = ""
+        self._opened.set()
+        self._doing = "waits for the first command"
+        begun = answered = now()  # the last exchange that was answered, from when to when
+        while True:
+            self._pace(cycle)
+            if self._ending:
+                with contextlib.suppress(WrongAnswerError):
+                    self._rest(self._map.table.on_end, reading)
+                return
+            cycle, newest = now(), self._tick
+            # A bus that stood still as long as a silence is a return, too, if it answers then.
+            if (
+                cycle - answered > max(_MISSED * period, _MISSED_S)
+                or cycle - begun > self._settings.silence_s
+            ):
+                moving, self._place = False, None
+            try:
+                rest = self._at_rest(newest, cycle)
+                if rest is None and newest is not None:
+                    if not moving:
+                        self._doing = "waits for two readings that agree"
+                        reading = agreed_reading(self._ask, self._map.table)
+                        self._guard.start(reading)
+                        moving, self._place = True, None
+                    seconds = min(cycle - begun, 2 * period)
+                    positions = newest[0].command.positions
+                    self._commands = self._guard.step(positions, reading, seconds)
+                    self._call(self._device.write, self._commands)
+                    self._doing = "approaches" if self._guard.approaching.any() else "following"
+                elif rest is not None:
+                    moving = False
+                    self._rest(rest, reading)
+                before, reading = reading, self._ask()
+                begun, answered = cycle, now()
+                if (np.isnan(before.positions) > np.isnan(reading.positions)).any():
+                    moving = False  # an actuator is back, from wherever it was meanwhile
+                self._call(self._watch.look)
+                answered = now()  # however long that took
+            except WrongAnswerError as error:
+                self.statistics.wrong += 1
+                self.statistics.latest = str(error)
+                if now() - answered > self._settings.lost_s:
+                    raise DeviceLostError(f"no right answer any more: {error}") from error
+            self.statistics.add(now() - cycle, self._settings.period)
+
+    def _until_answered(self, action: Callable[[], _T]) -> _T:
+        """The result of an action on the bus, repeated while the answers are wrong."""
+        end, tries = time.perf_counter() + self._settings.lost_s, 0
+        while True:
+            try:
+                return action()
+            except WrongAnswerError as error:
+                self.statistics.wrong += 1
+                tries += 1
+                late = tries >= _TRIES and time.perf_counter() > end
+                if late or self._ending:
+                    raise DeviceLostError(str(error)) from error
+
+    def _open(self) -> None:
+        if self._lock is None:
+            self._lock = BusLock(self._bus)
+        try:
+            self._call(self._device.open)
+        except WrongAnswerError:
+            self._close()
+            raise
+
+    def _pace(self, cycle: float) -> None:
+        """Sleep until the next cycle: for a new command, but not before the bus is due."""
+        period = self._settings.period
+        before = self._tick
+        with self._change:
+            early = cycle + 0.9 * period - time.perf_counter()
+            if early > 0:
+                self._change.wait_for(lambda: self._ending, early)
+            late = cycle + 1.5 * period - time.perf_counter()
+            if late > 0:
+                self._change.wait_for(lambda: self._ending or self._tick is not before, late)
+
+    def _at_rest(self, newest: tuple[Tick, float] | None, now: float) -> Rest | None:
+        """Kind of rest without a valid command; None while there is one."""
+        if newest is None:
+            return None
+        if newest[0].mode is Mode.STOPPED:
+            self._doing, self._resting = "emergency stop", False
+            return self._map.table.on_stop
+        if now - newest[1] > self._settings.silence_s:
+            self.statistics.silences += not self._resting
+            self._doing, self._resting = "no command comes: it rests", True
+            return self._map.table.on_silence
+        self._resting = False
+        return None
+
+    def _close(self) -> None:
+        with contextlib.suppress(Exception):  # of a device that is gone, and must not raise
+            self._device.close()
+        self._release()
+
+    def _release(self) -> None:
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            lock.release()
+
+    def _rest(self, rest: Rest, reading: Reading) -> None:
+        """Hold the hand's position, or relax.
+
+        The position is another reading that agrees with the previous one. Without such a reading,
+        the hand keeps its last command until the next cycle. A hand without power stays so.
+        """
+        try:
+            if self._commands is None:
+                return
+            if self._place is None and not apart(reading, latest := self._ask(), self._map.table):
+                here = latest.positions
+                self._place = np.where(np.isfinite(here), here, self._commands)
+            if self._place is not None:
+                self._call(self._device.write, self._place)
+        finally:
+            if rest == "relax":
+                self._commands = None
+                self._call(self._device.relax)
+
+    def _ask(self) -> Reading:
+        reading = self._call(self._device.read)
+        if len(reading.positions) != len(self._map.ends):
+            raise WrongAnswerError(
+                f"{len(reading.positions)} positions came, not {len(self._map.ends)}"
+            )
+        stamp, rates = time.perf_counter(), reading.velocities
+        self.reading = reading
+        self.state = HandState(
+            self.side,
+            self._hand,
+            stamp,
+            self._map.names,
+            self._map.joints(reading.positions),
+            None if rates is None else self._map.joint_velocities(reading.positions, rates),
+            self._map.table.names,
+            None if reading.currents is None else np.asarray(reading.currents, float),
+            None if reading.temperatures is None else np.asarray(reading.temperatures, float),
+            None if reading.touch is None else np.asarray(reading.touch, float),
+        )
+        return reading
+
+    def _call(self, action: Callable[..., _T], *arguments: object) -> _T:
+        """Call an action on the bus, and store the time of its start."""
+        self._busy_since = time.perf_counter()
+        try:
+            return action(*arguments)
+        finally:
+            self._busy_since = None
+
+
+def _described(error: Exception) -> SinkError:
+    return SinkError(f"{type(error).__name__}: {error}")
+
+
+_KEPT: Final = 20_000
+
+
+class BusStatistics:
+    """Counts and times of a bus; its worker writes, any thread reads.
+
+    Attributes:
+        cycles: number of cycles.
+        wrong: number of failed exchanges: no answer in time, wrong checksum, invalid answer.
+        slow: number of cycles that were longer than their period.
+        lost: number of losses of the device.
+        silences: number of silences of the commands.
+        not_finite: number of commands with a NaN or an infinity, replaced by the last finite one.
+        latest: the last failure in one sentence; empty if there was none.
+    """
+
+    def __init__(self) -> None:
+        self.cycles = self.wrong = self.slow = self.lost = self.silences = 0
+        self.not_finite = 0
+        self.latest = ""
+        self._times = np.full(_KEPT, np.nan, np.float32)
+
+    def add(self, seconds: float, period: float) -> None:
+        """A cycle that took so long [s]."""
+        self._times[self.cycles % _KEPT] = seconds * 1e3
+        self.cycles += 1
+        self.slow += seconds > period
+
+    def summary(self) -> dict[str, Any]:
+        """Plain values; times of the last cycles in ms."""
+        times = self._times[np.isfinite(self._times)]
+        figures: dict[str, Any] = {
+            "cycles": self.cycles,
+            "wrong_answers": self.wrong,
+            "slow_cycles": self.slow,
+            "device_lost": self.lost,
+            "silences": self.silences,
+            "commands_not_finite": self.not_finite,
+        }
+        if len(times):
+            p50, p99 = np.percentile(times, (50, 99))
+            figures["cycle_ms"] = {"p50": float(p50), "p99": float(p99), "max": float(times.max())}
+        return figures
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ from smooth_operator.teleop.hardware.actuator_map import Actuator, ActuatorMap
 from smooth_operator.teleop.hardware.device import (
     HandDevice,
     Reading,
+    SettingsWatch,
     WrongAnswerError,
     agreed_reading,
 )
-from smooth_operator.teleop.hardware.table_file import SettingsWatch
 
 _STEPS: Final = 20
 """Steps over an actuator's range on the way to an end."""

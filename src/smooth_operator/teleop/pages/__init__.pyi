@@ -1,3 +1,3 @@
-from smooth_operator.teleop.pages.playback import Playback as Playback
+from smooth_operator.teleop.pages.player import Playback as Playback
 from smooth_operator.teleop.pages.player import PlaybackServer as PlaybackServer
 from smooth_operator.teleop.pages.player import serve as serve

@@ -16,9 +16,17 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, BONES
 from smooth_operator.simulation.renderer import open_renderer
-from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, HandView, Rgb, finger_colors
-from smooth_operator.teleop.pages.page_layout import FOV, camera_for, view_axes
-from smooth_operator.teleop.pages.playback import Playback, check_runs
+from smooth_operator.teleop.pages.hand_view import (
+    FOV,
+    HIGHLIGHT,
+    PALM,
+    HandView,
+    Rgb,
+    camera_for,
+    finger_colors,
+    view_axes,
+)
+from smooth_operator.teleop.pages.player import Playback, check_runs
 
 RATE_HZ: Final = 20.0
 PANE: Final = (300, 360)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.joint_rows import JointRow, joint_rows
 from smooth_operator.teleop.pages.hand_view import HandView, finger_colors
-from smooth_operator.teleop.pages.scene import RobotBodies, add_balls
+from smooth_operator.teleop.pages.scene import RobotLooks, add_balls
 from smooth_operator.teleop.pages.viser_server import PageServer, name_panel, plain, serve_page
 
 _LANDMARK, _TIP = 0.003, 0.0045  # radii of the balls [m]
@@ -91,10 +91,8 @@ class HandPage(PageServer):
         scene.set_up_direction(up)
         scene.configure_default_lights(cast_shadow=False)
         colors = finger_colors(len(self.hand.fingers))
-        self._looks = [
-            RobotBodies(scene, self.hand, drawn, f"/hand_{i}", opacity=_TRANSLUCENT)
-            for i, drawn in enumerate(self._drawn)
-        ]
+        self._robot = RobotLooks(scene, self.hand, self._drawn, "/hand")
+        self._robot.show(opacity=_TRANSLUCENT)
         names, bones = self.hand.tree.names, view.bones()
         points = view.landmarks(self._q)
         shades = np.tile(np.array([[40, 40, 40]], np.uint8), (len(points), 1))
@@ -115,7 +113,7 @@ class HandPage(PageServer):
         ]
         self._frame = scene.add_frame("/palm", axes_length=_FRAME, axes_radius=0.0012)
         every = self.hand.full_configuration(self._q)
-        shown = np.concatenate([points, self._looks[0].corners(every)])
+        shown = np.concatenate([points, self._robot.shown.corners(every)])
         centre = (shown.min(axis=0) + shown.max(axis=0)) / 2
         distance = 0.6 * float(np.linalg.norm(np.ptp(shown, axis=0))) / np.tan(_FOV / 2)
         direction = toward + 0.35 * right + 0.25 * up
@@ -136,14 +134,11 @@ class HandPage(PageServer):
         ]
         gui.add_markdown("\n\n".join(map(plain, facts)))
         with gui.add_folder("Show"):
-            self._shown = [gui.add_checkbox("shape", True)]
-            if len(self._looks) > 1:
-                self._shown.append(
-                    gui.add_checkbox("meshes", True, hint="the maker's, or simple shapes")
-                )
-            for box in self._shown:
-                box.on_update(lambda _: self._show_looks())
-            self._show_looks()
+            shape = gui.add_checkbox("shape", True)
+            shape.on_update(lambda _: self._show(visible=shape.value))
+            if len(self._drawn) > 1:
+                meshes = gui.add_checkbox("meshes", True, hint="the maker's, or simple shapes")
+                meshes.on_update(lambda _: self._show(meshes=meshes.value))
             self._toggle(gui, "landmarks", True, [self._balls, self._lines])
             self._toggle(gui, "names", False, list(self._labels))
             self._toggle(gui, "palm frame", True, [self._frame])
@@ -160,12 +155,9 @@ class HandPage(PageServer):
                     if not row.actuated:
                         self._followers.append((joint, self._slider(gui, None, row)))
 
-    def _show_looks(self) -> None:
-        """Show the surfaces that are chosen: the meshes, the simple shapes, or none."""
-        shape, *meshes = (bool(box.value) for box in self._shown)
-        chosen = 1 if meshes == [False] else 0
-        for at, look in enumerate(self._looks):
-            look.show(shape and at == chosen)
+    def _show(self, **choices: bool) -> None:
+        with self._lock:
+            self._robot.show(**choices)
 
     @staticmethod
     def _toggle(gui: viser.GuiApi, name: str, initial: bool, nodes: list[Any]) -> None:
@@ -198,8 +190,7 @@ class HandPage(PageServer):
 
     def _draw(self) -> None:
         every = self.hand.full_configuration(self._q)
-        for look in self._looks:
-            look.draw(every)
+        self._robot.draw(every)
         points = self._view.landmarks(self._q)
         self._balls.batched_positions = points
         self._lines.points = np.stack([points[[a, b]] for _, a, b in self._view.bones()])

@@ -7,17 +7,27 @@ import html
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import viser
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from smooth_operator.errors import ConfigError
-from smooth_operator.teleop.pages.hand_view import HandView, css, finger_colors
-from smooth_operator.teleop.pages.page_layout import FOREARM, Aiming, plan, view_axes
-from smooth_operator.teleop.pages.playback import Playback, PlaybackClock, check_runs
-from smooth_operator.teleop.pages.scene import TRANSLUCENT, HandRow, RobotBodies
+from smooth_operator.errors import ConfigError, HandModelError, RecordingError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.metrics import Trace
+from smooth_operator.metrics.accuracy import PINCH_DISTANCE
+from smooth_operator.teleop.pages.hand_view import (
+    Aiming,
+    HandView,
+    css,
+    finger_colors,
+    plan,
+    view_axes,
+)
+from smooth_operator.teleop.pages.scene import TRANSLUCENT, HandRow, RobotLooks
 from smooth_operator.teleop.pages.viser_server import (
     PageServer,
     add_hotkeys,
@@ -26,6 +36,126 @@ from smooth_operator.teleop.pages.viser_server import (
     serve_page,
 )
 from smooth_operator.types import Status
+
+
+@dataclass(frozen=True, eq=False)
+class Playback:
+    """A run, ready to be drawn.
+
+    Attributes:
+        title: shown at the top of the page.
+        hand: the robot hand.
+        trace: the run, in the palm frame.
+        drawn: the same hand on a model with its meshes, with the same joints by name, in any order;
+            simple shapes if left out. With it, a switch shows either.
+        label: label above the robot; with several robots, the origin of its motion.
+
+    Raises:
+        RecordingError: there is no frame.
+        HandModelError: the robot's positions are not finite.
+    """
+
+    title: str
+    hand: Hand
+    trace: Trace
+    drawn: Hand | None = None
+    label: str = "robot"
+
+    def __post_init__(self) -> None:
+        if not len(self.trace):
+            raise RecordingError("there is nothing to play: the run has no frame")
+        for name in ("joint_positions", "robot_tips", "robot_wrist"):
+            if not np.isfinite(getattr(self.trace, name)).all():
+                raise HandModelError(f"{name} holds NaN or infinity; hold the last good value")
+
+    def __len__(self) -> int:
+        return len(self.trace)
+
+    @property
+    def times(self) -> Float[np.ndarray, " T"]:
+        """(T,) seconds since the first frame."""
+        return np.asarray(self.trace.stamps - self.trace.stamps[0])
+
+    @property
+    def tips(self) -> list[int]:
+        """Landmarks of the human fingertips that the robot's follow, thumb first."""
+        return [TIPS[FINGERS.index(name)] for name in self.trace.fingers]
+
+    def pinches(self) -> Bool[np.ndarray, "T G"]:
+        """(T, F-1) True where the human pinches: gap under ``PINCH_DISTANCE``."""
+        tips = self.trace.human_tips
+        # NaN compares False: a lost hand never pinches
+        gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
+        return np.asarray(gaps < PINCH_DISTANCE)
+
+
+def check_runs(runs: Sequence[Playback]) -> None:
+    """Looks whether runs can be shown side by side.
+
+    Raises:
+        RecordingError: there is none, or they are not of the same frames and fingers.
+    """
+    if not runs:
+        raise RecordingError("there is nothing to play: give one run or more")
+    first = runs[0]
+    for run in runs[1:]:
+        if not np.array_equal(run.trace.stamps, first.trace.stamps):
+            raise RecordingError(
+                f"{run.label!r} has {len(run)} frames and {first.label!r} {len(first)}, or their "
+                "time stamps differ: retarget the same frames of one recording with both"
+            )
+        mine, theirs = (", ".join(each.trace.fingers) for each in (run, first))
+        if mine != theirs:
+            raise RecordingError(
+                f"{run.label!r} drives {mine}, but {first.label!r} {theirs}: give runs of the same "
+                "fingers"
+            )
+
+
+class PlaybackClock:
+    """Maps wall time to frames of a recording; frames are dropped, time is never stretched.
+
+    Args:
+        times: (T,) strictly increasing times of the frames [s].
+        speed: playback seconds per wall second, > 0.
+        loop: start over after the last frame.
+    """
+
+    def __init__(
+        self, times: Float[np.ndarray, " T"], speed: float = 1.0, loop: bool = True
+    ) -> None:
+        self._times = np.asarray(times, np.float64) - times[0]
+        # the last frame is shown for as long as a usual one, so a loop has no hiccup
+        period = float(np.median(np.diff(self._times))) if len(self._times) > 1 else 0.0
+        self._duration = float(self._times[-1]) + period
+        self._speed = speed
+        self.loop = loop
+        self._wall = 0.0
+        self._time = 0.0
+
+    @property
+    def speed(self) -> float:
+        """Playback seconds per wall second."""
+        return self._speed
+
+    def start(self, frame: int, now: float) -> None:
+        """Let ``frame`` be the one that is due at wall time ``now`` [s]."""
+        self._time, self._wall = float(self._times[frame]), now
+
+    def set_speed(self, speed: float, now: float) -> None:
+        """Change the speed from ``now`` [s] on, without a jump."""
+        self._time += (now - self._wall) * self._speed
+        self._wall, self._speed = now, speed
+
+    def frame(self, now: float) -> tuple[int, bool]:
+        """The frame that is due at wall time ``now`` [s], and whether playback has ended."""
+        time = self._time + (now - self._wall) * self._speed
+        if time >= self._duration:
+            if not self.loop or self._duration <= 0.0:
+                return len(self._times) - 1, True
+            time %= self._duration
+        return max(int(np.searchsorted(self._times, time, side="right")) - 1, 0), False
+
 
 SPEEDS = (0.1, 4.0)
 """Slowest and fastest playback, as a multiple of real time."""
@@ -309,9 +439,10 @@ class Scene:
         self.row = HandRow(scene, "", first.tips, words, anchor="bottom-center")
         axes = view_axes(HandView(first.hand, simple=True))
         self.robots = [
-            RobotView(scene, run, f"/robot_{i}", axes[1]) for i, run in enumerate(self._runs)
+            RobotLooks(scene, run.hand, _views(run), f"/robot_{i}/look", distal=axes[1])
+            for i, run in enumerate(self._runs)
         ]
-        bounds = [robot.bounds() for robot in self.robots]
+        bounds = [_bounds(run, robot) for run, robot in zip(runs, self.robots, strict=True)]
         layout = self._layout = plan(axes, first.trace.human, first.trace.robot_wrist, *bounds)
         for label, top in zip(self.row.labels.values(), layout.tops, strict=True):
             label.position = top
@@ -320,8 +451,8 @@ class Scene:
 
     def draw(self, frame: int) -> None:
         """Show one frame of all hands."""
-        for robot in self.robots:
-            robot.draw(frame)
+        for run, robot in zip(self._runs, self.robots, strict=True):
+            robot.draw(run.trace.joint_positions[frame])
         tips = [run.trace.robot_tips[frame] for run in self._runs]
         self.row.draw(self._runs[0].trace.human[frame], tips, self._pinches[frame])
 
@@ -333,65 +464,25 @@ class Scene:
         for label in self.row.labels.values():
             label.visible = not overlay
         for robot in self.robots:
-            robot.set_translucent(overlay)
+            robot.show(opacity=TRANSLUCENT if overlay else None)
 
     def set_meshes(self, visible: bool) -> None:
         """Draw the makers' meshes, or simple shapes, where a run has both."""
         for robot in self.robots:
-            robot.set_meshes(visible)
+            robot.show(meshes=visible)
 
 
-class RobotView:
-    """Draws the robot hand; kinematics run per frame, so memory does not grow with the recording.
+def _views(run: Playback) -> list[HandView]:
+    """The robot's looks, the simple one last."""
+    return [*([HandView(run.drawn)] if run.drawn else []), HandView(run.hand, simple=True)]
 
-    Args:
-        scene: where to draw.
-        playback: motion to draw.
-        root: name of the parent node, which places the whole hand.
-        distal: unit vector along the forearm, toward the fingers.
-    """
 
-    def __init__(
-        self,
-        scene: viser.SceneApi,
-        playback: Playback,
-        root: str,
-        distal: Float[np.ndarray, "3"],
-    ) -> None:
-        self._trace = playback.trace
-        views = [HandView(playback.drawn)] if playback.drawn else []
-        views.append(HandView(playback.hand, simple=True))
-        self.looks = [
-            RobotBodies(
-                scene, playback.hand, view, f"{root}/look_{i}",
-                meshes=view.without_forearm(FOREARM, distal),
-            )
-            for i, view in enumerate(views)
-        ]  # fmt: skip
-        self.set_meshes(True)
-
-    def draw(self, frame: int) -> None:
-        """Show one frame."""
-        for look in self.looks:
-            look.draw(self._trace.joint_positions[frame])
-
-    def set_translucent(self, translucent: bool) -> None:
-        """Make the hand see-through, for looking at the human hand inside it."""
-        for look in self.looks:
-            look.first.set_opacity(TRANSLUCENT if translucent else None)
-
-    def set_meshes(self, visible: bool) -> None:
-        """Draw the meshes, where there are some, or the hand in simple shapes."""
-        shown = self.looks[0] if visible else self.looks[-1]
-        for look in self.looks:
-            look.show(look is shown)
-
-    def bounds(self, samples: int = 16) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) corners of the bodies' boxes at some frames, in the palm frame [m]."""
-        trace = self._trace
-        frames = np.unique(np.linspace(0, len(trace) - 1, samples).astype(int))
-        corners = [self.looks[0].corners(trace.joint_positions[frame]) for frame in frames]
-        return np.concatenate([trace.robot_tips.reshape(-1, 3), *corners])
+def _bounds(run: Playback, robot: RobotLooks, samples: int = 16) -> Float[np.ndarray, "N 3"]:
+    """(N, 3) fingertips, and corners of the bodies' boxes at some frames, in the palm frame [m]."""
+    trace = run.trace
+    frames = np.unique(np.linspace(0, len(trace) - 1, samples).astype(int))
+    corners = [robot.shown.corners(trace.joint_positions[frame]) for frame in frames]
+    return np.concatenate([trace.robot_tips.reshape(-1, 3), *corners])
 
 
 class Panel:

@@ -8,6 +8,7 @@ is sent in one ``atomic`` block is drawn in one picture.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any, Final
@@ -21,6 +22,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, BONES, NUM_LANDMARKS, WRIST
 from smooth_operator.teleop.pages.hand_view import (
+    FOREARM,
     HIGHLIGHT,
     PALM,
     SIMULATED,
@@ -297,7 +299,6 @@ class RobotBodies:
         view: the same hand on the model to draw, with the same joints by name, in any order.
         root: name of the parent node, in the palm frame.
         meshes: body -> its surface; those of ``view`` if left out.
-        opacity: 0 to 1; None for solid.
         second: draw the second hand.
     """
 
@@ -309,7 +310,6 @@ class RobotBodies:
         root: str,
         *,
         meshes: Mapping[int, trimesh.Trimesh] | None = None,
-        opacity: float | None = None,
         second: bool = False,
     ) -> None:
         drawn = self._drawn = view.hand
@@ -318,7 +318,7 @@ class RobotBodies:
         self._rest = drawn.full_configuration(drawn.neutral)
         self._order = [drawn.joint_names.index(name) for name in hand.joint_names]
         self._pose = _palm_to_model(drawn)
-        self.first = BodyNodes(scene, model, meshes, owner, f"{root}/first", opacity=opacity)
+        self.first = BodyNodes(scene, model, meshes, owner, f"{root}/first")
         fingers = {body: mesh for body, mesh in meshes.items() if owner[body] >= 0}
         self._second = (
             BodyNodes(
@@ -355,6 +355,68 @@ class RobotBodies:
         positions = self._rest.copy()
         positions[self._order] = every
         return self._drawn.qpos(positions)
+
+
+class RobotLooks:
+    """A robot hand in one of its looks: the maker's meshes, where there are some, or simple shapes.
+
+    Args:
+        scene: where to draw.
+        hand: the robot hand, in the order of whose joints poses come.
+        views: the hand on the models to draw, simple shapes last; see ``RobotBodies``.
+        root: name of the nodes, in the palm frame.
+        distal: unit vector along the forearm, which is cut off below the wrist; None leaves it.
+        second: draw the second hand.
+
+    Attributes:
+        visible, meshes, second: True to show the hand, its meshes, and the second hand.
+        opacity: 0 to 1; None for solid.
+    """
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        hand: Hand,
+        views: Sequence[HandView],
+        root: str,
+        *,
+        distal: Float[np.ndarray, "3"] | None = None,
+        second: bool = False,
+    ) -> None:
+        self._bodies = functools.partial(RobotBodies, scene, hand, second=second)
+        self._root, self._distal = root, distal
+        self.visible = self.meshes = self.second = True
+        self.opacity: float | None = None
+        self._pose: tuple[Any, Any] = (hand.full_configuration(hand.neutral), None)
+        self._looks: list[RobotBodies] = []
+        for view in reversed(views):
+            self.add(view)
+
+    @property
+    def shown(self) -> RobotBodies:
+        """The look that is drawn."""
+        return self._looks[0 if self.meshes else -1]
+
+    def add(self, view: HandView) -> None:
+        """Add a look, which goes before those that are there."""
+        meshes = None if self._distal is None else view.without_forearm(FOREARM, self._distal)
+        self._looks.insert(0, self._bodies(view, f"{self._root}_{len(self._looks)}", meshes=meshes))
+        self.show()
+
+    def draw(
+        self, every: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"] | None = None
+    ) -> None:
+        """Show a pose of the hand's joints [rad], and that of the second hand."""
+        self._pose = every, other
+        self.shown.draw(every, other)
+
+    def show(self, **choices: Any) -> None:
+        """Set attributes, and show what they say."""
+        vars(self).update(choices)
+        self.shown.draw(*self._pose)
+        for look in self._looks:
+            look.show(self.visible and look is self.shown, self.second)
+            look.first.set_opacity(self.opacity)
 
 
 def _palm_to_model(hand: Hand) -> Float[np.ndarray, "7"]:

@@ -13,7 +13,6 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable, Coroutine, Iterator
-from dataclasses import dataclass
 from typing import Any, Final, Self, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -46,9 +45,9 @@ def open_server(host: str, port: int) -> viser.ViserServer:
             of viser can't be made to ask for the token.
     """
     port, auth = free_port(host, port), auth_for(host)
-    with _quiet_viser(), authenticated(auth) as patched:
+    with _quiet_viser(), authenticated(auth) as started:
         server = viser.ViserServer(host=host, port=port, verbose=False)
-    if auth.tokens is not None and not patched.applied:
+    if auth.tokens is not None and not started:
         close_server(server)
         raise ConfigError(
             f"viser {viser.__version__} can't be made to ask for a token, so the page is not "
@@ -185,36 +184,25 @@ def auth_for(host: str) -> TokenAuth:
     return TokenAuth(None if is_local(host) else {"page": secrets.token_urlsafe(24)})
 
 
-@dataclass
-class Patched:
-    """True if a server of viser was started that authenticates.
-
-    Attributes:
-        applied: False if this release of viser starts its server by other means.
-    """
-
-    applied: bool = False
-
-
 @contextlib.contextmanager
-def authenticated(auth: TokenAuth) -> Iterator[Patched]:
+def authenticated(auth: TokenAuth) -> Iterator[list[str]]:
     """Servers of viser that are started in this block refuse what ``auth`` refuses.
 
     viser has no option for this. So the function that it starts its server with is wrapped, for
     viser alone, while it starts.
 
     Yields:
-        Whether that worked; look at it after the start.
+        an entry for each server that was started so; look at it after the start.
     """
     with _PATCHING:
-        patched = Patched()
+        started: list[str] = []
         viser: Any = _infra
         plain = viser.websockets
         server = plain.asyncio.server
-        asking = _Module(server, serve=_asking(auth, patched, server.serve))
+        asking = _Module(server, serve=_asking(auth, started, server.serve))
         viser.websockets = _Module(plain, asyncio=_Module(plain.asyncio, server=asking))
         try:
-            yield patched
+            yield started
         finally:
             viser.websockets = plain
 
@@ -230,13 +218,13 @@ class _Module:
         return getattr(self._module, name)
 
 
-def _asking(auth: TokenAuth, patched: Patched, serve: Callable[..., Any]) -> Callable[..., Any]:
+def _asking(auth: TokenAuth, started: list[str], serve: Callable[..., Any]) -> Callable[..., Any]:
     def serve_and_ask(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
         def answer(connection: Any, request: Any) -> Any:
             refusal = auth.refusal(connection, request) or _not_a_client(connection, request)
             return refusal or process_request(connection, request)
 
-        patched.applied = True
+        started.append("viser")
         options |= quiet_options("smooth_operator.page")
         return serve(*args, process_request=shielded(answer, _POLICY), **options)
 

@@ -22,8 +22,7 @@ import numpy as np
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.teleop.recording.foxglove import FoxgloveMessages, Keypoints
-from smooth_operator.teleop.recording.log_types import (
+from smooth_operator.teleop.recording.messages import (
     ARM,
     COMMAND,
     CONFIG,
@@ -40,6 +39,8 @@ from smooth_operator.teleop.recording.log_types import (
     TIMING,
     VERSION,
     WRIST,
+    FoxgloveMessages,
+    Keypoints,
     LoopState,
     mcap_writer,
     message_class,

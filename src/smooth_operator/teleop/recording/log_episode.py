@@ -15,7 +15,7 @@ from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import Log, log_topics, read_log
-from smooth_operator.teleop.recording.log_types import FOXGLOVE, SCHEMAS
+from smooth_operator.teleop.recording.messages import FOXGLOVE, SCHEMAS
 from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandRecording, JointCommand, Side, Status
 

@@ -15,14 +15,15 @@ from typing import IO, Any, Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.errors import UPGRADE, RecordingError, brief, listed
+from smooth_operator.errors import RecordingError, brief, listed
+from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.arrays import ARRAYS_RATIO, FREE_BYTES, LOG_RATIO, Allowance
 from smooth_operator.formats.checks import check_side
 from smooth_operator.formats.episode import ArmTrack, StateTrajectory, WristTrack
 from smooth_operator.formats.registry import file_kind, readable
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.teleop.recording.log_types import (
+from smooth_operator.teleop.recording.messages import (
     ARM,
     COMMAND,
     CONFIG,

@@ -1,31 +1,43 @@
 """ROS 2 messages as classes of CycloneDDS, without a ROS 2 installation.
 
-Fields are those of the public interface definitions (builtin_interfaces, std_msgs, geometry_msgs,
-sensor_msgs, trajectory_msgs), the same from Humble to Rolling, and of manus_ros2_msgs.
-The type ``std_msgs/msg/String`` is ``std_msgs::msg::dds_::String_`` in DDS. Without
-``annotations`` from the future: CycloneDDS evaluates them.
+Fields are those of the public interface definitions, the same from Humble to Rolling, and of
+manus_ros2_msgs. The type ``std_msgs/msg/String`` is ``std_msgs::msg::dds_::String_`` in DDS.
 """
 
+import types
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeVar, dataclass_transform
+from typing import Any, Final, TypeVar
 
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.annotations import final
-from cyclonedds.idl.types import float32, float64, int32, uint32
-
-if TYPE_CHECKING:
-    from builtins import list as sequence
-else:
-    from cyclonedds.idl.types import sequence
+from cyclonedds.idl.types import float32, float64, int32, sequence, uint32
 
 Message = IdlStruct
 """A message of ROS 2."""
 
 M = TypeVar("M", bound=Message)
 
+_DEFAULTS: Final = {int32: 0, uint32: 0, float32: 0.0, float64: 0.0, str: ""}
 
-@dataclass_transform(field_specifiers=(field,))
-def _message(kind: type[M]) -> type[M]:
+
+def _message(package: str, name: str, /, **fields: Any) -> Any:
+    """The class of a message, a dataclass with a default for each field.
+
+    Args:
+        fields: name -> type, in the order of the definition; or type and default.
+    """
+
+    def body(members: dict[str, Any]) -> None:
+        members["__module__"], members["__doc__"] = __name__, f"``{package}/msg/{name}``."
+        for each, kind in fields.items():
+            kind, *default = kind if isinstance(kind, tuple) else (kind,)
+            members["__annotations__"][each] = kind
+            if default or kind in _DEFAULTS:
+                members[each] = default[0] if default else _DEFAULTS[kind]
+            else:
+                members[each] = field(default_factory=kind if isinstance(kind, type) else list)
+
+    kind = types.new_class(name, (IdlStruct,), {"typename": f"{package}.msg.dds_.{name}_"}, body)
     return dataclass(final(kind))
 
 
@@ -35,180 +47,64 @@ def type_name(kind: type[Message]) -> str:
     return name.replace(".msg.dds_.", "/msg/").removesuffix("_")
 
 
-@_message
-class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
-    """A point in time: seconds and nanoseconds since 1970."""
+Time = _message("builtin_interfaces", "Time", sec=int32, nanosec=uint32)
+Duration = _message("builtin_interfaces", "Duration", sec=int32, nanosec=uint32)
+Header = _message("std_msgs", "Header", stamp=Time, frame_id=str)
+String = _message("std_msgs", "String", data=str)
+MultiArrayDimension = _message(
+    "std_msgs", "MultiArrayDimension", label=str, size=uint32, stride=uint32
+)
+MultiArrayLayout = _message(
+    "std_msgs", "MultiArrayLayout", dim=sequence[MultiArrayDimension], data_offset=uint32
+)
+Float64MultiArray = _message(
+    "std_msgs", "Float64MultiArray", layout=MultiArrayLayout, data=sequence[float64]
+)
+Point = _message("geometry_msgs", "Point", x=float64, y=float64, z=float64)
+Quaternion = _message(
+    "geometry_msgs", "Quaternion", x=float64, y=float64, z=float64, w=(float64, 1.0)
+)
+Pose = _message("geometry_msgs", "Pose", position=Point, orientation=Quaternion)
+PoseStamped = _message("geometry_msgs", "PoseStamped", header=Header, pose=Pose)
+PoseArray = _message("geometry_msgs", "PoseArray", header=Header, poses=sequence[Pose])
 
-    sec: int32 = 0
-    nanosec: uint32 = 0
-
-    @property
-    def seconds(self) -> float:
-        """The time as one number [s]."""
-        return float(self.sec + 1e-9 * self.nanosec)
-
-    @property
-    def nanoseconds(self) -> int:
-        """The time as one whole number [ns]."""
-        return int(1_000_000_000 * self.sec + self.nanosec)
-
-    @staticmethod
-    def of(nanoseconds: int) -> "Time":
-        """The time of a number of nanoseconds since 1970."""
-        return Time(*divmod(nanoseconds, 1_000_000_000))
-
-
-@_message
-class Duration(IdlStruct, typename="builtin_interfaces.msg.dds_.Duration_"):
-    """A length of time."""
-
-    sec: int32 = 0
-    nanosec: uint32 = 0
-
-
-@_message
-class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
-    """Stamp, and name of the reference frame."""
-
-    stamp: Time = field(default_factory=Time)
-    frame_id: str = ""
-
-
-@_message
-class String(IdlStruct, typename="std_msgs.msg.dds_.String_"):
-    """A text."""
-
-    data: str = ""
-
-
-@_message
-class MultiArrayDimension(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayDimension_"):
-    """One dimension of an array."""
-
-    label: str = ""
-    size: uint32 = 0
-    stride: uint32 = 0
+_NUMBERS: Final = sequence[float64]
+JointState = _message(
+    "sensor_msgs", "JointState",
+    header=Header, name=sequence[str], position=_NUMBERS, velocity=_NUMBERS, effort=_NUMBERS,
+)  # fmt: skip
+JointTrajectoryPoint = _message(
+    "trajectory_msgs", "JointTrajectoryPoint",
+    positions=_NUMBERS, velocities=_NUMBERS, accelerations=_NUMBERS, effort=_NUMBERS,
+    time_from_start=Duration,
+)  # fmt: skip
+JointTrajectory = _message(
+    "trajectory_msgs", "JointTrajectory",
+    header=Header, joint_names=sequence[str], points=sequence[JointTrajectoryPoint],
+)  # fmt: skip
+ManusRawNode = _message(
+    "manus_ros2_msgs", "ManusRawNode",
+    node_id=int32, parent_node_id=int32, joint_type=str, chain_type=str, pose=Pose,
+)  # fmt: skip
+ManusErgonomics = _message("manus_ros2_msgs", "ManusErgonomics", type=str, value=float32)
+ManusGlove = _message(
+    "manus_ros2_msgs", "ManusGlove",
+    glove_id=int32, side=str, raw_node_count=int32, raw_nodes=sequence[ManusRawNode],
+    ergonomics_count=int32, ergonomics=sequence[ManusErgonomics],
+    raw_sensor_orientation=Quaternion, raw_sensor_count=int32, raw_sensor=sequence[Pose],
+)  # fmt: skip
 
 
-@_message
-class MultiArrayLayout(IdlStruct, typename="std_msgs.msg.dds_.MultiArrayLayout_"):
-    """Dimensions of an array; none for a plain list."""
-
-    dim: sequence[MultiArrayDimension] = field(default_factory=list)
-    data_offset: uint32 = 0
+def time_of(nanoseconds: int) -> Message:
+    """The ``Time`` of a number of nanoseconds since 1970."""
+    return Time(*divmod(nanoseconds, 1_000_000_000))
 
 
-@_message
-class Float64MultiArray(IdlStruct, typename="std_msgs.msg.dds_.Float64MultiArray_"):
-    """Numbers without names."""
-
-    layout: MultiArrayLayout = field(default_factory=MultiArrayLayout)
-    data: sequence[float64] = field(default_factory=list)
+def seconds_of(time: Message) -> float:
+    """A ``Time`` as one number [s]."""
+    return float(time.sec + 1e-9 * time.nanosec)
 
 
-@_message
-class Point(IdlStruct, typename="geometry_msgs.msg.dds_.Point_"):
-    """A position [m]."""
-
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@_message
-class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
-    """A rotation; ROS 2 writes w last."""
-
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-    w: float64 = 1.0
-
-
-@_message
-class Pose(IdlStruct, typename="geometry_msgs.msg.dds_.Pose_"):
-    """Position and orientation."""
-
-    position: Point = field(default_factory=Point)
-    orientation: Quaternion = field(default_factory=Quaternion)
-
-
-@_message
-class PoseStamped(IdlStruct, typename="geometry_msgs.msg.dds_.PoseStamped_"):
-    """A pose at a time, in a frame."""
-
-    header: Header = field(default_factory=Header)
-    pose: Pose = field(default_factory=Pose)
-
-
-@_message
-class PoseArray(IdlStruct, typename="geometry_msgs.msg.dds_.PoseArray_"):
-    """Poses at a time, in a frame."""
-
-    header: Header = field(default_factory=Header)
-    poses: sequence[Pose] = field(default_factory=list)
-
-
-@_message
-class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
-    """Positions [rad], velocities [rad/s] and efforts of joints."""
-
-    header: Header = field(default_factory=Header)
-    name: sequence[str] = field(default_factory=list)
-    position: sequence[float64] = field(default_factory=list)
-    velocity: sequence[float64] = field(default_factory=list)
-    effort: sequence[float64] = field(default_factory=list)
-
-
-@_message
-class JointTrajectoryPoint(IdlStruct, typename="trajectory_msgs.msg.dds_.JointTrajectoryPoint_"):
-    """Targets of joints at a time after the start."""
-
-    positions: sequence[float64] = field(default_factory=list)
-    velocities: sequence[float64] = field(default_factory=list)
-    accelerations: sequence[float64] = field(default_factory=list)
-    effort: sequence[float64] = field(default_factory=list)
-    time_from_start: Duration = field(default_factory=Duration)
-
-
-@_message
-class JointTrajectory(IdlStruct, typename="trajectory_msgs.msg.dds_.JointTrajectory_"):
-    """A motion of joints."""
-
-    header: Header = field(default_factory=Header)
-    joint_names: sequence[str] = field(default_factory=list)
-    points: sequence[JointTrajectoryPoint] = field(default_factory=list)
-
-
-@_message
-class ManusRawNode(IdlStruct, typename="manus_ros2_msgs.msg.dds_.ManusRawNode_"):
-    """One node of a glove's skeleton."""
-
-    node_id: int32 = 0
-    parent_node_id: int32 = 0
-    joint_type: str = ""
-    chain_type: str = ""
-    pose: Pose = field(default_factory=Pose)
-
-
-@_message
-class ManusErgonomics(IdlStruct, typename="manus_ros2_msgs.msg.dds_.ManusErgonomics_"):
-    """One joint angle of a glove."""
-
-    type: str = ""
-    value: float32 = 0.0
-
-
-@_message
-class ManusGlove(IdlStruct, typename="manus_ros2_msgs.msg.dds_.ManusGlove_"):
-    """One glove, as MANUS's ROS 2 package publishes it."""
-
-    glove_id: int32 = 0
-    side: str = ""
-    raw_node_count: int32 = 0
-    raw_nodes: sequence[ManusRawNode] = field(default_factory=list)
-    ergonomics_count: int32 = 0
-    ergonomics: sequence[ManusErgonomics] = field(default_factory=list)
-    raw_sensor_orientation: Quaternion = field(default_factory=Quaternion)
-    raw_sensor_count: int32 = 0
-    raw_sensor: sequence[Pose] = field(default_factory=list)
+def nanoseconds_of(time: Message) -> int:
+    """The nanoseconds of a ``Time`` since 1970."""
+    return int(1_000_000_000 * time.sec + time.nanosec)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.hardware.table_file import find_table, read_table
+from smooth_operator.teleop.hardware.actuator_map import find_table, read_table
 from smooth_operator.teleop.ros2.messages import (
     Duration,
     Float64MultiArray,
@@ -28,7 +28,8 @@ from smooth_operator.teleop.ros2.messages import (
     PoseStamped,
     Quaternion,
     String,
-    Time,
+    nanoseconds_of,
+    time_of,
 )
 from smooth_operator.teleop.ros2.transport import (
     Endpoint,
@@ -53,7 +54,7 @@ KINDS: Final[dict[Kind, type[Message]]] = {
 
 def joint_message(
     kind: Kind,
-    stamp: Time,
+    stamp: Message,
     names: Sequence[str],
     positions: list[float],
     velocities: list[float],
@@ -76,7 +77,7 @@ def joint_message(
     if kind == "trajectory":
         # No stamp: it begins when it comes, by the controller's clock. No velocity: some
         # controllers refuse a last point that moves.
-        time = Time.of(round(duration * 1e9))
+        time = time_of(round(duration * 1e9))
         point = JointTrajectoryPoint(positions, time_from_start=Duration(time.sec, time.nanosec))
         return JointTrajectory(Header(), list(names), [point])
     return JointState(Header(stamp), list(names), positions, velocities)
@@ -158,7 +159,7 @@ def _matching(hand: Hand, pattern: str) -> list[int]:
     return indices
 
 
-def pose_message(pose: Float[np.ndarray, "7"]) -> Pose:
+def pose_message(pose: Float[np.ndarray, "7"]) -> Message:
     """A pose x y z [m] and quaternion w x y z as a message."""
     x, y, z, w, a, b, c = pose.tolist()
     return Pose(Point(x, y, z), Quaternion(a, b, c, w))
@@ -342,12 +343,12 @@ class _Publisher:
             self._publish.clear()
             self._transport.close()
 
-    def _command(self, tick: Tick, stamp: Time) -> Message:
+    def _command(self, tick: Tick, stamp: Message) -> Message:
         layout, sink = self._layouts[tick.side], self._sink
         values, rates = layout.values(tick.command.positions), layout.rates(tick.velocity)
         return joint_message(sink.message, stamp, layout.names, values, rates, sink.duration)
 
-    def _arm(self, tick: Tick, stamp: Time) -> None:
+    def _arm(self, tick: Tick, stamp: Message) -> None:
         """Publish the arm's command, where there is one."""
         publish = self._publish[tick.side].get("arm")
         if tick.arm is not None and publish:
@@ -355,7 +356,7 @@ class _Publisher:
             names, sink = tick.arm.joint_names, self._sink
             publish(joint_message(sink.arm_message, stamp, names, positions, rates, sink.duration))
 
-    def _state(self, tick: Tick, stamp: Time) -> None:
+    def _state(self, tick: Tick, stamp: Message) -> None:
         """Publish the measured joints, where they are new; by the time of the measurement."""
         publish, state = self._publish[tick.side].get("measured"), tick.state
         if state is None or publish is None or state is self._states.get(tick.side):
@@ -366,10 +367,10 @@ class _Publisher:
         names = [name for name, good in zip(state.names, measured, strict=True) if good]
         rates = None if state.velocities is None else state.velocities[measured]
         sent = [] if rates is None or not np.isfinite(rates).all() else rates.tolist()
-        header = Header(Time.of(max(0, stamp.nanoseconds - age)))
+        header = Header(time_of(max(0, nanoseconds_of(stamp) - age)))
         publish(JointState(header, names, state.positions[measured].tolist(), sent))
 
-    def _wrists(self, tick: Tick, stamp: Time) -> None:
+    def _wrists(self, tick: Tick, stamp: Message) -> None:
         """Publish the wrist's target and the operator's wrist, as far as there are."""
         poses = []
         if tick.wrist is not None:

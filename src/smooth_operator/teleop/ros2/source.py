@@ -13,13 +13,12 @@ from smooth_operator import poses
 from smooth_operator.errors import ConfigError, RecordingError, SourceError
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.teleop.ros2.messages import (
-    Header,
     ManusGlove,
     Message,
-    Pose,
     PoseArray,
     PoseStamped,
     String,
+    seconds_of,
 )
 from smooth_operator.teleop.ros2.transport import (
     Endpoint,
@@ -29,8 +28,8 @@ from smooth_operator.teleop.ros2.transport import (
 )
 from smooth_operator.teleop.sources.inboxes import NEWEST, Inbox
 from smooth_operator.teleop.sources.inboxes import Message as Received
-from smooth_operator.teleop.sources.manus_gloves import glove_sides, read_glove, read_manus
 from smooth_operator.teleop.sources.payload import Reading, hand_frame, read_payload
+from smooth_operator.teleop.sources.programs import glove_sides, read_glove, read_manus
 from smooth_operator.teleop.sources.stream import Hands, Reader, StreamSource, only_side
 from smooth_operator.types import HandFrame, Side
 
@@ -98,7 +97,7 @@ class HandPoseReader:
             raise message
         if isinstance(message, PoseStamped):
             pose = pose_rows([message.pose])[0]
-            side, stamp = self._wrist_topics[topic], message.header.stamp.seconds
+            side, stamp = self._wrist_topics[topic], seconds_of(message.header.stamp)
             self._wrists[side] = _WristPose(pose, message.header.frame_id, stamp, received)
             return ()
         side_of = self._topics[topic]
@@ -115,11 +114,11 @@ class HandPoseReader:
         assert isinstance(message, ManusGlove)
         return (read_glove(_as_json(message), self._gloves, side_of, received),)
 
-    def _pose_array(self, message: PoseArray, side: Side | None, received: float) -> Reading:
+    def _pose_array(self, message: Message, side: Side | None, received: float) -> Reading:
         assert side is not None  # the source has a topic for each hand
         rows = pose_rows(message.poses)
         turned = not np.allclose(rows[:, 3:], (1.0, 0.0, 0.0, 0.0))  # all of them: none is known
-        stamp = message.header.stamp.seconds
+        stamp = seconds_of(message.header.stamp)
         frame = hand_frame(
             rows[:, :3],
             stamp=stamp if stamp else received,
@@ -129,7 +128,7 @@ class HandPoseReader:
         )
         return Reading(frame, stamped=bool(stamp))
 
-    def _with_wrist(self, reading: Reading, header: Header, received: float) -> HandFrame:
+    def _with_wrist(self, reading: Reading, header: Message, received: float) -> HandFrame:
         """Add the pose of the wrist in the world to a frame."""
         frame = reading.frame
         assert frame.valid is not None
@@ -156,7 +155,7 @@ def _matches(wrist: _WristPose, reading: Reading, received: float) -> bool:
     return abs(received - wrist.received) <= MATCH_S
 
 
-def _as_json(message: ManusGlove) -> dict[str, object]:
+def _as_json(message: Message) -> dict[str, object]:
     """A glove's message in the JSON form of bridges, without a stamp."""
     places = pose_rows([node.pose for node in message.raw_nodes])
     nodes = [
@@ -166,7 +165,7 @@ def _as_json(message: ManusGlove) -> dict[str, object]:
     return {"side": message.side, "glove_id": message.glove_id, "nodes": nodes}
 
 
-def pose_rows(poses: list[Pose]) -> Float[np.ndarray, "n 7"]:
+def pose_rows(poses: list[Message]) -> Float[np.ndarray, "n 7"]:
     """(n, 7) poses, x y z [m] and quaternion w x y z."""
     rows = [
         (p.position.x, p.position.y, p.position.z, q.w, q.x, q.y, q.z)

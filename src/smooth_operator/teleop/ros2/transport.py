@@ -30,7 +30,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from smooth_operator.errors import ConfigError, RecordingError, SinkError, SourceError
-from smooth_operator.teleop.ros2.messages import M, Message, Time, type_name
+from smooth_operator.teleop.ros2.messages import M, Message, time_of, type_name
 
 Network: TypeAlias = Literal["localhost", "subnet"]
 """Reach of a participant: programs on this machine, or on the whole network."""
@@ -127,9 +127,9 @@ class Transport:
             raise self._error(f"DDS domain {self._number}: {describe(error)}") from error
         return received
 
-    def now(self) -> Time:
-        """The time that headers carry, by this machine's clock."""
-        return Time.of(time.time_ns())
+    def now(self) -> Message:
+        """The ``Time`` that headers carry, by this machine's clock."""
+        return time_of(time.time_ns())
 
     def close(self) -> None:
         """Close the participant."""

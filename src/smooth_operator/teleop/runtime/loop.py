@@ -17,7 +17,7 @@ from smooth_operator.teleop.runtime.limiter import RateLimiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
-from smooth_operator.teleop.sinks.runner import SinkRunner
+from smooth_operator.teleop.sinks.sink import SinkRunner
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
 from smooth_operator.types import Side

@@ -1,27 +1,255 @@
-"""Pipeline of one hand: turns the newest frame, or its absence, into the next command."""
+"""Pipeline of one hand: turns the newest frame, or its absence, into the next command.
+
+Plausibility of a frame (size of the hand, side, time in seconds), the supervisor (a state machine
+over frames and silence), and the steps from a frame to a command. Times are arguments.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from jaxtyping import Float
 
+from smooth_operator.io.anatomy import PALM_RANGE_M, Doubt, HandCheck
+from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.teleop.runtime.clutch import Clutch
-from smooth_operator.teleop.runtime.limiter import Limiter
-from smooth_operator.teleop.runtime.motion_delay import TrackerDelay
-from smooth_operator.teleop.runtime.plausible import SessionCheck, implausible
-from smooth_operator.teleop.runtime.settings import LoopConfig
-from smooth_operator.teleop.runtime.supervisor import Supervisor
+from smooth_operator.teleop.runtime.limiter import Clutch, Limiter
+from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
+from smooth_operator.teleop.runtime.statistics import TrackerDelay
 from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
-from smooth_operator.teleop.sources.live import Arrival
-from smooth_operator.types import JointCommand, Result, Side, Status
+from smooth_operator.teleop.sources.live import LATEST_STAMP_S, Arrival
+from smooth_operator.types import HandFrame, JointCommand, Result, Side, Status
 
-if TYPE_CHECKING:  # which needs the extra arm
+if TYPE_CHECKING:
     from smooth_operator.teleop.arm.controller import ArmController
+
+
+REACH_M = 0.5
+"""Largest distance of a landmark from the wrist, along any axis [m]."""
+_FAR = (
+    f"a landmark more than {REACH_M:g} m from the wrist is no human's; landmarks must be in metres"
+)
+
+CURL = -0.6
+"""Smallest curl of a hand, as a share of its fingers' length.
+
+In four real recordings and the synthetic operator, fingers bent back to their limit reach -0.51. A
+mirrored hand has the negative curl: it is refused at its first frame near a fist, or else by
+``SessionCheck``, whose rule is stricter and needs several frames.
+"""
+
+_PALM: Final = "a palm outside {} to {} m is no human's; landmarks must be in metres".format(
+    *PALM_RANGE_M
+)
+_MIDDLE: Final = BASES[2]
+
+
+@np.errstate(all="ignore")  # numbers of any size may come
+def implausible(frame: HandFrame) -> str | None:
+    """Reason why a frame can't be a human hand of its side; None if it can.
+
+    Missing landmarks are not judged, since not every method needs them. The reasons are few and
+    without figures, so that frames can be counted by reason.
+    """
+    if frame.stamp is not None and not abs(frame.stamp) < LATEST_STAMP_S:
+        return "a stamp that is no time in seconds"
+    p = frame.landmarks
+    if (np.abs(p[frame.valid] - p[WRIST]) > REACH_M).any():
+        return _FAR
+    palm = float(np.linalg.norm(p[_MIDDLE] - p[WRIST]))
+    if not np.isfinite(palm):
+        return None
+    if not PALM_RANGE_M[0] <= palm <= PALM_RANGE_M[1]:
+        return _PALM
+    curl = finger_curl(p, frame.side)
+    if curl < CURL:
+        other = "left" if frame.side == "right" else "right"
+        return f"the fingers bend to the back of the hand: is it a {other} hand?"
+    return None
+
+
+class SessionCheck:
+    """Checks that a tracker's frames have the right side and order of landmarks.
+
+    Each start of a tracker is checked separately: over its first frames, and then occasionally.
+
+    Args:
+        side: side of the robot hand.
+    """
+
+    def __init__(self, side: Side) -> None:
+        self._side = side
+        self._session: int | None = None
+        self._check = HandCheck(side)
+
+    def doubt(self, arrival: Arrival) -> Doubt | None:
+        """The doubt about the frames up to this one; None if there is none."""
+        if arrival.session != self._session:
+            self._session, self._check = arrival.session, HandCheck(self._side)
+        frame = arrival.frame
+        assert frame.valid is not None  # filled in by HandFrame
+        return self._check.see(frame.landmarks, frame.valid)
+
+
+def finger_curl(landmarks: Float[np.ndarray, "21 3"], side: Side) -> float:
+    """Distance of the fingertips in front of the palm, as a share of the fingers' length.
+
+    It judges a single frame, while ``chirality`` of ``smooth_operator.io.anatomy`` needs several.
+
+    Args:
+        landmarks: positions in the project's order, in any right-handed frame.
+
+    Returns:
+        mean over the four fingers: 0 for a flat hand, towards 1 for a fist, negative for fingers
+        bent back; NaN with a missing landmark.
+    """
+    wrist, bases, tips = landmarks[0], landmarks[5::4], landmarks[8::4]
+    normal = np.cross(bases[0] - wrist, bases[3] - wrist) * (1.0 if side == "right" else -1.0)
+    length = np.linalg.norm(normal)
+    if not length > 1e-9:
+        return float("nan")
+    bones = np.linalg.norm(np.diff(landmarks[5:].reshape(4, 4, 3), axis=1), axis=-1).sum(axis=1)
+    return float(((tips - bases) @ normal / length / np.maximum(bones, 1e-9)).mean())
+
+
+@dataclass
+class Supervisor:
+    """Mode of one hand, from the times of its usable frames and the operator's switches.
+
+    Attributes:
+        config: the policies.
+        mode: mode of the loop for the hand.
+        refused: reason -> number of refused frames.
+        compiling: True while the method is compiled: the robot holds, and frames are only shown.
+    """
+
+    config: SafetyConfig
+    mode: Mode = Mode.WAITING
+    refused: dict[str, int] = field(default_factory=dict)
+    compiling: bool = False
+    _held: bool = False
+    _last_good: float | None = None
+    _newest: tuple[int, float] | None = None
+    _blend_start: float = 0.0
+    _blend_length: float = 0.0
+    _paused: bool = False
+    _stopped: bool = False
+
+    def admits(self, arrival: Arrival, now: float) -> str | None:
+        """Reason to refuse a frame that is not newer than the last one; None if it is newer."""
+        stamp, session = arrival.stamp, arrival.session
+        if now - arrival.received > self.config.stale_s:
+            return self.refuse("too late")
+        if self._newest is not None and session == self._newest[0]:
+            behind = self._newest[1] - stamp
+            if behind == 0:
+                return self.refuse("a stamp that came before")
+            if 0 < behind <= self.config.restart_s:
+                return self.refuse("out of order")
+        self._newest = session, stamp
+        return None
+
+    def refuse(self, why: str) -> str:
+        """Count a refused frame by its reason, and return the reason."""
+        self.refused[why] = self.refused.get(why, 0) + 1
+        return why
+
+    @property
+    def starts_again(self) -> bool:
+        """True if the operator takes over again, so that the state of the method must be reset."""
+        return not self.mode.moves and self.mode is not Mode.HOLDING
+
+    def usable(self, now: float) -> None:
+        """Register an answered frame; after a silence it begins a blend."""
+        if not self.mode.moves:
+            gap = self.config.blend_s
+            if self.mode is Mode.HOLDING and self._last_good is not None and not self._held:
+                gap = min(gap, now - self._last_good)
+            self._blend_start, self._blend_length = now, gap
+        self._last_good, self._held = now, False
+
+    def hold(self) -> None:
+        """Begin a hold for the compiler; it lasts until a frame after ``compiling``."""
+        self.compiling = self._held = True
+
+    def restart_blend(self, now: float | None) -> None:
+        """Begin a blend, since the origin of the commands changes."""
+        if now is not None and self.mode.moves:
+            self._blend_start, self._blend_length = now, self.config.blend_s
+
+    def update(self, now: float) -> Mode:
+        """The mode at a time."""
+        self.mode = self._mode(now)
+        return self.mode
+
+    def preview(self, now: float) -> Mode:
+        """The mode at a time, without a change of state."""
+        return replace(self)._mode(now)
+
+    def blend(self, now: float) -> float:
+        """Share of the operator in the command, 0 to 1, with a smooth start and end."""
+        if self._blend_length <= 0:
+            return 1.0
+        x = min(max((now - self._blend_start) / self._blend_length, 0.0), 1.0)
+        return x * x * (3 - 2 * x)
+
+    def pause(self) -> None:
+        """Release the clutch."""
+        self._paused = True
+
+    def resume(self) -> None:
+        """Engage the clutch: the robot moves to the operator's current hand."""
+        self._paused = False
+
+    def stop(self) -> None:
+        """Emergency stop; latched."""
+        self._stopped = True
+
+    def release(self) -> None:
+        """End an emergency stop; the operator takes over as after a pause."""
+        self._stopped = False
+
+    @property
+    def stopped(self) -> bool:
+        """True while an emergency stop holds the robot; safe from any thread."""
+        return self._stopped
+
+    @property
+    def paused(self) -> bool:
+        """True while the clutch is released, also in an emergency stop; safe from any thread."""
+        return self._paused
+
+    @property
+    def listens(self) -> bool:
+        """True if frames move the robot."""
+        return not (self._paused or self._stopped or self.compiling)
+
+    def _mode(self, now: float) -> Mode:
+        if self._stopped:
+            return Mode.STOPPED
+        if self._paused:
+            return Mode.PAUSED
+        if self.mode in (Mode.STOPPED, Mode.PAUSED):
+            # The hand holds until a frame comes, and then blends to it.
+            self._last_good = None
+            return Mode.WAITING
+        if self._last_good is None:
+            return Mode.WAITING
+        if self._held:
+            return Mode.HOLDING
+        silence = now - self._last_good
+        if silence > self.config.lost_s and self.config.on_loss == "ease":
+            return Mode.EASING
+        if silence > self.config.stale_s:
+            return Mode.HOLDING
+        if now - self._blend_start < self._blend_length:
+            return Mode.BLENDING
+        return Mode.TRACKING
+
 
 SWITCHED: Final = "another method, or other settings"
 """Event of the first tick after a switch; the tick's driver has the details."""

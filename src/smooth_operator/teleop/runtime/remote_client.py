@@ -4,7 +4,7 @@
     teleop.request("method", method="dexpilot", preset="default")
     teleop.request("status")["method"]
 
-``smooth_operator.teleop.runtime.rpc_server`` describes the commands and their answers.
+``smooth_operator.teleop.control.rpc`` describes the commands and their answers.
 """
 
 from __future__ import annotations

@@ -18,8 +18,7 @@ from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, OutputError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.recording import LogWriter
-from smooth_operator.teleop.recording.foxglove import landmark_keypoints
-from smooth_operator.teleop.recording.log_types import LoopState
+from smooth_operator.teleop.recording.messages import LoopState, landmark_keypoints
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Driver, HandState, StampMap, Tick
 from smooth_operator.types import JointCommand, Side, Status

@@ -14,7 +14,7 @@ from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BONES
-from smooth_operator.teleop.recording.foxglove import landmark_keypoints
+from smooth_operator.teleop.recording.messages import landmark_keypoints
 from smooth_operator.teleop.sinks.sink import Link, ThreadedSink
 from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side

@@ -208,7 +208,12 @@ class Simulation(Sink):
         Raises:
             SinkError: as ``scene_of``.
         """
-        self._open_world(side).watch(side, watcher)
+        world = self._open_world(side)
+        with world.changed:
+            if watcher is None:
+                world.watchers.pop(side, None)
+            else:
+                world.watchers[side] = watcher
 
     def reset_object(self, side: Side) -> int:
         """Put the object back to its start, with the next step; raises as ``scene_of``.
@@ -216,18 +221,25 @@ class Simulation(Sink):
         Returns:
             ``SceneState.starts`` of the states that come after it.
         """
-        return self._open_world(side).reset_object(side, self._scene(side))
+        world = self._open_world(side)
+        with world.changed:
+            world.there[side] = True
+            return self._scene(side).starts + 1
 
     def put_away(self, side: Side) -> None:
         """Take the object out, from the next step on; raises as ``scene_of``."""
-        self._open_world(side).put_away(side)
+        world = self._open_world(side)
+        with world.changed:
+            world.there[side] = False
 
     def freeze(self, side: Side, frozen: bool) -> None:
         """Stop hand and scene with their clock, or let them go on; raises as ``scene_of``.
 
         The hand then goes to the newest command.
         """
-        self._open_world(side).freeze(side, frozen)
+        world = self._open_world(side)
+        with world.changed:
+            (world.frozen.add if frozen else world.frozen.discard)(side)
 
     def _built(self, hand: Hand, task: str) -> HandPhysics:
         step, arm = 1.0 / self.rate, self._arms.get(hand.spec.side)
@@ -284,8 +296,14 @@ class World:
 
     Args:
         physics: physics of each hand.
-        events: where it is said what went wrong.
+        events: takes faults of the physics.
         carried: arms that carry hands.
+
+    Attributes:
+        watchers: side -> watcher of the scene's states; written with ``changed``, as are the next.
+        there: side -> True to put the object back with the next step, False to take it away.
+        frozen: sides whose hand and scene stand still.
+        changed: lock of what other threads write.
     """
 
     def __init__(
@@ -308,11 +326,11 @@ class World:
         self.scenes: dict[Side, SceneState] = {
             side: p.observe() for side, p in physics.items() if isinstance(p, ScenePhysics)
         }
-        self._watchers: dict[Side, Watcher] = {}
-        self._there: dict[Side, bool] = {}  # whether the object is to be put back or away
+        self.watchers: dict[Side, Watcher] = {}
+        self.there: dict[Side, bool] = {}
         self._targets: dict[Side, _Target | None] = {}
-        self._frozen: set[Side] = set()
-        self._changed = threading.Lock()
+        self.frozen: set[Side] = set()
+        self.changed = threading.Lock()
         self._error: Exception | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mujoco", daemon=True)
@@ -331,38 +349,14 @@ class World:
         """
         if self._error is not None:
             raise SinkError(f"mujoco: the simulation ended: {self._error}") from self._error
-        with self._changed:
+        with self.changed:
             self._targets[side] = positions, arm
 
     def hold(self) -> None:
         """Let the hands hold their positions."""
-        with self._changed:
+        with self.changed:
             for side in self.physics:
                 self._targets[side] = None  # stands for: where it is
-
-    def watch(self, side: Side, watcher: Watcher | None) -> None:
-        """Have each new state of a scene given to a watcher; None takes it away."""
-        with self._changed:
-            if watcher is None:
-                self._watchers.pop(side, None)
-            else:
-                self._watchers[side] = watcher
-
-    def reset_object(self, side: Side, physics: ScenePhysics) -> int:
-        """Have the object put back; ``starts`` of the states after it."""
-        with self._changed:
-            self._there[side] = True
-            return physics.starts + 1
-
-    def put_away(self, side: Side) -> None:
-        """Have no object."""
-        with self._changed:
-            self._there[side] = False
-
-    def freeze(self, side: Side, frozen: bool) -> None:
-        """Have a hand and its scene stand still, or go on."""
-        with self._changed:
-            (self._frozen.add if frozen else self._frozen.discard)(side)
 
     def end(self) -> None:
         """Stop."""
@@ -385,7 +379,7 @@ class World:
 
     def _take(self, held: set[Side]) -> None:
         """The newest commands; ``held`` are the hands that hold their positions."""
-        with self._changed:
+        with self.changed:
             targets, self._targets = self._targets, {}
         for side, target in targets.items():
             if target is not None:
@@ -400,8 +394,8 @@ class World:
 
     def _step(self, seconds: float, now: float) -> None:
         for side, physics in self.physics.items():
-            with self._changed:
-                frozen, there = side in self._frozen, side in self._there
+            with self.changed:
+                frozen, there = side in self.frozen, side in self.there
             if frozen:
                 self.states[side] = _measured(side, physics, now)
                 if there and isinstance(physics, ScenePhysics):
@@ -420,9 +414,9 @@ class World:
 
     def _show(self, side: Side, physics: ScenePhysics) -> None:
         """The scene's new state, to whom it concerns; resets that were asked for."""
-        with self._changed:
-            watcher = self._watchers.get(side)
-            there = self._there.pop(side, None)
+        with self.changed:
+            watcher = self.watchers.get(side)
+            there = self.there.pop(side, None)
         if there is not None:
             (physics.reset_object if there else physics.put_away)()
         state = self.scenes[side] = physics.observe()

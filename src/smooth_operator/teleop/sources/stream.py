@@ -66,6 +66,10 @@ class StreamSource(ThreadedSource):
 
     side: Hands
 
+    def __post_init__(self) -> None:
+        sides_of(self.side)
+        check_port(getattr(self, "port", None))
+
     @abstractmethod
     def connect(self) -> Inbox:
         """Opens the inbox.

@@ -12,7 +12,8 @@ import numpy as np
 from smooth_operator.episode_files.lerobot.tables import arrow, parquet
 from smooth_operator.errors import DocumentError, RecordingError, SmoothOperatorError, brief
 from smooth_operator.formats.arrays import damaged
-from smooth_operator.io.documents import check_plain_file, parse_json
+from smooth_operator.io.documents import parse_json
+from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.lab.datasets.clip import SIDES, Clip, ObjectTrack
 from smooth_operator.lab.datasets.readers.both_hands import checked_hands
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions

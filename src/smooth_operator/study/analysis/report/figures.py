@@ -11,11 +11,12 @@ from scipy.special import ndtri
 from smooth_operator.errors import StudyError
 from smooth_operator.reporting.drawing import GRID
 from smooth_operator.study.analysis.analyze import Analysis
-from smooth_operator.study.analysis.frame import Frame, time_frame, tlx_frame, within
+from smooth_operator.study.analysis.frame import outcome_frames
 from smooth_operator.study.analysis.mixed import fit_mixed
 from smooth_operator.study.analysis.report.tables import p_equation, scope_name, signed, span
 from smooth_operator.study.analysis.results import MODES, POOLED, Outcome
-from smooth_operator.study.data.rows import ITEMS
+from smooth_operator.study.data.rows import times
+from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,6 +30,7 @@ _OUTCOMES: Final = {
 _LABELS: Final[dict[Outcome, str]] = {
     "success": "success rate [%]", "time": "completion time [s]", "tlx": "workload (NASA-TLX)",
 }  # fmt: skip
+_FITTED: Final[dict[Outcome, str]] = {"time": "completion time [s]", "tlx": "workload"}
 _INDICES: Final = {"trial_global": "trial of the task", "trial_in_block": "trial of the block"}
 _ACROSS: Final = 4
 """Largest number of panels in a row."""
@@ -72,13 +74,15 @@ def _name_ticks(axes: Axes, names: Sequence[str], **options: Any) -> None:
 
 def success_figure(analysis: Analysis, colors: Colors) -> Figure:
     """Draws success rates with 95 % intervals; thin lines are the operators' observed rates."""
-    scopes, names = analysis.scopes, analysis.retargeters
+    scopes, names, trials = analysis.scopes, analysis.retargeters, analysis.data.trials
     size, more = (0.8 + 0.42 * len(names), 2.9), (0.6, 0.0)
     figure, panels = _panels(scopes, _ACROSS, size, more, sharey=True)
     for axes, scope in zip(panels, scopes, strict=True):
-        for rates in _operator_rates(analysis, scope):
+        rows = trials if scope == POOLED else trials[trials.task == scope]
+        rates = rows.pivot_table(values="success", index="operator", columns="retargeter")
+        for own in rates.reindex(columns=names).to_numpy(float):
             axes.plot(
-                range(len(names)), 100 * rates, "-", color=GRID, alpha=0.45, linewidth=0.7,
+                range(len(names)), 100 * own, "-", color=GRID, alpha=0.45, linewidth=0.7,
                 marker=".", markersize=2.5, zorder=1,
             )  # fmt: skip
         result = analysis.results[MODES[0]]["success"][scope]
@@ -108,27 +112,14 @@ def success_figure(analysis: Analysis, colors: Colors) -> Figure:
     return figure
 
 
-def _operator_rates(analysis: Analysis, scope: str) -> list[np.ndarray]:
-    """Observed rate of each operator with each retargeter; NaN without trials."""
-    trials = analysis.data.trials
-    rows = within(trials, scope)
-    rates = []
-    for operator in np.unique(trials.operator[rows]):
-        own = rows & (trials.operator == operator)
-        chosen = [own & (trials.retargeter == name) for name in analysis.retargeters]
-        rates.append(np.array([trials.success[c].mean() if c.any() else np.nan for c in chosen]))
-    return rates
-
-
 def time_figure(analysis: Analysis, colors: Colors) -> Figure:
     """Draws completion times of successful trials: boxes and every trial."""
-    tasks, trials = analysis.scopes[1:], analysis.data.trials
+    tasks, trials = analysis.scopes[1:], times(analysis.data.trials)
     figure, panels = _panels(tasks, len(tasks), (2.5, 3.4), (1.5, 0.0), sharey=True)
     rng = np.random.default_rng(0)  # of the jitter of the dots only
-    timed = trials.success & np.isfinite(trials.time)
     for axes, task in zip(panels, tasks, strict=True):
         for j, name in enumerate(analysis.retargeters):
-            values = trials.time[timed & (trials.task == task) & (trials.retargeter == name)]
+            values = trials.time[(trials.task == task) & (trials.retargeter == name)]
             if not len(values):
                 continue
             side = j + rng.uniform(-0.22, 0.22, len(values))
@@ -147,12 +138,12 @@ def time_figure(analysis: Analysis, colors: Colors) -> Figure:
 def item_figure(analysis: Analysis, colors: Colors) -> Figure:
     """Draws the six scales of the NASA-TLX as dots with 95 % intervals, by scope."""
     scopes, names = analysis.scopes, analysis.retargeters
-    size = (2.1, 0.9 + 0.14 * len(names) * len(ITEMS))
+    size = (2.1, 0.9 + 0.14 * len(names) * len(SCALE_NAMES))
     figure, panels = _panels(scopes, _ACROSS, size, (1.2, 0.4), sharex=True, sharey=True)
     step = 0.7 / max(len(names), 2)
     for axes, scope in zip(panels, scopes, strict=True):
         for j, name in enumerate(names):
-            for k, item in enumerate(ITEMS):
+            for k, item in enumerate(SCALE_NAMES):
                 value = _item(analysis, scope, item, name)
                 if value is None:
                     continue
@@ -162,7 +153,7 @@ def item_figure(analysis: Analysis, colors: Colors) -> Figure:
                     axes.plot([mean.lower, mean.upper], [at, at], color=colors[name], linewidth=1.2)
                 label = name if scope == scopes[0] and k == 0 else None
                 axes.plot(value, at, "o", color=colors[name], markersize=3.5, label=label)
-        axes.set_yticks(range(len(ITEMS)), ITEMS)
+        axes.set_yticks(range(len(SCALE_NAMES)), SCALE_NAMES)
         axes.set_xlim(0, 100)
         axes.grid(visible=False, axis="y")
         axes.set_axisbelow(True)
@@ -213,20 +204,17 @@ def learning_figure(analysis: Analysis, colors: Colors) -> Figure:
 
     figure = Figure(figsize=(8.4, 5.4), layout="constrained")
     grid = figure.subplots(2, 2)
-    trials = analysis.data.trials
-    outcomes: tuple[tuple[Outcome, np.ndarray, np.ndarray], ...] = (
-        ("time", trials.time, trials.success & np.isfinite(trials.time)),
-        ("success", 100.0 * trials.success, np.ones(len(trials), bool)),
-    )
+    rows = analysis.data.outcomes()
+    scales: dict[Outcome, float] = {"time": 1, "success": 100}
     for column, (index, title) in enumerate(_INDICES.items()):
-        counts = getattr(trials, index)
-        for row, (outcome, values, rows) in enumerate(outcomes):
+        for row, (outcome, scale) in enumerate(scales.items()):
             axes = grid[row, column]
+            counts, values = rows[outcome][index], scale * rows[outcome].value
             for name in analysis.retargeters:
-                chosen = rows & (trials.retargeter == name)
+                own = rows[outcome].retargeter == name
                 label = name if row + column == 0 else None
-                _binned(axes, counts[chosen], values[chosen], colors[name], label)
-            _slope(axes, analysis.learning[POOLED][index][outcome], counts[rows], values[rows])
+                _binned(axes, counts[own].to_numpy(), values[own].to_numpy(), colors[name], label)
+            _slope(axes, analysis.learning[POOLED][index][outcome], counts, values)
             axes.set_xlabel(title)
             axes.set_ylabel(_LABELS[outcome])
     return _legend(figure, analysis.retargeters)
@@ -259,20 +247,14 @@ def residual_figure(analysis: Analysis, colors: Colors) -> Figure | None:
 
     For the models of mode small-sample, all tasks together; None if all are refused.
     """
-    data, baseline = analysis.data, analysis.baseline
-    frames: dict[str, tuple[Outcome, Frame]] = {
-        "completion time [s]": ("time", time_frame(data.trials, POOLED, baseline))
-    }
-    if data.questionnaires is not None:
-        frames["workload"] = ("tlx", tlx_frame(data.questionnaires, POOLED, baseline))
     panels = []
-    for title, (outcome, frame) in frames.items():
-        if analysis.results[MODES[0]][outcome][POOLED].refused is None:
+    for outcome, frame in outcome_frames(analysis.data, POOLED, analysis.baseline).items():
+        if outcome in _FITTED and analysis.results[MODES[0]][outcome][POOLED].refused is None:
             try:
                 fit = fit_mixed(frame.design()[0], frame.outcome, frame.levels)
             except StudyError:
                 continue
-            panels.append((title, frame, fit.residuals))
+            panels.append((_FITTED[outcome], frame, fit.residuals))
     if not panels:
         return None
     from matplotlib.figure import Figure

@@ -11,7 +11,7 @@ from typing import Final
 
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.signals import leave_to_parent
-from smooth_operator.teleop.pages.live.link import Link, LoopEnded
+from smooth_operator.teleop.pages.live.live_page import Link, LoopEnded
 from smooth_operator.teleop.pages.viser_server import name_panel, name_tab, open_server, page_url
 
 _NICE: Final = 5

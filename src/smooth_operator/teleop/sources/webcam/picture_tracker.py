@@ -25,7 +25,7 @@ from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.own_files import make_private, user_cache
-from smooth_operator.teleop.opencv import SYSTEM_LIBRARIES, opencv
+from smooth_operator.teleop.sources.webcam.camera import SYSTEM_LIBRARIES, opencv
 from smooth_operator.types import HandFrame, Side, as_side
 
 Points: TypeAlias = Literal["world", "picture"]

@@ -28,7 +28,7 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 import numpy as np
@@ -56,7 +56,7 @@ _BAD_IN_A_ROW: Final = 50  # then it is no page of ours, or one of another versi
 _RATE_OVER: Final = 1.0
 
 
-@dataclass(frozen=True)
+@dataclass
 class LinkState:
     """State of the link to the headset.
 
@@ -99,30 +99,16 @@ class Link:
         self._pairing = pairing
         self._clock = mailbox.clock
         self._current: ServerConnection | None = None
-        self._address: str | None = None
-        self._session = 0
-        self._frames = self._bad = self._bad_in_a_row = self._skipped = 0
+        self._state = LinkState()
+        self._bad_in_a_row = 0
         self._next: int | None = None
         self._received: deque[float] = deque(maxlen=512)
-        self._tracking = False
-        self._round_trip = self._offset = float("nan")
         self._farewells: set[asyncio.Task[None]] = set()
 
     @property
     def state(self) -> LinkState:
-        """State of the link, from any thread."""
-        return LinkState(
-            self._address,
-            self._session,
-            self._tracking,
-            self._frames,
-            self._bad,
-            self._skipped,
-            self._pairing.refused,
-            self._rate(),
-            self._round_trip,
-            self._offset,
-        )
+        """A copy of the state of the link, from any thread."""
+        return replace(self._state, refused=self._pairing.refused, rate_hz=self._rate())
 
     async def serve(self, connection: ServerConnection) -> None:
         """Serve one page until it leaves or is closed."""
@@ -133,7 +119,7 @@ class Link:
             if not await self._paired(connection, address):
                 return
             self._take_over(connection, address)
-            await connection.send(json.dumps({"type": "welcome", "session": self._session}))
+            await connection.send(json.dumps({"type": "welcome", "session": self._state.session}))
             async for message in connection:
                 received = self._clock()
                 if self._current is not connection:
@@ -146,13 +132,11 @@ class Link:
                     await connection.close(NOT_UNDERSTOOD, "messages that can't be read")
         except ConnectionClosed as closed:
             if self._current is connection and closed.sent is not None and closed.sent.code == 1009:
-                self._bad += 1  # longer than any message of the page
+                self._state.bad += 1  # longer than any message of the page
         finally:
             if self._current is connection:
-                self._current = self._address = None
-                self._tracking = False
-                self._round_trip = self._offset = float("nan")
-                self._received.clear()
+                self._current = None
+                self._begin(None)
 
     async def _paired(self, connection: ServerConnection, address: str) -> bool:
         """True if the first message is a greeting with the right code; if not, it is closed."""
@@ -178,18 +162,22 @@ class Link:
 
     def _take_over(self, connection: ServerConnection, address: str) -> None:
         old, self._current = self._current, connection
-        self._address = address
-        self._session += 1
+        self._begin(address)
+        self._state.session += 1
         self._bad_in_a_row = 0
         self._next = None
-        self._tracking = False
-        self._round_trip = self._offset = float("nan")
-        self._received.clear()
         if old is not None:
             # On its own: a headset that is asleep must not keep the new one waiting.
             farewell = asyncio.create_task(old.close(REPLACED, "another headset took over"))
             self._farewells.add(farewell)
             farewell.add_done_callback(self._farewells.discard)
+
+    def _begin(self, address: str | None) -> None:
+        """Forget what the last page measured."""
+        state = self._state
+        state.address, state.tracking = address, False
+        state.round_trip_s = state.clock_offset_s = float("nan")
+        self._received.clear()
 
     def _hands(self, message: bytes, received: float) -> None:
         try:
@@ -199,13 +187,13 @@ class Link:
             return
         self._bad_in_a_row = 0
         if self._next is not None and packet.number > self._next:
-            self._skipped += packet.number - self._next
+            self._state.skipped += packet.number - self._next
         self._next = packet.number + 1
         if any(frame.valid is not None and frame.valid.any() for frame in packet.frames):
             self._received.append(received)
         for frame in packet.frames:
-            self._frames += 1
-            self._mailbox.post(frame, received=received, session=self._session)
+            self._state.frames += 1
+            self._mailbox.post(frame, received=received, session=self._state.session)
 
     async def _talk(self, connection: ServerConnection, message: str, received: float) -> None:
         content = json_object(message) or {}
@@ -214,14 +202,14 @@ class Link:
             self._count_bad()
             return
         self._bad_in_a_row = 0
-        self._tracking = content.get("tracking") is True
-        self._round_trip = _number(content.get("round_trip"))
-        self._offset = _number(content.get("offset"))
+        self._state.tracking = content.get("tracking") is True
+        self._state.round_trip_s = _number(content.get("round_trip"))
+        self._state.clock_offset_s = _number(content.get("offset"))
         answer = {"type": "pong", "at": at, "host": received, "rate": round(self._rate(), 1)}
         await connection.send(json.dumps(answer))
 
     def _count_bad(self) -> None:
-        self._bad += 1
+        self._state.bad += 1
         self._bad_in_a_row += 1
 
     def _rate(self) -> float:

@@ -1,27 +1,326 @@
-"""The source ``webxr``: hands from the browser of a headset."""
+"""The source ``webxr``: hands from the browser of a headset.
+
+The page and its WebSocket are on one HTTPS port, in an asyncio loop of the source's thread.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import datetime
+import hashlib
+import http
+import ipaddress
+import json
 import math
+import os
+import secrets
 import shutil
 import ssl
+import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+from urllib.parse import urlsplit
 
-from smooth_operator.errors import MissingExtraError
+from smooth_operator.errors import MissingExtraError, SourceError
+from smooth_operator.landmarks import FINGER_COLORS
+from smooth_operator.own_files import OFF, SWITCH, make_private, read_own_file, user_cache
 from smooth_operator.synthetic.tracker import check_range
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
-from smooth_operator.teleop.sources.webxr.link import Link, LinkState, Pairing, check_code
-from smooth_operator.teleop.sources.webxr.server import (
-    Certificate,
-    certificate_folder,
-    get_certificate,
-    listen,
-    secure_context,
-    serve,
+from smooth_operator.teleop.sources.webxr.link import (
+    MAX_BYTES,
+    Link,
+    LinkState,
+    Pairing,
+    check_code,
 )
 from smooth_operator.web.addresses import names_of, page_addresses
-from smooth_operator.web.listening import LimitedListener
+from smooth_operator.web.auth import same_origin
+from smooth_operator.web.files import answer_with, page_files, shielded
+from smooth_operator.web.listening import LimitedListener, quiet_options
+from smooth_operator.web.listening import listen as web_listen
+
+if TYPE_CHECKING:
+    from cryptography import x509
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
+
+
+SOCKET_PATH: Final = "/link"
+MOST_CONNECTIONS: Final = 64
+MOST_OF_ONE_ADDRESS: Final = 24
+MOST_WAITING: Final = 12
+"""A page takes seven at most, and a connection whose TLS is not yet agreed on 0.3 MB."""
+_HANDSHAKE_S: Final = 5.0
+"""Time that each of TLS, the request and the greeting may take [s]."""
+_LOOK_EVERY: Final = 0.05  # [s]
+
+
+def listen(host: str, port: int) -> LimitedListener:
+    """Open the listening socket.
+
+    Raises:
+        SourceError: the address is not one of this machine's, or the port is taken.
+    """
+    try:
+        return LimitedListener(
+            web_listen(host, port), MOST_CONNECTIONS, MOST_OF_ONE_ADDRESS, MOST_WAITING
+        )
+    except OSError as error:
+        raise SourceError(
+            f"can't listen on {host!r} port {port}: {error.strerror or error}; name another port "
+            "(port=...), or host=127.0.0.1 for this machine, host=0.0.0.0 for its networks"
+        ) from error
+
+
+async def serve(
+    listening: LimitedListener,
+    certificate: Certificate,
+    context: ssl.SSLContext,
+    link: Link,
+    watch: Callable[[], bool],
+) -> None:
+    """Serve the page and the link until ``watch`` returns False.
+
+    Args:
+        certificate: the certificate; its public part is offered for download.
+        watch: called 20 times a second; False ends the serving.
+
+    Raises:
+        MissingExtraError: websockets is not installed.
+    """
+    websockets = _websockets()
+    site = page_files("smooth_operator.web") | page_files(__package__)
+    site["/"] = site["/index.html"]
+    site["/colors.js"] = (_colors().encode(), "text/javascript; charset=utf-8")
+    site["/certificate.crt"] = (certificate.public, "application/x-x509-ca-cert")
+
+    def answer(connection: ServerConnection, request: Request) -> Response | None:
+        listening.served(connection.remote_address)
+        path = urlsplit(request.path).path
+        if path == SOCKET_PATH:
+            if not same_origin(request):
+                return connection.respond(http.HTTPStatus.FORBIDDEN, "not from this page\n")
+            return None
+        if path not in site:
+            return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
+        return answer_with(connection, *site[path])
+
+    async with websockets(
+        link.serve,
+        sock=listening,
+        ssl=context,
+        process_request=shielded(answer),
+        compression=None,  # it would cost more time than the bytes that it saves
+        max_size=MAX_BYTES + 64,
+        ssl_handshake_timeout=_HANDSHAKE_S,
+        open_timeout=_HANDSHAKE_S,
+        close_timeout=1.0,
+        ping_interval=2.0,
+        ping_timeout=5.0,
+        **quiet_options("smooth_operator.webxr"),  # browsers try, give up, come with plain HTTP
+    ):
+        while watch():
+            await asyncio.sleep(_LOOK_EVERY)
+
+
+def _colors() -> str:
+    """The module ``colors.js``: a colour (red, green, blue) [0..255] for each finger."""
+    colors = [list(bytes.fromhex(code.removeprefix("#"))) for code in FINGER_COLORS]
+    return f"export const FINGER_COLORS = {json.dumps(colors)};\n"
+
+
+def _websockets() -> type:
+    try:
+        from websockets.asyncio.server import serve as found
+    except ImportError as error:
+        raise MissingExtraError("a headset's browser as source", "webxr") from error
+    return found
+
+
+def secure_context(certificate: Certificate) -> ssl.SSLContext:
+    """TLS context of a server with a certificate."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.load_cert_chain(certificate.file)
+    return context
+
+
+VALID: Final = datetime.timedelta(days=365)  # Apple allows 825 days at most
+_MOST_BYTES: Final = 100_000
+_SPARE: Final = datetime.timedelta(days=1)  # one that runs out today would do so while it is used
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """A certificate that is ready for use.
+
+    Attributes:
+        file: key and certificate, PEM; only this user may read it.
+        public: the certificate alone, PEM.
+        expires: time of its expiry.
+        fingerprint: SHA-256, as browsers show it.
+    """
+
+    file: Path
+    public: bytes
+    expires: datetime.datetime
+    fingerprint: str
+
+
+def certificate_folder() -> Path | None:
+    """Folder of the certificates; None if ``SWITCH`` turns that off."""
+    if os.environ.get(SWITCH, "").strip().lower() in OFF:
+        return None
+    return user_cache() / "webxr"
+
+
+def get_certificate(
+    names: Sequence[str], folder: Path | None, now: datetime.datetime | None = None
+) -> Certificate:
+    """Certificate for some names: the stored one, or a new one.
+
+    Each set of names has its own file, so that a headset does not ask again when a laptop
+    alternates between two networks.
+
+    Args:
+        folder: folder of the certificates; None for a folder of this run.
+        now: time with time zone; by default the current one.
+
+    Raises:
+        MissingExtraError: cryptography is not installed.
+        SourceError: the folder can't be written, or belongs to another user.
+    """
+    try:
+        import cryptography  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("a headset's browser as source", "webxr") from error
+    now = datetime.datetime.now(datetime.UTC) if now is None else now
+    key = hashlib.sha256("\n".join(sorted(names)).encode()).hexdigest()[:12]
+    place = Path(tempfile.mkdtemp(prefix="smooth-operator-")) if folder is None else folder
+    file = place / f"certificate-{key}.pem"
+    try:
+        _make_private(place)
+        stored = _read(file, now)
+        if stored is not None:
+            return stored
+        _write(file, _make(names, now))
+    except OSError as error:
+        raise SourceError(
+            f"can't keep the certificate of the headset's page in {str(place)!r}: "
+            f"{error.strerror or error}; set {SWITCH} to a folder of yours, or to 'off'"
+        ) from error
+    created = _read(file, now)
+    if created is None:
+        raise SourceError(
+            f"can't keep a certificate in {str(place)!r}: others could read it; "
+            f"set {SWITCH} to a folder of yours"
+        )
+    return created
+
+
+def _make_private(folder: Path) -> None:
+    make_private(folder)
+    if hasattr(os, "getuid"):
+        if folder.stat().st_uid != os.getuid():
+            raise SourceError(f"{str(folder)!r} belongs to another user; set {SWITCH} to another")
+        folder.chmod(0o700)
+
+
+def _read(file: Path, now: datetime.datetime) -> Certificate | None:
+    """Stored certificate; None if missing, damaged, readable by others or about to expire."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+
+    try:
+        text = read_own_file(file, _MOST_BYTES, secret=True)
+        serialization.load_pem_private_key(text, None)
+        certificate = x509.load_pem_x509_certificate(text)
+    except (FileNotFoundError, ValueError, TypeError):
+        return None
+    if not certificate.not_valid_before_utc <= now < certificate.not_valid_after_utc - _SPARE:
+        return None
+    return Certificate(
+        file,
+        certificate.public_bytes(serialization.Encoding.PEM),
+        certificate.not_valid_after_utc,
+        certificate.fingerprint(hashes.SHA256()).hex(":").upper(),
+    )
+
+
+def _write(file: Path, text: bytes) -> None:
+    temporary = file.with_name(f".{file.name}.{secrets.token_hex(4)}")
+    # Private from its first byte on; in place of an older file in one step.
+    handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        with os.fdopen(handle, "wb") as out:
+            out.write(text)
+        os.replace(temporary, file)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def _make(names: Sequence[str], now: datetime.datetime) -> bytes:
+    """Key and certificate, PEM."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "smooth-operator headset page")])
+    public = key.public_key()
+    usage = {
+        name: name in ("digital_signature", "key_cert_sign")
+        for name in (
+            "digital_signature", "content_commitment", "key_encipherment", "data_encipherment",
+            "key_agreement", "key_cert_sign", "crl_sign", "encipher_only", "decipher_only",
+        )
+    }  # fmt: skip
+    built = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(subject)
+        .public_key(public)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - datetime.timedelta(days=1))  # headsets whose clock is behind
+        .not_valid_after(now + VALID)
+        .add_extension(x509.SubjectAlternativeName([_name(n) for n in names]), critical=False)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(x509.KeyUsage(**usage), critical=True)
+        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
+        .add_extension(x509.NameConstraints([_subtree(n) for n in names], None), critical=True)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(public), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    private = key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    )
+    return private + built.public_bytes(serialization.Encoding.PEM)
+
+
+def _name(name: str) -> x509.GeneralName:
+    from cryptography import x509
+
+    try:
+        return x509.IPAddress(ipaddress.ip_address(name))
+    except ValueError:
+        return x509.DNSName(name)
+
+
+def _subtree(name: str) -> x509.GeneralName:
+    from cryptography import x509
+
+    try:
+        return x509.IPAddress(ipaddress.ip_network(name))
+    except ValueError:
+        return x509.DNSName(name)
 
 
 @dataclass(frozen=True)

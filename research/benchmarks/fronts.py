@@ -1,0 +1,152 @@
+"""What posture, directions of the thumb, motion and stillness cost each other, by setting.
+
+    python research/benchmarks/fronts.py RECORDING... [--still GLOVE...] [--hands leap_hand...]
+        [--output FOLDER]
+
+Each curve is one setting of the default method, the others as they are; each point is the mean over
+the recordings, one recording one unit. ``--still``: recordings for flatness (the first panel of two
+trackers can't be compared by it). ``--hands``: the same front between ``smooth:precise`` and
+``smooth`` by ``correspondence.share``, on other hands. Prints tables and draws ``fronts.svg``.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.formats.setting_paths import with_settings
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
+from smooth_operator.lab.tuning.search_plan import figure
+from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.metrics import evaluate
+from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.reporting.drawing import INK, styled, write_figure
+from smooth_operator.types import HandRecording
+
+METRICS: Final = {
+    "extension": "finger_extension_error",
+    "fingers °": "finger_direction_error_deg",
+    "thumb °": "thumb_direction_error_deg",
+    "curl °": "curl_error_deg",
+    "thumb cosine": "cosine_similarity",
+    "motion": "motion_preservation",
+    "vel. corr.": "velocity_correlation",
+    "jumps": "jumps_per_1000",
+    "gap mm": "pinch_gap_excess_mm",
+    "flatness m²": "flatness",
+}
+"""Heading -> metric."""
+PLACES: Final[Mapping[str, Sequence[float]]] = {
+    "correspondence.share": (0.0, 0.4, 0.7, 0.85, 1.0),
+    "correspondence.thumb_follows": (0.0, 0.1, 0.3, 1.0),
+    "objective.targets.w_thumb": (4.0, 8.0, 20.0),
+    "pinch_damping": (0.0, 30.0, 100.0, 300.0),
+}
+"""Setting -> values that trade posture for directions of the thumb."""
+STILLNESS: Final[Mapping[str, Sequence[float]]] = {
+    "landmarks.time_constant": (0.0, 0.00175, 0.005, 0.01, 0.02),
+    "objective.velocity_weight": (0.0, 0.27, 1.0, 3.0, 10.0),
+    "motion_weight": (475.0, 950.0, 1900.0, 3800.0),
+    "motion_speed": (0.05, 0.1, 0.3),
+    "pinch_damping": (0.0, 30.0, 100.0, 300.0),
+}
+"""Setting -> values that trade motion for flatness."""
+
+
+def row(
+    hand: str, settings: Mapping[str, Any], recordings: Iterable[HandRecording], preset: str = ""
+) -> list[float]:
+    """Means of the metrics over the recordings, for a preset of ``smooth`` with some settings."""
+    config = with_settings(method_config("smooth", preset or None), settings)
+    retargeter = Retargeter(load_hand(hand), config=config)
+    rows = []
+    for recording in recordings:
+        commands, _ = retargeter.run(recording)
+        result = evaluate(assemble_trace(recording, commands, retargeter.hand, reach_samples=0))
+        values = (figure(result, metric) for metric in METRICS.values())
+        rows.append([np.nan if value is None else value for value in values])
+    return [float(x) for x in np.ma.masked_invalid(rows).mean(axis=0).filled(np.nan)]
+
+
+def front(
+    hand: str, sweep: Mapping[str, Sequence[float]], recordings: Sequence[HandRecording]
+) -> dict[str, np.ndarray]:
+    """Setting -> (V, M) metrics by value, printed as a table."""
+    print(f"\n## {hand}, {len(recordings)} recordings\n")
+    print("| setting | value | " + " | ".join(METRICS) + " |")
+    print("|---|---:|" + "---:|" * len(METRICS))
+    curves = {}
+    for name, values in sweep.items():
+        curves[name] = np.array([row(hand, {name: value}, recordings) for value in values])
+        for value, means in zip(values, curves[name], strict=True):
+            print(f"| {name} | {value:g} | " + " | ".join(f"{x:.3g}" for x in means) + " |")
+    return curves
+
+
+def draw_front(
+    ax: Any, curves: Mapping[str, np.ndarray], sweep: Mapping[str, Sequence[float]],
+    x: str, y: str, factor: float = 1.0,
+) -> None:  # fmt: skip
+    """One curve a setting, each point with its value; the axes are two of the metrics."""
+    columns = [list(METRICS).index(name) for name in (x, y)]
+    for name, means in curves.items():
+        points = means[:, columns] * (factor, 1.0)
+        ax.plot(*points.T, marker="o", ms=4, label=name.rpartition(".")[2])
+        for value, point in zip(sweep.get(name, ()), points, strict=False):
+            ax.annotate(f"{value:g}", point, (3, 3), textcoords="offset points", size=6)
+    ax.legend(fontsize=6)
+    ax.margins(0.1)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Prints the tables and draws the picture."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("recordings", nargs="+")
+    parser.add_argument("--still", nargs="+", default=())
+    parser.add_argument("--hand", default="mimic_p050")
+    parser.add_argument("--hands", nargs="*", default=())
+    parser.add_argument("--output", type=Path, default=Path("."))
+    options = parser.parse_args(arguments)
+    recordings, still = (
+        [s.recording for s in load_sources([parse_request(t) for t in texts]) if s.recording]
+        for texts in (options.recordings, options.still)
+    )
+    share = {"correspondence.share": PLACES["correspondence.share"]}
+    places = front(options.hand, PLACES, recordings)
+    stillness = front(options.hand, STILLNESS, still) if still else {}
+    hands, precise = {}, {}
+    for hand in options.hands:
+        hands[hand] = front(hand, share, recordings)["correspondence.share"]
+        precise[hand] = np.array(row(hand, {}, recordings, "precise"))
+        print("| `smooth:precise` | | " + " | ".join(f"{x:.3g}" for x in precise[hand]) + " |")
+    from matplotlib.figure import Figure
+
+    with styled():
+        drawn = Figure(figsize=(12.0, 3.8), layout="constrained")
+        one, two, three = drawn.subplots(1, 3)
+        draw_front(one, places, PLACES, "extension", "thumb cosine")
+        one.axvline(0.04, color=INK, lw=0.5, ls=":")
+        one.axhline(0.97, color=INK, lw=0.5, ls=":")
+        one.set(xlabel="extension error", ylabel="thumb cosine", title=options.hand)
+        values = dict.fromkeys(hands, share["correspondence.share"])
+        draw_front(two, hands, values, "extension", "thumb cosine")
+        columns = [list(METRICS).index(name) for name in ("extension", "thumb cosine")]
+        for line, means in zip(two.get_lines(), precise.values(), strict=True):
+            two.plot(*means[columns], "s", ms=6, color=line.get_color())
+        two.set(xlabel="extension error", ylabel="thumb cosine", title="by share; square: precise")
+        draw_front(three, stillness, STILLNESS, "flatness m²", "motion", 1e6)
+        three.axvline(1.5, color=INK, lw=0.5, ls=":")
+        three.axhline(0.92, color=INK, lw=0.5, ls=":")
+        three.set(xlabel="flatness [1e-6 m²]", ylabel="motion preservation", title="glove 0-499")
+        options.output.mkdir(parents=True, exist_ok=True)
+        write_figure(drawn, options.output / "fronts")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,1 +1,0 @@
-"""Scenes of hands with objects, and how retargeting that sees the object compares in them."""

@@ -1,0 +1,40 @@
+"""Commands that install this program and its extras."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Final
+
+DISTRIBUTION: Final = "smooth-retargeting"
+"""Name of the distribution; ``smooth-operator`` on the package index is another program."""
+
+UPGRADE: Final = "git pull && python -m pip install ."
+"""The commands that bring a newer version of this program, in a clone."""
+
+
+def install_command(extra: str) -> str:
+    """The command that adds an extra: from the folder that this was installed from, or by name."""
+    folder, options = _installed_from()
+    if folder is None:
+        return f'python -m pip install "{DISTRIBUTION}[{extra}]"'
+    return f'python -m pip install {options}"{"." if folder == Path.cwd() else folder}[{extra}]"'
+
+
+@functools.cache
+def _installed_from() -> tuple[Path | None, str]:
+    """Folder of the project that was installed, None for a wheel; and options of the command."""
+    import json  # here, for who misses something: these take 20 ms
+    from importlib.metadata import PackageNotFoundError, distribution
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
+    try:
+        origin = json.loads(distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
+        folder = Path(url2pathname(urlsplit(origin["url"]).path))
+        options = "-e " if origin["dir_info"].get("editable") else ""
+    except PackageNotFoundError:  # run from a source tree that was never installed
+        folder, options = Path(__file__).resolve().parents[2], ""
+    except (ValueError, LookupError, TypeError, AttributeError):  # of a wheel, or unreadable
+        return None, ""
+    return (folder, options) if (folder / "pyproject.toml").is_file() else (None, "")

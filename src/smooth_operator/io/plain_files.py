@@ -1,0 +1,73 @@
+"""Plain files of other authors, and the bounds within which their texts are parsed.
+
+The parsers of the standard library accept texts that later break what reads them: brackets nested
+until the stack ends, whole numbers of thousands of digits that no float holds, dotted keys that
+take minutes. Every document that a user, a file or a network gives goes through ``read_text``,
+``parse_toml`` (``io.entries``) or ``parse_json`` (``io.documents``), so that a reader has one error
+to expect, ``DocumentError``.
+"""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+from typing import Final
+
+from smooth_operator.errors import DocumentError
+
+MOST_BYTES: Final = 8_000_000
+"""Longest text that is parsed, where the caller sets no other bound."""
+
+MOST_LEVELS: Final = 64
+"""Levels of lists and tables within each other. The documents of this package have six."""
+
+MOST_DIGITS: Final = 20
+"""Digits of a whole number; those of 64 bits have no more."""
+
+
+def check_plain_file(path: Path) -> int:
+    """The size of a plain file in bytes; links are followed.
+
+    Opening a pipe would wait for a writer, perhaps for ever.
+
+    Raises:
+        OSError: there is no such file, or it can't be looked at.
+        DocumentError: it is a folder, a pipe, a socket or a device.
+    """
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+        kind = kinds.get(stat.S_IFMT(status.st_mode), "a device")
+        raise DocumentError(f"it is {kind}, not a plain file")
+    return status.st_size
+
+
+def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
+    """The text of a plain file in UTF-8; a byte order mark is dropped.
+
+    Raises:
+        OSError: there is no such file, or it can't be read.
+        DocumentError: it is not a plain file, longer than ``most_bytes``, or not UTF-8.
+    """
+    size = check_plain_file(path)
+    with path.open("rb") as stream:
+        data = b"" if size > most_bytes else stream.read(most_bytes + 1)
+    if size > most_bytes or len(data) > most_bytes:
+        raise DocumentError(f"it has {max(size, len(data))} bytes, more than {most_bytes}")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DocumentError(f"it is not text in UTF-8: {error}") from error
+
+
+def too_deep() -> DocumentError:
+    """The error for a text with more than ``MOST_LEVELS`` levels."""
+    return DocumentError(f"it has more than {MOST_LEVELS} levels of lists and tables")
+
+
+def is_file(path: Path) -> bool:
+    """True if the file exists; False also for a name that is not valid."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False

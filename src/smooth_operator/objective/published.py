@@ -1,0 +1,199 @@
+"""Targets and costs of published methods: plain and DexPilot's keyvectors, AKO's velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    NamedTuple,
+)
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.geometry import AnyKind
+from smooth_operator.objective.goal import FrameGoal
+from smooth_operator.objective.keyvectors import KeyvectorLayout
+from smooth_operator.objective.targets import LayoutT, TargetPolicy, Targets, base_weights
+from smooth_operator.objective.terms import JointTerm, smooth_l1, smooth_l1_slopes
+
+if TYPE_CHECKING:
+    from smooth_operator.human.operator import OperatorProfile
+
+
+class StatelessTargets(TargetPolicy[LayoutT, tuple[()]]):
+    """Base class of policies that remember nothing between frames."""
+
+    def init(self, layout: LayoutT) -> tuple[()]:
+        """The empty state."""
+        del layout
+        return ()
+
+
+@dataclass(frozen=True)
+class PlainTargets(StatelessTargets[KeyvectorLayout]):
+    """Every keyvector follows the human's.
+
+    Attributes:
+        beta: scale of the human vector.
+        w_wrist, w_thumb, w_between: weights of the wrist-to-tip, thumb-to-tip and finger-to-finger
+            keyvectors.
+    """
+
+    beta: float = 1.0
+    w_wrist: float = 1.0
+    w_thumb: float = 1.0
+    w_between: float = 1.0
+
+    def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
+        """The paper's keyvectors."""
+        return KeyvectorLayout(fingers)
+
+    def __call__(
+        self, state: tuple[()], layout: KeyvectorLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, tuple[()]]:
+        """Targets of one frame."""
+        weights = jnp.asarray(base_weights(layout, self.w_wrist, self.w_thumb, self.w_between))
+        return Targets(human * self.beta, weights.astype(human.dtype)), state
+
+
+class LatchState(NamedTuple):
+    """State of a policy with pinch latches between frames.
+
+    Attributes:
+        latched: (F - 1,) which fingers are latched to the thumb.
+        closure: (F - 1,) how far each latch has taken effect, 0 to 1.
+    """
+
+    latched: Bool[Array, " P"]
+    closure: Float[Array, " P"]
+
+
+@dataclass(frozen=True)
+class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
+    """Group form of DexPilot's targets (Handa et al. 2019), as the paper's table has it.
+
+    Per finger, a latch with hysteresis: it closes when the (aligned) human thumb-to-tip distance
+    falls under ``project`` and opens when it rises above ``escape``. Closed thumb vectors aim at
+    direction x eta1 with weight w_set1; vectors between two fingers that are both latched aim at
+    direction x eta2 with weight w_set2; all others at the human vector x beta with w_default.
+
+    Attributes:
+        project: closing distance [m].
+        escape: opening distance [m].
+        eta1: closed thumb-to-tip distance [m].
+        eta2: distance between two latched fingers [m].
+        w_set1: weight of closed thumb vectors.
+        w_set2: weight between latched fingers.
+        w_default: weight of the rest.
+        w_thumb: factor on the open thumb-to-tip vectors (1 in the paper).
+        w_between: factor on the open finger-to-finger vectors (1 in the paper).
+        beta: scale of the human vectors.
+        blend: share by which a latch's effect moves on per frame. 1, as published, makes targets
+            and weights jump when a latch closes or opens; less spreads it over 1 / blend frames.
+    """
+
+    project: float = 0.010
+    escape: float = 0.015
+    eta1: float = 0.001
+    eta2: float = 0.0
+    w_set1: float = 2.0
+    w_set2: float = 0.0
+    w_default: float = 1.0
+    w_thumb: float = 1.0
+    w_between: float = 1.0
+    beta: float = 1.0
+    blend: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.blend <= 1:
+            raise ConfigError(f"blend must be in (0, 1], not {self.blend}")
+        if not 0 < self.project <= self.escape:
+            raise ConfigError(
+                f"pinch distances must satisfy 0 < project <= escape, not project={self.project}, "
+                f"escape={self.escape} [m]"
+            )
+
+    def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
+        """The paper's keyvectors."""
+        return KeyvectorLayout(fingers)
+
+    def with_operator(self, operator: OperatorProfile) -> tuple[DexPilotTargets, OperatorProfile]:
+        """Latches at the operator's distances.
+
+        Once tips are corrected, thumb and finger read nearly nothing in every pinch, so one pair of
+        distances serves all fingers. DexPilot's own (30 and 50 mm) allow for an operator without a
+        calibration, and also latch the neighbours of a pinching finger.
+        """
+        project, escape = operator.project, operator.escape
+        if not operator.has("pinch") or project is None or escape is None:
+            return self, operator
+        return replace(self, project=project, escape=escape), operator
+
+    def init(self, layout: KeyvectorLayout) -> LatchState:
+        """Open latches."""
+        count = len(layout.fingers) - 1
+        return LatchState(*jax.device_put((np.zeros(count, bool), np.zeros(count, np.float32))))
+
+    def latched(self, state: LatchState) -> Bool[Array, " P"]:
+        """(F - 1,) which fingers are latched to the thumb."""
+        return state.latched
+
+    def __call__(
+        self, state: LatchState, layout: KeyvectorLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, LatchState]:
+        """Targets of one frame, and the latches after it."""
+        latched, closure = state
+        length = jnp.linalg.norm(human, axis=-1)
+        direction = human / jnp.maximum(length, 1e-9)[:, None]
+        distance = length[layout.thumb]
+        latched = jnp.where(latched, distance <= self.escape, distance < self.project)
+        closure = jnp.clip(closure + jnp.where(latched, self.blend, -self.blend), 0.0, 1.0)
+
+        weights = base_weights(
+            layout, self.w_default, self.w_default * self.w_thumb, self.w_default * self.w_between
+        )
+        # Per keyvector: how far is it a closed thumb vector, or one between latched fingers?
+        closed = jnp.zeros(len(layout.pairs), human.dtype).at[layout.thumb].set(closure)
+        both = jnp.zeros_like(closed)
+        if layout.between:
+            k, i, j = (np.asarray(column) for column in zip(*layout.between, strict=True))
+            both = both.at[k].set(jnp.minimum(closure[i], closure[j]))
+        held = closed + both  # never both: they are different keyvectors
+        eta = closed * self.eta1 + both * self.eta2
+        free = (1 - held) * self.beta
+        vectors = human * free[:, None] + direction * eta[:, None]
+        lambdas = (1 - held) * weights + closed * self.w_set1 + both * self.w_set2
+        return Targets(vectors, lambdas.astype(human.dtype)), LatchState(latched, closure)
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothL1Velocity(JointTerm):
+    """Smooth-L1 of the weight times the change of each joint, as in AKO.
+
+    Attributes:
+        transition: where smooth-L1 turns from quadratic to linear [rad].
+    """
+
+    transition: float
+
+    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+        """See ``JointTerm``."""
+        change: Any = q - goal.previous
+        return smooth_l1(goal.velocity_weight * change, self.transition).sum(axis=-1)  # type: ignore
+
+    def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
+        """See ``JointTerm``."""
+        return smooth_l1(goal.velocity_weight * (q - goal.previous[joint]), self.transition)
+
+    def derivatives(
+        self, q: Float[Array, " m"], goal: FrameGoal
+    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+        """See ``JointTerm``."""
+        weight = goal.velocity_weight
+        first, second = smooth_l1_slopes(weight * (q - goal.previous), self.transition)
+        return weight * first, weight**2 * second

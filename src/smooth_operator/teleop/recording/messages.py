@@ -1,0 +1,418 @@
+"""Messages of a log as Protocol Buffers: the project's own, and Foxglove's for its 3D panel.
+
+The types stand in ``proto/*.proto``, their descriptors in ``proto/messages.binpb``. A number that
+is not known is NaN, a list or text that is not known is empty; lists of points are flat. Foxglove's
+messages are written in addition to the project's own, at a bounded rate, and never read.
+
+Raises:
+    MissingExtraError: on import, where a library of the extra ``teleop`` is missing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from itertools import groupby
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from smooth_operator.errors import MissingExtraError
+from smooth_operator.hands.hand import Hand, landmark_points
+from smooth_operator.landmarks import BONES, LANDMARKS
+from smooth_operator.teleop.sinks.tick import WristCommand
+from smooth_operator.types import HandFrame
+
+try:
+    import lz4.frame as lz4_frame  # type: ignore[import-untyped]
+    import zstandard as zstandard
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+    from google.protobuf.descriptor_pool import DescriptorPool
+    from google.protobuf.message import DecodeError as DecodeError
+    from google.protobuf.message_factory import GetMessageClass
+    from mcap import reader as mcap_reader
+    from mcap import records as mcap_records
+    from mcap import stream_reader as mcap_stream
+    from mcap import writer as mcap_writer
+    from mcap.exceptions import McapError as McapError
+except ModuleNotFoundError as error:
+    raise MissingExtraError("an MCAP log", "teleop") from error
+
+__all__ = ["lz4_frame", "mcap_reader", "mcap_records", "mcap_stream", "mcap_writer"]
+
+VERSION: Final = "3"
+"""Version of the messages, in the metadata of every channel; raised when a reader must change."""
+
+HAND: Final = "/hand"
+COMMAND: Final = "/command"
+STATUS: Final = "/status"
+TIMING: Final = "/timing"
+LOOP: Final = "/loop"
+"""Only in logs of a live loop."""
+STATE: Final = "/state"
+"""Only in logs of a live loop whose hand is measured."""
+ARM: Final = "/arm"
+"""Only where an arm carries the robot hand."""
+WRIST: Final = "/wrist"
+"""Only where the wrist of the robot hand was commanded, too."""
+CONFIG: Final = "/config"
+
+HAND_SCENE: Final = "/foxglove/hand"
+ROBOT_SCENE: Final = "/foxglove/robot"
+JOINTS: Final = "/foxglove/joints"
+FRAMES: Final = "/foxglove/frames"
+HUMAN_WRIST: Final = "/foxglove/human_wrist"
+WRIST_TARGET: Final = "/foxglove/wrist_target"
+"""The wrist of the operator in the tracker's world, that of the robot hand in the robot's base."""
+
+ORIGIN: Final = "smooth_operator.origin"
+"""Name of the metadata record of the log's origin: ``name``, ``task``, ``meta``."""
+
+METHOD: Final = "smooth_operator.method"
+"""Name of the metadata records of the method from some time on: ``stamp`` of its first command,
+``method``, ``preset``, ``config`` (JSON)."""
+
+LIVE: Final = (ARM, LOOP, STATE, WRIST)
+"""Topics that only the logs of a live loop have."""
+
+OF_COMMANDS: Final = frozenset((TIMING, STATUS, LOOP, WRIST, ARM))
+"""Topics with one message for a command at most, of the same number."""
+
+SCHEMAS: Final = {
+    topic: f"smooth_operator.{topic[1:].capitalize()}"
+    for topic in (HAND, COMMAND, STATUS, TIMING, LOOP, STATE, WRIST, ARM, CONFIG)
+}
+"""Topic -> full name of its messages."""
+
+FOXGLOVE: Final = {
+    FRAMES: "foxglove.FrameTransforms",
+    HAND_SCENE: "foxglove.SceneUpdate",
+    ROBOT_SCENE: "foxglove.SceneUpdate",
+    JOINTS: "foxglove.JointStates",
+    HUMAN_WRIST: "foxglove.PoseInFrame",
+    WRIST_TARGET: "foxglove.PoseInFrame",
+}
+"""The same for the topics that Foxglove draws. Nothing reads them back."""
+
+_FILES: Final = FileDescriptorSet.FromString(
+    files("smooth_operator.teleop.recording").joinpath("proto/messages.binpb").read_bytes()
+)
+_POOL: Final = DescriptorPool()  # not the common one, where another package may have Foxglove's
+for _file in _FILES.file:
+    _POOL.AddSerializedFile(_file.SerializeToString())
+
+
+@cache
+def message_class(name: str) -> Any:
+    """The class of a message; ``name`` is its full name."""
+    return GetMessageClass(_POOL.FindMessageTypeByName(name))
+
+
+def schema_data(name: str) -> bytes:
+    """The file that defines a message and those that it needs: a ``FileDescriptorSet``."""
+    by_name = {file.name: file for file in _FILES.file}
+    needed = [by_name[message_class(name).DESCRIPTOR.file.name]]
+    for file in needed:  # which grows
+        needed += [by_name[other] for other in file.dependency]
+    return bytes(FileDescriptorSet(file=reversed(needed)).SerializeToString(deterministic=True))
+
+
+@dataclass(frozen=True)
+class LoopState:
+    """The loop at one command.
+
+    Attributes:
+        number: number of the tick, counted from 0.
+        mode: what the loop did, as ``tracking`` or ``holding``.
+        time: when the command was ready, by the loop's clock [s].
+        received: when the frame that it answers came in, by the loop's clock [s]; None where the
+            command answers none.
+        tracker_stamp: stamp of that frame by the tracker's own clock [s].
+        session: which start of the tracker it belongs to.
+        tracking_loss: loss of the frame; NaN where none is answered.
+        scale: robot size over human size; NaN where none is answered.
+        events: what happened, a sentence each.
+    """
+
+    number: int
+    mode: str
+    time: float
+    received: float | None = None
+    tracker_stamp: float | None = None
+    session: int | None = None
+    tracking_loss: float = math.nan
+    scale: float = math.nan
+    events: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class LoopTrack:
+    """The loop over all commands of a log; T is their number.
+
+    Attributes:
+        numbers: (T,) numbers of the ticks; -1 where the log does not say.
+        modes: (T,) what the loop did; empty where the log does not say.
+        times: (T,) when each command was ready, by the loop's clock [s].
+        received: (T,) when the frame that it answers came in [s]; NaN where it answers none.
+        tracker_stamps: (T,) the frame's stamp by the tracker's own clock [s], or NaN.
+        tracking_loss: (T,) loss of the frame, or NaN.
+        scale: (T,) robot size over human size, or NaN.
+        events: index of a command -> what happened at it.
+    """
+
+    numbers: Int[np.ndarray, " T"]
+    modes: tuple[str, ...]
+    times: Float[np.ndarray, " T"]
+    received: Float[np.ndarray, " T"]
+    tracker_stamps: Float[np.ndarray, " T"]
+    tracking_loss: Float[np.ndarray, " T"]
+    scale: Float[np.ndarray, " T"]
+    events: Mapping[int, tuple[str, ...]]
+
+    @property
+    def answers(self) -> Bool[np.ndarray, " T"]:
+        """(T,) true where the command answers a frame."""
+        return np.asarray(np.isfinite(self.received))
+
+
+RATE_HZ: Final = 30.0
+"""Most messages a second on each of the topics; a viewer needs no more."""
+
+ROBOT_FRAME: Final = "robot"
+"""The robot's palm; the root."""
+TRACKER_FRAME: Final = "tracker"
+"""The frame of the landmarks. Its place is arbitrary: the first wrist lies 0.25 m from the robot's
+palm."""
+_OFFSET: Final = np.array([0.25, 0.0, 0.0])  # of the first wrist from the robot's palm [m]
+
+Keypoints: TypeAlias = Callable[[Float[np.ndarray, "k n"]], Float[np.ndarray, "k 21 3"]]
+"""Joint positions [rad] to the robot's landmarks in its palm's frame [m]; NaN for those that it has
+not, which are the same at all positions."""
+
+_PERIOD_NS: Final = round(1e9 / RATE_HZ)
+_LOOKS: Final = {
+    HAND_SCENE: ("human hand", TRACKER_FRAME, (0.9, 0.6, 0.35, 1.0)),
+    ROBOT_SCENE: ("robot hand", ROBOT_FRAME, (0.0, 0.45, 0.7, 1.0)),
+}
+"""Topic -> name, frame and colour (red, green, blue, opacity) of its skeleton."""
+_MOST_SCENES: Final = 64
+_THICKNESS: Final = 0.004  # [m]
+_LINE_LIST: Final = 2
+
+
+class Message(NamedTuple):
+    """A message: its topic, its time [ns] and its bytes."""
+
+    topic: str
+    at: int
+    data: bytes
+
+
+class FoxgloveMessages:
+    """Foxglove's messages of one hand and one robot, at most ``RATE_HZ`` a second.
+
+    They are collected, and the skeletons of many frames and commands are made in one call.
+
+    Args:
+        keypoints: computes the robot's landmarks from its joint positions; None draws no robot.
+    """
+
+    def __init__(self, keypoints: Keypoints | None) -> None:
+        self._keypoints = keypoints
+        self._due: dict[str, int] = {}
+        self._transform: Any = None  # from the robot's frame to the tracker's
+        self._joints: Any = None
+        self._messages: list[Message] = []
+        self._hands: list[tuple[int, np.ndarray, bytes]] = []  # times, landmarks, whether valid
+        self._robot: list[tuple[int, np.ndarray]] = []  # times and joint positions
+        self._scenes: dict[tuple[str, bytes], _Scene] = {}
+
+    def hand(self, frame: HandFrame, at: int) -> None:
+        """Add a hand frame, if the rate allows.
+
+        Args:
+            at: time of the frame [ns].
+        """
+        assert frame.valid is not None  # filled in by HandFrame
+        wrist = frame.T_world_wrist
+        finite = wrist is not None and all(map(math.isfinite, wrist.tolist()))
+        if wrist is not None and finite and self._is_due(HUMAN_WRIST, at):
+            self._add_pose(HUMAN_WRIST, at, wrist, frame.world or "world")
+        if not any(frame.valid.tolist()) or not self._is_due(HAND_SCENE, at):
+            return
+        transform = self._transform
+        if transform is None:
+            wrist_known = frame.valid[0]
+            place = _OFFSET - frame.landmarks[0] if wrist_known else _OFFSET
+            transform = _frame_transform(place)
+            self._transform = transform if wrist_known else None
+        _set_time(transform.transforms[0].timestamp, at)
+        self._add(FRAMES, at, transform)
+        self._hands.append((at, frame.landmarks.copy(), frame.valid.tobytes()))
+
+    def wrist(self, wrist: WristCommand, at: int) -> None:
+        """Add a wrist command; see ``hand``."""
+        if self._is_due(WRIST_TARGET, at):
+            self._add_pose(WRIST_TARGET, at, wrist.pose, wrist.world)
+
+    def command(self, names: tuple[str, ...], positions: Float[np.ndarray, " n"], at: int) -> None:
+        """Add a command; see ``hand``.
+
+        Args:
+            positions: joint positions [rad].
+            at: its time [ns].
+        """
+        if not self._is_due(JOINTS, at):
+            return
+        if self._joints is None:
+            self._joints = message_class(FOXGLOVE[JOINTS])(joints=[{"name": n} for n in names])
+        _set_time(self._joints.timestamp, at)
+        values = positions.tolist()
+        for joint, position in zip(self._joints.joints, values, strict=True):
+            if math.isfinite(position):
+                joint.position = position
+            else:
+                joint.ClearField("position")
+        self._add(JOINTS, at, self._joints)
+        if self._keypoints is not None and all(map(math.isfinite, values)):
+            self._robot.append((at, positions.copy()))
+
+    def take(self) -> list[Message]:
+        """The messages since the last call, by topic in order of time."""
+        hands, self._hands = self._hands, []
+        robot, self._robot = self._robot, []  # first, so that an error comes once
+        for valid, group in groupby(hands, lambda hand: hand[2]):
+            times, points, _ = zip(*group, strict=True)
+            self._messages += self._scene(HAND_SCENE, valid).messages(times, np.array(points))
+        if robot and self._keypoints is not None:
+            times, positions = zip(*robot, strict=True)
+            landmarks = self._keypoints(np.array(positions))
+            valid = np.asarray(np.isfinite(landmarks[0]).all(axis=1)).tobytes()  # same for all
+            self._messages += self._scene(ROBOT_SCENE, valid).messages(times, landmarks)
+        messages, self._messages = self._messages, []
+        return messages
+
+    def _scene(self, topic: str, valid: bytes) -> _Scene:
+        scene = self._scenes.get((topic, valid))
+        if scene is None:
+            if len(self._scenes) >= _MOST_SCENES:
+                self._scenes.clear()
+            scene = self._scenes[topic, valid] = _Scene(topic, valid)
+        return scene
+
+    def _add(self, topic: str, at: int, message: Any) -> None:
+        self._messages.append(Message(topic, at, message.SerializeToString()))
+
+    def _add_pose(self, topic: str, at: int, pose: Float[np.ndarray, "7"], frame: str) -> None:
+        message = message_class(FOXGLOVE[topic])(frame_id=frame, pose=_pose(pose))
+        _set_time(message.timestamp, at)
+        self._add(topic, at, message)
+
+    def _is_due(self, topic: str, at: int) -> bool:
+        due = self._due.get(topic, at)
+        if due - _PERIOD_NS <= at < due:
+            return False
+        # Kept up with on average; but stamps may leave a gap, or go back.
+        late = min(max(at - due, 0), _PERIOD_NS // 2) if at >= due else 0
+        self._due[topic] = at - late + _PERIOD_NS
+        return True
+
+
+class _Scene:
+    """A skeleton as lines, one for each bone whose two ends are known.
+
+    The message is made once, and filled with the points and the time of each frame.
+    """
+
+    def __init__(self, topic: str, valid: bytes) -> None:
+        self._topic = topic
+        name, frame, colour = _LOOKS[topic]
+        self._valid = np.frombuffer(valid, bool)
+        place = np.cumsum(self._valid) - 1
+        ends = [place[i] for bone in BONES if self._valid[list(bone)].all() for i in bone]
+        line = {
+            "type": _LINE_LIST,
+            "pose": _pose(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])),
+            "thickness": _THICKNESS,
+            "points": [{}] * int(self._valid.sum()),
+            "color": dict(zip("rgba", colour, strict=True)),
+            "indices": ends,
+        }
+        entity = {"frame_id": frame, "id": name, "frame_locked": True, "lines": [line]}
+        self._message = message_class(FOXGLOVE[HAND_SCENE])(entities=[entity])
+        self._timestamp = self._message.entities[0].timestamp
+        self._points = list(self._message.entities[0].lines[0].points)
+
+    def messages(
+        self, times: Sequence[int], landmarks: Float[np.ndarray, "k 21 3"]
+    ) -> Iterator[Message]:
+        """The skeleton at some times [ns]."""
+        rows = landmarks[:, self._valid].astype(np.float32)  # enough to draw, and packed better
+        for at, row in zip(times, rows.tolist(), strict=True):
+            _set_time(self._timestamp, at)
+            for point, (x, y, z) in zip(self._points, row, strict=True):
+                point.x, point.y, point.z = x, y, z
+            yield Message(self._topic, at, self._message.SerializeToString())
+
+
+def _set_time(timestamp: Any, at: int) -> None:
+    timestamp.seconds, timestamp.nanos = divmod(at, 1_000_000_000)
+
+
+def _frame_transform(translation: Float[np.ndarray, "3"]) -> Any:
+    transform = {
+        "parent_frame_id": ROBOT_FRAME,
+        "child_frame_id": TRACKER_FRAME,
+        "translation": dict(zip("xyz", translation.tolist(), strict=True)),
+        "rotation": {"w": 1.0},
+    }
+    return message_class(FOXGLOVE[FRAMES])(transforms=[transform])
+
+
+def _pose(pose: Float[np.ndarray, "7"]) -> dict[str, dict[str, float]]:
+    values = pose.tolist()
+    return {
+        "position": dict(zip("xyz", values[:3], strict=True)),
+        "orientation": dict(zip("wxyz", values[3:], strict=True)),
+    }
+
+
+def landmark_keypoints(hand: Hand) -> Keypoints:
+    """Positions of a hand's landmarks, by MuJoCo: one pose takes some 10 us.
+
+    ``hand.tree`` gives the same, and is made for thousands of poses in one call.
+    """
+    model, data = hand.model, mujoco.MjData(hand.model)
+    points = {
+        LANDMARKS.index(name): point
+        for name, point in landmark_points(model, hand.spec).items()
+        if name in LANDMARKS
+    }
+    columns = list(points)
+    palm = model.body(hand.spec.palm).id
+    bodies = np.array([palm, *(body for body, _ in points.values())])
+    local = np.array([np.zeros(3), *(place for _, place in points.values())])
+
+    position, xpos, xmat = data.qpos, data.xpos, data.xmat  # views, which stay
+
+    def keypoints(q: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k 21 3"]:
+        places = np.empty((len(q), len(bodies), 3))
+        turns = np.empty((len(q), len(bodies), 9))
+        for qpos, place, turn in zip(hand.qpos(q), places, turns, strict=True):
+            position[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            xpos.take(bodies, 0, place)
+            xmat.take(bodies, 0, turn)
+        matrices = turns.reshape(*turns.shape[:2], 3, 3)
+        places += (matrices @ local[:, :, None])[..., 0]
+        landmarks = np.full((len(q), len(LANDMARKS), 3), math.nan)
+        # in the palm's frame, whose body comes first
+        landmarks[:, columns] = (places[:, 1:] - places[:, :1]) @ matrices[:, 0]
+        return landmarks
+
+    return keypoints

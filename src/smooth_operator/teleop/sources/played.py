@@ -1,0 +1,188 @@
+"""Sources without a tracker: a recording (``replay:FILE``), and the synthetic operator."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.formats.readers import read_recording
+from smooth_operator.io.anatomy import layout_order
+from smooth_operator.synthetic.gestures import GESTURES
+from smooth_operator.synthetic.operator import SyntheticOperator
+from smooth_operator.synthetic.tracker import TrackerModel, WristMotion, check_range
+from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource, on_time
+from smooth_operator.teleop.sources.stream import Hands, sides_of
+from smooth_operator.types import HandFrame, HandRecording, Side
+
+_DEFAULT_PERIOD_S = 0.01  # between the rounds of a recording of a single frame
+
+
+@dataclass(frozen=True)
+class Replay(ThreadedSource):
+    """Plays a recording at its own pace.
+
+    Stamps are those of the recording, also at another speed. In a loop each round is a session of
+    its own, since the hand jumps from the last frame to the first, but stamps keep increasing: a
+    round starts one frame period after the end of the previous one.
+
+    Attributes:
+        path: any file that ``smooth-operator retarget`` reads.
+        speed: 1 is the recording's own pace, 2 is twice as fast.
+        loop: repeat the recording without end.
+        rate: frame rate of a file without stamps [Hz].
+        side: side of the hand, for a file without one.
+        layout: order of the landmarks in a plain array; None for the project's own.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+        UnknownNameError: there is no such layout.
+    """
+
+    path: Path
+    speed: float = 1.0
+    loop: bool = False
+    rate: float | None = None
+    side: Literal["right", "left"] | None = None
+    layout: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", Path(self.path))
+        check_range("speed", self.speed, 0.01, 100.0)
+        if self.side not in (None, "right", "left"):
+            raise ConfigError(f"side must be 'right' or 'left', not {self.side!r}")
+        layout_order(self.layout)
+
+    @property
+    def label(self) -> str:
+        """Name for a person, in a few words."""
+        return f"replay of {self.path.name}"
+
+    def open(self) -> None:
+        """Read the recording here, where its errors reach the caller."""
+        recording = read_recording(self.path, rate=self.rate, side=self.side, layout=self.layout)
+        object.__setattr__(self, "_recording", recording)
+
+    def run(self, running: Running) -> None:
+        """Post the frames when they are due."""
+        recording: HandRecording = getattr(self, "_recording")  # noqa: B009  (set in open())
+        running.health = SourceHealth("running", f"{len(recording)} frames of {self.path.name}")
+        clock = running.mailbox.clock
+        for _, (frame, session) in on_time(self._due(recording), clock, running.stopping):
+            running.mailbox.post(frame, session=session, speed=self.speed)
+
+    def _due(self, recording: HandRecording) -> Iterator[tuple[float, tuple[HandFrame, int]]]:
+        """Time at which each frame is due [s], the frame and its round."""
+        first = float(recording.stamps[0])
+        single = len(recording) < 2
+        period = recording.duration + (_DEFAULT_PERIOD_S if single else 1.0 / recording.rate_hz)
+        for session in itertools.count() if self.loop else range(1):
+            for frame in recording:
+                later = replace(frame, stamp=frame.time + session * period)
+                yield (later.time - first) / self.speed, (later, session)
+
+
+WORLD: Final = "synthetic"
+_HANDS_AT: Final[dict[Side, np.ndarray]] = {
+    "right": np.array([0.4, -0.2, 1.0]),
+    "left": np.array([0.4, 0.2, 1.0]),
+}
+
+
+@dataclass(frozen=True)
+class SyntheticSource(ThreadedSource):
+    """Live source with a synthetic person in front of a synthetic tracker.
+
+    Both hands belong to one person and mirror each other; their trackers lose different frames.
+
+    Attributes:
+        seed: seed of the person, the motion and the tracker's losses.
+        rate: frame rate of each hand [Hz].
+        side: ``right``, ``left`` or ``both``.
+        gestures: names joined by ``+``, as ``pinch_index+spread``; by default all of them.
+        speed: tempo of the operator, 1 is natural.
+        noise: standard deviation of each coordinate [mm].
+        frame_loss: share of frames that never come, in bursts.
+        landmark_loss: share of landmarks that are missing, in bursts.
+        rate_jitter: standard deviation of a frame's time over the period.
+        duration: length of the motion [s]; None for an endless one.
+        wrist: standard deviation of each coordinate of the wrist in the room [m], 1 m up and 0.4 m
+            ahead; 0 is a tracker without a wrist. The landmarks do not move with it.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+        UnknownNameError: there is no gesture of a name.
+    """
+
+    seed: int = 0
+    rate: float = 100.0
+    side: Hands = "right"
+    gestures: str | None = None
+    speed: float = 1.0
+    noise: float = 0.0
+    frame_loss: float = 0.0
+    landmark_loss: float = 0.0
+    rate_jitter: float = 0.0
+    duration: float | None = None
+    wrist: float = 0.05
+
+    def __post_init__(self) -> None:
+        sides_of(self.side)
+        self._operators()  # which check the rest
+        check_range("wrist", self.wrist, 0.0, 0.3, "m")
+        if self.duration is not None:
+            check_range("duration", self.duration, 1.0 / self.rate, 1e9, "s")
+
+    @property
+    def label(self) -> str:
+        """Name for a person, in a few words."""
+        return "the built-in operator"
+
+    def run(self, running: Running) -> None:
+        """Post the frames when they are due."""
+        hands = " and ".join(sides_of(self.side))
+        running.health = SourceHealth("running", f"{hands} hand at {self.rate:g} Hz")
+        clock = running.mailbox.clock
+        wrists = self._wrists()
+        for _, frame in on_time(self._due(), clock, running.stopping):
+            if self.wrist:
+                pose = wrists[frame.side].pose_at(frame.time)
+                pose[:3] += _HANDS_AT[frame.side]
+                frame = replace(frame, T_world_wrist=pose, world=WORLD)
+            running.mailbox.post(frame)
+
+    def _due(self) -> Iterator[tuple[float, HandFrame]]:
+        streams = [operator.frames(self.duration) for operator in self._operators()]
+        for frame in heapq.merge(*streams, key=lambda frame: frame.time):
+            yield frame.time, frame
+
+    def _wrists(self) -> dict[Side, WristMotion]:
+        turn = 4.0 * self.wrist  # [rad] for [m]: 0.2 rad for 5 cm
+        sides = sides_of(self.side)
+        return {side: WristMotion(self.wrist, turn, self.seed + k) for k, side in enumerate(sides)}
+
+    def _operators(self) -> list[SyntheticOperator]:
+        names = tuple(self.gestures.split("+")) if self.gestures else GESTURES
+        return [self._operator(side, names, k) for k, side in enumerate(sides_of(self.side))]
+
+    def _operator(self, side: Side, gestures: tuple[str, ...], number: int) -> SyntheticOperator:
+        return SyntheticOperator(
+            seed=self.seed,
+            side=side,
+            rate_hz=self.rate,
+            gestures=gestures,
+            speed=self.speed,
+            tracker=TrackerModel(
+                noise=self.noise * 1e-3,
+                rate_jitter=self.rate_jitter,
+                frame_loss=self.frame_loss,
+                landmark_loss=self.landmark_loss,
+                seed=self.seed + number,
+            ),
+        )

@@ -1,0 +1,624 @@
+"""Sources that receive other programs' messages: landmarks, headset apps, MANUS glove bridges.
+
+``udp`` and ``zmq`` take landmarks; ``hts`` (Quest), ``pico`` and ``avp`` (Vision Pro; extra
+``avp``) those of headset apps; ``manus`` the 25 nodes of a raw skeleton, in several forms.
+
+The main form is that of ``ManusZmqBridge`` (the program of the MANUS recordings), with three more
+fields::
+
+    RIGHT {"glove_id": 3064964832, "side": "right", "session": "a1", "stamp": 12.505,
+           "nodes": [{"id": 0, "pos": [x, y, z], "quat": [w, x, y, z]}, ...]}
+
+Other bridges send these forms: both hands in one message; nodes as 25 rows of x y z
+and a quaternion; the ROS 2 message ``ManusGlove`` as JSON (``raw_nodes`` with a ``pose`` each); and
+lines of ``glove id, 25 x (x, y, z, qx, qy, qz, qw)`` separated by commas, of one hand or two, as
+the Bidex bridge pushes them. ``docs/how-to/manus.md`` has an example of each.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.headsets import avp, hts_lines, pico_packets
+from smooth_operator.headsets.repeats import Repeats
+from smooth_operator.io.anatomy import layout_order
+from smooth_operator.teleop.sources.inboxes import (
+    GrpcInbox,
+    Inbox,
+    Message,
+    Pattern,
+    TcpInbox,
+    Together,
+    UdpInbox,
+    ZmqInbox,
+    split_lines,
+)
+from smooth_operator.teleop.sources.payload import (
+    Forms,
+    MatrixOrder,
+    PayloadReader,
+    QuaternionOrder,
+    Reading,
+    StampUnit,
+    check_size,
+    hand_frame,
+    parse_json,
+    read_numbers,
+    read_session,
+    read_side,
+    read_stamp,
+    read_wrist,
+)
+from smooth_operator.teleop.sources.stream import (
+    Hands,
+    OneSender,
+    Reader,
+    StreamSource,
+    only_side,
+)
+from smooth_operator.types import Side
+
+
+@dataclass(frozen=True)
+class LandmarkStream(StreamSource):
+    """Source with one hand per message, in the forms of ``smooth_operator.teleop.sources.payload``.
+
+    Attributes:
+        side: side of messages without one, and the only one in use; with ``both`` each message
+            must have its side.
+        layout: order of the landmarks in a message of 21, by its name in ``LAYOUTS``.
+        stamp_unit: unit of the stamps in JSON.
+        quaternion: order of the quaternion in rows of 7.
+        matrix: order of 4 x 4 matrices: row by row or column by column; ``auto`` decides by the
+            place of 0 0 0 1.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+        UnknownNameError: there is no such layout.
+    """
+
+    _: KW_ONLY
+    side: Hands = "right"
+    layout: str = "mediapipe"
+    stamp_unit: StampUnit = "s"
+    quaternion: QuaternionOrder = "wxyz"
+    matrix: MatrixOrder = "auto"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        layout_order(self.layout)
+
+    def data_of(self, message: Message) -> bytes:
+        """The bytes of a message that hold the hand: its first part."""
+        data: bytes = message[0]
+        return data
+
+    def reader(self) -> Reader:
+        """See ``StreamSource``."""
+        forms = Forms(self.layout, self.stamp_unit, self.quaternion, self.matrix)
+        payload = PayloadReader(only_side(self.side), forms)
+        return lambda message, received: payload.read(self.data_of(message), received)
+
+
+@dataclass(frozen=True)
+class UdpSource(LandmarkStream):
+    """Source with one hand per datagram; see ``LandmarkStream``.
+
+    Everybody who can send to the port moves the hand, since UDP has no passwords. By default the
+    source therefore listens on this machine only.
+
+    Attributes:
+        port: port to listen on; 0 for any free one, see ``endpoint``.
+        host: address to listen on; ``0.0.0.0`` for the whole network.
+    """
+
+    port: int = 5005
+    host: str = "127.0.0.1"
+
+    @property
+    def label(self) -> str:
+        """The source in a few words."""
+        return f"UDP port {self.port}"
+
+    def connect(self) -> Inbox:
+        """Takes the port."""
+        return UdpInbox(self.host, self.port)
+
+
+@dataclass(frozen=True)
+class ZmqSource(LandmarkStream):
+    """Source with one hand per ZeroMQ message; see ``LandmarkStream``.
+
+    A message may begin with a topic, as a separate part or as the text ``topic``.
+
+    Attributes:
+        address: address of the publisher, which may start later.
+        bind: listen on the address, for publishers that connect.
+        topic: use only messages that start with this text.
+        pattern: ``sub`` for a publisher, ``pull`` for a pusher.
+    """
+
+    address: str = "tcp://127.0.0.1:5557"
+    bind: bool = False
+    topic: str = ""
+    pattern: Pattern = "sub"
+
+    @property
+    def label(self) -> str:
+        """The source in a few words."""
+        return f"ZeroMQ {self.address}"
+
+    def connect(self) -> Inbox:
+        """Opens the socket."""
+        return ZmqInbox(
+            "the source 'zmq'", self.address, bind=self.bind, pattern=self.pattern, topic=self.topic
+        )
+
+    def data_of(self, message: Message) -> bytes:
+        """The last part, without a topic that is not a part."""
+        data: bytes = message[-1]
+        if len(message) == 1 and self.topic:
+            data = data.removeprefix(self.topic.encode()).lstrip(b" ")
+        return data
+
+
+Transport: TypeAlias = Literal["both", "udp", "tcp"]
+"""Transport of the app; ``both`` listens to both."""
+
+UDP_PORT: Final = 9000
+TCP_PORT: Final = 8000
+"""The app's own ports."""
+
+
+@dataclass(frozen=True)
+class HtsSource(StreamSource):
+    """Both hands from the Quest app Hand Tracking Streamer, over Wi-Fi or a cable.
+
+    Everybody who can send to the ports moves the hand, since the app has no passwords. By default
+    the source therefore listens on this machine only, which is enough for a cable (``adb reverse
+    tcp:8000 tcp:8000``).
+
+    Attributes:
+        host: address to listen on; ``0.0.0.0`` for the whole network, which Wi-Fi needs.
+        port: port to listen on; None for those of the app: 9000 for UDP, 8000 for TCP. 0 for any
+            free one.
+        transport: ``udp``, ``tcp``, or ``both``.
+        side: hands to use.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+    """
+
+    host: str = "127.0.0.1"
+    port: int | None = None
+    transport: Transport = "both"
+    side: Hands = "both"
+
+    @property
+    def label(self) -> str:
+        """The source in a few words."""
+        return "Hand Tracking Streamer"
+
+    @property
+    def hint(self) -> str:
+        """Advice while nothing has come."""
+        if self.host in ("127.0.0.1", "localhost", "::1"):
+            return ", this computer alone (a cable); for Wi-Fi say hts:0.0.0.0"
+        return "; in the app, set this computer's address, the port and the protocol"
+
+    def connect(self) -> Inbox:
+        """Takes the ports."""
+        inboxes: list[Inbox] = []
+        if self.transport != "tcp":
+            port = UDP_PORT if self.port is None else self.port
+            inboxes.append(_UdpLines(self.host, port, "hts:port=PORT"))
+        if self.transport != "udp":
+            port = TCP_PORT if self.port is None else self.port
+            try:
+                inboxes.append(TcpInbox(self.host, port, split_lines, hts_lines.begins_line, "hts"))
+            except Exception:
+                for inbox in inboxes:
+                    inbox.close()
+                raise
+        return inboxes[0] if len(inboxes) == 1 else Together(inboxes)
+
+    def reader(self) -> Reader:
+        """Reads the lines, each of which may complete a hand."""
+        sender, hands = OneSender(), hts_lines.HtsHands()
+
+        def read(message: Message, received: float) -> Sequence[Reading]:
+            data, host, *connection = message
+            line = hts_lines.parse_line(data)  # only a valid line chooses the sender
+            sender.check(host, received)
+            frame = hands.add(line, received)
+            if frame is None:
+                return ()
+            stamped = frame.stamp is not None
+            frame = frame if stamped else replace(frame, stamp=received)
+            # Another connection is another start of the app.
+            return (Reading(frame, stamped, b" ".join((host, *connection)).decode()),)
+
+        return read
+
+
+class _UdpLines(UdpInbox):
+    """Lines in datagrams."""
+
+    def receive(self, timeout: float) -> list[Message]:
+        """The lines of the newest datagrams."""
+        return [
+            (line, host)
+            for data, host in super().receive(timeout)
+            for line in data.split(b"\n")
+            if line.strip()
+        ]
+
+
+@dataclass(frozen=True)
+class PicoSource(StreamSource):
+    """Both hands from the PICO app XRoboToolkit, which connects to this program as to its service.
+
+    The app's PC service must not run on this computer at the same time, since both use one port.
+    Everybody who can connect moves the hand, since the app has no passwords. By default the source
+    therefore listens on this machine only.
+
+    Attributes:
+        host: address to listen on; ``0.0.0.0`` for the whole network, which a headset needs.
+        port: TCP port; the app connects only to 63901.
+        side: hands to use.
+        axes: axes of the joints: ``openxr``, right-handed, or ``unity``, left-handed, for an app
+            that sends them so.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = pico_packets.PORT
+    side: Hands = "both"
+    axes: pico_packets.Axes = "openxr"
+
+    @property
+    def label(self) -> str:
+        """The source in a few words."""
+        return "XRoboToolkit (PICO)"
+
+    @property
+    def hint(self) -> str:
+        """Advice while nothing has come."""
+        if self.host in ("127.0.0.1", "localhost", "::1"):
+            return ", this computer alone; for a headset on the network say pico:0.0.0.0"
+        return "; in the app, enter this computer's address, then switch on Hand and Send"
+
+    def connect(self) -> Inbox:
+        """Takes the port."""
+        split, begins = pico_packets.split_packets, pico_packets.begins_packet
+        return TcpInbox(self.host, self.port, split, begins, "pico")
+
+    def reader(self) -> Reader:
+        """Reads the packets."""
+        sender, repeats = OneSender(), Repeats()
+
+        def read(message: Message, received: float) -> Sequence[Reading]:
+            data, host, connection = message
+            packet = pico_packets.read_packet(data, self.axes)  # what is none chooses no sender
+            sender.check(host, received)
+            stamped, session = packet.stamp is not None, f"{host.decode()} {connection.decode()}"
+            return [
+                Reading(frame if stamped else replace(frame, stamp=received), stamped, session)
+                for frame in map(repeats.new, packet.frames)
+                if frame is not None
+            ]
+
+        return read
+
+
+@dataclass(frozen=True)
+class AvpSource(StreamSource):
+    """Both hands from a Vision Pro with the app Tracking Streamer, over Wi-Fi.
+
+    This program connects to the headset, and reconnects after the headset was asleep. The app sends
+    neither the time of a measurement nor the visibility of a hand: a stamp is the time of receipt,
+    and an unchanged hand is no new frame, so that a lost hand falls silent. An unchanged wrist
+    is not valid while the fingers move.
+
+    Attributes:
+        address: address of the headset, as the app shows it.
+        port: port of the app.
+        side: hands to use.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+    """
+
+    address: str
+    port: int = avp.PORT
+    side: Hands = "both"
+
+    def __post_init__(self) -> None:
+        if not self.address.strip():
+            raise ConfigError("avp needs the headset's address, which the app shows: avp:ADDRESS")
+        if not 1 <= self.port <= 65_535:
+            raise ConfigError(f"port must be 1 to 65535, not {self.port}")
+        super().__post_init__()
+
+    @property
+    def label(self) -> str:
+        """The source in a few words."""
+        return f"Tracking Streamer (Vision Pro) at {self.address}"
+
+    def connect(self) -> Inbox:
+        """Begins to connect; the headset need not be there yet."""
+        host = f"[{self.address}]" if ":" in self.address else self.address
+        method, longest = avp.METHOD, avp.MOST_BYTES
+        return GrpcInbox("the source 'avp'", "avp", f"{host}:{self.port}", method, longest)
+
+    def reader(self) -> Reader:
+        """Reads the messages."""
+        repeats = Repeats(wrist=True)
+
+        def read(message: Message, received: float) -> Sequence[Reading]:
+            data, connection = message
+            return [
+                Reading(replace(frame, stamp=received), session=connection.decode())
+                for frame in map(repeats.new, avp.read_hands(data))
+                if frame is not None
+            ]
+
+        return read
+
+
+NODES: Final = 25
+
+_TOPIC = re.compile(rb"\s*([A-Za-z_/0-9]{0,64})\s*(?=[{\[])")
+_CSV_HAND: Final = 1 + NODES * 7
+_CSV_ANGLES: Final = 40  # the Bidex bridge's joint angles of both hands, between its skeletons
+_XYZW: Final = [3, 0, 1, 2]
+_IN_ORDER: Final = list(range(NODES))
+
+
+def read_manus(
+    data: bytes, *, gloves: Mapping[str, Side], side: Side | None, received: float
+) -> tuple[Reading, ...]:
+    """Read a message.
+
+    Args:
+        data: the message; several parts are joined with spaces.
+        gloves: glove id, as the bridge prints it -> side, for bridges that send no sides.
+        side: side of a message with neither a side nor a glove in ``gloves``; None refuses it.
+        received: time of receipt [s], the stamp of a message without one.
+
+    Returns:
+        hands of the message; empty for one of joint angles alone.
+
+    Raises:
+        RecordingError: the message can't be read, with the reason.
+    """
+    check_size(data)
+    topic_match = _TOPIC.match(data)
+    if topic_match is None:
+        return _read_csv(data, gloves, side, received)
+    topic = topic_match[1].decode().lower().rpartition("/")[2]
+    expected: Side | None = topic if topic in ("right", "left") else side  # type: ignore[assignment]
+    message = parse_json(data[topic_match.end() :])
+    return tuple(read_glove(hand, gloves, expected, received) for hand in _hands(message))
+
+
+def _hands(message: Any) -> list[Mapping[str, Any]]:
+    """Hands of a message, each with the common fields of the message."""
+    hands: Any = message
+    if isinstance(message, dict):
+        shared = {k: message[k] for k in ("stamp", "timestamp", "session", "world") if k in message}
+        if "hands" in message or "gloves" in message:
+            hands = message.get("hands", message.get("gloves"))
+        elif keys := [key for key in message if key.lower() in ("right", "left")]:
+            hands = [
+                {"side": key, **message[key]} for key in keys if isinstance(message[key], dict)
+            ]
+        else:
+            return [message]
+        if isinstance(hands, list):
+            hands = [{**shared, **hand} if isinstance(hand, dict) else hand for hand in hands]
+    if not isinstance(hands, list) or not all(isinstance(hand, dict) for hand in hands):
+        raise RecordingError("several hands must come as a list of objects, one for each hand")
+    return hands
+
+
+def read_glove(
+    message: Mapping[str, Any], gloves: Mapping[str, Side], side: Side | None, received: float
+) -> Reading:
+    """Read one hand, an object of JSON with ``nodes``; see ``read_manus``.
+
+    Raises:
+        RecordingError: it can't be read, with the reason.
+    """
+    key = next((key for key in ("nodes", "raw_nodes", "data") if key in message), None)
+    if key is None:
+        raise RecordingError(
+            f"the message has no 'nodes', but {', '.join(list(message)[:8]) or 'nothing'}"
+        )
+    positions, quaternions = _read_nodes(message[key], key, message.get("quaternion_order"))
+    try:
+        stamp = read_stamp(message)
+    except RecordingError:
+        if "stamp" in message:  # ours; a bridge's 'timestamp' may be the SDK's packed date
+            raise
+        stamp = None
+    frame = hand_frame(
+        positions,
+        stamp=received if stamp is None else stamp,
+        side=_side(message.get("side"), message.get("glove_id"), gloves, side),
+        orientations=quaternions,
+        **read_wrist(message),
+    )
+    return Reading(frame, stamp is not None, read_session(message))
+
+
+def _side(label: Any, glove: Any, gloves: Mapping[str, Side], otherwise: Side | None) -> Side:
+    if str(glove).lower() in gloves:  # the user knows better than a bridge that is starting
+        return gloves[str(glove).lower()]
+    if str(label).lower() in ("unknown", "none", ""):
+        label = None
+    if label is None and otherwise is None:
+        raise RecordingError(
+            f"the message does not say which hand glove {glove!r} is on; name it: "
+            f"right_glove={glove} or left_glove={glove}, or take one hand only: side=right"
+        )
+    return read_side(label, otherwise)
+
+
+def _read_nodes(
+    nodes: Any, key: str, order: Any
+) -> tuple[Float[np.ndarray, "25 3"], Float[np.ndarray, "25 4"] | None]:
+    """Positions and quaternions wxyz of the nodes, at the index of their id."""
+    if not isinstance(nodes, list) or not nodes:
+        raise RecordingError(f"'{key}' must be a list of {NODES} nodes")
+    if isinstance(nodes[0], dict):
+        ids, rows = _read_objects(nodes, key)
+    else:
+        ids, rows = list(range(len(nodes))), read_numbers(nodes, f"'{key}'")
+        if rows.ndim == 1 and rows.size in (NODES * 3, NODES * 7):
+            rows = rows.reshape(NODES, -1)
+            ids = list(range(NODES))
+        if rows.ndim != 2 or len(rows) != NODES or rows.shape[1] not in (3, 7):
+            raise RecordingError(
+                f"'{key}' must be {NODES} rows of x, y, z and a quaternion, not shape {rows.shape}"
+            )
+        if str(order).lower() == "xyzw" and rows.shape[1] == 7:
+            rows[:, 3:] = rows[:, 3:][:, _XYZW]
+    if ids == _IN_ORDER:
+        return _split(rows)
+    places = [i for i, node in enumerate(ids) if 0 <= node < NODES]
+    targets = [ids[i] for i in places]
+    if len(set(targets)) != len(targets):
+        raise RecordingError(f"'{key}' holds a node more than once: {ids}")
+    if len(targets) < NODES:
+        missing = sorted(set(range(NODES)) - set(targets))
+        raise RecordingError(f"'{key}' must hold the nodes 0 to {NODES - 1}, but lacks {missing}")
+    sorted_rows = np.empty((NODES, rows.shape[1]))
+    sorted_rows[targets] = rows[places]
+    return _split(sorted_rows)
+
+
+def _split(
+    rows: Float[np.ndarray, "25 c"],
+) -> tuple[Float[np.ndarray, "25 3"], Float[np.ndarray, "25 4"] | None]:
+    """Positions and quaternions, None where no node has one."""
+    quaternions = rows[:, 3:]
+    tracked = quaternions.shape[1] == 4 and bool(np.isfinite(quaternions).any())
+    return rows[:, :3], quaternions if tracked else None
+
+
+def _read_objects(nodes: Sequence[Any], key: str) -> tuple[list[int], Float[np.ndarray, "n 7"]]:
+    ids: list[int] = []
+    rows: list[Any] = []
+    try:
+        for node in nodes:
+            ids.append(int(node["id"] if "id" in node else node["node_id"]))
+            if "pos" in node:
+                place, turn = node["pos"] or (None,) * 3, node.get("quat") or (None,) * 4
+                rows.append([*place, *turn])
+            else:
+                pose = node["pose"]
+                place, turn = pose["position"], pose["orientation"]
+                rows.append([*(place[k] for k in "xyz"), *(turn[k] for k in "wxyz")])
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        raise RecordingError(
+            f"each of the '{key}' must have 'id', 'pos' (x, y, z) and 'quat' (w, x, y, z), or "
+            f"'node_id' and 'pose'; one has not: {type(error).__name__}: {error}"
+        ) from error
+    read = read_numbers(rows, f"'pos' and 'quat' of the '{key}'")
+    if read.shape != (len(nodes), 7):
+        raise RecordingError(f"each of the '{key}' must have 3 + 4 numbers, not {read.shape[1:]}")
+    return ids, read
+
+
+def _read_csv(
+    data: bytes, gloves: Mapping[str, Side], side: Side | None, received: float
+) -> tuple[Reading, ...]:
+    fields = data.decode("ascii", "replace").strip().rstrip(",").split(",")
+    if len(fields) == _CSV_ANGLES:
+        return ()
+    if len(fields) not in (_CSV_HAND, 2 * _CSV_HAND):
+        raise RecordingError(
+            f"the message is neither JSON nor {_CSV_HAND} or {2 * _CSV_HAND} fields separated by "
+            f"commas, but {len(fields)}"
+        )
+    readings = []
+    for start in range(0, len(fields), _CSV_HAND):
+        glove = fields[start].strip()
+        rows = read_numbers(fields[start + 1 : start + _CSV_HAND], "the fields after the glove id")
+        rows = rows.reshape(NODES, 7)
+        frame = hand_frame(
+            rows[:, :3],
+            stamp=received,
+            side=_side(None, glove, gloves, side if len(fields) == _CSV_HAND else None),
+            orientations=rows[:, 3:][:, _XYZW],
+        )
+        readings.append(Reading(frame))
+    return tuple(readings)
+
+
+def glove_sides(right: str | None, left: str | None) -> dict[str, Side]:
+    """Glove id, in small letters -> side, for the gloves whose side the user names.
+
+    Raises:
+        ConfigError: both are one glove.
+    """
+    if right is not None and right == left:
+        raise ConfigError(f"right_glove and left_glove are both {right!r}")
+    gloves: tuple[tuple[str | None, Side], ...] = ((right, "right"), (left, "left"))
+    return {glove.lower(): side for glove, side in gloves if glove is not None}
+
+
+@dataclass(frozen=True)
+class ManusStream(StreamSource):
+    """Source with one or two hands per message of a MANUS glove bridge.
+
+    Attributes:
+        address: address of the bridge, which may start later.
+        side: hands to use. With one hand, messages without a side count as that hand.
+        right_glove: id of the right glove, for a bridge that sends no sides.
+        left_glove: id of the left glove.
+        pattern: ``sub`` for bridges that publish, ``pull`` for those that push (Bidex).
+        bind: listen on the address, for a bridge that connects.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+    """
+
+    address: str = "tcp://127.0.0.1:8000"
+    side: Hands = "both"
+    right_glove: str | None = None
+    left_glove: str | None = None
+    pattern: Pattern = "sub"
+    bind: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        glove_sides(self.right_glove, self.left_glove)
+
+    @property
+    def label(self) -> str:
+        """Name for a person, in a few words."""
+        return f"MANUS gloves at {self.address}"
+
+    def connect(self) -> Inbox:
+        """Open the socket."""
+        return ZmqInbox("the source 'manus'", self.address, bind=self.bind, pattern=self.pattern)
+
+    def reader(self) -> Reader:
+        """Reads the messages of a bridge."""
+        gloves, side = glove_sides(self.right_glove, self.left_glove), only_side(self.side)
+
+        def read(message: Message, received: float) -> Sequence[Reading]:
+            return read_manus(b" ".join(message), gloves=gloves, side=side, received=received)
+
+        return read
