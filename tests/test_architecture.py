@@ -84,7 +84,7 @@ KNOWN_UPWARD = {
         "baselines",
         "baselines.geort",
         "baselines.joint_angle",
-        "baselines.slsqp_presets",
+        "baselines.slsqp_method",
     },
 }
 """File -> what it imports from above by a string such as ``Entry("smooth_operator...")``. Such an

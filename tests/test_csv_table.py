@@ -12,7 +12,7 @@ from study_cases import simulate
 
 import smooth_operator
 from smooth_operator.cli import main
-from smooth_operator.formats.jsonable import csv_text, plain_cell
+from smooth_operator.formats.csv_table import csv_text, plain_cell
 from smooth_operator.study.data import read_study
 
 FORMULAS = (

@@ -1,6 +1,7 @@
 """Registries of parts: what they list, load and refuse. An installed plugin: test_plugin.py."""
 
-import dataclasses
+from __future__ import annotations
+
 import re
 import subprocess
 import sys
@@ -13,7 +14,6 @@ import numpy as np
 import pytest
 from metrics_cases import make_trace
 
-from smooth_operator import HandRecording, read_recording
 from smooth_operator.cli.console import print_metrics
 from smooth_operator.errors import (
     ConfigError,
@@ -22,6 +22,7 @@ from smooth_operator.errors import (
     UnknownNameError,
     did_you_mean,
 )
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.formats.registry import Reader
 from smooth_operator.hands.registry import HANDS, MODELS, hand_names, known_hands, load_hand
 from smooth_operator.lab.benchmark import cells
@@ -34,6 +35,7 @@ from smooth_operator.lab.benchmark.cells import (
 )
 from smooth_operator.lab.benchmark.quality import measure_cell
 from smooth_operator.lab.benchmark.ranking import columns
+from smooth_operator.lab.benchmark.recordings import Request, Source
 from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.methods.presets import (
     PRESETS,
@@ -50,6 +52,7 @@ from smooth_operator.metrics.table import REGISTRY as METRIC_REGISTRY
 from smooth_operator.metrics.table import add_metrics, plugin_metrics
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.types import HandRecording
 
 OWN = SbrConfig(settle_rounds=3)
 TWO = {"fast": OWN, "slow": SbrConfig(settle_rounds=30)}
@@ -193,7 +196,7 @@ def read_rows(path: Path, rate: float | None, side: Any, layout: str | None) -> 
 
 
 ROWS = Reader("a .rows file", read_rows, suffixes=(".rows",))
-WRONG = Reader("a .wrong file", lambda *given: "hands", suffixes=(".wrong",))
+WRONG = Reader("a .wrong file", lambda *given: "hands", suffixes=(".wrong",))  # type: ignore
 
 
 def test_a_plugins_reader_recognises_its_files(broken, monkeypatch, tmp_path, capsys):
@@ -299,13 +302,14 @@ def test_a_metric_is_measured_that_is_named_by_its_module(monkeypatch):
             add_metrics([target])
 
 
-def test_a_worker_of_a_benchmark_measures_it(monkeypatch):
+def test_a_worker_of_a_benchmark_measures_it(monkeypatch, tmp_path):
     monkeypatch.setattr(METRIC_REGISTRY, "_added", {})
     config, recording = method_config("joint_angle"), SyntheticOperator(seed=1).record(0.2)
-    task = Task(recording, "mimic_p050", "joint_angle", "default", config, 0, "sound")
-    assert "travel" not in measure_cell(task).metrics
-    more = dataclasses.replace(task, metrics=(f"{__name__}:TRAVEL",))
-    assert measure_cell(more).metrics["travel"] > 0
+    source = Source(Request(None), "one", recording)
+    cell = Cell(source, "mimic_p050", "joint_angle", "default", config)
+    assert "travel" not in measure_cell((cell, Settings(output=tmp_path))).metrics
+    more = Settings(output=tmp_path, metrics=(f"{__name__}:TRAVEL",))
+    assert measure_cell((cell, more)).metrics["travel"] > 0
 
 
 def test_directions_of_metrics_are_said_in_one_place():

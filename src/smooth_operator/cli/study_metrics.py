@@ -13,7 +13,7 @@ from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.cli.study_options import Metrics
 from smooth_operator.errors import ConfigError, DocumentError, SmoothOperatorError, StudyError
-from smooth_operator.formats.jsonable import csv_text
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.io.documents import parse_json

@@ -42,7 +42,6 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from smooth_operator.atomic_files import staged_file
 from smooth_operator.episode_files.hdf5_tree import (
     Hdf5Array,
     Hdf5Group,
@@ -50,6 +49,7 @@ from smooth_operator.episode_files.hdf5_tree import (
     read_egodex,
     read_tree,
 )
+from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.errors import DocumentError, RecordingError, brief
 from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.checks import (

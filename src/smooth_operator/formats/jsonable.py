@@ -1,4 +1,4 @@
-"""Values as text: strict JSON of configurations, TOML of settings files, CSV of tables."""
+"""Turning a resolved configuration into JSON that any parser reads."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ import enum
 import json
 import math
 import os
-import re
-from collections.abc import Iterable, Mapping, Sequence, Set
-from numbers import Integral, Real
-from typing import Any, Final
+from collections.abc import Mapping, Set
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError, DocumentError
+from smooth_operator.errors import ConfigError
 
 
 def to_json(value: Any, *, indent: int | None = None) -> str:
@@ -76,86 +74,3 @@ def numbers(array: Float[np.ndarray, " k"]) -> list[float | None]:
     if np.isfinite(array).all():
         return row
     return [None if x is None or not math.isfinite(x) else x for x in row]
-
-
-_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
-_ESCAPES: Final = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\r"}
-
-
-def toml_key(name: str) -> str:
-    """A key, in quotation marks where TOML needs them.
-
-    Raises:
-        DocumentError: it holds half of a surrogate pair.
-    """
-    return name if _BARE_KEY.fullmatch(name) else toml_value(name)
-
-
-def toml_value(value: Any) -> str:
-    """A value on one line; tables are inline.
-
-    Args:
-        value: a text, truth value, finite number, list, tuple or mapping.
-
-    Raises:
-        DocumentError: it holds something else, a number that is not finite, or half of a
-            surrogate pair.
-    """
-    if isinstance(value, str):
-        return f'"{"".join(_ESCAPES.get(c) or _character(c) for c in value)}"'
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, Integral):
-        return str(int(value))
-    if isinstance(value, Real):  # NumPy's too
-        if not math.isfinite(value):
-            raise DocumentError(f"a settings file can't hold the number {value}")
-        return repr(float(value))  # shortest text that reads back as the same number
-    if isinstance(value, Mapping):
-        items = ", ".join(f"{toml_key(str(k))} = {toml_value(v)}" for k, v in value.items())
-        return f"{{ {items} }}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(toml_value, value))}]"
-    raise DocumentError(f"a settings file can't hold {value!r}")
-
-
-def _character(character: str) -> str:
-    if 0xD800 <= ord(character) <= 0xDFFF:  # in file names whose bytes are not UTF-8
-        raise DocumentError(f"a settings file can't hold the character {character!r}")
-    return character if character.isprintable() else f"\\U{ord(character):08X}"
-
-
-_FORMULA: Final = re.compile(r"'*[=+\-@\t\r\n＝＋－＠]")
-"""Beginnings that a spreadsheet takes for a formula, whatever quotes stand around the cell."""
-_QUOTED: Final = re.compile(r'[",\r\n]')
-_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?inf")
-
-
-def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
-    """A table, with a header.
-
-    Text that a spreadsheet would calculate (``=HYPERLINK(...)``, ``-1+cmd|...``) gets an apostrophe
-    before it, which ``plain_cell`` takes away again. Numbers stay as they are.
-
-    Args:
-        rows: values by column; other keys are left out, and missing ones empty.
-    """
-    lines = [columns, *([row.get(name) for name in columns] for row in rows)]
-    return "".join(f"{','.join(map(_cell, line))}\n" for line in lines)
-
-
-def plain_cell(text: str) -> str:
-    """A cell that was read, as it was before ``csv_text`` wrote it."""
-    return text[1:] if text.startswith("'") and _runs(text[1:]) else text
-
-
-def _cell(value: Any) -> str:
-    text = "" if value is None else str(value)
-    if isinstance(value, str) and _runs(text):
-        text = f"'{text}"
-    # Python's own writer leaves a carriage return bare, which ends the row for a reader.
-    return '"{}"'.format(text.replace('"', '""')) if _QUOTED.search(text) else text
-
-
-def _runs(text: str) -> bool:
-    return _FORMULA.match(text) is not None and _NUMBER.fullmatch(text) is None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import DocumentError, HandModelError
-from smooth_operator.formats.jsonable import toml_key, toml_value
+from smooth_operator.formats.toml_writer import toml_key, toml_value
 from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.hands.spec_file import FORMAT, POINTS, check_hand_name
 

@@ -20,7 +20,7 @@ from multiprocessing.reduction import ForkingPickler
 from typing import Any, Final, TypeVar
 
 from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError
-from smooth_operator.parallel.pool import (
+from smooth_operator.parallel.tasks import (
     TaskResult,
     death,
     describe,

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
-from smooth_operator.formats.jsonable import csv_text
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.figures import Panel, Run, make_clip, robot_landmarks

@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 
 from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.errors import HandModelError, StudyError, UnknownNameError
-from smooth_operator.formats.jsonable import csv_text
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.methods.presets import method_config

@@ -9,7 +9,6 @@ from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
-from smooth_operator.atomic_files import staged_folder
 from smooth_operator.episode_files.lerobot.columns import (
     ROBOT_FPS,
     ROBOT_TYPE,
@@ -42,6 +41,7 @@ from smooth_operator.episode_files.lerobot.tables import (
     parquet,
     tasks_table,
 )
+from smooth_operator.episode_files.staging import staged_folder
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.episode import Episode
 from smooth_operator.formats.jsonable import to_json

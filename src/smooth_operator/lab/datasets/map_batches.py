@@ -20,7 +20,7 @@ from smooth_operator.lab.datasets.store import as_stored
 from smooth_operator.lab.datasets.work import ReadClip, read_item
 from smooth_operator.lab.datasets.writers.parquet import clips_table
 from smooth_operator.lab.offline.folder import checked
-from smooth_operator.parallel.pool import describe, one_thread
+from smooth_operator.parallel.tasks import describe, one_thread
 from smooth_operator.planning import make_request
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side

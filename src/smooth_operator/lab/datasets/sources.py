@@ -36,7 +36,7 @@ from smooth_operator.lab.datasets.registry import (
     DatasetReader,
     readers,
 )
-from smooth_operator.parallel.pool import describe
+from smooth_operator.parallel.tasks import describe
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side, as_side
 

@@ -19,7 +19,7 @@ from smooth_operator.lab.datasets.retargeting import Recipe, SourceFile, clip_ke
 from smooth_operator.lab.datasets.sources import Item, fetched, find_reader
 from smooth_operator.lab.datasets.store import Finished, Kept, write_pack
 from smooth_operator.lab.offline.finished import digest
-from smooth_operator.parallel.pool import describe
+from smooth_operator.parallel.tasks import describe
 
 _MOST_CLIPS = 1_000_000  # of one fetched file
 

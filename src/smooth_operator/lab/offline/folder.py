@@ -35,7 +35,7 @@ from smooth_operator.lab.offline.finished import (
 )
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
 from smooth_operator.parallel import run_groups, usable_cores
-from smooth_operator.parallel.pool import timed
+from smooth_operator.parallel.tasks import timed
 from smooth_operator.planning import Plan, RetargetRequest, configuration, plan
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 

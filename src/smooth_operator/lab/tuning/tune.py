@@ -22,8 +22,9 @@ from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
 from smooth_operator.formats.environment import environment
-from smooth_operator.formats.jsonable import to_json, toml_key, toml_value
+from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.setting_paths import FORMAT, PresetFile, with_settings, with_unchecked
+from smooth_operator.formats.toml_writer import toml_key, toml_value
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.io.documents import parse_json
 from smooth_operator.lab.benchmark.cells import benchmark_code

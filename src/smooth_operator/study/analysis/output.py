@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.formats.jsonable import csv_text
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.reporting.drawing import colors_of, styled
 from smooth_operator.reporting.report_page import Html, Plots, templates, write_report_page
 from smooth_operator.study.analysis.analyze import Analysis

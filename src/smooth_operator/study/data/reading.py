@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from smooth_operator.errors import DocumentError, StudyError, brief, listed
-from smooth_operator.formats.jsonable import plain_cell
+from smooth_operator.formats.csv_table import plain_cell
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.plain_files import read_text
 from smooth_operator.study.data.rows import (

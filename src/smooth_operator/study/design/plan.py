@@ -12,7 +12,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.formats.jsonable import csv_text
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.simulation.tasks.task import check_name
 from smooth_operator.study.design.protocol import Condition, Point, Protocol, Task
 

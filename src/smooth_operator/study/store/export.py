@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import OutputError
-from smooth_operator.formats.jsonable import csv_text
+from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.study.design.plan import Block
 from smooth_operator.study.design.plan_file import plan_table
 from smooth_operator.study.store.events import (

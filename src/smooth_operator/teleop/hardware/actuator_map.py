@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.formats.jsonable import toml_value
+from smooth_operator.formats.toml_writer import toml_value
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import user_hands_folder
 from smooth_operator.io.entries import Entries, read_entries

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from smooth_operator.atomic_files import staged_file
+from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.checks import check_rate, check_side, check_stamps
 from smooth_operator.formats.episode import ArmTrack, Episode, StateTrajectory, WristTrack
