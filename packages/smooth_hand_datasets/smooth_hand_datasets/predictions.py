@@ -39,6 +39,7 @@ from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.formats.bounds import Allowance
 from smooth_operator.formats.checks import stamps_from_rate
 from smooth_operator.io import documents
+from smooth_operator.io.plain_files import read_text
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
 from smooth_operator.lab.datasets.readers.both_hands import (
     checked_hands,
@@ -207,7 +208,7 @@ def _load(path: Path) -> Any:
     if path.suffix.lower() not in _TEXTS:
         return load_restricted(path, names=(_POINTS[0], _PLACE[0], "is_right", *_FRAME))
     try:
-        text = documents.read_text(path, most_bytes=_MOST_JSON)
+        text = read_text(path, most_bytes=_MOST_JSON)
         lines = [line for line in text.splitlines() if line.strip()]
         if len(lines) > 1 and lines[0].lstrip().startswith("{") and _is_json(lines[0]):
             return [documents.parse_json(line) for line in lines]
