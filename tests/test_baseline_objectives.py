@@ -14,8 +14,8 @@ from smooth_operator import Retargeter, method_config
 from smooth_operator.baselines.slsqp_method import SlsqpMethodConfig
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.terms import FrameGoal
 
 TIPS = (4, 8, 12, 16, 20)
 Cost: TypeAlias = Callable[[np.ndarray], float]

@@ -16,11 +16,11 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import FINGERS, LANDMARKS
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.published import DexPilotTargets, LatchState, PlainTargets
 from smooth_operator.objective.targets import Targets
+from smooth_operator.objective.terms import FrameGoal
 
 FIVE = KeyvectorLayout(FINGERS)
 

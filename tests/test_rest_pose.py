@@ -18,7 +18,6 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.smooth import SMOOTH_PRECISE, SmoothConfig
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig
 from smooth_operator.objective.smooth_terms import (
@@ -27,7 +26,7 @@ from smooth_operator.objective.smooth_terms import (
     SelfCollision,
     SelfCollisionConfig,
 )
-from smooth_operator.objective.terms import NeutralPose, RobotVectors
+from smooth_operator.objective.terms import FrameGoal, NeutralPose, RobotVectors
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator_research.physics.reachable_motion import reachable_motion
 

@@ -37,13 +37,12 @@ from smooth_operator.lab.datasets.quality import quality_figures
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips, whole_config
 from smooth_operator.lab.datasets.sources import find_items
 from smooth_operator.lab.datasets.work import read_item
-from smooth_operator.methods.method import TrajectoryMethodConfig
+from smooth_operator.methods.method import TrajectoryConfig, TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
-from smooth_operator.solvers.trajectory import TrajectoryConfig
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandRecording
 from smooth_operator_research.objects.comparison import AWARE, BLIND, Judged, judge, table, targets

@@ -16,8 +16,8 @@ from jaxtyping import Array, Float
 from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.lab.benchmark.latency import Watch
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator_research.paper.compared_solvers import (
     CompiledSolver,
