@@ -6,13 +6,13 @@ manus_ros2_msgs. The type ``std_msgs/msg/String`` is ``std_msgs::msg::dds_::Stri
 
 import types
 from dataclasses import dataclass, field
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.annotations import final
 from cyclonedds.idl.types import float32, float64, int32, sequence, uint32
 
-Message = IdlStruct
+Message: TypeAlias = IdlStruct
 """A message of ROS 2."""
 
 M = TypeVar("M", bound=Message)
