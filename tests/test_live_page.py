@@ -530,11 +530,6 @@ def page(chromium: Any, served: LivePage) -> Iterator[Any]:
     shown.close()
 
 
-def resize(page: Any, width: int, height: int) -> None:
-    page.set_viewport_size({"width": width, "height": height})
-    page.wait_for_function(f"document.body.clientWidth === {width}")
-
-
 def opened(chromium: Any, served: LivePage, width: int = 900, height: int = 640) -> Any:
     page, problems = new_page(chromium, width, height)
     page.goto(served.url)
@@ -648,7 +643,8 @@ def test_nothing_is_cut_off_at_the_usual_sizes(page):
               legend: box(document.querySelector("#live-legend")),
               pause: button("player-pause"), record: button("player-record")}; }"""
     for width, height in ((1400, 900), (1024, 768), (900, 600)):
-        resize(page, width, height)
+        page.set_viewport_size({"width": width, "height": height})
+        page.wait_for_function(f"document.body.clientWidth === {width}")
         at = page.evaluate(boxes)
         tops = {round(tab["top"]) for tab in at["tabs"]}
         assert len(at["tabs"]) == 3
@@ -732,14 +728,14 @@ def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(page, stage
 
 
 @pytest.mark.browser
-def test_on_a_phone_the_buttons_are_within_reach(page):
-    resize(page, 390, 844)
-
-    def within(name: str) -> bool:
+def test_on_a_phone_the_buttons_are_within_reach(chromium, served):
+    page = opened(chromium, served, 390, 844)
+    for name in ("EMERGENCY STOP", "Pause", "Record"):
         box = page.get_by_role("button", name=name).bounding_box()
-        return box["x"] >= 0 and box["x"] + box["width"] <= 390 and box["y"] + box["height"] <= 844
-
-    eventually(lambda: all(within(name) for name in ("EMERGENCY STOP", "Pause", "Record")))
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= 390
+        assert box["y"] + box["height"] <= 844
+    page.close()
 
 
 def process_figures(pid: int) -> tuple[int, float]:
