@@ -105,13 +105,15 @@ for name in ("SIGHUP", "SIGQUIT"):  # ignored in the same way; commands that tes
 SHARED = Path(__file__).resolve().parents[1] / "shared"
 
 LONG_FILES = (
-    "test_lint.py", "test_live_page.py", "test_study_console_browser.py", "test_study_analysis.py",
-    "test_examples.py", "test_hand_matrix.py", "test_study_report.py", "test_tune.py",
-    "test_calibration.py", "test_smooth_posture.py", "test_texts_on_pages.py", "test_batch.py",
-    "test_corpus.py", "test_hand_page.py", "test_bench.py", "test_hand_validation.py",
-    "test_cli.py", "test_remote.py", "test_retarget_folder.py", "test_plugin.py", "test_smooth.py",
-    "test_rest_pose.py", "test_membership.py", "test_site.py", "test_clip.py", "test_extras.py",
-    "test_compiled_program.py",
+    "test_lint.py", "test_live_page.py", "test_study_console_browser.py", "test_examples.py",
+    "test_batch.py", "test_offline_smoother.py", "test_calibration.py", "test_study_analysis.py",
+    "test_slsqp_method.py", "test_published_methods.py", "test_hand_validation.py",
+    "test_corpus.py", "test_cli.py", "test_operator_profile.py", "test_tune.py",
+    "test_dynamixel.py", "test_retarget_folder.py", "test_dataset_pipeline.py", "test_parallel.py",
+    "test_smooth.py", "test_texts_on_pages.py", "test_signals.py", "test_study_report.py",
+    "test_hand_matrix.py", "test_study_power.py", "test_remote.py", "test_bad_requests.py",
+    "test_smooth_posture.py", "test_site.py", "test_plugin.py", "test_membership.py",
+    "test_clip.py", "test_extras.py", "test_compiled_program.py",
 )  # fmt: skip
 """Files that take long for how few tests they have, the longest first. They run first: the worker
 that took one of them last would be alone with it. The others follow by number of tests, as
@@ -208,6 +210,12 @@ def optimised() -> Iterator[None]:
     jax.config.update("jax_disable_most_optimizations", False)
     yield
     jax.config.update("jax_disable_most_optimizations", before)
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A working folder of its own: MuJoCo writes its warnings there."""
+    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture

@@ -4,8 +4,6 @@ Written from the maker's interface document; it shares no code with the driver, 
 package. The hand leaves the mode in which it takes commands when none has come for 300 ms.
 """
 
-from __future__ import annotations
-
 import struct
 import time
 

@@ -5,8 +5,6 @@ is the message number times four. Each joint is an inertia with friction, so a d
 controller or reverses a sign is seen to fail.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import threading

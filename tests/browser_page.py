@@ -1,7 +1,5 @@
 """A page in a headless browser: opened so that its complaints are heard, and looked at."""
 
-from __future__ import annotations
-
 import io
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """How deep the capsules of a hand are in each other, for tests."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from smooth_operator.hands.capsules import CapsulePairs, segment_parameters

@@ -4,8 +4,6 @@
 and container of its layout. ``wrong_frames`` counts the frames of a clip that show the other hand.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import pickle
@@ -215,8 +213,7 @@ def in_camera(side: Side) -> np.ndarray:
     camera = camera_in_arkit(len(it.nodes))
     back = np.linalg.inv(camera)
     seen = arkit(it.points)
-    placed: np.ndarray = np.einsum("tij,tnj->tni", back[:, :3, :3], seen) + back[:, None, :3, 3]
-    return placed
+    return np.einsum("tij,tnj->tni", back[:, :3, :3], seen) + back[:, None, :3, 3]
 
 
 def wilor_frames(*, exchanged: bool = False, lost: dict[Side, range] | None = None) -> list[Any]:
@@ -347,10 +344,7 @@ def egohandkit_file(
         ]
         rows[f"{named}_confidence"] = [None if k in gone else 0.5 + 0.01 * k for k in range(count)]
     rows["source"] = ["hawor"] * count
-    own = {
-        b"coordinate_system": b"opencv_x_right_y_down_z_forward",
-        b"joint_order": b"openpose21",
-    }
+    own = {b"coordinate_system": b"opencv_x_right_y_down_z_forward", b"joint_order": b"openpose21"}
     kinds = {"frame_idx": pa.int64(), "timestamp_ns": pa.int64(), "source": pa.string()}
     for side in SIDES:
         kinds[f"{side}_present"] = pa.bool_()

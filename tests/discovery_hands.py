@@ -1,7 +1,5 @@
 """Random robot hands whose names say nothing, with what is true of each, as URDF or MJCF text."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -173,7 +171,6 @@ def mirrored(part: Part) -> Part:
 
 def flipped(part: Part) -> Part:
     """The same joint, counted the other way round."""
-    assert part.axis is not None
     low, high = part.limits
     return replace(part, axis=-part.axis, limits=(-high, -low))
 

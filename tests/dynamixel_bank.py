@@ -4,8 +4,6 @@ Written from the published protocol, apart from the driver and from ROBOTIS' SDK
 and checksum are computed here. The servos move with a limited speed and force.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

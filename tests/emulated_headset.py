@@ -1,7 +1,5 @@
 """A headset that is not there: Meta's Immersive Web Emulation Runtime in a headless browser."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import tarfile

@@ -1,7 +1,5 @@
 """A hand in memory that moves as its motors would, and fails when it is asked to; no bus."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@ They have the calls that our drivers use, with the names, parameters and results
 ``test_hand_protocols.py`` compares them with the real packages where those are installed.
 """
 
-from __future__ import annotations
-
 import asyncio
 import enum
 import time
@@ -31,10 +29,8 @@ class WujiWorld:
         self.codes = np.zeros((5, 4), np.uint32)
         self.switched: list[bool] = []
         self.module = types.ModuleType("wujihandpy")
-        self.module.logging = types.SimpleNamespace(  # type: ignore[attr-defined]
-            set_log_to_console=lambda value: None
-        )
-        self.module.filter = types.SimpleNamespace(LowPass=WujiLowPass)  # type: ignore[attr-defined]
+        self.module.logging = types.SimpleNamespace(set_log_to_console=lambda value: None)
+        self.module.filter = types.SimpleNamespace(LowPass=WujiLowPass)
         world = self
 
         class Hand(WujiHand):
@@ -44,7 +40,7 @@ class WujiWorld:
             ) -> None:  # fmt: skip
                 super().__init__(world)
 
-        self.module.Hand = Hand  # type: ignore[attr-defined]
+        self.module.Hand = Hand
 
     def touch(self) -> None:
         """Every call passes here."""
@@ -164,10 +160,10 @@ class StarkWorld:
         self.unit: FingerUnitMode | None = None
         self.units: list[FingerUnitMode | None] = []  # in which positions came
         self.package, self.main_mod = (types.ModuleType(n) for n in ("bc_stark_sdk", "main_mod"))
-        self.package.main_mod = self.main_mod  # type: ignore[attr-defined]
+        self.package.main_mod = self.main_mod
         for kind in (Baudrate, FingerUnitMode, HandType, MotorState):
             setattr(self.main_mod, kind.__name__, kind)
-        self.main_mod.DeviceContext = StarkContext  # type: ignore[attr-defined]
+        self.main_mod.DeviceContext = StarkContext
 
         def modbus_open(port_name: str, baudrate: Baudrate) -> Any:
             async def opened() -> StarkContext:
@@ -178,7 +174,7 @@ class StarkWorld:
             asyncio.get_running_loop()  # the real one needs a loop that runs, too
             return opened()
 
-        self.main_mod.modbus_open = modbus_open  # type: ignore[attr-defined]
+        self.main_mod.modbus_open = modbus_open
 
     async def answer(self, slave_id: int) -> None:
         """Every call passes here."""

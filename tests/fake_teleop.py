@@ -1,7 +1,5 @@
 """A running teleoperation for tests of the console: answers as ``teleop --control`` does."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A port of this machine that nothing uses."""
 
-from __future__ import annotations
-
 import socket
 
 

@@ -12,8 +12,6 @@ as ``module:function``, on a file in another process and says what came of it::
 As a script it is that other process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import io
@@ -409,7 +407,7 @@ class ReaderProcess:
         self._paths = list(paths)
         self._process: subprocess.Popen[bytes] | None = None
 
-    def __enter__(self) -> ReaderProcess:
+    def __enter__(self) -> "ReaderProcess":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -490,7 +488,7 @@ def _verdict(function: Callable[[Path], Any], path: Path) -> Verdict:
         outcome, detail = "slow", f"{seconds:.1f} s; {detail[:200]}"
     elif peak > MEMORY_MB:
         outcome, detail = "memory", f"{peak:.0f} MB; {detail[:200]}"
-    return Verdict(outcome, detail[:LONGEST_MESSAGE], seconds, peak)  # type: ignore[arg-type]
+    return Verdict(outcome, detail[:LONGEST_MESSAGE], seconds, peak)
 
 
 def _processor() -> float:

@@ -3,8 +3,6 @@
 As a program: ``python tests/glove_simulator.py --address tcp://127.0.0.1:8000 --drop 0.1``.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import threading
@@ -18,9 +16,8 @@ import numpy as np
 import tyro
 import zmq
 
-from smooth_operator.formats.readers import read_recording
+from smooth_operator import SyntheticOperator, read_recording
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
-from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.tracker import TrackerModel
 from smooth_operator.teleop.sources.live import on_time
 from smooth_operator.teleop.sources.programs import NODES

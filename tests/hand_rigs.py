@@ -1,7 +1,5 @@
 """Each driver of a real hand with a simulator on its wire, in one form for the shared tests."""
 
-from __future__ import annotations
-
 import importlib.util
 import itertools
 import os
@@ -55,8 +53,7 @@ class Rig:
 
     @property
     def faults(self) -> Faults:
-        found: Faults = self.hand.faults
-        return found
+        return self.hand.faults
 
     def patience(self, seconds: float) -> None:
         """How long the driver waits for an answer [s]; to be set before it is opened."""
@@ -74,8 +71,7 @@ class Rig:
 
     def positions(self) -> np.ndarray:
         """Where the motors are, in the commands' unit."""
-        found: np.ndarray = self.hand.servos.positions()
-        return found
+        return self.hand.servos.positions()
 
     def outside(self) -> int:
         """How often a target beyond the ends came."""
@@ -199,7 +195,7 @@ class Allegro(Rig):
         self.sink = f"allegro:virtual:{self.channel},table={self.table}"
 
     def positions(self) -> np.ndarray:
-        return self.hand.position.copy()  # type: ignore[no-any-return]
+        return self.hand.position.copy()
 
     def outside(self) -> int:
         """Torques above the table's limit: the hand is sent no positions."""
@@ -259,7 +255,7 @@ class Wuji(Rig):
         self.monkeypatch.setitem(sys.modules, "wujihandpy", self.hand.module)
 
     def limits(self) -> list[float]:
-        return self.hand.effort_limit.ravel().tolist()  # type: ignore[no-any-return]
+        return self.hand.effort_limit.ravel().tolist()
 
     def restart(self) -> None:
         self.hand.effort_limit = np.full((5, 4), 1.5)
@@ -338,7 +334,7 @@ ON_A_PTY: Final = ("inspire-rtu", "ability", "revo2-sdk")
 
 def missing(name: str) -> str:
     """Why a rig can't be used here; empty if it can."""
-    library = RIGS[name].library  # type: ignore[attr-defined]
+    library = RIGS[name].library
     if library and importlib.util.find_spec(library) is None:
         return f"needs {library}"
     return "needs a pty" if name in ON_A_PTY and sys.platform == "win32" else ""

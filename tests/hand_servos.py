@@ -1,7 +1,5 @@
 """Motors of a simulated hand, for simulators of wire protocols: they move towards a target."""
 
-from __future__ import annotations
-
 import itertools
 import threading
 import time

@@ -1,7 +1,5 @@
 """Made clips of which one hangs its reader, with a short time for reading."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import replace

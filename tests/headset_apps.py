@@ -4,8 +4,6 @@
 the fingers and z out of the back of the hand. Each encoder turns them into its app's own frame.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Read soundly means: numbers where a landmark is valid, stamps that increase, and
 the other one in most of its frames.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import random

@@ -5,8 +5,6 @@ files read and prints what came of them, and the most time and memory that one t
 ``test_hostile_files.py`` does the same with few.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import random
@@ -81,7 +79,7 @@ def overwrite(path: Path) -> None:
     from smooth_operator.teleop.recording.convert import check_target
 
     foreign(path.with_suffix(".npz"))
-    check_target(path, {".h5": "hdf5", ".mcap": "mcap"}.get(path.suffix, "npz"), [], True)  # type: ignore[arg-type]
+    check_target(path, {".h5": "hdf5", ".mcap": "mcap"}.get(path.suffix, "npz"), [], True)
 
 
 def latency(path: Path) -> None:

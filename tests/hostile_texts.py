@@ -1,7 +1,5 @@
 """Texts that would run if a page took them for markup or for a script, and a hand that has them."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -3,8 +3,6 @@
 Written from the published register map. It shares no code with the driver, and none with pymodbus.
 """
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import struct

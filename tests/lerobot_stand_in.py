@@ -3,8 +3,6 @@
 Where LeRobot is installed, the plug-ins get the real one.
 """
 
-from __future__ import annotations
-
 import abc
 import importlib.util
 import sys

@@ -4,8 +4,6 @@ Written from the published frame list; it shares no code with the driver. The bu
 virtual one, which carries frames between two bus objects of one process.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from typing import Any, Final

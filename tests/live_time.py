@@ -1,7 +1,5 @@
 """Time and mailboxes for tests of live sources: time that passes only where someone waits."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any
@@ -59,7 +57,7 @@ def started(waits: Waits) -> tuple[Running, Kept]:
     """A running source without its thread, in a time of its own."""
     mailbox = Kept(waits.clock)
     running = Running(mailbox, "test")
-    running.stopping = waits  # type: ignore[assignment]
+    running.stopping = waits
     return running, mailbox
 
 

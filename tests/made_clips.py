@@ -1,7 +1,5 @@
 """A layout of made clips: a file names their number, and each is made when it is read."""
 
-from __future__ import annotations
-
 import functools
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Landmarks for tests that need a hand, whichever it is."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

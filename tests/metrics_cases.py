@@ -1,7 +1,5 @@
 """Synthetic runs for the tests of metrics and plots."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from smooth_operator.landmarks import FINGERS, TIPS
@@ -46,7 +44,7 @@ def make_trace(
         "status": np.zeros(frames, int),
         "latency_ms": np.arange(1.0, frames + 1),
     }
-    return Trace(**values | changes)  # type: ignore[arg-type]
+    return Trace(**values | changes)
 
 
 def rotation(axis: np.ndarray, angle: float) -> np.ndarray:

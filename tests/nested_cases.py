@@ -1,7 +1,5 @@
 """Rows of simulated studies whose mixed models are compared with R's, and how R is asked."""
 
-from __future__ import annotations
-
 import csv
 import json
 import subprocess

@@ -3,8 +3,6 @@
 All are drawn up as right hands with fingers along z, palm to -y and thumb at +x.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

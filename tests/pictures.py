@@ -1,7 +1,5 @@
 """OpenCV for tests, which skip where it is missing or can't be loaded."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

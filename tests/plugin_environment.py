@@ -1,7 +1,5 @@
 """A Python environment of its own with distributions of this repository installed."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Logs read with the MCAP and Protocol Buffers libraries alone, by the types that the file has."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Written down from the vendors' files, and apart from the catalogue, so that a sl
 a description of ours shows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

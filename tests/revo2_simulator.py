@@ -5,8 +5,6 @@ positions), 1022 to 1033 (position and speed of each finger in turns); input 200
 (positions, speeds, currents, states), 3000 to 3029 (version and serial number, as text).
 """
 
-from __future__ import annotations
-
 import struct
 import time
 

@@ -1,7 +1,5 @@
 """Robot clips for tests of writers: smooth motion made with NumPy, nothing is retargeted."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The far end of a serial port, on a pseudo-terminal that a thread reads."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

@@ -7,8 +7,6 @@ second: no answers, late answers, damaged answers, refused requests, or the devi
 machine and Python's lock cost without a hand.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

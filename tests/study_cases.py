@@ -1,7 +1,5 @@
 """Simulated studies for tests: the same rows on every machine and with every version of NumPy."""
 
-from __future__ import annotations
-
 import csv
 import random
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Consoles of a study for tests: in a thread, or as the command in a process that can be killed."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import http.client
@@ -198,19 +196,16 @@ class ConsoleProcess:
         eventually(self._answers, "the console")
 
     def kill(self) -> None:
-        assert self._process is not None
         os.kill(self._process.pid, signal.SIGKILL)
         self._process.wait(PATIENCE_S)
 
     def end(self, how: int = signal.SIGINT) -> int:
         """As Ctrl-C does, or another signal."""
-        assert self._process is not None
         if self._process.poll() is None:
             self._process.send_signal(how)
         return self._process.wait(PATIENCE_S)
 
     def _answers(self) -> bool:
-        assert self._process is not None
         assert self._process.poll() is None, self.log.read_text()
         with contextlib.suppress(OSError, http.client.HTTPException):
             return fetch(self.port, "/link.js")[0] == 200

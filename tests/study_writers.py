@@ -4,8 +4,6 @@ Forks writers that write event after event to one store and note each acknowledg
 of their own. As a script of its own it forks before anything starts a thread, and imports little.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import signal
@@ -68,14 +66,12 @@ def due(progress: Progress, rng: random.Random) -> Event | None:
         return TrialStarted(task, number, trial)
     if step.what == "trial":
         running = progress.running
-        assert running is not None
         if not running.resets and rng.random() < 0.2:
             return TrialReset(task, number, trial)
         line = rng.choice(block.task.rubric).name
         seconds = round(rng.uniform(5, 60), 2)
         return TrialScored(task, number, trial, line, progress.capped(line), seconds)
     assert step.what == "questionnaire"
-    assert step.point is not None
     ratings = {name: 5 * rng.randint(0, 20) for name in SCALE_NAMES}
     return QuestionnaireAnswered(task, number, step.point, ratings)
 

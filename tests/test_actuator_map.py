@@ -1,7 +1,5 @@
 """Tables of real hands: monotonic maps, their inverse, what is refused and in which words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +24,7 @@ from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
 
 
 def table_of(*actuators: Actuator, **more: object) -> ActuatorMap:
-    return ActuatorMap("fake", "mimic_p050", "right", "deg", actuators, **more)  # type: ignore[arg-type]
+    return ActuatorMap("fake", "mimic_p050", "right", "deg", actuators, **more)
 
 
 @settings(deadline=None, max_examples=50)

@@ -1,17 +1,14 @@
 """Hands of the wrong side and landmarks in the wrong order are noticed; right ones never."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from smooth_operator import read_commands, read_recording, write_commands
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.formats.checks import check_palm, check_units
-from smooth_operator.formats.commands import read_commands, write_commands
-from smooth_operator.formats.readers import read_recording
 from smooth_operator.io.anatomy import (
     FEWEST_FRAMES,
     Doubt,
@@ -57,11 +54,8 @@ def real(shared: Path, name: str) -> np.ndarray:
 
 
 def saved(path: Path, landmarks: np.ndarray, **more: object) -> Path:
-    np.savez(path, landmarks=landmarks, timestamps=np.arange(len(landmarks)) / 100, **more)  # type: ignore[arg-type]
+    np.savez(path, landmarks=landmarks, timestamps=np.arange(len(landmarks)) / 100, **more)
     return path
-
-
-# The table of layouts
 
 
 def test_a_layout_is_an_order_of_all_points():
@@ -75,9 +69,6 @@ def test_a_layout_is_an_order_of_all_points():
     assert [ends[i] for i in LAYOUTS["interhand"]] == ours
     bases = ["W", "T1", "I1", "M1", "R1", "P1", *(f"{f}{k}" for f in "TIMRP" for k in (2, 3, 4))]
     assert [bases[i] for i in LAYOUTS["fpha"]] == ours
-
-
-# What is noticed
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])
@@ -107,7 +98,7 @@ def test_a_mirror_image_is_the_other_hand(operator):
     mirrored = operator.landmarks * MIRROR
     np.testing.assert_allclose(chirality(mirrored), -chirality(operator.landmarks))
     for points, side, other in ((mirrored, "right", "left"), (operator.landmarks, "left", "right")):
-        found = doubt(points, side)  # type: ignore[arg-type]
+        found = doubt(points, side)
         assert (found.side, found.layout) == (other, None)
         assert f"--side {other}" in found.remedy
     assert doubt(mirrored, "left") is None
@@ -138,7 +129,7 @@ def test_right_ones_are_never_refused(side):
     """Short windows of operators of either side, with the noise of a bad tracker."""
     rng = np.random.default_rng(2)
     for seed in range(3):
-        made = SyntheticOperator(seed=seed, side=side).record(4.0)  # type: ignore[arg-type]
+        made = SyntheticOperator(seed=seed, side=side).record(4.0)
         for first in range(0, 380, 19):
             for noise in (0.0, 0.003, 0.005):
                 seen = made.landmarks[first : first + 8]
@@ -161,9 +152,6 @@ def test_real_recordings_pass_and_their_faults_do_not(shared, name):
         windows += 1
     # a planar palm with straight fingers, as one of these trackers gives it, is no side's
     assert noticed >= (0.6 if "alex" in name else 1.0) * windows
-
-
-# What is no hand, or none in metres
 
 
 def turned(landmarks: np.ndarray, kind: str, size: float) -> tuple[np.ndarray, Side]:
@@ -269,9 +257,6 @@ def test_image_landmarks_are_recognised(tmp_path, operator, distance, picture, p
             check_palm(seen[0], np.ones(21, bool), "the message")
 
 
-# The layout aria
-
-
 def test_aria_has_tips_first_and_the_centre_of_the_palm_last(tmp_path, operator):
     names = [*(f"{f}4" for f in "TIMRP"), "W", "T2", "T3"]
     names += [*(f"{f}{k}" for f in "IMRP" for k in (1, 2, 3)), "palm"]
@@ -289,15 +274,11 @@ def test_aria_has_tips_first_and_the_centre_of_the_palm_last(tmp_path, operator)
     assert off.max() < 0.012
     points[3, 6] = np.nan  # without the thumb's MCP there is no CMC either
     valid = read_recording(saved(tmp_path / "b.npz", points), layout="aria").valid
-    assert valid is not None
     assert np.argwhere(~valid).tolist() == [[3, 1], [3, 2]]
     (reading,) = read_payload(
         points[0].astype("<f8").tobytes(), side="right", received=1.0, layout="aria"
     )
     np.testing.assert_allclose(reading.frame.landmarks, read[0])
-
-
-# Reading files
 
 
 def test_a_file_in_another_layout_is_refused_and_converted(tmp_path, operator):
@@ -312,7 +293,6 @@ def test_a_file_in_another_layout_is_refused_and_converted(tmp_path, operator):
         read_recording(path)
     read = read_recording(path, layout="mano")
     np.testing.assert_array_equal(read.landmarks, operator.landmarks[:40])
-    assert read.valid is not None
     assert np.argwhere(~read.valid).tolist() == [[3, 4]]
     np.testing.assert_array_equal(read.orientations, turns)
     episode = read_episode(path, layout="mano").recording
@@ -338,7 +318,6 @@ def test_frames_of_another_size_are_not_seen(tmp_path, operator):
     points[30, 8] = 5.0  # one landmark in the next room
     read = read_recording(saved(tmp_path / "a.npz", points))
     assert read.meta["implausible_frames"] == 6
-    assert read.valid is not None
     wrong = ~read.valid
     assert np.flatnonzero(wrong.all(axis=1)).tolist() == [10, 11, 12, 13, 20]
     assert np.argwhere(wrong[21:]).tolist() == [[9, 8]]
@@ -346,9 +325,6 @@ def test_frames_of_another_size_are_not_seen(tmp_path, operator):
     assert any("6 of 200 frames have a palm or a landmark" in note for note in notes)
     clean = read_recording(saved(tmp_path / "b.npz", operator.landmarks))
     assert "implausible_frames" not in clean.meta
-
-
-# Live
 
 
 def test_live_frames_are_judged_from_the_first_few_on(operator):
@@ -399,9 +375,6 @@ def test_the_synthetic_operator_may_lose_frames(operator):
     holes = replace(operator, valid=valid)
     assert doubt(holes.landmarks, "right", holes.valid) is None
     assert doubt(holes.landmarks * MIRROR, "right", holes.valid) is not None
-
-
-# Files that are no recordings
 
 
 @pytest.mark.parametrize(

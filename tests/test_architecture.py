@@ -1,7 +1,5 @@
 """Imports of the package follow the levels of ``docs/explanation/architecture.md``."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import re

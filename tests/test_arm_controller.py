@@ -1,7 +1,5 @@
 """Arms: their kinematics against the makers' figures, and a controller that keeps every limit."""
 
-from __future__ import annotations
-
 import runpy
 import time
 from dataclasses import dataclass, field
@@ -37,11 +35,11 @@ NAMES = tuple(ARMS)
 
 @cache
 def _mount(hand: str, arm: str, side: str = "right") -> HandMount:
-    return HandMount(load_hand(hand, side), roll=ARMS[arm].roll)  # type: ignore[arg-type]
+    return HandMount(load_hand(hand, side), roll=ARMS[arm].roll)
 
 
 def _controller(arm: str, hand: str = "mimic_p050", **settings: float) -> ArmController:
-    return ArmController(ARMS[arm], _mount(hand, arm), **settings)  # type: ignore[arg-type]
+    return ArmController(ARMS[arm], _mount(hand, arm), **settings)
 
 
 def _flange(arm: str, q: list[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -222,7 +220,7 @@ def test_a_home_pose_out_of_reach_is_refused():
     from smooth_operator.simulation.arms.arm import rigid
 
     with pytest.raises(ConfigError, match="can't reach the home pose"):
-        _controller("ur5e", home=rigid(np.eye(3), (2.0, 0.0, 0.5)))  # type: ignore[arg-type]
+        _controller("ur5e", home=rigid(np.eye(3), (2.0, 0.0, 0.5)))
 
 
 def test_the_slope_of_each_distance_is_its_derivative():
@@ -249,7 +247,7 @@ def test_the_slope_of_each_distance_is_its_derivative():
 
 
 def _carried(arm: str) -> Any:
-    return place_arms(ArmSettings(arm), {"right": load_hand("leap_hand")})["right"]  # type: ignore[arg-type]
+    return place_arms(ArmSettings(arm), {"right": load_hand("leap_hand")})["right"]
 
 
 @pytest.mark.parametrize("arm", ARMS)
@@ -297,7 +295,7 @@ def test_the_sink_carries_the_hand_and_reads_the_arm_back():
             Tick("right", hand.name, command, np.zeros(len(q)), Mode.TRACKING, 0.0, 0, arm=arm)
         )
         end = time.monotonic() + 20.0
-        while np.abs(sink.measured_arm("right") - wanted).max() > 5e-3:  # type: ignore[operator]
+        while np.abs(sink.measured_arm("right") - wanted).max() > 5e-3:
             assert time.monotonic() < end, "the arm does not go where it is sent"
             time.sleep(0.02)
         after = sink.measured_wrist("right")

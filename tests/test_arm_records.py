@@ -1,7 +1,5 @@
 """The arm's command in what leaves the loop: ZeroMQ, the log, HDF5."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

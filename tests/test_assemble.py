@@ -1,22 +1,17 @@
 """From a recording and its commands to a trace: frames, order of fingers, self-collision."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 
-from smooth_operator import load_hand
+from smooth_operator import LANDMARKS, Hand, evaluate, load_hand
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.hands.collision import colliding_shapes
-from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace, sample_reach
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
@@ -140,7 +135,6 @@ def test_depth_is_that_of_the_shapes():
     low, high = hand.limits.T
     poses = hand.full_configuration(np.random.default_rng(5).uniform(low, high, (60, len(low))))
     depths = penetration_depths(hand, poses)
-    assert depths is not None
     geoms = {hand.model.geom(g).name: g for g in range(hand.model.ngeom)}
     fingers = [[g for n, g in geoms.items() if n.startswith(f)] for f in hand.fingers]
     data = mujoco.MjData(hand.model)

@@ -1,7 +1,5 @@
 """The Vision Pro app Tracking Streamer: its messages, its stream, what goes wrong with them."""
 
-from __future__ import annotations
-
 import contextlib
 import random
 import socket
@@ -52,7 +50,6 @@ def check(frame: HandFrame, pose: app.Pose) -> None:
     joints = JOINTS[frame.side]
     np.testing.assert_allclose(frame.landmarks, app.landmarks(joints), atol=1e-7)
     np.testing.assert_allclose(frame.metacarpals, joints[[5, 10, 15, 20]], atol=1e-7)
-    assert frame.T_world_wrist is not None
     assert (separation(frame.T_world_wrist, np.asarray(pose)) < 2e-6).all()
     assert frame.world == "avp"
     sign = 1.0 if frame.side == "right" else -1.0
@@ -137,9 +134,6 @@ def test_no_message_is_a_crash():
     assert len(refused) > 50
     assert taken > 10
     assert all(len(words) < 500 for words in refused)
-
-
-# The stream.
 
 
 class Headset:

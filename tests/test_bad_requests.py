@@ -1,7 +1,5 @@
 """What comes to a page's port that is no request, or a wrong one, is refused in silence."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

@@ -1,7 +1,5 @@
 """Recordings side by side: what `run` gives for each, whatever else is in the batch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
@@ -12,14 +10,12 @@ import numpy as np
 import pytest
 from jax import lax
 
-from smooth_operator import Retargeter
+from smooth_operator import Hand, Retargeter, method_config
 from smooth_operator.compilation.batching import LaneProgram, Tracks
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.methods.frame import FrameState, RetargetState
 from smooth_operator.methods.method import Method, MethodOutput, TrajectoryMethodConfig
-from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.program import ticks_of
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.smooth import SmoothConfig
@@ -113,7 +109,7 @@ def retargeter(request) -> Retargeter:
     return Retargeter(config=config, seed=3)
 
 
-def test_a_batch_is_each_recording_alone(retargeter) -> None:
+def test_a_batch_is_each_recording_alone(retargeter):
     recordings = damaged()
     seen: list[int] = []
     batch = retargeter.batch(recordings, track=lambda steps: (seen.append(i) or i for i in steps))
@@ -151,7 +147,7 @@ def test_a_solver_on_the_host_takes_recordings_in_turn():
         assert np.isnan(commands.latency_ms).all()
 
 
-def test_whole_recordings_in_a_batch_are_each_alone() -> None:
+def test_whole_recordings_in_a_batch_are_each_alone():
     future = TrajectoryConfig(acceleration_weight=2e-8, iterations=3)
     whole = TrajectoryRetargeter(
         Retargeter(config=SBR).hand, TrajectoryMethodConfig(SBR, future, jump=0.03)

@@ -1,7 +1,5 @@
 """The benchmark's answer to "which method?", its columns, and the page's sorting and hovering."""
 
-from __future__ import annotations
-
 import re
 from importlib.resources import files
 from pathlib import Path

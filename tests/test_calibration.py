@@ -1,7 +1,5 @@
 """Calibration: operators with known offsets and sizes are found again, and bad ones told apart."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -64,9 +62,6 @@ def shifted(recording: HandRecording, hand: Hand, along: float, pad: float) -> H
     landmarks = recording.landmarks.copy()
     landmarks[:, TIPS] -= offset
     return replace(recording, landmarks=landmarks)
-
-
-# Finding.
 
 
 def test_every_pose_is_found_where_it_was_made(exact, found):
@@ -160,7 +155,7 @@ def test_without_pinches_the_rest_is_calibrated(hand):
     assert (operator.project, operator.escape, operator.residual_gap) == (None, None, None)
     assert all((f.tip_along, f.tip_pad, f.pinch_gap) == (0, 0, None) for f in operator.fingers)
     config = method_config("dexpilot")
-    assert config.with_operator(operator).objective == config.objective  # type: ignore[attr-defined]
+    assert config.with_operator(operator).objective == config.objective
 
 
 def test_without_a_flat_hand_reach_is_the_bones(hand):
@@ -186,9 +181,6 @@ def test_a_finger_that_never_pinched_has_the_offset_of_the_others(hand):
     assert pinky.tip_pad > 0.7 * index.tip_pad > 0.001  # most of it is what fingers share
 
 
-# Prompts.
-
-
 def test_segments_that_prompts_mark_calibrate_like_those_of_a_search(exact, hand, found):
     segments = [
         replace(next(s for s in found.segments if s.pose == prompt.pose), confidence=1.0)
@@ -202,9 +194,6 @@ def test_segments_that_prompts_mark_calibrate_like_those_of_a_search(exact, hand
         assert abs(b.tip_pad - a.tip_pad) < 0.002
     assert sum(prompt.settle + prompt.hold for prompt in prompts()) < 120  # two minutes
     assert [p.pose for p in prompts(("thumb", "ring"))] == ["flat", "spread", "fist", "pinch_ring"]
-
-
-# What can't be.
 
 
 def test_the_wrong_side_is_noticed(exact, hand):
@@ -230,9 +219,6 @@ def test_a_recording_without_whole_hands_is_refused(exact, hand):
     valid[5:, 7] = False
     with pytest.raises(RecordingError, match=r"5 of .* frames show a whole hand"):
         calibrate(replace(exact, valid=valid), hand)
-
-
-# The robot's side.
 
 
 @pytest.mark.parametrize("name", ["mimic_p050", "allegro_hand", "leap_hand"])
@@ -269,16 +255,13 @@ def test_hands_without_joints_behind_the_knuckle(name):
     assert not knuckle_joints(load_hand(name)).any()
 
 
-# The report, and what it is worth.
-
-
 def test_the_report_says_what_was_found(exact, found):
     content = report(found, exact)
     assert content["frames_used"] == len(exact)
     index = content["fingers"]["index"]
     assert index["pinch_gap_mm"]["median"] == pytest.approx(
         1e3 * found.operator.fingers[1].pinch_gap
-    )  # type: ignore[operator]
+    )
     assert index["pinch_gap_corrected_mm"]["median"] <= index["pinch_gap_mm"]["median"]
     assert content["fingers"]["thumb"]["pinch_gap_mm"] is None
     segment = content["poses"]["pinch_ring"]["segments"][0]
@@ -286,6 +269,7 @@ def test_the_report_says_what_was_found(exact, found):
     assert closed_gaps(found, "thumb") is None
 
 
+@pytest.mark.weekly
 @pytest.mark.shared
 def test_the_second_half_gains_from_a_fit_on_the_first(shared, hand):
     file = shared / "recordings" / "manus_right_subject-000_run-010.npz"
@@ -294,7 +278,7 @@ def test_the_second_half_gains_from_a_fit_on_the_first(shared, hand):
     part = whole[2600:3400]  # three of the four pinches; none was in the first half
 
     def judged(config: object) -> tuple[float, float]:
-        commands, _ = Retargeter(hand, config=config).run(part)  # type: ignore[arg-type]
+        commands, _ = Retargeter(hand, config=config).run(part)
         metrics = evaluate(assemble_trace(part, commands, hand, reach_samples=0))
         assert isinstance(metrics["pinch_error_mm"], float)
         assert isinstance(metrics["scale_ratio"], float)
@@ -316,7 +300,7 @@ def test_the_precise_preset_closes_pinches_and_keeps_its_directions(shared, hand
     part = whole[2500:]
 
     def judged(config: object) -> tuple[float, float, float]:
-        commands, _ = Retargeter(hand, config=config).run(part)  # type: ignore[arg-type]
+        commands, _ = Retargeter(hand, config=config).run(part)
         metrics: Any = evaluate(assemble_trace(part, commands, hand, reach_samples=0))
         return (
             metrics["pinch_error_strict_mm"],
@@ -341,9 +325,6 @@ def test_the_report_promises_what_held_for_frames_it_was_not_fitted_on(found):
     left = closed_gaps(replace(found, gaps={finger: two}), finger)
     np.testing.assert_allclose(left[20:], 0.006, atol=1e-12)
     assert closed_gaps(replace(found, gaps={finger: two[:6]}), finger) is None
-
-
-# The command line.
 
 
 def save(path: Path, seconds: float = 20.0, side: Side = "right") -> Path:
@@ -501,9 +482,6 @@ def test_the_demo_drives_some_fingers_and_says_so(tmp_path, run):
     assert config["fingers"] == CHOSEN
     metrics = json.loads((tmp_path / "demo" / "metrics.json").read_text(encoding="utf-8"))
     assert metrics["pinch_error_per_finger_mm"].keys() == {"index", "ring"}
-
-
-# With the operator in front of it
 
 
 def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held():

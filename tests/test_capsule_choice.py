@@ -1,7 +1,5 @@
 """Which pairs of shapes a hand is kept clear by, where a vendor's model has too many of them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from itertools import pairwise
@@ -62,7 +60,6 @@ def test_no_pair_is_left_out_that_meets_while_there_is_room(whole):
     assert len(pairs.pairs) < MOST
     q = poses_of(whole, 400)
     true = penetration_depths(whole, whole.full_configuration(q))
-    assert true is not None
     deep = true > 0.004
     assert deep.mean() > 0.1
     assert (deepest(pairs, whole, q)[deep] > 0).mean() > 0.99
@@ -77,7 +74,6 @@ def test_of_too_many_pairs_those_are_kept_that_meet_most(whole, in_pieces):
     # in other poses, too, they know of nearly all that is deep
     q = poses_of(in_pieces, 400)
     true = penetration_depths(in_pieces, in_pieces.full_configuration(q))
-    assert true is not None
     deep = true > 0.004
     assert (deepest(pairs, in_pieces, q)[deep] > 0).mean() > 0.9
 

@@ -1,7 +1,5 @@
 """The command line, end to end: what it writes, what it prints, and what it says when it can't."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -16,11 +14,9 @@ import numpy as np
 import pytest
 from live_time import until
 
-from smooth_operator import Retargeter, load_hand
+from smooth_operator import Retargeter, load_hand, read_commands, read_recording
 from smooth_operator.cli import main
 from smooth_operator.errors import RecordingError
-from smooth_operator.formats.commands import read_commands
-from smooth_operator.formats.readers import read_recording
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS
@@ -239,7 +235,7 @@ def test_stopping_while_writing_leaves_the_former_result(run, glove, tmp_path, m
     before = out.read_bytes()
 
     def half_written(file: object, **_: object) -> None:
-        file.write(b"PK")  # type: ignore[attr-defined]
+        file.write(b"PK")
         raise KeyboardInterrupt
 
     monkeypatch.setattr(np, "savez", half_written)
@@ -263,7 +259,7 @@ def test_metrics_are_printed_group_by_group(capsys):
     for number, metric in enumerate(METRICS):
         outer, _, inner = metric.name.partition(".")
         if inner:
-            metrics.setdefault(outer, {})[inner] = float(number)  # type: ignore[index]
+            metrics.setdefault(outer, {})[inner] = float(number)
         else:
             metrics[outer] = {"index": 0.5} if metric.name.startswith("pinch_error_per") else number
     print_metrics("a title", metrics)

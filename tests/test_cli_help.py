@@ -1,7 +1,5 @@
 """Help that is wrapped once, and words that are no command or option."""
 
-from __future__ import annotations
-
 import inspect
 import io
 import re

@@ -1,7 +1,5 @@
 """``view --save``: a moving picture of human and robots, drawn without a display."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

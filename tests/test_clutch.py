@@ -1,7 +1,5 @@
 """The clutch of the wrist: limits at every pair of stamps, no jump, holds, the measured arm."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -10,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smooth_operator import Retargeter, load_hand, poses
+from smooth_operator import HandFrame, Retargeter, load_hand, poses
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.planning import make_request
@@ -20,7 +18,6 @@ from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig, WristConfig
 from smooth_operator.teleop.sinks.tick import Mode, WristCommand
 from smooth_operator.teleop.sources.live import Arrival
-from smooth_operator.types import HandFrame
 
 HZ = 100.0
 HOME = np.array(WristConfig().home)
@@ -110,10 +107,7 @@ KINDS = [
 ]  # fmt: skip
 MOVES = st.lists(
     st.tuples(
-        st.one_of(
-            st.floats(1e-4, 0.03),
-            st.sampled_from([0.01, 0.01, 1 / 72, 0.0014, 0.2, 2.0]),
-        ),
+        st.one_of(st.floats(1e-4, 0.03), st.sampled_from([0.01, 0.01, 1 / 72, 0.0014, 0.2, 2.0])),
         st.sampled_from(KINDS),
         st.tuples(*[st.floats(-3.0, 3.0)] * 3),  # velocity [m/s]
         st.tuples(*[st.floats(-9.0, 9.0)] * 3),  # angular velocity [rad/s]
@@ -172,7 +166,7 @@ def test_limits_hold_at_every_pair_of_stamps(config, moves):
         assert np.isfinite(stage.poses).all()
 
 
-def test_a_pause_is_not_caught_up_with() -> None:
+def test_a_pause_is_not_caught_up_with():
     config = WristConfig()
     limiter = PoseLimiter(config)
     before = limiter.pose
@@ -182,7 +176,7 @@ def test_a_pause_is_not_caught_up_with() -> None:
     assert 0.0 < math.hypot(*turn) <= config.turn_velocity * MAX_STEP_S + 1e-9
 
 
-def test_the_wrist_is_followed_without_lag() -> None:
+def test_the_wrist_is_followed_without_lag():
     for rate, frames in ((100.0, 1), (100.0, 2)):  # a tracker at the rate of the loop, and at half
         stage, config = Stage(rate=rate), WristConfig()
         apart = []
@@ -296,7 +290,7 @@ def test_the_robot_does_not_go_on_without_frames():
     for k in range(1, 61):  # a tracker that delivers every third tick, and then falls silent
         stage.tick(wrist(speed * k / HZ) if k % 3 == 0 else None)
     last = HOME[0] + speed * 60 / HZ
-    beyond = [stage.tick().pose[0] - last for _ in range(40)]  # type: ignore[union-attr]
+    beyond = [stage.tick().pose[0] - last for _ in range(40)]
     assert 0.9 * frame_s < max(beyond) / speed < 1.5 * frame_s  # brakes before the second is missed
     assert beyond[-1] / speed <= 1.1 * frame_s
 

@@ -1,7 +1,5 @@
 """Programs that are traced once: the second process reads them, with the same results."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Poses that are found in recordings, and pictures of hands in them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -103,7 +101,7 @@ def test_the_second_view_is_from_the_thumbs_side(side):
 def test_a_human_hand_stands_upright_with_its_palm_in_sight():
     points = human_hand([FLAT])[0]
     for side, hand in (("right", points), ("left", points * [-1, 1, 1])):
-        palm = HandPicture.of_human(hand, side).views[0]  # type: ignore[arg-type]
+        palm = HandPicture.of_human(hand, side).views[0]
         bent = human_hand([FIST])[0] * ([1, 1, 1] if side == "right" else [-1, 1, 1])
         assert palm[1] @ (hand[12] - hand[0]) > 0.1
         assert palm[2] @ (bent[12] - bent[9]) > 0.005  # fingers close toward the viewer
@@ -115,7 +113,7 @@ def test_a_sheet_has_a_row_a_pose_and_a_column_a_method(tmp_path):
     first, second = panel(human[:STILL], "one", methods="mn"), panel(human[STILL:], "two")
     shapes: list[str] = []
 
-    def shape(hand):  # type: ignore[no-untyped-def]
+    def shape(hand):
         shapes.append(hand.name)
         return ModelShape(hand)
 

@@ -1,7 +1,5 @@
 """The contributors' guide holds: paths exist, commands run, workflows parse."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -54,24 +52,19 @@ def missing_paths(cells: list[str]) -> list[str]:
     return [path for path in paths if not (PROJECT / path.removesuffix("*")).exists()]
 
 
-def test_every_kind_of_part_has_a_row() -> None:
+def test_every_kind_of_part_has_a_row():
     assert tuple(to_add()) == PARTS
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_the_paths_of_a_row_exist(part: str) -> None:
+def test_the_paths_of_a_row_exist(part):
     row = to_add()[part]
     assert "`" in row["write"]
     assert "tests/test_" in row["test in"]
     assert missing_paths([row[c] for c in ("write", "register in", "test in", "document in")]) == []
 
 
-def test_a_missing_path_is_found() -> None:
-    cells = ["`src/smooth_operator/methods/*`", "`tests/no_such_test.py`, `docs/no_such/*`"]
-    assert missing_paths(cells) == ["tests/no_such_test.py", "docs/no_such/*"]
-
-
-def test_entry_point_groups_are_those_of_the_registries() -> None:
+def test_entry_point_groups_are_those_of_the_registries():
     """A registry of the package has its group in the table."""
     kinds = {
         kind
@@ -83,7 +76,7 @@ def test_entry_point_groups_are_those_of_the_registries() -> None:
     assert {f"smooth_operator.{kind}s" for kind in kinds} <= groups
 
 
-def test_the_example_plugin_has_a_part_of_every_kind_that_plugins_add() -> None:
+def test_the_example_plugin_has_a_part_of_every_kind_that_plugins_add():
     groups = {row["entry point group"].strip("`") for row in to_add().values()} - {"none", ""}
     plugin = tomllib.loads(read("examples/plugin/pyproject.toml"))["project"]
     assert set(plugin["entry-points"]) == groups
@@ -98,7 +91,7 @@ def targets() -> set[str]:
     return set(re.findall(r"^([a-z]+):", read("Makefile"), re.MULTILINE))
 
 
-def test_the_make_targets_that_are_named_exist() -> None:
+def test_the_make_targets_that_are_named_exist():
     named = {
         target
         for name in ("CONTRIBUTING.md", ".github/PULL_REQUEST_TEMPLATE.md")
@@ -108,7 +101,7 @@ def test_the_make_targets_that_are_named_exist() -> None:
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
-def test_make_check_is_what_ci_runs() -> None:
+def test_make_check_is_what_ci_runs():
     done = subprocess.run(
         ["make", "-n", *sorted(targets())], cwd=PROJECT, capture_output=True, text=True, check=False
     )
@@ -116,25 +109,25 @@ def test_make_check_is_what_ci_runs() -> None:
     assert "bash .ci/run" in done.stdout.splitlines()
 
 
-def test_files_that_make_runs_exist() -> None:
+def test_files_that_make_runs_exist():
     files = re.findall(r"(?:bash|PYTHON\)|pytest) ([\w./]+\.py|\.ci/\w+)", read("Makefile"))
     assert len(files) >= 2
     assert "-m mkdocs build --strict" in read("Makefile")
     assert [name for name in files if not (PROJECT / name).is_file()] == []
 
 
-def test_the_test_command_of_make_is_that_of_ci() -> None:
+def test_the_test_command_of_make_is_that_of_ci():
     (arguments,) = re.findall(r"-m (pytest -n .*)", read("Makefile"))
     assert f"-m {arguments} || exit" in read(".ci/run")
 
 
 @pytest.mark.parametrize("path", YAML_FILES, ids=lambda path: path.name)
-def test_yaml_parses(path: Path) -> None:
+def test_yaml_parses(path):
     assert isinstance(yaml.safe_load(path.read_text(encoding="utf-8")), dict)
 
 
 @pytest.mark.parametrize("name", ["ci", "release"])
-def test_a_workflow_is_whole(name: str) -> None:
+def test_a_workflow_is_whole(name):
     """Jobs have an end, name jobs that exist, and run scripts that exist."""
     workflow = parsed(f".github/workflows/{name}.yml")
     assert workflow["permissions"] == {"contents": "read"}
@@ -148,12 +141,12 @@ def test_a_workflow_is_whole(name: str) -> None:
                 assert (PROJECT / script).is_file(), script
 
 
-def test_ci_runs_the_one_script() -> None:
+def test_ci_runs_the_one_script():
     steps = parsed(".github/workflows/ci.yml")["jobs"]["test"]["steps"]
     assert "bash .ci/run" in [step.get("run") for step in steps]
 
 
-def test_ci_builds_the_site() -> None:
+def test_ci_builds_the_site():
     steps = parsed(".github/workflows/ci.yml")["jobs"]["docs"]["steps"]
     assert "make docs PYTHON=python" in [step.get("run") for step in steps]
     (path,) = [step["with"]["path"] for step in steps if "upload" in step.get("uses", "")]
@@ -163,11 +156,10 @@ def test_ci_builds_the_site() -> None:
 def parsed_site() -> dict[str, Any]:
     """``mkdocs.yml`` without the tags of its own that name Python objects."""
     text = re.sub(r"!!python/\S+", "", read("mkdocs.yml"))
-    found: dict[str, Any] = yaml.safe_load(text)
-    return found
+    return yaml.safe_load(text)
 
 
-def test_only_what_was_tried_is_published() -> None:
+def test_only_what_was_tried_is_published():
     """The job that publishes has the identity, no secret, and files that were used before."""
     jobs = parsed(".github/workflows/release.yml")["jobs"]
     assert jobs["smoke"]["needs"] == "build"
@@ -193,7 +185,7 @@ def test_only_what_was_tried_is_published() -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs bash")
-def test_a_tag_that_is_not_the_version_of_all_distributions_is_refused(tmp_path: Path) -> None:
+def test_a_tag_that_is_not_the_version_of_all_distributions_is_refused(tmp_path):
     steps = parsed(".github/workflows/release.yml")["jobs"]["build"]["steps"]
     (check,) = [step["run"] for step in steps if "TAG" in step.get("env", {})]
     files = [path.relative_to(PROJECT) for path in PROJECT.glob("packages/*/pyproject.toml")]
@@ -239,7 +231,7 @@ def test_a_tag_that_is_not_the_version_of_all_distributions_is_refused(tmp_path:
         (tmp_path / file).write_text(read(str(file)))
 
 
-def test_each_distribution_is_published_by_a_publisher_of_its_own() -> None:
+def test_each_distribution_is_published_by_a_publisher_of_its_own():
     files = [PROJECT / "pyproject.toml", *sorted(PROJECT.glob("packages/*/pyproject.toml"))]
     projects = [tomllib.loads(file.read_text(encoding="utf-8"))["project"] for file in files]
     publish = parsed(".github/workflows/release.yml")["jobs"]["publish"]
@@ -257,7 +249,7 @@ def test_each_distribution_is_published_by_a_publisher_of_its_own() -> None:
                 assert "~=0.1" in need, need  # never an older, unknown one
 
 
-def test_hooks_are_the_tools_of_ci() -> None:
+def test_hooks_are_the_tools_of_ci():
     """Local hooks: the versions are those of the environment, as in CI."""
     (repository,) = parsed(".pre-commit-config.yaml")["repos"]
     assert repository["repo"] == "local"
@@ -269,7 +261,7 @@ def test_hooks_are_the_tools_of_ci() -> None:
         assert command in checked, entry
 
 
-def test_issue_forms_ask_for_what_a_report_needs() -> None:
+def test_issue_forms_ask_for_what_a_report_needs():
     for name in ("bug", "feature"):
         form = parsed(f".github/ISSUE_TEMPLATE/{name}.yml")
         assert {"name", "description", "body"} <= form.keys()
@@ -278,7 +270,7 @@ def test_issue_forms_ask_for_what_a_report_needs() -> None:
         assert all(field["attributes"]["label"] for field in form["body"])
 
 
-def test_links_of_the_pages_for_contributors_exist() -> None:
+def test_links_of_the_pages_for_contributors_exist():
     for name in ("CONTRIBUTING.md", "SECURITY.md"):
         links = re.findall(r"\]\(([^)\s#]+)[^)]*\)", read(name))
         paths = [link for link in links if not link.startswith("https:")]

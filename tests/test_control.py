@@ -1,7 +1,5 @@
 """Switches of a running loop under attack: hostile messages, floods, stops that cross releases."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys
@@ -17,7 +15,7 @@ import pytest
 from live_time import until
 from ticks import make_tick
 
-from smooth_operator import Retargeter, load_hand
+from smooth_operator import HandFrame, Retargeter, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.planning import make_request
@@ -32,7 +30,6 @@ from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.sink import SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Arrival, Mailbox, SourceHealth
-from smooth_operator.types import HandFrame
 
 zmq = pytest.importorskip("zmq")
 
@@ -96,7 +93,7 @@ def retargeter() -> Retargeter:
 def running(retargeter: Retargeter) -> Iterator[Running]:
     config = LoopConfig(rate=RATE)
     pipelines = {"right": HandPipeline(retargeter, config)}
-    loop = TeleopLoop(pipelines, Silence(), SinkRunner(), config)  # type: ignore[arg-type]
+    loop = TeleopLoop(pipelines, Silence(), SinkRunner(), config)
     built = Running(loop)
     loop.watch = built.ticks.append
     thread = threading.Thread(target=loop.run, daemon=True)
@@ -130,7 +127,7 @@ class Client:
         self.send(message)
         return self.hear()
 
-    def __enter__(self) -> Client:
+    def __enter__(self) -> "Client":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -138,7 +135,7 @@ class Client:
         self._context.term()
 
 
-def test_no_message_ends_the_listening(running: Running) -> None:
+def test_no_message_ends_the_listening(running):
     ended = threading.Event()
 
     def listen() -> None:
@@ -165,7 +162,7 @@ def test_no_message_ends_the_listening(running: Running) -> None:
     assert running.mode() is Mode.STOPPED
 
 
-def test_a_word_and_a_status_that_go_wrong_are_answered(running: Running) -> None:
+def test_a_word_and_a_status_that_go_wrong_are_answered(running):
     def broken(fields: Any = None) -> dict[str, Any]:
         raise RecursionError("deep")
 
@@ -178,7 +175,7 @@ def test_a_word_and_a_status_that_go_wrong_are_answered(running: Running) -> Non
         assert client.ask(b"stop")["ok"]
 
 
-def test_asking_for_the_status_sends_no_commands(running: Running) -> None:
+def test_asking_for_the_status_sends_no_commands(running):
     with remote(running.loop, "tcp://127.0.0.1:*") as address, Client(address) as client:
         for _ in range(3000):
             client.send(b"status")
@@ -189,7 +186,7 @@ def test_asking_for_the_status_sends_no_commands(running: Running) -> None:
     assert window <= 0.2 * RATE + EXTRA + 1  # a tick's time is a moment after its turn
 
 
-def test_a_stop_overtakes_what_waits(running: Running) -> None:
+def test_a_stop_overtakes_what_waits(running):
     # no thread and no socket: what has been heard by the time of the stop is certain
     board = RpcServer(running.loop)
     answers: list[tuple[str, dict[str, Any]]] = []
@@ -219,12 +216,12 @@ def test_a_stop_overtakes_what_waits(running: Running) -> None:
     assert not running.loop.pipelines["right"].supervisor.stopped
 
 
-def test_a_stop_ends_what_was_released_a_moment_before(running: Running) -> None:
+def test_a_stop_ends_what_was_released_a_moment_before(running):
     controls, supervisor = running.loop.controls, running.loop.pipelines["right"].supervisor
     controls.stop()
     until(lambda: running.mode() is Mode.STOPPED, LONG)
     held, go = threading.Event(), threading.Event()
-    controls.change(lambda hand: (held.set(), go.wait(LONG)))  # type: ignore[arg-type, return-value]
+    controls.change(lambda hand: (held.set(), go.wait(LONG)))
     held.wait(LONG)
     controls.release()
     controls.stop()  # both wait: the stop was later, and holds
@@ -238,7 +235,7 @@ def test_a_stop_ends_what_was_released_a_moment_before(running: Running) -> None
     until(lambda: not supervisor.stopped, LONG)
 
 
-def test_too_many_messages_are_refused_and_a_stop_is_not(running: Running) -> None:
+def test_too_many_messages_are_refused_and_a_stop_is_not(running):
     board, answers = RpcServer(running.loop), []
     for _ in range(5000):
         board.hear(b"status", lambda text: answers.append(json.loads(text)))
@@ -248,13 +245,11 @@ def test_too_many_messages_are_refused_and_a_stop_is_not(running: Running) -> No
     until(lambda: running.mode() is Mode.STOPPED, LONG)
 
 
-def test_a_loop_that_hangs_is_told_by_the_status(running: Running) -> None:
+def test_a_loop_that_hangs_is_told_by_the_status(running):
     with remote(running.loop, "tcp://127.0.0.1:*") as address, Client(address) as client:
         assert client.ask(b"status")["ok"]
         hangs, go = threading.Event(), threading.Event()
-        running.loop.controls.change(
-            lambda hand: (hangs.set(), go.wait(LONG))  # type: ignore[arg-type, return-value]
-        )
+        running.loop.controls.change(lambda hand: (hangs.set(), go.wait(LONG)))
         hangs.wait(LONG)
         time.sleep(0.6)
         assert "does not answer" in client.ask(b"status")["error"]
@@ -264,7 +259,7 @@ def test_a_loop_that_hangs_is_told_by_the_status(running: Running) -> None:
         assert client.ask(b"status")["modes"] == {"right": "stopped"}
 
 
-def test_switches_move_the_pace_no_more_than_the_rate_lets_them(running: Running) -> None:
+def test_switches_move_the_pace_no_more_than_the_rate_lets_them(running):
     controls = running.loop.controls
     end = time.monotonic() + 0.5
     first = len(running.ticks)
@@ -274,9 +269,6 @@ def test_switches_move_the_pace_no_more_than_the_rate_lets_them(running: Running
         time.sleep(0.0005)
     at = np.array([tick.time for tick in running.ticks[first:]])
     assert len(at) <= (at[-1] - at[0]) * RATE + EXTRA + 2
-
-
-# -- the terminal -----------------------------------------------------------------------------
 
 
 class Terminal:
@@ -304,7 +296,7 @@ def terminal(running: Running, monkeypatch: pytest.MonkeyPatch) -> Iterator[Term
     built = Terminal(master)
     with os.fdopen(slave) as stdin, monkeypatch.context() as patched:
         patched.setattr(sys, "stdin", stdin)
-        with keyboard(running.loop, built):  # type: ignore[arg-type]
+        with keyboard(running.loop, built):
             assert "EMERGENCY STOP" in built.said[0]
             yield built
     os.close(master)
@@ -319,9 +311,7 @@ def stays(running: Running, mode: Mode) -> None:
 
 
 @pytest.mark.parametrize("key", [b" ", b"\x1b", b"x", b"X", b"\x1b[A", b"\x1bu"])
-def test_a_stop_key_stops_whoever_released_last(
-    running: Running, terminal: Terminal, key: bytes
-) -> None:
+def test_a_stop_key_stops_whoever_released_last(running, terminal, key):
     assert "STOPPED" in terminal.press(key)
     stays(running, Mode.STOPPED)
     running.loop.controls.release()  # on the page, or by another program
@@ -337,7 +327,7 @@ def test_a_stop_key_stops_whoever_released_last(
     assert "not stopped" in terminal.press(b"u")
 
 
-def test_pause_asks_what_the_robot_does(running: Running, terminal: Terminal) -> None:
+def test_pause_asks_what_the_robot_does(running, terminal):
     assert "paused" in terminal.press(b"p")
     stays(running, Mode.PAUSED)
     running.loop.controls.resume()  # on the page
@@ -352,15 +342,13 @@ def test_pause_asks_what_the_robot_does(running: Running, terminal: Terminal) ->
     stays(running, Mode.WAITING)
 
 
-def test_a_key_that_goes_wrong_is_not_the_last(
-    running: Running, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_key_that_goes_wrong_is_not_the_last(running, monkeypatch, capfd):
     pty = pytest.importorskip("pty", reason="a POSIX terminal")
     master, slave = pty.openpty()
     built = Terminal(master)
     with os.fdopen(slave) as stdin, monkeypatch.context() as patched:
         patched.setattr(sys, "stdin", stdin)
-        with keyboard(running.loop, built, {"g": lambda: [][1]}, "   g: go"):  # type: ignore[arg-type]
+        with keyboard(running.loop, built, {"g": lambda: [][1]}, "   g: go"):
             os.write(master, b"g")
             built.press(b" ")
             stays(running, Mode.STOPPED)
@@ -377,7 +365,7 @@ def loop() -> TeleopLoop:
     return TeleopLoop({"right": HandPipeline(retargeter, config)}, source, SinkRunner(), config)
 
 
-def test_a_line_says_what_the_arm_does_and_how_near_it_is_to_something() -> None:
+def test_a_line_says_what_the_arm_does_and_how_near_it_is_to_something():
     def shown(**arm: Any) -> str:
         hand = {"mode": "tracking", "latched": None, "wrist": None, "arm": arm}
         return live_texts.modes({"right": hand})
@@ -392,7 +380,7 @@ def test_a_line_says_what_the_arm_does_and_how_near_it_is_to_something() -> None
     )
 
 
-def test_the_page_is_told_both_wrists(loop: TeleopLoop) -> None:
+def test_the_page_is_told_both_wrists(loop):
     session = LiveSession(loop, make_request(method="joint_angle"))
     (pipeline,) = loop.pipelines.values()
     target = WristCommand(np.array([0.4, 0.0, 3.0, 0.0, 1.0, 0.0, 0.0]), True, True)
@@ -411,7 +399,7 @@ def test_the_page_is_told_both_wrists(loop: TeleopLoop) -> None:
     session.close()
 
 
-def test_a_key_and_a_message_release_the_wrist_alone(loop: TeleopLoop) -> None:
+def test_a_key_and_a_message_release_the_wrist_alone(loop):
     said: list[str] = []
     (pipeline,) = loop.pipelines.values()
     press = actions(loop, said.append)["c"]
@@ -421,7 +409,7 @@ def test_a_key_and_a_message_release_the_wrist_alone(loop: TeleopLoop) -> None:
         assert pipeline.clutch.released is released
         assert not pipeline.supervisor.paused
     assert said == ["wrist released; c engages it, the fingers go on", "wrist: engages"]
-    do = RpcHandlers(loop, SimpleNamespace()).by_command["wrist"]  # type: ignore[arg-type]
+    do = RpcHandlers(loop, SimpleNamespace()).by_command["wrist"]
     assert do({"engage": False}) == {"engage": False}
     loop._change()
     assert pipeline.clutch.released

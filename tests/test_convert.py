@@ -1,7 +1,5 @@
 """Recordings and commands through every format and back: nothing is lost or overwritten."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable
@@ -17,13 +15,12 @@ import pytest
 from made_hands import hand_points
 from mcap.writer import Writer
 
+from smooth_operator import read_commands, read_recording, write_commands
 from smooth_operator.episode_files.lerobot import write_dataset
 from smooth_operator.episode_files.lerobot.tables import column_statistics, joint_statistics
 from smooth_operator.errors import ConfigError, MissingExtraError, OutputError, RecordingError
 from smooth_operator.extras import install_command
-from smooth_operator.formats.commands import read_commands, write_commands
 from smooth_operator.formats.episode import Episode
-from smooth_operator.formats.readers import read_recording
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import LogWriter, read_episode, write_episode
@@ -40,9 +37,6 @@ CONFIG = {
 }
 
 Run = Callable[..., tuple[int, str]]
-
-
-# --- material --------------------------------------------------------------------------------
 
 
 def hand(
@@ -147,9 +141,6 @@ def run(run) -> Run:
     return call
 
 
-# --- round trips -----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("to", NAMES)
 @pytest.mark.parametrize("origin", NAMES)
 @pytest.mark.parametrize(("side", "rich"), [("right", False), ("left", True)])
@@ -174,9 +165,7 @@ def test_either_part_alone(tmp_path, to, parts):
 def test_one_frame_one_joint_one_stage(tmp_path, to):
     value = episode().sliced(slice(0, 1))
     commands = replace(
-        value.commands,
-        joint_positions=value.commands.joint_positions[:, :1],
-        joint_names=("only",),
+        value.commands, joint_positions=value.commands.joint_positions[:, :1], joint_names=("only",)
     )
     value = replace(value, commands=commands, stages_ms={"solve": np.array([0.5])})
     path = tmp_path / NAMES[to]
@@ -192,7 +181,6 @@ def test_one_frame_one_joint_one_stage(tmp_path, to):
 @pytest.mark.parametrize("to", NAMES)
 def test_commands_for_some_frames(tmp_path, to):
     value = episode()
-    assert value.commands is not None
     kept = np.array([2, 3, 9, 30])
     commands = replace(
         value.commands,
@@ -248,9 +236,6 @@ def test_infinities_in_a_log_are_said(tmp_path, run):
     assert "1 infinite values of joint_positions become NaN" in err
 
 
-# --- the formats as others see them ----------------------------------------------------------
-
-
 def test_npz_is_what_the_other_commands_read(tmp_path):
     value = episode(side="left")
     path = write(tmp_path, value, "npz")
@@ -269,7 +254,7 @@ def test_arrays_of_other_forms_beside_landmarks_are_left_alone(tmp_path):
     points = hand(side="left").landmarks
     path = tmp_path / "a.npz"
     odd = {"valid": np.ones(FRAMES), "orientations": np.ones((FRAMES, 21, 3, 3))}
-    np.savez(path, landmarks=points, timestamps=hand().stamps, side="left", **odd)  # type: ignore[arg-type]
+    np.savez(path, landmarks=points, timestamps=hand().stamps, side="left", **odd)
     back = read_recording(path)
     assert back.orientations is None
     assert back.valid[0].all()
@@ -338,7 +323,7 @@ def test_dataset_read_with_pyarrow_alone(tmp_path):
     """Against the layout of LeRobot v3.0, which its loader reads by these names and types."""
     values = [episode(name="a"), episode(name="b", seed=1, rich=False)]
     root = tmp_path / "set"
-    notes = write_dataset(root, [lambda v=v: v for v in values])  # type: ignore[misc]
+    notes = write_dataset(root, [lambda v=v: v for v in values])
     info = json.loads((root / "meta" / "info.json").read_text())
     data = pq.read_table(root / info["data_path"].format(chunk_index=0, file_index=0))
     listed = {
@@ -419,7 +404,7 @@ def test_dataset_in_several_files(tmp_path, monkeypatch):
     monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer.FILES_A_CHUNK", 2)
     monkeypatch.setattr("smooth_operator.episode_files.lerobot.writer._KEPT_BYTES", 0)
     values = [episode(seed=i, name=f"take {i}") for i in range(3)]
-    write_dataset(tmp_path / "d", [lambda v=v: v for v in values])  # type: ignore[misc]
+    write_dataset(tmp_path / "d", [lambda v=v: v for v in values])
     files = sorted((tmp_path / "d" / "data").rglob("*.parquet"))
     names = [file.relative_to(tmp_path / "d" / "data").as_posix() for file in files]
     assert names == [
@@ -445,7 +430,6 @@ def test_dataset_whose_extra_metadata_another_tool_dropped(tmp_path):
     pq.write_table(pa.table(lists), data)
     back = read_episode(root)
     expected = replace(value, config=None, name="episode_000000")
-    assert expected.recording is not None
     recording = replace(expected.recording, name="episode_000000", meta={})
     assert_same(replace(expected, recording=recording), back)
     rewrite(data, lambda t: t.drop_columns(["left_hand"]))
@@ -471,9 +455,7 @@ def test_a_dataset_of_another_tool_is_checked_as_other_files_are(tmp_path):
         write_dataset(root, [lambda: value])
         file = root / "meta/episodes/chunk-000/file-000.parquet"
         rewrite(file, lambda t: t.drop_columns(["smooth_operator"]))
-        found = read_episode(root, **asked).recording
-        assert found is not None
-        return found
+        return read_episode(root, **asked).recording
 
     np.testing.assert_array_equal(read(landmarks, "right", "fine").landmarks, landmarks)
     with pytest.raises(RecordingError, match="the file says left: correct that"):
@@ -504,20 +486,15 @@ def test_statistics_leave_out_what_is_missing():
     assert column_statistics(np.array([True, False, False])).values["mean"] == pytest.approx(1 / 3)
 
 
-# --- the command -----------------------------------------------------------------------------
-
-
 def save(path: Path, value: Episode) -> Path:
     """A recording as the trackers' files are: arrays, and nothing that is this program's own."""
-    assert value.recording is not None
     recording = value.recording
     arrays = {"landmarks": recording.landmarks, "timestamps": recording.stamps}
-    np.savez(path, **arrays, side=recording.side)  # type: ignore[arg-type]
+    np.savez(path, **arrays, side=recording.side)
     return path
 
 
 def results(path: Path, value: Episode) -> Path:
-    assert value.commands is not None
     path.parent.mkdir(exist_ok=True)
     write_commands(path, value.commands, CONFIG)
     return path
@@ -533,8 +510,8 @@ def test_commands_beside_a_recording(tmp_path, run, to):
     assert (status, f"wrote {target}" in err) == (0, True), err
     back = read_episode(target)
     assert (back.config, back.task, back.recording.side) == (CONFIG, "turn", "left")
-    np.testing.assert_array_equal(back.commands.joint_positions, value.commands.joint_positions)  # type: ignore[union-attr]
-    np.testing.assert_array_equal(back.commands.status, value.commands.status)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(back.commands.joint_positions, value.commands.joint_positions)
+    np.testing.assert_array_equal(back.commands.status, value.commands.status)
 
 
 def test_frames_take_their_commands_along(tmp_path, run):
@@ -702,18 +679,6 @@ def test_a_dataset_never_becomes_another_unasked(tmp_path, run):
     assert (tmp_path / "again" / "meta" / "info.json").is_file()
 
 
-def test_another_order_is_converted_by_its_name(tmp_path, run):
-    landmarks = SyntheticOperator(seed=3).record(0.5).landmarks
-    points = np.empty_like(landmarks)
-    points[:, LAYOUTS["mano"]] = landmarks
-    np.save(tmp_path / "a.npy", points)
-    asked = (tmp_path / "a.npy", "--rate", 100, "--output", tmp_path / "b.npz")
-    status, err = run(*asked)
-    assert (status, "say --layout mano" in err) == (2, True)
-    assert run(*asked, "--layout", "mano")[0] == 0
-    np.testing.assert_array_equal(read_recording(tmp_path / "b.npz").landmarks, landmarks)
-
-
 def test_an_input_is_never_the_output(tmp_path, run):
     path = write(tmp_path, episode(), "npz")
     content = path.read_bytes()
@@ -784,9 +749,6 @@ def test_outputs_that_make_no_sense(tmp_path, run):
     assert {p.name for p in tmp_path.iterdir()} == {"a.h5", "b.mcap"}
     (tmp_path / "empty").mkdir()
     assert "no recording in this folder" in run(tmp_path / "empty", "--output", tmp_path / "x")[1]
-
-
-# --- what can't be read ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -965,7 +927,6 @@ def test_cut_off_log_is_converted_and_said(tmp_path, run):
 )
 def test_commands_that_do_not_fit(change, match):
     value = episode()
-    assert value.commands is not None
     with pytest.raises(RecordingError, match=match):
         replace(value, commands=change(value.commands))
     with pytest.raises(RecordingError, match="neither hand frames nor commands"):

@@ -1,7 +1,5 @@
 """Many clips: packed, written in parts, resumed after kills, and run on Ray."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import signal
@@ -42,9 +40,6 @@ def source(tmp_path) -> Path:
 def items(source: Path, layout: str | None = LAYOUT) -> list[Item]:
     every = each_item([str(source)], layout=layout)
     return [each for each in every if isinstance(each, Item)]
-
-
-# The pipeline.
 
 
 def request(source: Path, output: Path, **more: Any) -> DatasetRequest:
@@ -129,15 +124,12 @@ def test_packed_clips_are_read_as_they_were(tmp_path, source):
     assert [each.ref.layout for each in packed if each.ref] == ["parquet"] * 10
     reader = DATASETS.load("parquet")
     for before, after in zip(items(source), packed, strict=True):
-        assert before.ref is not None
-        assert after.ref is not None
         want, found = CLIPS.read(before.ref, OPTIONS), reader.read(after.ref, OPTIONS)
         assert (found.name, found.task, found.layout) == (before.name, want.task, "made")
         np.testing.assert_array_equal(found.stamps, want.stamps)
         for side, hand in want.hands.items():
             own = found.hands[side]
             np.testing.assert_array_equal(own.landmarks, hand.landmarks.astype(np.float32))
-            assert hand.T_world_wrist is not None
             np.testing.assert_allclose(own.T_world_wrist, hand.T_world_wrist, atol=1e-6)
             np.testing.assert_array_equal(found.confidence[side], want.confidence[side])
         assert found.meta == want.meta
@@ -184,9 +176,6 @@ def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_pat
         np.testing.assert_allclose(found, want, atol=1e-4)
     (reason,) = retarget(pa.table({"name": ["x"]}))["reason"].to_pylist()
     assert "a row needs 'stamps' and landmarks, or 'path' and 'layout'" in reason
-
-
-# Ray.
 
 
 class Fatal:

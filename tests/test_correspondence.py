@@ -1,7 +1,5 @@
 """Places of the robot's fingertips by the human's fingers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -12,17 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from smooth_operator import Retargeter, assemble_trace, evaluate, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import palm_alignment, reference_landmarks
 from smooth_operator.human.correspondence import Correspondence, CorrespondenceConfig
 from smooth_operator.human.flat_hand import FLAT_HAND, open_rays, palm_tilt_deg
 from smooth_operator.landmarks import BASES, TIPS
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SBR_REALTIME
-from smooth_operator.metrics import evaluate
-from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 
@@ -158,6 +153,7 @@ def test_impossible_settings_are_refused(setting):
         CorrespondenceConfig(**setting)
 
 
+@pytest.mark.weekly
 def test_sbr_takes_the_places_of_fingertips(hand):
     """Fingers as straight as the human's, with the objective of ``sbr`` as it is."""
     recording = SyntheticOperator(rate_hz=60.0).record(3.0)

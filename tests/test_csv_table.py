@@ -1,7 +1,5 @@
 """CSV that a spreadsheet shows and never runs, and that reads back as it was."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -3,8 +3,6 @@
 The tests marked ``lerobot`` need LeRobot; CI has a job with it.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os
@@ -65,7 +63,7 @@ def values(table: Any, name: str) -> np.ndarray:
     return np.array(table.column(name).to_pylist())
 
 
-def test_state_and_action_are_those_of_the_robot(tmp_path: Path) -> None:
+def test_state_and_action_are_those_of_the_robot(tmp_path):
     clips = [robot_clip(i, frames=20 + 5 * i, task=f"task {i % 2}") for i in range(4)]
     assert write(tmp_path / "out", clips) == []
     info, frames, episodes = read(tmp_path / "out")
@@ -107,7 +105,7 @@ def test_state_and_action_are_those_of_the_robot(tmp_path: Path) -> None:
     assert stats["action"]["count"] == [start]
 
 
-def test_what_is_not_known_is_held_and_marked(tmp_path: Path) -> None:
+def test_what_is_not_known_is_held_and_marked(tmp_path):
     clip = robot_clip(0)
     wrist = clip.T_world_wrist["left"].copy()
     wrist[:3] = wrist[7:9] = np.nan
@@ -136,7 +134,7 @@ def test_what_is_not_known_is_held_and_marked(tmp_path: Path) -> None:
     np.testing.assert_array_equal(state[40:, place : place + 7], [[0, 0, 0, 1, 0, 0, 0]] * 40)
 
 
-def test_quaternions_do_not_change_their_sign(tmp_path: Path) -> None:
+def test_quaternions_do_not_change_their_sign(tmp_path):
     clip = robot_clip(0)
     wrist = clip.T_world_wrist["right"].copy()
     wrist[:5, 3:] *= -1.0
@@ -152,7 +150,7 @@ def test_quaternions_do_not_change_their_sign(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, exact, atol=1e-6)
 
 
-def test_clips_of_other_rates_are_resampled(tmp_path: Path) -> None:
+def test_clips_of_other_rates_are_resampled(tmp_path):
     clips = [robot_clip(0), robot_clip(1, frames=61, rate=60.0), robot_clip(2, frames=11, rate=10)]
     assert write(tmp_path / "out", clips) == ["2 clips: resampled to 30 frames a second"]
     _, frames, episodes = read(tmp_path / "out")
@@ -169,9 +167,7 @@ def test_clips_of_other_rates_are_resampled(tmp_path: Path) -> None:
         ({}, {"videos": "link"}, "it has no video"),
     ],
 )
-def test_a_clip_that_does_not_fit_is_refused_and_the_others_stay(
-    second: dict[str, Any], options: dict[str, Any], said: str, tmp_path: Path
-) -> None:
+def test_a_clip_that_does_not_fit_is_refused_and_the_others_stay(second, options, said, tmp_path):
     video = mp4(tmp_path / "film.mp4")
     first, third = (robot_clip(i, video=video) for i in (0, 2))
     with WRITERS.load("lerobot").open(tmp_path / "out", WritingOptions(**options)) as writer:
@@ -184,7 +180,7 @@ def test_a_clip_that_does_not_fit_is_refused_and_the_others_stay(
     assert frames.num_rows == 80
 
 
-def test_other_joints_are_refused(tmp_path: Path) -> None:
+def test_other_joints_are_refused(tmp_path):
     clip = robot_clip(0)
     other = replace(clip.commands["left"], joint_names=JOINTS[::-1])
     with pytest.raises(RecordingError, match="other joints"):
@@ -194,7 +190,7 @@ def test_other_joints_are_refused(tmp_path: Path) -> None:
         )
 
 
-def test_a_one_handed_first_clip_takes_the_columns_that_are_asked_for(tmp_path: Path) -> None:
+def test_a_one_handed_first_clip_takes_the_columns_that_are_asked_for(tmp_path):
     clips = [robot_clip(0, sides=("left",)), robot_clip(1)]
     write(tmp_path / "out", clips, joints={"right": JOINTS, "left": JOINTS})
     info, frames, _ = read(tmp_path / "out")
@@ -202,7 +198,7 @@ def test_a_one_handed_first_clip_takes_the_columns_that_are_asked_for(tmp_path: 
     assert frames.num_rows == 80
 
 
-def test_many_clips_are_few_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_clips_are_few_files(tmp_path, monkeypatch):
     monkeypatch.setattr("smooth_operator.lab.datasets.writers.lerobot._Writer.most_clips", 50)
     write(tmp_path / "out", [robot_clip(i, frames=3) for i in range(120)])
     files = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
@@ -234,7 +230,7 @@ def mp4(path: Path, *, frames: int = 200, step: int = 512, scale: int = 15360) -
 
 
 @pytest.mark.parametrize("how", ["link", "copy"])
-def test_a_video_of_several_clips_is_placed_once(how: str, tmp_path: Path) -> None:
+def test_a_video_of_several_clips_is_placed_once(how, tmp_path):
     film = mp4(tmp_path / "film.mp4")
     clips = [robot_clip(i, video=film, video_start_s=2.0 * i) for i in range(3)]
     clips.append(robot_clip(3, video=mp4(tmp_path / "other.mp4"), video_start_s=6.0))
@@ -254,7 +250,7 @@ def test_a_video_of_several_clips_is_placed_once(how: str, tmp_path: Path) -> No
     assert np.shape(stats[VIDEO_KEY]["mean"]) == (3, 1, 1)
 
 
-def test_videos_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+def test_videos_that_do_not_fit_are_refused(tmp_path):
     film = mp4(tmp_path / "film.mp4")
     faster = mp4(tmp_path / "faster.mp4", step=256)
     assert float(video_head(faster).rate) == 60.0
@@ -270,7 +266,7 @@ def test_videos_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         write(tmp_path / "d", [robot_clip(0, video=tmp_path / "none.mp4")], videos="link")
 
 
-def test_damaged_videos_are_refused(tmp_path: Path) -> None:
+def test_damaged_videos_are_refused(tmp_path):
     """One that is cut off anywhere, and one with a wrong byte in its tables, unless it only says
     something else than before: another size, rate, count or codec."""
     whole = mp4(tmp_path / "film.mp4").read_bytes()
@@ -342,7 +338,7 @@ def load(root: Path, **options: Any) -> Any:
 
 @pytest.mark.lerobot
 @real
-def test_lerobots_own_class_opens_it(tmp_path: Path) -> None:
+def test_lerobots_own_class_opens_it(tmp_path):
     clips = [robot_clip(i, frames=30 + i, task=["a cup", "Чашка 🍵"][i % 2]) for i in range(6)]
     write(tmp_path / "out", clips, shard_mb=0.02)
     dataset = load(tmp_path / "out", delta_timestamps={"action": [0.0, 1 / 30, 2 / 30]})
@@ -370,7 +366,7 @@ def test_lerobots_own_class_opens_it(tmp_path: Path) -> None:
 @pytest.mark.lerobot
 @real
 @pytest.mark.parametrize("rate", ["30", "30000/1001"])
-def test_lerobot_shows_the_picture_of_each_frame(rate: str, tmp_path: Path) -> None:
+def test_lerobot_shows_the_picture_of_each_frame(rate, tmp_path):
     video = film(tmp_path / "film.mp4", 100, rate)
     number = float(Fraction(rate))
     clips = [
@@ -389,7 +385,7 @@ def test_lerobot_shows_the_picture_of_each_frame(rate: str, tmp_path: Path) -> N
 
 @pytest.mark.lerobot
 @real
-def test_a_small_policy_learns_from_it(tmp_path: Path) -> None:
+def test_a_small_policy_learns_from_it(tmp_path):
     write(tmp_path / "out", [robot_clip(i, frames=50) for i in range(8)])
     import torch
 

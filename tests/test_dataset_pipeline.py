@@ -1,7 +1,5 @@
 """Recordings of two hands into a data set: the same bytes whatever was killed, split or changed."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -126,9 +124,6 @@ def finished(output: Path) -> dict[str, RobotClip]:
     return {clip.clip.name: clip for clip in clips}
 
 
-# What is in an episode.
-
-
 def test_both_hands_are_those_of_the_library(folder, whole):
     clips = finished(whole[0])
     assert clips.keys() == FRAMES.keys()
@@ -177,8 +172,6 @@ def test_episodes_are_cut_where_no_hand_is_seen(whole):
     assert "5 episodes of mimic_p050" in page
     assert (output / "plots" / "quality.png").is_file()
 
-
-# Stopped, killed, split, changed.
 
 RUN = """
 import sys
@@ -314,9 +307,6 @@ def test_a_bad_file_does_not_end_the_run(folder, tmp_path):
     assert "no hand is seen" in summary.failed["blind"]
 
 
-# Sources.
-
-
 def test_sources_of_every_kind(folder, tmp_path):
     def names(*sources: object) -> list[str]:
         found = find_items([str(source) for source in sources], layout=LAYOUT)
@@ -436,9 +426,6 @@ def test_every_item_is_in_one_share(folder):
         assert sum(in_shard(item, (i, 5)) for i in range(1, 6)) == 1
 
 
-# Frames, parts and limits.
-
-
 def one_clip(folder: Path, name: str = "a", **more: Any) -> Clip:
     clip = PAIRS.read(ClipRef(name, folder / f"{name}.pair.npz"), ReadingOptions())
     return replace(clip, **more)
@@ -452,9 +439,7 @@ def test_wrists_in_the_frame_of_the_camera(folder):
     seen = in_frame(replace(clip, T_world_camera=camera), "camera")
     assert seen.world == CAMERA
     wrist = clip.hands["left"].T_world_wrist
-    assert wrist is not None
     found = seen.hands["left"].T_world_wrist
-    assert found is not None
     np.testing.assert_allclose(poses.compose(camera, found), wrist, atol=1e-12)
     with pytest.raises(RecordingError, match="frame of the camera only"):
         in_frame(seen, "world")
@@ -484,7 +469,6 @@ def test_a_jump_of_the_tracker_cuts(answered):
         answered.clip, hands={**answered.clip.hands, "left": replace(hand, T_world_wrist=moved)}
     )
     (clip,) = retarget_clips([jumping], RECIPE)
-    assert isinstance(clip, RobotClip)
     assert episodes(clip) == [("deep/c_000000-000030", ()), ("deep/c_000030-000064", ())]
     assert episodes(clip, cut=False) == [("deep/c", ("max_jump",))]
     parts = list(select(clip, LIMITS))
@@ -533,9 +517,6 @@ def test_limits_that_can_not_be():
         Limits(min_valid=2.0)
     with pytest.raises(ConfigError, match="max_gap must be 0 or more"):
         Limits(max_gap=float("nan"))
-
-
-# The command.
 
 
 def test_the_command(folder, tmp_path, capsys, monkeypatch):
@@ -598,8 +579,7 @@ def test_clips_for_a_gpu_are_read_by_workers_and_retargeted_here(
     for name, clip in mine.items():
         for side in SIDES:
             np.testing.assert_array_equal(
-                clip.commands[side].joint_positions,
-                others[name].commands[side].joint_positions,
+                clip.commands[side].joint_positions, others[name].commands[side].joint_positions
             )
     again = make_dataset(replace(asked, workers=1))  # nothing is left to do
     assert again.notes == []

@@ -1,7 +1,5 @@
 """Clips of both hands from data sets, whose files ``dataset_files`` writes by another way."""
 
-from __future__ import annotations
-
 import json
 import random
 import re
@@ -14,7 +12,7 @@ import dataset_files as files
 import numpy as np
 import pytest
 
-from smooth_operator import plugins
+from smooth_operator import method_config, plugins
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.lab.datasets import retargeting
 from smooth_operator.lab.datasets.clip import CAMERA, Clip
@@ -26,7 +24,6 @@ from smooth_operator.lab.datasets.registry import (
 )
 from smooth_operator.lab.datasets.sources import find_items
 from smooth_operator.lab.datasets.writers.registry import WRITERS
-from smooth_operator.methods.presets import method_config
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid, matrices, separation, wrist_from_landmarks
 
@@ -58,9 +55,6 @@ def check_world(found: Clip, points: float, world: str | None = None) -> None:
         assert (apart < [2 * points, 50 * points]).all()
         assert recording.world == world
         assert "side_assumed" not in recording.meta
-
-
-# --- EgoDex ------------------------------------------------------------------------------------
 
 
 def test_egodex_has_both_hands_the_camera_and_the_task(tmp_path):
@@ -147,9 +141,6 @@ def test_egodex_is_distinguished_from_other_hdf5(tmp_path, version):
     assert not reader.matches(tmp_path / "a.hdf5")
 
 
-# --- headset apps ------------------------------------------------------------------------------
-
-
 def test_tracking_streamer_gives_both_hands_on_common_stamps(tmp_path):
     path = tmp_path / "tracking.jsonl"
     files.avp_file(path, lost={"left": range(10, 15)})
@@ -189,9 +180,6 @@ def test_hands_of_different_rates_are_on_one_clock(tmp_path):
     assert len(found) == COUNT
     left = found.hands["left"].valid
     assert np.flatnonzero(left.all(axis=1)).tolist() == list(range(0, COUNT, 2))
-
-
-# --- anybody's data ----------------------------------------------------------------------------
 
 
 def test_landmarks_of_both_hands_with_all_that_may_be_there(tmp_path):
@@ -251,9 +239,6 @@ def test_landmarks_that_differ_are_refused_by_name(tmp_path, more, said):
         clip_of(tmp_path / "a.npz")
 
 
-# --- what hand models say of a video -----------------------------------------------------------
-
-
 def check_camera(found: Clip, gone: dict[str, list[int]], tolerance: float) -> None:
     """Both hands in the camera's frame, with the wrist of their palms."""
     assert list(found.hands) == ["right", "left"]
@@ -305,8 +290,6 @@ def test_egohandkit_without_times_needs_a_rate_and_says_its_frame(tmp_path):
         clip_of(path)
 
 
-# --- sides -------------------------------------------------------------------------------------
-
 Write = Callable[[Path, bool], None]
 
 SWAPPED: dict[str, tuple[str, Write]] = {
@@ -328,7 +311,6 @@ def test_exchanged_hands_are_refused(tmp_path, layout):
     found = clip_of(tmp_path / name)
     assert found.layout == layout
     for side, recording in found.hands.items():
-        assert recording.valid is not None
         wrong, whole = files.wrong_frames(recording.landmarks, recording.valid, side)
         assert (wrong, whole > 20) == (0, True)
     write(tmp_path / name, True)
@@ -346,9 +328,6 @@ def test_json_of_other_programs_is_no_data_set(tmp_path):
     (tmp_path / "a.jsonl").write_text(json.dumps({"x": 1}) + "\n")
     names = [name for name in DATASETS if DATASETS.load(name).matches(tmp_path / "a.jsonl")]
     assert names == ["files"]  # by its suffix; it says then what it reads
-
-
-# --- readers of another distribution ------------------------------------------------------------
 
 
 def test_without_the_research_data_sets_messages_say_how_to_install_them(tmp_path, monkeypatch):
@@ -374,9 +353,6 @@ def test_without_the_research_data_sets_messages_say_how_to_install_them(tmp_pat
 def test_all_layouts_of_the_research_data_sets_are_named():
     offered = {name for name, entry in DATASETS.plugins.items() if "smooth_hand" in entry.target}
     assert offered == set(RESEARCH_LAYOUTS)
-
-
-# --- damaged files -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("layout", SWAPPED)

@@ -1,7 +1,5 @@
 """Writers of data sets: what all share, WebDataset and Parquet."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json

@@ -1,7 +1,5 @@
 """A hand is found in any model: by how it is built and moves, not by what it is called."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import replace
@@ -14,24 +12,19 @@ import pytest
 import tyro
 from discovery_hands import Model, Part, make_hand, mjcf, urdf
 
+from smooth_operator import Point, load_hand
 from smooth_operator.cli.hands_add import Add
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.hands.spec import Point
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.lab.discovery import Discovery, Overrules, discover
 from smooth_operator.lab.discovery.skeleton import fingers_said, side_said, words
 from smooth_operator.types import Side
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
-
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path, monkeypatch) -> None:
-    """MuJoCo writes its warnings to a log in the working folder."""
-    monkeypatch.chdir(tmp_path)
 
 
 def write(folder: Path, text: str, name: str = "model.urdf") -> Path:
@@ -289,9 +282,6 @@ def test_a_published_coupling_that_the_limits_contradict_is_turned_round(shared)
     assert hand.joint_names == ours.joint_names
 
 
-# Hands that nobody has seen.
-
-
 def check(found: Discovery, hand: Model) -> None:
     truth = hand.truth
     assert found.spec.palm == truth.palm
@@ -458,10 +448,7 @@ def test_what_is_given_is_checked(tmp_path):
     with pytest.raises(HandModelError, match=r"hang from the palm .*--finger"):
         discover(path, overrules=Overrules(palm=last[0]))
     with pytest.raises(ConfigError, match="side"):
-        discover(path, side="up")  # type: ignore[arg-type]
-
-
-# Meshes.
+        discover(path, side="up")
 
 
 def test_meshes_are_found_by_package_paths_and_missed_aloud(tmp_path):
@@ -495,9 +482,6 @@ def test_inertias_of_no_real_body_do_not_stop_it(tmp_path):
         'izz="1e-9"/></inertial>'
     )
     check(discover(write(tmp_path, urdf(hand.parts, inertia=bad))), hand)
-
-
-# What is no hand.
 
 
 def wheels(count: int) -> str:
@@ -606,9 +590,6 @@ def test_names_that_lie_lower_the_confidence_and_change_nothing(tmp_path):
     assert found.spec.side == "left"
     assert sure(found, "side") < sure(honest, "side")
     assert "though names" in because(found, "side")
-
-
-# The command.
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Landmarks and the pose at rest of a hand that was found: what the alignment goes by stays put."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +16,7 @@ from smooth_operator.lab.discovery import Discovery, discover
 from smooth_operator.lab.validation.checks import Samples
 from smooth_operator.lab.validation.joints import check_palm
 
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path, monkeypatch) -> None:
-    """MuJoCo writes its warnings to a log in the working folder."""
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 def found_in(folder: Path, parts: tuple[Part, ...]) -> Discovery:
@@ -37,11 +31,7 @@ def because(found: Discovery, subject: str) -> str:
 
 def base_travel(hand: Hand) -> np.ndarray:
     """(fingers,) how far random poses move each finger's base in the palm [m]."""
-    travel: np.ndarray = np.ptp(Samples(hand).bases, axis=0).max(axis=-1)
-    return travel
-
-
-# Bases.
+    return np.ptp(Samples(hand).bases, axis=0).max(axis=-1)
 
 
 def with_moving_knuckle(shift: float) -> tuple[tuple[Part, ...], str]:
@@ -51,7 +41,6 @@ def with_moving_knuckle(shift: float) -> tuple[tuple[Part, ...], str]:
     parent = {p.name: p.parent for p in hand.parts}
     chain = [tip]
     while (above := parent[chain[-1]]) != "palm":
-        assert above is not None
         chain.append(above)
     knuckle = chain[-2]  # the last of the chain spreads
     step = np.array([0.0, 0.0, shift])
@@ -126,9 +115,6 @@ def test_bases_of_real_hands_stay_as_in_the_catalogue(shared, model):
     np.testing.assert_allclose(gaps[0], gaps[1], atol=4e-3)
 
 
-# The wrist.
-
-
 def test_a_palm_frame_at_the_thumb_is_no_wrist(tmp_path):
     """What the palm is mounted on is, where nothing better is known."""
     hand = make_hand(2, shapes=False, turned=False)
@@ -158,9 +144,6 @@ def test_the_wrist_of_a_palm_that_is_the_thumbs_base(shared, side):
     reach = [np.linalg.norm(Samples(h).tips - h.wrist, axis=-1).max() for h in (hand, ours)]
     assert abs(reach[0] - reach[1]) < 1e-4
     assert next(f.confidence for f in found.findings if f.subject == "wrist") < 0.8
-
-
-# The neutral pose.
 
 
 def ring_of_fingers(radius: float) -> tuple[Part, ...]:

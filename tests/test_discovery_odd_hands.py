@@ -1,7 +1,5 @@
 """Hands of quite other designs are read right as well, or with honest doubt."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,17 +14,13 @@ from smooth_operator.hands.loading import load_model
 from smooth_operator.lab.discovery import Discovery, discover
 from smooth_operator.lab.discovery.landmarks import SURE, UNSURE
 
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path, monkeypatch) -> None:
-    """MuJoCo writes its warnings to a log in the working folder."""
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 def found_in(folder: Path, text: str, name: str = "model.urdf", **options: str) -> Discovery:
     path = folder / name
     path.write_text(text, encoding="utf-8")
-    return discover(path, **options)  # type: ignore[arg-type]
+    return discover(path, **options)
 
 
 def sure(found: Discovery, subject: str) -> float:

@@ -1,7 +1,5 @@
 """Programs on the calling thread, and which methods want XLA's pool to have one."""
 
-from __future__ import annotations
-
 import os
 
 import jax

@@ -1,7 +1,5 @@
 """The documentation is true: its Python runs, its links lead somewhere, its tables hold."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import tomllib
@@ -11,10 +9,9 @@ from pathlib import Path
 import pytest
 from test_architecture import LEVELS
 
-from smooth_operator import landmarks
+from smooth_operator import Status, landmarks
 from smooth_operator.errors import MissingExtraError
 from smooth_operator.metrics.table import METRICS
-from smooth_operator.types import Status
 
 PROJECT = Path(__file__).resolve().parents[1]
 README = PROJECT / "README.md"
@@ -59,7 +56,7 @@ def runnable(page: Path) -> list[tuple[int, str]]:
 
 
 @pytest.mark.parametrize("page", list(filter(runnable, PAGES)), ids=relative_name)
-def test_python_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_blocks_run(page, tmp_path, monkeypatch):
     """In the order of the page, in one namespace, in an empty folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
@@ -70,11 +67,11 @@ def test_python_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.Monke
         exec(compile(padded, str(page), "exec", dont_inherit=True), namespace)
 
 
-def test_readme_shows_python_that_runs() -> None:
+def test_readme_shows_python_that_runs():
     assert runnable(README), "README.md needs a ```python block: from landmarks to a command"
 
 
-def test_readme_gives_the_test_command_that_ci_runs() -> None:
+def test_readme_gives_the_test_command_that_ci_runs():
     (command,) = re.findall(
         r"^ *(python3 -m venv .*-m pytest\b.*?)(?: \|\| exit)?$",
         (PROJECT / ".ci" / "run").read_text(encoding="utf-8"),
@@ -83,7 +80,7 @@ def test_readme_gives_the_test_command_that_ci_runs() -> None:
     assert command in README.read_text(encoding="utf-8"), f"README.md does not give: {command}"
 
 
-def test_the_tutorial_installs_as_the_readme_does() -> None:
+def test_the_tutorial_installs_as_the_readme_does():
     commands = re.compile(r"^python3 -m venv .*smooth-operator demo$", re.MULTILINE)
     tutorial = PROJECT / "docs" / "tutorials" / "first-steps.md"
     (command,) = commands.findall(README.read_text(encoding="utf-8"))
@@ -91,14 +88,14 @@ def test_the_tutorial_installs_as_the_readme_does() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=relative_name)
-def test_links_into_the_project_exist(page: Path) -> None:
+def test_links_into_the_project_exist(page):
     text = re.sub(r"^(`{3,}).*?^\1", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
     targets = re.findall(r"\]\(([^)\s]+)\)", text) + re.findall(r"(?:src|href)=\"([^\"]+)\"", text)
     paths = [t.split("#")[0] for t in targets if not re.match(r"[a-z]+:|#", t)]
     assert [path for path in paths if not (page.parent / path).exists()] == []
 
 
-def test_landmark_table_is_the_code() -> None:
+def test_landmark_table_is_the_code():
     """Names and indices in each tracker, as in ``docs/reference/conventions.md``."""
     text = (PROJECT / "docs" / "reference" / "conventions.md").read_text(encoding="utf-8")
     pattern = r"^\| (?:–|\w+) \| (`[^|]+`) \| (\d+)(?:–(\d+))? \| (\d+)(?:–(\d+))? \|$"
@@ -120,13 +117,13 @@ def test_landmark_table_is_the_code() -> None:
         assert list(carpals) == [node + shift for node in bases]
 
 
-def test_status_table_is_the_code() -> None:
+def test_status_table_is_the_code():
     text = (PROJECT / "docs" / "reference" / "conventions.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \| `([A-Z_]+)` \| (.+?) \|$", text, re.MULTILINE)
     assert rows == [(str(int(status)), status.name, status.reason) for status in Status]
 
 
-def test_defined_metrics_are_the_code() -> None:
+def test_defined_metrics_are_the_code():
     """Names and better values in the section Metrics of ``docs/reference/conventions.md``."""
     text = (PROJECT / "docs" / "reference" / "conventions.md").read_text(encoding="utf-8")
     section = text.split("\n## Metrics\n")[1].split("\n## ")[0]
@@ -139,7 +136,7 @@ def test_defined_metrics_are_the_code() -> None:
         assert [best.get(name) for name in names] == values * (len(names) // len(values)), cell
 
 
-def test_level_table_is_the_test_of_imports() -> None:
+def test_level_table_is_the_test_of_imports():
     text = (PROJECT / "docs" / "explanation" / "architecture.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d) \| \w+ \| ([^|]+) \|", text, re.MULTILINE)
     found = {name: int(level) for level, names in rows for name in re.findall(r"`(\w+)`", names)}
@@ -149,7 +146,7 @@ def test_level_table_is_the_test_of_imports() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=relative_name)
-def test_names_of_modules_and_files_exist(page: Path) -> None:
+def test_names_of_modules_and_files_exist(page):
     """Dotted names of the package, and paths of its Python files."""
     text = page.read_text(encoding="utf-8")
     dotted = (
@@ -163,7 +160,7 @@ def test_names_of_modules_and_files_exist(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=relative_name)
-def test_sections_with_figures_name_their_command(page: Path) -> None:
+def test_sections_with_figures_name_their_command(page):
     """A section with three rows of decimals or more says which command or program prints them."""
     command = re.compile(
         r"smooth-operator \w|python (-m|research/benchmarks)|`[\w/]+\.py`|smooth_operator_research"
@@ -215,11 +212,11 @@ text = '''
 """
 
 
-def test_blocks_are_found_in_order_and_skipped_where_marked() -> None:
+def test_blocks_are_found_in_order_and_skipped_where_marked():
     assert list(python_blocks(PAGE)) == [(3, "a = 1"), (15, "text = '''\n```python\n'''")]
 
 
-def test_a_mark_skips_only_the_next_block() -> None:
+def test_a_mark_skips_only_the_next_block():
     text = f"{SKIP}\n```python\na\n```\n```python\nb\n```\n"
     assert [code for _, code in python_blocks(text)] == ["b"]
 
@@ -240,7 +237,7 @@ INSTALLS = [
 
 
 @pytest.mark.parametrize("file", INSTALLS, ids=relative_name)
-def test_all_texts_install_from_the_clone(file: Path) -> None:
+def test_all_texts_install_from_the_clone(file):
     """None of the distributions is published; whoever takes a name could install anything.
 
     The name alone is in ``install_command``, for those who have it installed from a wheel.
@@ -249,7 +246,7 @@ def test_all_texts_install_from_the_clone(file: Path) -> None:
     assert re.findall(published, file.read_text(encoding="utf-8")) == []
 
 
-def test_folders_and_extras_of_install_lines_exist() -> None:
+def test_folders_and_extras_of_install_lines_exist():
     projects = {
         path.parent: tomllib.loads(path.read_text(encoding="utf-8"))["project"]
         for path in PROJECT.rglob("pyproject.toml")
@@ -272,7 +269,7 @@ def test_folders_and_extras_of_install_lines_exist() -> None:
         assert [name for name in extras.split(",") if name and name not in known] == [], folder
 
 
-def test_readme_is_short_and_lists_all_extras() -> None:
+def test_readme_is_short_and_lists_all_extras():
     text = README.read_text(encoding="utf-8")
     assert len(text.split()) < 900
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -280,7 +277,7 @@ def test_readme_is_short_and_lists_all_extras() -> None:
     assert set(project["optional-dependencies"]) - set(re.findall(r"`([\w-]+)`", section)) == set()
 
 
-def test_every_built_in_hand_is_in_the_notices() -> None:
+def test_every_built_in_hand_is_in_the_notices():
     text = (PROJECT / "NOTICES.md").read_text(encoding="utf-8")
     rows = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`.+?) \|", text, re.MULTILINE))))
     models = {path.name.split(".")[0] for path in (SOURCE / "hands" / "models").glob("*.toml")}

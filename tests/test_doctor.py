@@ -1,7 +1,5 @@
 """What ``smooth-operator doctor`` finds, measures and advises."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

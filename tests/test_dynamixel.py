@@ -1,13 +1,10 @@
 """The Dynamixel driver against servos on a pseudo-terminal that speak protocol 2.0."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -15,9 +12,8 @@ import pytest
 from live_time import until
 from ticks import make_tick
 
+from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError, SinkError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop import teleoperate
 from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.hardware.device import WrongAnswerError
@@ -83,11 +79,11 @@ class Run:
 
     def __init__(self, bank: ServoBank, hand: Hand, **settings: object) -> None:
         settings = {"approach": 10.0, "speed": 20.0, "baud": 57600, **settings}
-        self.sink = LeapSink(port=bank.path, **settings)  # type: ignore[arg-type]
+        self.sink = LeapSink(port=bank.path, **settings)
         self.hand, self.bank = hand, bank
         self.tick: Tick | None = None
 
-    def __enter__(self) -> Run:
+    def __enter__(self) -> "Run":
         self.sink.open({"right": self.hand}, {})
         return self
 
@@ -105,7 +101,7 @@ class Run:
         return all(abs(self.bank.servos[i].position - steps[i]) < 12 for i in IDS)
 
 
-def test_checksum_and_packets_are_those_of_the_published_protocol() -> None:
+def test_checksum_and_packets_are_those_of_the_published_protocol():
     # the examples of the protocol's description: ping of servo 1, and its answer
     assert crc16(bytes.fromhex("fffffd0001030001")) == 0x4E19
     assert packet(1, bytes([0x06, 0x04, 0x26])) == bytes.fromhex("fffffd000107005500060426655d")
@@ -113,9 +109,7 @@ def test_checksum_and_packets_are_those_of_the_published_protocol() -> None:
 
 
 @pytest.mark.parametrize("fast", [True, False])
-def test_a_leap_hand_boots_approaches_and_is_read_back(
-    bank: ServoBank, hand: Hand, fast: bool
-) -> None:
+def test_a_leap_hand_boots_approaches_and_is_read_back(bank, hand, fast):
     bank.fast = fast
     with Run(bank, hand) as run:
         state = run.sink.state("right")
@@ -143,7 +137,7 @@ def _measured(run: Run) -> np.ndarray:
     return state.positions
 
 
-def test_servos_that_stopped_themselves_follow_again(bank: ServoBank, hand: Hand) -> None:
+def test_servos_that_stopped_themselves_follow_again(bank, hand):
     """A machine stood still longer than the servos' watchdog allows: they refuse goals then."""
     with Run(bank, hand) as run:
         run.tick = tick_at(hand, 0.4)
@@ -181,7 +175,7 @@ def test_a_servo_that_restarts_in_motion_is_lost_and_limited_again(
     assert set(servo.limits_at_power) == {350}
 
 
-def test_limits_are_back_before_torque_that_was_off(bank: ServoBank, hand: Hand) -> None:
+def test_limits_are_back_before_torque_that_was_off(bank, hand):
     sink = LeapSink(port=bank.path, baud=57600)
     device = sink.device(sink.actuators("right"))
     patiently(device.open, device.close)
@@ -200,7 +194,7 @@ def test_limits_are_back_before_torque_that_was_off(bank: ServoBank, hand: Hand)
     device.close()
 
 
-def test_a_servo_whose_torque_stays_off_is_a_wrong_answer(bank: ServoBank, hand: Hand) -> None:
+def test_a_servo_whose_torque_stays_off_is_a_wrong_answer(bank, hand):
     sink = LeapSink(port=bank.path, baud=57600)
     device = sink.device(sink.actuators("right"))
     patiently(device.open, device.close)
@@ -220,7 +214,7 @@ def test_a_servo_whose_torque_stays_off_is_a_wrong_answer(bank: ServoBank, hand:
     device.close()
 
 
-def test_servos_with_another_control_table_are_refused(bank: ServoBank, hand: Hand) -> None:
+def test_servos_with_another_control_table_are_refused(bank, hand):
     bank.servos[7].put(0, 2, 350)  # XL-320
     written = bytes(bank.servos[7].table[:126])  # what follows is measured
     with pytest.raises(SinkError, match=r"servo 7 \(middle_dip\) is of model number 350.* XL330"):
@@ -228,7 +222,7 @@ def test_servos_with_another_control_table_are_refused(bank: ServoBank, hand: Ha
     assert bytes(bank.servos[7].table[:126]) == written
 
 
-def test_goals_stay_within_the_makers_range(bank: ServoBank, hand: Hand) -> None:
+def test_goals_stay_within_the_makers_range(bank, hand):
     with Run(bank, hand) as run:
         beyond = np.full(len(hand.joint_names), 9.0)
         run.tick = replace(tick_at(hand, 0.5), command=JointCommand(beyond, hand.joint_names))
@@ -239,16 +233,14 @@ def test_goals_stay_within_the_makers_range(bank: ServoBank, hand: Hand) -> None
     assert all(low < goal < 2048 + 2.443 * 652 + 1 for _, g, _ in bank.goals for goal in g.values())
 
 
-def test_the_current_limit_is_the_lowest_of_table_run_and_servo(
-    bank: ServoBank, hand: Hand
-) -> None:
+def test_the_current_limit_is_the_lowest_of_table_run_and_servo(bank, hand):
     bank.servos[5].put(38, 2, 120)
     with Run(bank, hand, limit=200.0):
         assert bank.servos[4].get(102, 2) == 200
         assert bank.servos[5].get(102, 2) == 120
 
 
-def test_contact_stops_a_squeezing_finger(bank: ServoBank, hand: Hand) -> None:
+def test_contact_stops_a_squeezing_finger(bank, hand):
     with Run(bank, hand) as run:
         run.tick = tick_at(hand, 0.3)
         run.until(lambda: run.at(0.3))
@@ -263,9 +255,7 @@ def test_contact_stops_a_squeezing_finger(bank: ServoBank, hand: Hand) -> None:
 @pytest.mark.parametrize(
     "seconds", [0.1, *(pytest.param(s, marks=pytest.mark.weekly) for s in (0.2, 0.3)), 0.4]
 )
-def test_after_an_outage_the_first_goal_is_where_the_hand_is(
-    bank: ServoBank, hand: Hand, way: str, seconds: float
-) -> None:
+def test_after_an_outage_the_first_goal_is_where_the_hand_is(bank, hand, way, seconds):
     """The operator goes on meanwhile, over 40 % of the range."""
     with Run(bank, hand, approach=2.0, lost_s=5.0) as run:
         run.tick = tick_at(hand, 0.3)
@@ -283,9 +273,7 @@ def test_after_an_outage_the_first_goal_is_where_the_hand_is(
         run.until(lambda: run.at(0.7))
 
 
-def test_a_cable_pulled_in_motion_and_plugged_again(
-    bank: ServoBank, hand: Hand, tmp_path: Path
-) -> None:
+def test_a_cable_pulled_in_motion_and_plugged_again(bank, hand, tmp_path):
     bank.unplug()
     bank.plug(str(tmp_path / "ttyUSB"))
     with Run(bank, hand) as run:
@@ -306,7 +294,7 @@ def test_a_cable_pulled_in_motion_and_plugged_again(
         assert run.sink.figures["device_lost"] >= 1
 
 
-def test_wrong_checksums_and_silence(bank: ServoBank, hand: Hand) -> None:
+def test_wrong_checksums_and_silence(bank, hand):
     with Run(bank, hand, lost_s=1.0) as run:
         run.tick = tick_at(hand, 0.4)
         run.until(lambda: run.at(0.4))
@@ -320,7 +308,7 @@ def test_wrong_checksums_and_silence(bank: ServoBank, hand: Hand) -> None:
         run.until(lambda: run.at(0.4) and "tried again" not in run.sink.note)
 
 
-def test_a_servo_with_an_error_and_a_slow_bus_are_shown(bank: ServoBank, hand: Hand) -> None:
+def test_a_servo_with_an_error_and_a_slow_bus_are_shown(bank, hand):
     with Run(bank, hand) as run:
         run.tick = tick_at(hand, 0.4)
         bank.servos[3].error = 0x20
@@ -332,9 +320,7 @@ def test_a_servo_with_an_error_and_a_slow_bus_are_shown(bank: ServoBank, hand: H
         run.until(lambda: run.sink.figures["slow_cycles"] > slow)
 
 
-def test_a_whole_run_has_measured_joints_in_its_log(
-    bank: ServoBank, hand: Hand, tmp_path: Path
-) -> None:
+def test_a_whole_run_has_measured_joints_in_its_log(bank, hand, tmp_path):
     for duration in (1.5, 15.0):  # a machine that stalls takes longer
         take = tmp_path / f"{duration}.mcap"
         summary = teleoperate(
@@ -355,7 +341,7 @@ def test_a_whole_run_has_measured_joints_in_its_log(
     assert "right" in summary["motion_delay_ms"]
 
 
-def test_what_can_not_be_opened(bank: ServoBank, hand: Hand, tmp_path: Path) -> None:
+def test_what_can_not_be_opened(bank, hand, tmp_path):
     with pytest.raises(SinkError, match="there is no serial port"):
         LeapSink(port="/dev/ttyNONE").open({"right": hand}, {})
     bank.silent.update(IDS)

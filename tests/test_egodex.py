@@ -1,7 +1,5 @@
 """Files of EgoDex: both hands as 4 x 4 transforms in ARKit's world, written by another way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from dataset_files import egodex_file, hand

@@ -1,7 +1,5 @@
 """The examples run on built-in data, are short, and use public names alone."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import importlib

@@ -1,7 +1,5 @@
 """Extras: what the base does without, and the one line that names what is missing."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re
@@ -49,11 +47,11 @@ def names(requirements: list[str]) -> set[str]:
     return {re.split(r"[\[<>=;]", text)[0] for text in requirements}
 
 
-def test_the_base_needs_nine_distributions() -> None:
+def test_the_base_needs_nine_distributions():
     assert names(PROJECT["dependencies"]) == BASE
 
 
-def test_every_extra_has_the_wing_that_it_is_part_of() -> None:
+def test_every_extra_has_the_wing_that_it_is_part_of():
     extras = PROJECT["optional-dependencies"]
     assert sorted(extras) == sorted(EXTRAS)
 
@@ -86,7 +84,7 @@ def imported_with_the_module(path: Path) -> Iterator[tuple[int, str]]:
             todo += ast.iter_child_nodes(node)
 
 
-def test_only_the_base_is_imported_with_a_module() -> None:
+def test_only_the_base_is_imported_with_a_module():
     known = sys.stdlib_module_names | BASE | {"smooth_operator"}
     wrong = [
         f"{path.relative_to(SOURCE).as_posix()}:{line}: import {name} inside the function"
@@ -126,9 +124,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     extras._installed_from.cache_clear()
 
 
-def test_an_extra_is_added_to_what_is_installed(
-    installed: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_an_extra_is_added_to_what_is_installed(installed, monkeypatch, tmp_path):
     by_name = 'python -m pip install "smooth-retargeting[zmq]"'
     wheel = {"url": (tmp_path / "a.whl").as_uri(), "archive_info": {}}
     damaged = ["{", "[]", "{}", '{"url": 3, "dir_info": {}}', '{"dir_info": {}}']
@@ -151,7 +147,7 @@ def test_an_extra_is_added_to_what_is_installed(
     assert install_command("zmq") == by_name
 
 
-def test_a_library_is_looked_for_and_not_imported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_is_looked_for_and_not_imported(monkeypatch):
     require("this", "study", "json", "antigravity")
     assert "antigravity" not in sys.modules
     monkeypatch.setitem(sys.modules, "wave", None)
@@ -223,7 +219,7 @@ MODULES = {
 }
 
 
-def test_without_extras_a_command_works_or_names_what_it_lacks(tmp_path: Path) -> None:
+def test_without_extras_a_command_works_or_names_what_it_lacks(tmp_path):
     asked = json.dumps([[*WORK, *LACK], list(MODULES), LIBRARIES])
     done = subprocess.run(
         [sys.executable, "-c", PROBE, asked],

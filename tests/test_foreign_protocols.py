@@ -1,7 +1,5 @@
 """Sources that listen on TCP, and what reaches them that is not of their protocol."""
 
-from __future__ import annotations
-
 import http.server
 import json
 import socket
@@ -35,10 +33,7 @@ def pico(number: int) -> bytes:
     return app.pico_tracking({"rightHand": app.pico_hand(pose, JOINTS)}, number * 20_000_000)
 
 
-SOURCES: dict[str, Callable[[int], bytes]] = {
-    "hts:port=0,transport=tcp": hts,
-    "pico:port=0": pico,
-}
+SOURCES: dict[str, Callable[[int], bytes]] = {"hts:port=0,transport=tcp": hts, "pico:port=0": pico}
 pytestmark = pytest.mark.parametrize("text", SOURCES)
 
 HEADERS = [
@@ -138,7 +133,7 @@ def test_a_refusal_ends_no_silence(text):
         return [Reading(HandFrame(app.landmarks(JOINTS), received, "right"))]
 
     now, running = 0.0, Running()
-    receiver = MessageReceiver(running, text, ("right",), read)  # type: ignore[arg-type]
+    receiver = MessageReceiver(running, text, ("right",), read)
     from smooth_operator.errors import RecordingError
 
     receiver.take((b"",), now)

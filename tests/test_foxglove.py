@@ -1,8 +1,6 @@
 """A log holds what Foxglove's 3D panel draws, in its own schemas, read here by the libraries of
 MCAP and of Protocol Buffers."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -80,7 +78,6 @@ def session(tmp_path_factory) -> Path:
     sink.open({"right": hand}, {})
     for k, frame in enumerate(frames):
         tick = make_tick(hand, k, at=5.0 + 0.01 * k)
-        assert tick.arrival is not None
         landmarks = frame.landmarks + np.array([3.0, 1.0, 0.0])  # somewhere in the room
         landmarks[8] = np.nan if k % 2 else landmarks[8]
         shown = replace(frame, landmarks=landmarks, valid=None)

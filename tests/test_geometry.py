@@ -1,7 +1,5 @@
 """Kabsch-Umeyama against closed forms and a reference by SVD; the similarity as a group."""
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 import numpy as np

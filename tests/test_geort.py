@@ -1,7 +1,5 @@
 """GeoRT: its networks, its training, its files, its command."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shlex
@@ -97,10 +95,7 @@ def trained(
     return folder, TrainingSession(coach, folder, every=2).run()
 
 
-# The networks
-
-
-def test_each_finger_has_the_joints_that_move_it_alone() -> None:
+def test_each_finger_has_the_joints_that_move_it_alone():
     mimic = load_hand()
     names = [[mimic.actuated_names[j] for j in joints] for joints in finger_joints(mimic)]
     assert [len(joints) for joints in names] == [4, 3, 3, 3, 3]
@@ -108,7 +103,7 @@ def test_each_finger_has_the_joints_that_move_it_alone() -> None:
         assert all(joint.startswith(finger) for joint in joints)
 
 
-def test_a_joint_of_two_fingers_is_of_neither(tmp_path: Path) -> None:
+def test_a_joint_of_two_fingers_is_of_neither(tmp_path):
     shared = load_hand_spec(
         pincer(tmp_path, actuated=("t1", "t2", "i1"), equality=CHAIN.format("i2", "t2"))
     )
@@ -124,7 +119,7 @@ def test_a_joint_of_two_fingers_is_of_neither(tmp_path: Path) -> None:
         finger_joints(lame)
 
 
-def test_the_networks_are_what_they_say() -> None:
+def test_the_networks_are_what_they_say():
     rng = np.random.default_rng(1)
     f, h, j, n = 2, 5, 3, 7
     shapes = ((f, 3, h), (f, h), (f, h, h), (f, h), (f, h, j), (f, j))
@@ -141,14 +136,11 @@ def test_the_networks_are_what_they_say() -> None:
     assert np.abs(answer).max() <= 1
 
 
-# The losses, where their values are known on paper
-
-
 class Mapped(GeortLoss):
     """A robot whose fingertips are a given function of the human's."""
 
     def tips(self, weights: Weights, points: jnp.ndarray) -> jnp.ndarray:
-        return self.settings.how(points)  # type: ignore[attr-defined]
+        return self.settings.how(points)
 
 
 def judged(
@@ -168,11 +160,11 @@ def judged(
     settings = settings or GeortTraining(direction=2.0, coverage=3.0, curvature=5.0, pinch=7.0)
     object.__setattr__(settings, "how", how)
     loss = Mapped(load_hand(), settings, np.zeros((2, 3)), np.ones(2))
-    total, each = loss(None, batch, ramp)  # type: ignore[arg-type]
+    total, each = loss(None, batch, ramp)
     return float(total), dict(zip(LOSSES, map(float, each), strict=True))
 
 
-def test_a_perfect_copy_costs_nothing() -> None:
+def test_a_perfect_copy_costs_nothing():
     total, each = judged(lambda p: p)
     assert each["direction"] == pytest.approx(0, abs=1e-5)
     assert each["coverage"] == pytest.approx(0, abs=1e-10)
@@ -181,7 +173,7 @@ def test_a_perfect_copy_costs_nothing() -> None:
     assert total == pytest.approx(2 * each["direction"] + 7 * each["pinch"], rel=1e-2)
 
 
-def test_each_loss_sees_its_own_fault() -> None:
+def test_each_loss_sees_its_own_fault():
     _, mirrored = judged(lambda p: -p)
     assert mirrored["direction"] == pytest.approx(2, abs=1e-4)
     _, frozen = judged(lambda p: 0 * p)
@@ -198,13 +190,13 @@ def test_each_loss_sees_its_own_fault() -> None:
     assert huge["pinch"] == pytest.approx(0.01**2, rel=1e-3)
 
 
-def test_the_ramp_holds_coverage_back_and_nothing_else() -> None:
+def test_the_ramp_holds_coverage_back_and_nothing_else():
     full, each = judged(lambda p: p, reach_shift=0.01)
     none, _ = judged(lambda p: p, reach_shift=0.01, ramp=0.0)
     assert full - none == pytest.approx(3 * each["coverage"], rel=1e-3)
 
 
-def test_training_prices_faults_as_published() -> None:
+def test_training_prices_faults_as_published():
     """What a fault costs with the settings that training uses: 80 a square metre by which the reach
     is missed, 1 for a direction that is turned round."""
     copy, _ = judged(lambda p: p, settings=GeortTraining())
@@ -215,10 +207,7 @@ def test_training_prices_faults_as_published() -> None:
     assert mirrored - rest == pytest.approx(2, abs=1e-3)
 
 
-# The data
-
-
-def test_points_are_thinned_and_pinches_are_of_one_moment(operator: HandRecording) -> None:
+def test_points_are_thinned_and_pinches_are_of_one_moment(operator):
     mimic = load_hand()
     data = training_data([operator, operator], mimic, replace(TINY, validation=0.0))
     once = training_data([operator], mimic, replace(TINY, validation=0.0))
@@ -238,7 +227,7 @@ def test_points_are_thinned_and_pinches_are_of_one_moment(operator: HandRecordin
     assert training_data([operator], mimic, replace(TINY, validation=0.0)).digest == once.digest
 
 
-def test_the_margin_keeps_the_reach_near_the_operator(operator: HandRecording) -> None:
+def test_the_margin_keeps_the_reach_near_the_operator(operator):
     mimic = load_hand()
     near = training_data([operator], mimic, replace(TINY, margin=0.01))
     whole = training_data([operator], mimic, replace(TINY, margin=None))
@@ -251,9 +240,7 @@ def test_the_margin_keeps_the_reach_near_the_operator(operator: HandRecording) -
             assert least < away < most
 
 
-def test_the_reach_is_that_of_the_joints_that_the_networks_command(
-    tmp_path: Path, operator: HandRecording
-) -> None:
+def test_the_reach_is_that_of_the_joints_that_the_networks_command(tmp_path, operator):
     shared = load_hand_spec(
         pincer(tmp_path, actuated=("t1", "t2", "i1"), equality=CHAIN.format("i2", "t2"))
     )
@@ -268,7 +255,7 @@ def test_the_reach_is_that_of_the_joints_that_the_networks_command(
         assert away.max() < 1e-4
 
 
-def test_batches_draw_a_fingers_own_points_alike() -> None:
+def test_batches_draw_a_fingers_own_points_alike():
     """A finger of few points is filled up with its first one, which is drawn no more often."""
     points = np.zeros((2, 3, 200), np.float32)
     points[0, 0], points[1, 0, :10] = np.arange(200), np.arange(10)
@@ -282,7 +269,7 @@ def test_batches_draw_a_fingers_own_points_alike() -> None:
     assert len(np.unique(drawn[0])) > 190
 
 
-def test_the_end_is_kept_apart(hand: Hand, operator: HandRecording) -> None:
+def test_the_end_is_kept_apart(hand, operator):
     data = training_data([operator], hand, replace(TINY, validation=0.25))
     assert data.frames == {"train": 600, "validation": 200}
     assert data.validation is not None
@@ -295,7 +282,7 @@ def test_the_end_is_kept_apart(hand: Hand, operator: HandRecording) -> None:
     assert apart.sources["validation"] == [other.name]
 
 
-def test_frames_that_a_tracker_lost_are_left_out(hand: Hand, operator: HandRecording) -> None:
+def test_frames_that_a_tracker_lost_are_left_out(hand, operator):
     landmarks = operator.landmarks.copy()
     landmarks[100:200, 8] = np.nan  # the index fingertip
     landmarks[300:400] = np.nan
@@ -309,7 +296,7 @@ def test_frames_that_a_tracker_lost_are_left_out(hand: Hand, operator: HandRecor
     assert (data.train.counts < whole.train.counts).all()
 
 
-def test_what_can_not_be_trained_on_is_refused(hand: Hand, operator: HandRecording) -> None:
+def test_what_can_not_be_trained_on_is_refused(hand, operator):
     with pytest.raises(RecordingError, match="one recording at least"):
         training_data([], hand, TINY)
     left = SyntheticOperator(seed=5, side="left").record(1.0)
@@ -333,14 +320,12 @@ def test_what_can_not_be_trained_on_is_refused(hand: Hand, operator: HandRecordi
         {"validation": -0.1},
     ],
 )
-def test_settings_out_of_range_are_refused(wrong: dict[str, float]) -> None:
+def test_settings_out_of_range_are_refused(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):
-        GeortTraining(**wrong)  # type: ignore[arg-type]
+        GeortTraining(**wrong)
 
 
-def test_synthetic_operators_are_many_and_none_is_judged_on_what_it_trained(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_synthetic_operators_are_many_and_none_is_judged_on_what_it_trained(monkeypatch):
     monkeypatch.setattr(data_module, "DURATION_S", 0.2)
     train, held_out = synthetic_recordings("left")
     names = [recording.name for recording in (*train, *held_out)]
@@ -350,12 +335,7 @@ def test_synthetic_operators_are_many_and_none_is_judged_on_what_it_trained(
     assert len({recording.meta["hand_length"] for recording in train}) == TRAINING_OPERATORS
 
 
-# Training
-
-
-def test_training_learns_and_says_so(
-    hand: Hand, operator: HandRecording, trained: tuple[Path, GeortModel]
-) -> None:
+def test_training_learns_and_says_so(hand, operator, trained):
     folder, model = trained
     with (folder / "losses.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -382,12 +362,7 @@ def stopping_after(epochs: int) -> Callable[[TrainingState], None]:
 
 
 @pytest.mark.parametrize("stop", [1, 2])
-def test_stopped_and_resumed_is_never_stopped_to_the_bit(
-    coach: GeortTrainer,
-    trained: tuple[Path, GeortModel],
-    tmp_path: Path,
-    stop: int,
-) -> None:
+def test_stopped_and_resumed_is_never_stopped_to_the_bit(coach, trained, tmp_path, stop):
     folder, _ = trained
     with pytest.raises(KeyboardInterrupt):
         TrainingSession(coach, tmp_path, every=2).run(watch=stopping_after(stop))
@@ -398,21 +373,13 @@ def test_stopped_and_resumed_is_never_stopped_to_the_bit(
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
 
 
-def test_stopped_before_anything_was_learnt_leaves_nothing(
-    coach: GeortTrainer, tmp_path: Path
-) -> None:
+def test_stopped_before_anything_was_learnt_leaves_nothing(coach, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         TrainingSession(coach, tmp_path).run(watch=stopping_after(0))
     assert not list(tmp_path.iterdir())
 
 
-def test_another_training_is_not_resumed(
-    hand: Hand,
-    operator: HandRecording,
-    coach: GeortTrainer,
-    trained: tuple[Path, GeortModel],
-    tmp_path: Path,
-) -> None:
+def test_another_training_is_not_resumed(hand, operator, coach, trained, tmp_path):
     folder, _ = trained
 
     def resume(settings: GeortTraining = TINY, recording: HandRecording = operator) -> None:
@@ -437,10 +404,7 @@ def test_another_training_is_not_resumed(
         TrainingSession(coach, tmp_path).run()
 
 
-# Files, and the hands that they are for
-
-
-def test_what_is_no_model_is_refused(trained: tuple[Path, GeortModel], tmp_path: Path) -> None:
+def test_what_is_no_model_is_refused(trained, tmp_path):
     folder, _ = trained
     path = tmp_path / "wrong.npz"
     with pytest.raises(ConfigError, match="there is no such GeoRT model"):
@@ -468,9 +432,7 @@ def test_what_is_no_model_is_refused(trained: tuple[Path, GeortModel], tmp_path:
     refused("pickle")
 
 
-def test_another_hand_is_refused_with_what_differs(
-    trained: tuple[Path, GeortModel], tmp_path: Path
-) -> None:
+def test_another_hand_is_refused_with_what_differs(trained, tmp_path):
     _, model = trained
 
     def refused(other: Hand, reason: str) -> None:
@@ -492,12 +454,12 @@ def test_another_hand_is_refused_with_what_differs(
     assert not model.mirrored_for(load_hand_spec(pincer(tmp_path)))
 
 
-def test_a_hand_without_a_model_says_how_to_get_one(hand: Hand) -> None:
+def test_a_hand_without_a_model_says_how_to_get_one(hand):
     with pytest.raises(ConfigError, match=r"no built-in.*'pincer'.*mimic_p050.*train geort"):
         Retargeter(hand, method="geort")
 
 
-def test_a_trained_model_retargets(hand: Hand, trained: tuple[Path, GeortModel]) -> None:
+def test_a_trained_model_retargets(hand, trained):
     folder, model = trained
     retargeter = Retargeter(hand, config=GeortConfig(model=folder / MODEL))
     recording = SyntheticOperator(seed=8, rate_hz=40).record(1.0)
@@ -518,9 +480,6 @@ def test_a_trained_model_retargets(hand: Hand, trained: tuple[Path, GeortModel])
         np.testing.assert_allclose(q[:, k], expected, atol=1e-5)
 
 
-# The built-in model
-
-
 @pytest.fixture(scope="module")
 def right() -> Retargeter:
     return Retargeter(method="geort")
@@ -532,9 +491,8 @@ def measured(retargeter: Retargeter, recording: HandRecording) -> dict[str, obje
     return dict(evaluate(trace))
 
 
-def test_the_built_in_model_says_how_it_was_made() -> None:
+def test_the_built_in_model_says_how_it_was_made():
     path = built_in_model("mimic_p050")
-    assert path is not None
     assert path.stat().st_size < 500_000
     about = read_geort_model(path).training
     trained_on = about["recordings"]["train"]
@@ -545,7 +503,7 @@ def test_the_built_in_model_says_how_it_was_made() -> None:
     assert built_in_model("pincer") is None
 
 
-def test_the_built_in_model_serves_an_operator_it_never_saw(right: Retargeter) -> None:
+def test_the_built_in_model_serves_an_operator_it_never_saw(right):
     metrics = measured(right, SyntheticOperator(seed=77, rate_hz=50).record(20.0))
     assert metrics["cosine_similarity"] > 0.9
     assert metrics["cosine_similarity_all"] > 0.93
@@ -556,7 +514,7 @@ def test_the_built_in_model_serves_an_operator_it_never_saw(right: Retargeter) -
     assert metrics["lag_ms"] < 2
 
 
-def test_a_left_hand_is_a_right_one_in_the_mirror(right: Retargeter) -> None:
+def test_a_left_hand_is_a_right_one_in_the_mirror(right):
     left = Retargeter(method="geort", side="left")
     commands = {}
     for retargeter in (right, left):
@@ -570,7 +528,7 @@ def test_a_left_hand_is_a_right_one_in_the_mirror(right: Retargeter) -> None:
     )
 
 
-def test_a_lost_fingertip_holds_the_command_and_leaves_no_trace(right: Retargeter) -> None:
+def test_a_lost_fingertip_holds_the_command_and_leaves_no_trace(right):
     recording = SyntheticOperator(seed=4, rate_hz=30).record(1.0)
     state = right.init()
     state, before = right.step(state, recording[10])
@@ -590,9 +548,7 @@ def test_a_lost_fingertip_holds_the_command_and_leaves_no_trace(right: Retargete
 
 
 @pytest.mark.shared
-def test_the_built_in_model_is_as_good_as_the_authors_on_a_real_hand(
-    right: Retargeter, shared: Path
-) -> None:
+def test_the_built_in_model_is_as_good_as_the_authors_on_a_real_hand(right, shared):
     (path,) = (shared / "recordings").glob("manus*.npz")
     recording = read_recording(path)
     metrics = measured(right, recording[:500])
@@ -602,9 +558,6 @@ def test_the_built_in_model_is_as_good_as_the_authors_on_a_real_hand(
     assert measured(right, recording[2600:3100])["pinch_error_mm"] < 15
 
 
-# The command
-
-
 @pytest.fixture
 def run(
     hand: Hand, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
@@ -612,7 +565,7 @@ def run(
     """Runs a command for the quick hand: exit status and standard error."""
 
     def quick(**chosen: int) -> GeortTraining:
-        return replace(TINY, **chosen)  # type: ignore[arg-type]
+        return replace(TINY, **chosen)
 
     made: dict[tuple[str, int, int], GeortTrainer] = {}
 
@@ -633,15 +586,10 @@ def run(
         assert out == ""
         return status, err
 
-    return call  # type: ignore[return-value]
+    return call
 
 
-def test_the_command_stops_resumes_and_ends_the_same(
-    run: Callable[..., tuple[int, str]],
-    operator: HandRecording,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_command_stops_resumes_and_ends_the_same(run, operator, tmp_path, monkeypatch):
     # a recording that says neither its side nor its rate, and holds no pinch
     glove = tmp_path / "open hand.npy"
     spreading = [name in ("spread", "open_close") for name in operator.meta["gesture"]]
@@ -687,9 +635,7 @@ def test_the_command_stops_resumes_and_ends_the_same(
         (("synthetic", "--checkpoint-every", "0"), "checkpoint-every"),
     ],
 )
-def test_the_command_says_what_is_wrong(
-    run: Callable[..., tuple[int, str]], tmp_path: Path, arguments: tuple[str, ...], reason: str
-) -> None:
+def test_the_command_says_what_is_wrong(run, tmp_path, arguments, reason):
     folder = tmp_path / "out"
     status, err = run(*arguments, "--output", folder)
     assert status == 2
@@ -697,7 +643,7 @@ def test_the_command_says_what_is_wrong(
     assert not folder.exists()
 
 
-def test_the_file_of_a_model_stands_for_a_preset(tmp_path: Path) -> None:
+def test_the_file_of_a_model_stands_for_a_preset(tmp_path):
     built_in = files("smooth_operator.baselines") / "models" / "geort_mimic_p050.npz"
     (tmp_path / "mine.npz").write_bytes(built_in.read_bytes())
     path = tmp_path / "mine.npz"

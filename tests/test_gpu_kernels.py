@@ -1,14 +1,12 @@
 """The kernels that a GPU runs, operation by operation on a CPU."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter
+from smooth_operator import Retargeter, Status
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.solvers.gpu_kernels import (
     kernels_available,
@@ -18,7 +16,6 @@ from smooth_operator.solvers.gpu_kernels import (
 from smooth_operator.solvers.normals import counter_normal_matrix
 from smooth_operator.solvers.random_words import random_words
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.types import Status
 
 LIMITS = np.array([[-0.4, 0.5]])
 LARGE = pytest.mark.weekly

@@ -1,7 +1,5 @@
 """All drivers of real hands on simulators of their wire protocols: one set of tests for each."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,9 +11,8 @@ from hand_rigs import RIGS, Rig, missing
 from inspire_simulator import ANGLE_ACT
 from ticks import make_tick
 
+from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError, SinkError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware import bus_lock
 from smooth_operator.teleop.hardware.actuator_map import (
     ActuatorMap,
@@ -65,8 +62,7 @@ def hand_of(table: ActuatorMap) -> Hand:
 def within(table: ActuatorMap, share: float) -> np.ndarray:
     """Commands at a share of the way between the ends, for each actuator."""
     low, high = np.array([actuator.ends for actuator in table.actuators]).T
-    found: np.ndarray = low + share * (high - low)
-    return found
+    return low + share * (high - low)
 
 
 class Opened:
@@ -88,7 +84,7 @@ class Opened:
                 if not tries:
                     raise
 
-    def __enter__(self) -> Opened:
+    def __enter__(self) -> "Opened":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -109,7 +105,7 @@ class Driven:
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._run)
 
-    def __enter__(self) -> Driven:
+    def __enter__(self) -> "Driven":
         self.sink.open({"right": self.hand}, {})
         self._thread.start()
         return self

@@ -1,7 +1,5 @@
 """The hand-landmarker file: fetched once, whole, and the published one; or nothing."""
 
-from __future__ import annotations
-
 import hashlib
 import http.server
 import io

@@ -1,7 +1,5 @@
 """Model files and spec files that are damaged, hostile, or in another encoding."""
 
-from __future__ import annotations
-
 import os
 import random
 import re
@@ -31,9 +29,6 @@ def declared(text: str, encoding: str) -> str:
     )
 
 
-# Encodings
-
-
 @pytest.mark.parametrize("encoding", ["gb2312", "GBK", "shift_jis", "utf-16", "iso-8859-1"])
 def test_a_urdf_in_a_vendors_encoding_loads(encoding, tmp_path):
     plain, other = tmp_path / "plain.urdf", tmp_path / "other.urdf"
@@ -60,9 +55,6 @@ def test_utf_8_that_declares_another_encoding_loads(tmp_path):
     path = tmp_path / "hand.xml"
     path.write_text(declared(MJCF, "gb2312") + "<!-- \u0141 -->", encoding="utf-8")
     assert load_model(path).model.njnt
-
-
-# One sentence each
 
 
 REFUSED: dict[str, tuple[str, str, str]] = {
@@ -128,9 +120,6 @@ def test_a_hostile_spec_file_is_refused_in_a_sentence(text, said, tmp_path):
     with pytest.raises(HandModelError, match=said) as refused:
         read_hand_spec(path)
     assert len(str(refused.value)) < 600
-
-
-# Mutants
 
 
 SEEDS: dict[str, tuple[str, str, str, int]] = {

@@ -1,8 +1,6 @@
 """A real hand whose bus falls silent, or that answers a wrong position: what is sent, on a clock of
 the test's own, so that no machine's load decides."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -182,9 +180,7 @@ OUTAGES = [(way, seconds) for way in ("deaf", "mute") for seconds in (0.1, 0.3, 
 
 
 @pytest.mark.parametrize(("way", "seconds"), [*OUTAGES, ("deaf", 3.0), ("mute", 3.0)])
-def test_the_first_command_after_an_outage_is_where_the_hand_is(
-    run: Run, way: str, seconds: float
-) -> None:
+def test_the_first_command_after_an_outage_is_where_the_hand_is(run, way, seconds):
     begin = 105.0 - seconds / 2
     run.wish = sine
     setattr(run.bus, way, (begin, begin + seconds))
@@ -206,9 +202,7 @@ def test_the_first_command_after_an_outage_is_where_the_hand_is(
 
 @pytest.mark.parametrize("way", ["deaf", "mute"])
 @pytest.mark.parametrize("seconds", [0.012, 0.03])
-def test_one_or_two_answers_that_are_missing_cost_no_approach_and_no_jump(
-    run: Run, way: str, seconds: float
-) -> None:
+def test_one_or_two_answers_that_are_missing_cost_no_approach_and_no_jump(run, way, seconds):
     run.wish = sine
     setattr(run.bus, way, (105.0, 105.0 + seconds))
     worker = run(6.0)
@@ -219,7 +213,7 @@ def test_one_or_two_answers_that_are_missing_cost_no_approach_and_no_jump(
     assert all(abs(sine(at) - row[0]) < 0.1 for at, row, _ in run.since(105.2))
 
 
-def test_settings_that_are_slow_to_read_back_cost_no_approach(run: Run) -> None:
+def test_settings_that_are_slow_to_read_back_cost_no_approach(run):
     """Two questions on a serial adapter that holds bytes back for 16 ms: once a second."""
     run.wish = sine
     run.bus.settings_s = 0.06
@@ -227,7 +221,7 @@ def test_settings_that_are_slow_to_read_back_cost_no_approach(run: Run) -> None:
     assert all(abs(sine(at) - row[0]) < 0.25 for at, row, _ in run.since(104.0)[:-1])
 
 
-def test_a_finger_that_an_object_blocks_keeps_its_grasp(run: Run) -> None:
+def test_a_finger_that_an_object_blocks_keeps_its_grasp(run):
     """Without currents, as a Linker hand: its command stands 0.7 rad inside the object, 70 times
     the way that ``speed`` makes in a period; a bound on that distance would let go."""
     run.wish = lambda now: min(1.0, 0.4 * (now - 100.0))
@@ -250,7 +244,7 @@ def far(index: int, angle: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4, 5, 6])
-def test_one_wrong_reading_moves_nothing(run: Run, number: int) -> None:
+def test_one_wrong_reading_moves_nothing(run, number):
     wild = far(1, 0.9)
     run.bus.wrong = lambda count, angles: wild(angles) if count == number else angles
     run.wish = lambda now: 0.0
@@ -260,7 +254,7 @@ def test_one_wrong_reading_moves_nothing(run: Run, number: int) -> None:
     assert np.abs([row[1] for row in run.bus.written]).max() < 1e-6
 
 
-def test_readings_that_never_agree_move_nothing(run: Run) -> None:
+def test_readings_that_never_agree_move_nothing(run):
     run.bus.wrong = lambda count, angles: far(1, 0.4 * (count % 3))(angles)
     worker = run(0.5)
     assert not run.bus.written
@@ -269,7 +263,7 @@ def test_readings_that_never_agree_move_nothing(run: Run) -> None:
 
 
 @pytest.mark.parametrize("offset", [2 * math.pi, -2 * math.pi, -1_000_000 * math.pi / 2048, 1.45])
-def test_a_start_far_beyond_the_ends_is_refused(run: Run, offset: float) -> None:
+def test_a_start_far_beyond_the_ends_is_refused(run, offset):
     run.bus.wrong = lambda count, angles: far(1, offset)(angles)
     worker = run(0.3)
     assert not run.bus.written
@@ -280,7 +274,7 @@ def test_a_start_far_beyond_the_ends_is_refused(run: Run, offset: float) -> None
     assert "is the servo a turn off, or the table's zero wrong?" in worker.statistics.latest
 
 
-def test_a_start_a_little_beyond_the_ends_comes_in(run: Run) -> None:
+def test_a_start_a_little_beyond_the_ends_comes_in(run):
     run.bus.angles = far(1, math.pi / 3 + 0.3)(np.zeros(16))
     run(4.0)
     assert run.bus.written[0][1][1] == pytest.approx(math.pi / 3 + 0.3)
@@ -288,9 +282,7 @@ def test_a_start_a_little_beyond_the_ends_comes_in(run: Run) -> None:
 
 
 @pytest.mark.parametrize("wrong", [(), (1,), (2,), (1, 2)])
-def test_a_stop_holds_where_the_hand_is_whatever_one_reading_says(
-    run: Run, wrong: tuple[int, ...]
-) -> None:
+def test_a_stop_holds_where_the_hand_is_whatever_one_reading_says(run, wrong):
     """The first readings from the stop on are wild, each in its own way."""
     run.wish = lambda now: 0.4 * (now - 100.0)
     run.mode = lambda now: Mode.STOPPED if now > 101.0 else Mode.TRACKING
@@ -311,7 +303,7 @@ def test_a_stop_holds_where_the_hand_is_whatever_one_reading_says(
     assert run.since(101.0)[0][0] < 101.05
 
 
-def test_a_stop_in_an_outage_holds_where_the_hand_is_by_then(run: Run) -> None:
+def test_a_stop_in_an_outage_holds_where_the_hand_is_by_then(run):
     run.wish = lambda now: 0.4 * (now - 100.0)
     run.mode = lambda now: Mode.STOPPED if now > 102.0 else Mode.TRACKING
     run.bus.deaf = (101.9, 102.2)
@@ -330,16 +322,14 @@ def test_a_stop_in_an_outage_holds_where_the_hand_is_by_then(run: Run) -> None:
     assert all(row == pytest.approx(-0.5) for _, row, _ in after)
 
 
-def test_a_stop_before_the_first_command_powers_nothing(run: Run) -> None:
+def test_a_stop_before_the_first_command_powers_nothing(run):
     run.mode = lambda now: Mode.STOPPED
     run(0.5)
     assert not run.bus.written
 
 
 @pytest.mark.parametrize("mute", [False, True])
-def test_relaxing_does_not_wait_for_a_reading(
-    tmp_path: Path, hand: Hand, monkeypatch: pytest.MonkeyPatch, mute: bool
-) -> None:
+def test_relaxing_does_not_wait_for_a_reading(tmp_path, hand, monkeypatch, mute):
     run = Run(tmp_path, hand, monkeypatch, 'on_stop = "relax"\n')
     run.mode = lambda now: Mode.STOPPED if now > 101.0 else Mode.TRACKING
     if mute:
@@ -349,16 +339,14 @@ def test_relaxing_does_not_wait_for_a_reading(
     assert not run.since(run.bus.relaxed[0])  # nothing switches it on again
 
 
-def test_a_command_counts_for_silence_s_and_no_longer(
-    tmp_path: Path, hand: Hand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_command_counts_for_silence_s_and_no_longer(tmp_path, hand, monkeypatch):
     run = Run(tmp_path, hand, monkeypatch, 'on_silence = "relax"\n')
     run.silent = lambda now: now > 101.0
     run(1.5)
     assert 101.0 + SILENCE - PERIOD < run.bus.relaxed[0] < 101.0 + SILENCE + 3 * PERIOD
 
 
-def test_an_actuator_without_a_position_stands_and_begins_where_it_is(run: Run) -> None:
+def test_an_actuator_without_a_position_stands_and_begins_where_it_is(run):
     run.wish = sine
     lost = (103.0, 103.4)
     run.bus.wrong = lambda count, angles: (
@@ -373,7 +361,7 @@ def test_an_actuator_without_a_position_stands_and_begins_where_it_is(run: Run) 
     assert np.isfinite([row for _, row, _ in run.bus.written]).all()
 
 
-def test_the_guard_moves_no_command_without_a_new_reading(run: Run, hand: Hand) -> None:
+def test_the_guard_moves_no_command_without_a_new_reading(run, hand):
     guard = CommandGuard(run.bound, GuardSettings(approach=SPEED, speed=SPEED))
     wanted = hand.full_configuration(np.full(len(hand.actuated), 0.5))
     reading = Reading(degrees(np.zeros(16)))

@@ -1,7 +1,5 @@
 """The hands of the registry: right, left, and as published."""
 
-from __future__ import annotations
-
 import functools
 import math
 import re
@@ -195,9 +193,6 @@ def test_separately_published_sides_are_nearly_mirror_images(name):
     np.testing.assert_array_equal(right.neutral, sense * left.neutral)
 
 
-# As published
-
-
 @functools.cache
 def published(file: Path) -> tuple[mujoco.MjModel, tuple[Coupling, ...]]:
     loaded = load_model(file)
@@ -290,9 +285,6 @@ def test_a_model_whose_landmarks_lie_elsewhere_is_refused(tmp_path):
         on_model(load_hand("ability_hand"), longer)
 
 
-# Tendons
-
-
 TENDON = """
 <mujoco>
   <compiler angle="radian" autolimits="true"/>
@@ -332,9 +324,6 @@ def test_shadows_joints_share_their_tendon():
     every = dict(zip(hand.joint_names, hand.full_configuration(q).T, strict=True))
     for finger in ("FF", "MF", "RF", "LF"):
         np.testing.assert_array_equal(every[f"rh_{finger}J1"], every[f"rh_{finger}J2"])
-
-
-# Fewer fingers, and others
 
 
 def test_fewer_fingers():
@@ -389,10 +378,7 @@ def test_choices_as_text():
 )
 def test_impossible_choices(fingers, error, message):
     with pytest.raises(error, match=message):
-        load_hand("shadow_hand", fingers=fingers)  # type: ignore[arg-type]
-
-
-# In use
+        load_hand("shadow_hand", fingers=fingers)
 
 
 @pytest.mark.parametrize(
@@ -406,7 +392,7 @@ def test_a_frame_is_retargeted(name, side, method):
     """Three fingers; two joints a finger, on the left; and the hands that the matrix leaves out."""
     hand = load_hand(name, side)
     retargeter = Retargeter(hand, method=method)
-    result = retargeter(HandFrame(human(side), side=side))  # type: ignore[arg-type]
+    result = retargeter(HandFrame(human(side), side=side))
     assert result.status is Status.OK
     assert result.command.names == hand.joint_names
     q = result.command.positions[list(hand.actuated)]
@@ -414,9 +400,6 @@ def test_a_frame_is_retargeted(name, side, method):
     assert (q <= hand.limits[:, 1]).all()
     assert np.abs(q - hand.neutral).max() > 0.05
     np.testing.assert_allclose(hand.full_configuration(q), result.command.positions, atol=1e-12)
-
-
-# The page about hands
 
 
 def test_the_documented_table_is_the_catalogue():

@@ -1,7 +1,5 @@
 """Measured joints next to the command: in ticks, log, ZeroMQ, HDF5 and LeRobot datasets."""
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import replace
@@ -164,7 +162,7 @@ def test_the_simulation_measures_and_a_real_hand_goes_before_it(hand):
         def open(self, *_: object) -> None: ...
         def close(self) -> None: ...
 
-    runner.add(Real())  # type: ignore[arg-type]
+    runner.add(Real())
     found = runner.state("right")
     assert found.stamp == 1.0
     runner.close()

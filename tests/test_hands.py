@@ -1,7 +1,5 @@
 """Robot hands: the built-in one against the published model, and any MJCF or URDF of one's own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +9,12 @@ import numpy as np
 import pytest
 from trees import limited_poses, mujoco_points, pincer, pincer_spec
 
+from smooth_operator import LANDMARKS, FingerSpec, HandSpec, Point, hand_names, load_hand
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.loading import Coupling, load_model
-from smooth_operator.hands.registry import hand_names, load_hand
-from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
-from smooth_operator.landmarks import LANDMARKS
+
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 def mujoco_landmarks(hand: Hand, q: np.ndarray) -> np.ndarray:
@@ -28,15 +26,6 @@ def mujoco_landmarks(hand: Hand, q: np.ndarray) -> np.ndarray:
         for p in points
     ]
     return mujoco_points(hand.model, int(hand.model.body(spec.palm).id), placed, q)
-
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path, monkeypatch) -> None:
-    """MuJoCo writes its warnings to a log in the working folder."""
-    monkeypatch.chdir(tmp_path)
-
-
-# The built-in hand
 
 
 @pytest.fixture
@@ -122,9 +111,6 @@ def test_tips_are_the_tip_landmarks():
     q = limited_poses(np.random.default_rng(5), hand.limits, 4)
     tips = hand.tips(hand.full_configuration(q))
     np.testing.assert_array_equal(tips, hand.landmark_positions(q)[:, [4, 8, 12, 16, 20]])
-
-
-# Couplings
 
 
 LINE = '<joint joint1="i3" joint2="i2" polycoef="0.1 0.5 0 0 0"/>'
@@ -217,8 +203,6 @@ def test_followers_in_a_ring_are_refused(tmp_path):
     with pytest.raises(HandModelError, match="nothing drives"):
         load_hand(pincer(tmp_path, equality=ring, actuated=("t1", "t2", "i1")))
 
-
-# URDF
 
 URDF = """<robot name="pincer">
   <link name="palm">{visual}</link>
@@ -346,9 +330,6 @@ def test_published_urdfs(shared, model, palm, thumb, index, couplings, actuated)
     )
 
 
-# What is refused
-
-
 def broken(text: str) -> Callable[[HandSpec], HandSpec]:
     def write(spec: HandSpec) -> HandSpec:
         spec.model.write_text(text)
@@ -418,9 +399,6 @@ def test_a_hand_without_joints_to_command_is_refused(tmp_path):
     )
     with pytest.raises(HandModelError, match="no joint that can be commanded"):
         load_hand(pincer(tmp_path, equality=ring, actuated=("i2", "i3")))
-
-
-# Descriptions
 
 
 def finger(name: str) -> FingerSpec:

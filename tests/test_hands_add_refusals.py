@@ -1,7 +1,5 @@
 """``hands add`` on what it can't use: one line that says what is wrong and what to do."""
 
-from __future__ import annotations
-
 import functools
 import json
 import re

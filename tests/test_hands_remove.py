@@ -1,7 +1,5 @@
 """``hands add`` keeps a copy of the model; ``hands remove`` takes a hand away again."""
 
-from __future__ import annotations
-
 import functools
 import json
 import shutil
@@ -100,7 +98,6 @@ def test_model_files_are_those_of_mjcf_with_includes(tmp_path):
     names = {file.name for file in model_files(tmp_path / "hand.xml")}
     assert names == {"hand.xml", "assets.xml", "box.stl"}
     copy = copy_model(tmp_path / "hand.xml", tmp_path / "to" / "there")
-    assert copy is not None
     assert load_model(copy).model.nmesh == 1
     assert sorted(p.name for p in (tmp_path / "to").iterdir()) == ["there"]  # no leftovers
 

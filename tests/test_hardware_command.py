@@ -1,7 +1,5 @@
 """``smooth-operator hardware``: list, monitor, and the dialogue that writes a table."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -129,10 +127,7 @@ def test_ctrl_c_and_a_lost_hand_relax_and_close(table, hand, monkeypatch):
     def interrupted(_: str) -> str:
         raise KeyboardInterrupt
 
-    with (
-        pytest.raises(KeyboardInterrupt),
-        ActuatorMover(fake, table, seconds=0.05) as mover,
-    ):
+    with pytest.raises(KeyboardInterrupt), ActuatorMover(fake, table, seconds=0.05) as mover:
         TableCheck(mover, hand, interrupted, lambda _: None).run(table)
     assert [what for what, _ in fake.calls[-2:]] == ["relax", "close"]
     fake.gone.set()

@@ -1,7 +1,5 @@
 """The base of real-hand sinks on a hand in memory: start, limits, silence, stop, loss, contact."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess
@@ -18,9 +16,8 @@ from fake_hand import FakeHand, FakeHandSink, write_fake_table
 from live_time import until
 from ticks import make_tick
 
+from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError, SinkError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.hardware import bus_lock
 from smooth_operator.teleop.hardware.bus_lock import BusLock
@@ -56,7 +53,7 @@ class Driven:
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._run)
 
-    def __enter__(self) -> Driven:
+    def __enter__(self) -> "Driven":
         self.sink.open({"right": self.hand}, {})
         self._thread.start()
         return self
@@ -92,7 +89,7 @@ def make(tmp_path, hand) -> Iterator[Callable[..., FakeHandSink]]:
 
     def build(**settings: object) -> FakeHandSink:
         settings = {"table": str(table), "port": str(tmp_path / "port"), "speed": 50.0, **settings}
-        made.append(FakeHandSink(**settings))  # type: ignore[arg-type]
+        made.append(FakeHandSink(**settings))
         return made[-1]
 
     yield build
@@ -592,6 +589,6 @@ def test_what_can_not_be_opened_is_said_when_it_is_opened(make, tmp_path, hand, 
 )
 def test_settings_out_of_range(settings):
     with pytest.raises(ConfigError, match="fake:"):
-        FakeHandSink(**settings)  # type: ignore[arg-type]
+        FakeHandSink(**settings)
     with pytest.raises(ConfigError, match="contact_s"):
         GuardSettings(contact_s=-1.0)

@@ -1,7 +1,5 @@
 """Files that are damaged, or made to do harm: each is read soundly or refused in one sentence."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json
@@ -19,19 +17,17 @@ import hostile_files
 import numpy as np
 import pytest
 
+from smooth_operator import method_config, read_recording
 from smooth_operator.atomic_files import output_error
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
 from smooth_operator.formats import commands as results_module
 from smooth_operator.formats.arrays import ARRAYS_RATIO, FREE_BYTES, Allowance
 from smooth_operator.formats.commands import encode_commands, read_commands, write_encoded_commands
-from smooth_operator.formats.readers import read_recording
-from smooth_operator.io.documents import json_object, parse_json
+from smooth_operator.io.documents import json_object, parse_json, read_text
 from smooth_operator.io.entries import parse_toml
-from smooth_operator.io.plain_files import read_text
 from smooth_operator.lab.offline.finished import identity
 from smooth_operator.lab.offline.folder import find_recordings
-from smooth_operator.methods.presets import method_config
 from smooth_operator.study.data.reading import read_study
 from smooth_operator.teleop.control.rpc import _read
 from smooth_operator.teleop.recording import read_log
@@ -55,9 +51,6 @@ def good(folder: Path, name: str = "good.npz") -> Path:
     return folder / name
 
 
-# --- messages ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("text", ["[1]", "{", '{"a":' * 2000 + "1" + "}" * 2000, b"\xff", "1"])
 def test_a_message_that_is_no_object_is_none(text):
     assert json_object(text) is None
@@ -77,9 +70,6 @@ def test_no_message_holds_what_breaks_an_answer():
     assert _read(b'{"do": "rate", "to": 5}') == ("rate", {"do": "rate", "to": 5})
 
 
-# --- mutants -----------------------------------------------------------------------------------
-
-
 @limited
 def test_mutants_are_read_soundly_or_refused():
     tally, faults = hostile_files.campaign(tries=24, seed=20261122)
@@ -87,9 +77,6 @@ def test_mutants_are_read_soundly_or_refused():
     for name, counts in tally.items():
         assert counts.total() == 24, name
         assert counts["refused"] or name in ("scan", "overwrite"), (name, counts)
-
-
-# --- small files that ask for much ---------------------------------------------------------------
 
 
 def zeros_npz(path: Path, frames: int) -> Path:
@@ -173,9 +160,6 @@ def test_hours_of_a_real_tracker_are_allowed():
         Allowance.of(Path("a.npz"), 10**7).take("data", ARRAYS_RATIO * 10**7 + 1)
 
 
-# --- what is no plain file ---------------------------------------------------------------------
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
 def test_pipes_and_sockets_are_not_opened(tmp_path, capsys):
     os.mkfifo(tmp_path / "x.npz")
@@ -208,9 +192,6 @@ def test_one_damaged_file_ends_no_search(tmp_path):
         read_recording(tmp_path / "bad.npz")
 
 
-# --- HDF5 ----------------------------------------------------------------------------------------
-
-
 def test_hdf5_links_to_other_files_are_refused(tmp_path):
     good(tmp_path, "secret.h5")
     for name in ("hand", "hand/landmarks"):
@@ -227,9 +208,6 @@ def test_hdf5_links_to_other_files_are_refused(tmp_path):
         file["hand"].create_dataset("stamps", shape, "f8", external=[("/etc/hostname", 0, 96)])
     with pytest.raises(RecordingError, match="stand in other files"):
         read_episode(path)
-
-
-# --- JSON and TOML -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -298,9 +276,6 @@ def test_what_python_takes_for_a_number_is_none_in_a_table(tmp_path, text):
         read_study([tmp_path / "trials.csv"])
 
 
-# --- commands and what is written ----------------------------------------------------------------
-
-
 @pytest.mark.parametrize("stamp", [np.nan, np.inf, -np.inf])
 def test_commands_without_a_time_are_refused(tmp_path, stamp):
     commands = hostile_files.good_episode().commands
@@ -325,7 +300,6 @@ def test_latency_of_what_is_no_log_says_a_command(tmp_path, capsys):
 
 def test_a_result_that_is_not_written_leaves_no_configuration(tmp_path, monkeypatch):
     episode = hostile_files.good_episode()
-    assert episode.commands is not None
     encoded = encode_commands(episode.commands)
 
     def full(_: int) -> None:

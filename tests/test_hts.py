@@ -1,7 +1,5 @@
 """The Quest app Hand Tracking Streamer: its lines, its sockets, what goes wrong with them."""
 
-from __future__ import annotations
-
 import random
 import socket
 from typing import Any
@@ -37,7 +35,6 @@ def check(frame: HandFrame, pose: app.Pose, points: np.ndarray) -> None:
     """The text has four digits of a metre, three of a quaternion."""
     np.testing.assert_allclose(frame.landmarks, points, atol=0.6e-4)
     assert frame.valid.all()
-    assert frame.T_world_wrist is not None
     assert (separation(frame.T_world_wrist, np.asarray(pose)) < [1e-4, 3e-3]).all()
     assert frame.world == "hts"
     sign = 1.0 if frame.side == "right" else -1.0
@@ -158,9 +155,6 @@ def test_no_line_is_a_crash():
     assert len(refused) > 100
     assert taken > 10
     assert all(len(words) < 500 for words in refused)
-
-
-# Sockets.
 
 
 def ports(source: HtsSource) -> list[tuple[str, int]]:

@@ -1,7 +1,5 @@
 """``import smooth_operator``: quick, without side effects, and with a fixed list of names."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 import json

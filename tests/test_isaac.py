@@ -1,7 +1,5 @@
 """The node for Isaac Teleop, in the real library's graphs: joints, validity, loss, reset, pause."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from pathlib import Path
@@ -11,11 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, load_hand
+from smooth_operator import HandFrame, HandRecording, Retargeter, load_hand
 from smooth_operator.errors import ConfigError, MissingExtraError
 from smooth_operator.landmarks import FROM_OPENXR_26, METACARPALS_OPENXR_26
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.types import HandFrame, HandRecording
 
 RATE = 100.0
 METHOD = "joint_angle"

@@ -1,7 +1,5 @@
 """Joint angles: their definitions, the map measured from them, and the method around it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -101,9 +99,6 @@ def right() -> Retargeter:
     return Retargeter(config=JointAngleConfig(), rate=100.0)
 
 
-# Definitions
-
-
 def test_there_are_four_angles_to_a_finger():
     assert NUM_JOINT_ANGLES == len(set(JOINT_ANGLES)) == 20
     assert [name.split("_")[0] for name in JOINT_ANGLES[::4]] == list(FINGERS)
@@ -191,9 +186,6 @@ def test_the_operators_own_joints_are_found(side):
         assert np.corrcoef(truth[:, i], truth[:, i] + error[:, i])[0, 1] > 0.95
 
 
-# Invariance
-
-
 def test_a_mirrored_hand_has_the_same_angles():
     right = operator(operator_poses(20))
     left = right * (1, -1, 1)
@@ -247,9 +239,6 @@ def test_a_missing_landmark_costs_its_finger_only():
     assert np.isnan(angles[8:12]).any()
     others = np.delete(np.arange(20), np.s_[8:12])
     np.testing.assert_array_equal(angles[others], whole[others])
-
-
-# The map of a hand
 
 
 def own_landmarks(hand: Hand, q: np.ndarray) -> np.ndarray:
@@ -344,8 +333,7 @@ def pincer_with_all_points(folder: Path, **attributes: str) -> HandSpec:
     equality = '<joint joint1="i3" joint2="i2" polycoef="0 1 0 0 0"/>'
     spec = pincer(folder, equality=equality, **attributes)
     thumb = FingerSpec(
-        "thumb",
-        (Point("t1"), Point("t2"), Point("t2", (0, 0, 0.02)), Point("t2", (0, 0, 0.035))),
+        "thumb", (Point("t1"), Point("t2"), Point("t2", (0, 0, 0.02)), Point("t2", (0, 0, 0.035)))
     )
     return replace(spec, fingers=(thumb, spec.fingers[1]))
 
@@ -441,9 +429,6 @@ def test_angles_of_the_robot_are_measured_as_a_humans():
     assert change["ring_mcp"] == pytest.approx(0.3, abs=0.06)
     del change["ring_mcp"]
     assert max(map(abs, change.values())) < 0.08
-
-
-# The method
 
 
 def test_commands_stay_within_limits(right):

@@ -1,7 +1,5 @@
 """Kinematics against MuJoCo's, on the built-in hands and on random trees, and by differences."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax
@@ -9,13 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from trees import (
-    float64,
-    limited_poses,
-    mujoco_points,
-    random_model,
-    random_palm,
-)
+from trees import float64, limited_poses, mujoco_points, random_model, random_palm
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.differential import PointKinematics

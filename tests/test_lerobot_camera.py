@@ -1,12 +1,9 @@
 """The simulated camera: what it shows, and as a camera of the LeRobot robot."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +28,7 @@ def camera_at(physics: HandPhysics, *size: int, view: View | None = None) -> Sim
 
 @pytest.mark.parametrize("side", ["right", "left"])
 @pytest.mark.parametrize("task", ["none", "card", "screwdriver"])
-def test_hand_and_object_are_in_the_picture_and_move_in_it(task: str, side: Any) -> None:
+def test_hand_and_object_are_in_the_picture_and_move_in_it(task, side):
     hand = load_hand("mimic_p050", side)
     physics = HandPhysics(hand) if task == "none" else ScenePhysics(hand, scene_for(task, hand))
     camera = camera_at(physics, 160, 120)
@@ -53,9 +50,7 @@ def test_hand_and_object_are_in_the_picture_and_move_in_it(task: str, side: Any)
     camera.close()
 
 
-def test_without_a_display_and_its_substitutes_there_is_a_sentence(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_a_display_and_its_substitutes_there_is_a_sentence(monkeypatch):
     if sys.platform != "linux":
         pytest.skip("other systems draw without a display")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
@@ -67,7 +62,7 @@ def test_without_a_display_and_its_substitutes_there_is_a_sentence(
             SimulatedCamera(physics, 64, 64)
 
 
-def test_the_view_can_be_chosen_and_wrong_sizes_are_refused() -> None:
+def test_the_view_can_be_chosen_and_wrong_sizes_are_refused():
     hand = load_hand("mimic_p050")
     physics = ScenePhysics(hand, scene_for("cube", hand))
     pictures = []
@@ -100,9 +95,7 @@ def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
         del sys.modules[name]  # they hold the classes of a stand-in that is gone
 
 
-def test_the_robots_observations_have_pictures_of_its_simulated_hand(
-    plugin: SimpleNamespace,
-) -> None:
+def test_the_robots_observations_have_pictures_of_its_simulated_hand(plugin):
     camera_at(HandPhysics(load_hand("mimic_p050")), 64, 64).close()  # or there is no OpenGL
     config = plugin.package.SmoothHandCameraConfig(width=96, height=64, fps=20)
     robot = plugin.package.SmoothHand(
@@ -134,7 +127,7 @@ def test_the_robots_observations_have_pictures_of_its_simulated_hand(
         camera.read_latest()
 
 
-def test_a_camera_without_a_simulated_hand_says_so(plugin: SimpleNamespace) -> None:
+def test_a_camera_without_a_simulated_hand_says_so(plugin):
     config = plugin.package.SmoothHandCameraConfig(side="left")
     with pytest.raises(plugin.errors.DeviceNotConnectedError, match="belongs to the robot"):
         plugin.package.SmoothHandCamera(config).connect()

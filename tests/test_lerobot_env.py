@@ -1,7 +1,5 @@
 """The environment with the study's tasks: spaces, seeds, scores, limits of time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -40,9 +38,7 @@ def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
     [("mimic_p050", "right", "card"), ("shadow_hand", "left", "cube"),
      ("leap_hand", "right", "screwdriver")],
 )  # fmt: skip
-def test_each_task_is_an_environment_by_gymnasiums_own_check(
-    make: Make, hand: str, side: str, task: str
-) -> None:
+def test_each_task_is_an_environment_by_gymnasiums_own_check(make, hand, side, task):
     from gymnasium.utils.env_checker import check_env
 
     check_env(make(hand=hand, side=side, task=task), skip_render_check=True)
@@ -51,7 +47,7 @@ def test_each_task_is_an_environment_by_gymnasiums_own_check(
     made.close()
 
 
-def test_a_seed_repeats_a_world_and_another_one_is_another(make: Make) -> None:
+def test_a_seed_repeats_a_world_and_another_one_is_another(make):
     environment = make(task="card")
 
     def starts(seed: int) -> np.ndarray:
@@ -67,7 +63,7 @@ def test_a_seed_repeats_a_world_and_another_one_is_another(make: Make) -> None:
     assert np.abs(first[-7:-5] - seen[0][:2]).max() <= 0.002 + 1e-6
 
 
-def test_an_episode_begins_in_the_start_pose_and_follows_its_actions(make: Make) -> None:
+def test_an_episode_begins_in_the_start_pose_and_follows_its_actions(make):
     hand = load_hand("mimic_p050")
     low, high = hand.limits.T
     start = 0.7 * hand.neutral + 0.3 * (low + high) / 2
@@ -79,7 +75,7 @@ def test_an_episode_begins_in_the_start_pose_and_follows_its_actions(make: Make)
     np.testing.assert_allclose(seen["agent_pos"], hand.neutral, atol=0.1)
 
 
-def test_time_is_truncated_and_a_lost_object_ends_an_episode(make: Make) -> None:
+def test_time_is_truncated_and_a_lost_object_ends_an_episode(make):
     environment = make(task="card", seconds=0.2, fps=25)
     environment.reset(seed=0)
     rest = environment.hand.neutral.astype(np.float32)
@@ -98,7 +94,7 @@ def test_time_is_truncated_and_a_lost_object_ends_an_episode(make: Make) -> None
     assert info["reason"] == "the card fell"
 
 
-def test_a_goal_that_is_met_is_a_success(make: Make) -> None:
+def test_a_goal_that_is_met_is_a_success(make):
     """The cube, turned by a right angle as no hand could in an instant, and left alone."""
     environment = make(task="cube", variation=0.0)
     environment.reset(seed=0)
@@ -123,7 +119,7 @@ def test_a_goal_that_is_met_is_a_success(make: Make) -> None:
     assert sum(result[1] for result in results) == 1.0
 
 
-def test_pictures_are_of_the_size_that_was_chosen(make: Make) -> None:
+def test_pictures_are_of_the_size_that_was_chosen(make):
     environment = make(
         task="cube", pictures=True, width=96, height=64, render_mode="rgb_array"
     )  # fmt: skip
@@ -143,9 +139,7 @@ def test_pictures_are_of_the_size_that_was_chosen(make: Make) -> None:
     [({"fps": 0}, "steps a second"), ({"seconds": 0.0}, "time limit"),
      ({"start": [0.0]}, "16 finite numbers"), ({"variation": -1.0}, "variation")],
 )  # fmt: skip
-def test_settings_out_of_range_are_refused(
-    make: Make, settings: dict[str, Any], words: str
-) -> None:
+def test_settings_out_of_range_are_refused(make, settings, words):
     with pytest.raises(ConfigError, match=words):
         make(**settings)
     with pytest.raises(UnknownNameError, match="card"):

@@ -1,7 +1,5 @@
 """The LeRobot plug-ins as distributions: found by LeRobot by their names, all of one version."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import tomllib
@@ -27,7 +25,7 @@ for name in {NAMES!r}:
 """
 
 
-def test_plugins_are_installed_under_the_names_that_lerobot_looks_for(tmp_path: Path) -> None:
+def test_plugins_are_installed_under_the_names_that_lerobot_looks_for(tmp_path):
     python = environment_with(tmp_path, *(PACKAGES / name for name in NAMES))
     done = subprocess.run([python, "-c", ASK], capture_output=True, encoding="utf-8", check=True)
     for name, line in zip(NAMES, done.stdout.splitlines(), strict=True):

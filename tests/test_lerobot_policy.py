@@ -3,8 +3,6 @@
 Needs LeRobot and our three plug-ins installed; CI has a job with them (``lerobot-policy``).
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import os
@@ -126,7 +124,7 @@ def can_draw() -> bool:
     return True
 
 
-def test_act_is_trained_on_a_recording_with_a_simulated_camera(recorded: Path) -> None:
+def test_act_is_trained_on_a_recording_with_a_simulated_camera(recorded):
     if not can_draw():
         pytest.skip("this machine can't draw with OpenGL")
     data = load(recorded / "seen")
@@ -146,9 +144,7 @@ def test_act_is_trained_on_a_recording_with_a_simulated_camera(recorded: Path) -
 
 
 @pytest.mark.parametrize(("name", "options"), [("plain", []), ("joints", ["--environment-state"])])
-def test_a_log_merges_with_a_recording_by_lerobots_tool(
-    recorded: Path, name: str, options: list[str]
-) -> None:
+def test_a_log_merges_with_a_recording_by_lerobots_tool(recorded, name, options):
     command = ["convert", str(recorded / "take.mcap"), "--columns", "robot", "--fps", str(FPS)]
     output, merged = recorded / f"{name}-log", recorded / f"{name}-both"
     assert main([*command, *options, "--task", TASK, "--output", str(output)]) == 0
@@ -165,7 +161,7 @@ def test_a_log_merges_with_a_recording_by_lerobots_tool(
     np.testing.assert_array_equal(both[len(own)]["action"], log[0]["action"])
 
 
-def test_act_is_trained_on_the_environments_state_and_moves_the_robot(recorded: Path) -> None:
+def test_act_is_trained_on_the_environments_state_and_moves_the_robot(recorded):
     model = train(recorded, recorded / "joints", "joints-policy")
     inputs = json.loads((model / "config.json").read_text())["input_features"]
     assert inputs["observation.environment_state"]["shape"] == [20]
@@ -177,7 +173,7 @@ def test_act_is_trained_on_the_environments_state_and_moves_the_robot(recorded: 
     assert "Rollout finished" in text
 
 
-def test_a_policy_of_a_recording_at_a_task_is_evaluated_in_it(recorded: Path) -> None:
+def test_a_policy_of_a_recording_at_a_task_is_evaluated_in_it(recorded):
     """The object's pose of the recorder is that of the environment, by name and size."""
     from lerobot_env_smooth_hand.environment import OBJECT_NAMES
 
@@ -186,7 +182,7 @@ def test_a_policy_of_a_recording_at_a_task_is_evaluated_in_it(recorded: Path) ->
     evaluate(recorded, train(recorded, recorded / "object", "object-policy"), "object-evaluation")
 
 
-def test_a_policy_is_evaluated_in_the_environment(recorded: Path) -> None:
+def test_a_policy_is_evaluated_in_the_environment(recorded):
     """A data set of the environment, made by holding the start pose; ACT; lerobot-eval."""
     import lerobot_env_smooth_hand as package
     from lerobot.datasets import LeRobotDataset

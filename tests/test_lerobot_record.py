@@ -3,8 +3,6 @@
 Needs LeRobot and both plug-ins installed; CI has a job with them (``lerobot``).
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import subprocess
@@ -120,7 +118,7 @@ ARM = [f"arm_joint{number}.pos" for number in range(1, 8)]
 POSE = [f"tcp.{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
 
 
-def test_every_column_of_a_recorded_dataset_is_right(recorded: Path) -> None:
+def test_every_column_of_a_recorded_dataset_is_right(recorded):
     hand = load_hand("mimic_p050")
     dataset = load(recorded / "dataset")
     joints = [f"{name}.pos" for name in hand.joint_names]
@@ -162,11 +160,10 @@ def test_every_column_of_a_recorded_dataset_is_right(recorded: Path) -> None:
         np.testing.assert_allclose(np.linalg.norm(values[:, -4:], axis=1), 1.0, atol=1e-5)
 
 
-def test_each_action_is_a_command_that_was_sent_and_the_hand_follows(recorded: Path) -> None:
+def test_each_action_is_a_command_that_was_sent_and_the_hand_follows(recorded):
     hand = load_hand("mimic_p050")
     dataset = load(recorded / "dataset")
     take = read_log(recorded / "take.mcap")
-    assert take.wrist is not None
     sent = np.concatenate([take.commands.joint_positions, take.wrist.poses], axis=1)
     sent = sent[np.isfinite(sent).all(axis=1)]  # the first have no wrist
     action, state = table(dataset, "action"), table(dataset, "observation.state")
@@ -196,7 +193,7 @@ def test_each_action_is_a_command_that_was_sent_and_the_hand_follows(recorded: P
         np.testing.assert_allclose(separation(wrist, row[-7:].astype(float)), 0.0, atol=2e-3)
 
 
-def test_a_log_becomes_a_dataset_with_the_same_keys(recorded: Path) -> None:
+def test_a_log_becomes_a_dataset_with_the_same_keys(recorded):
     """The log of the same session, converted, has the robot's columns, for LeRobot's class too."""
     root = recorded / "converted"
     assert main(["convert", str(recorded / "take.mcap"), "--output", str(root)]) == 0

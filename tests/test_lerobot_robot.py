@@ -1,7 +1,5 @@
 """The LeRobot robot: keys, limits and slow approach, on a simulated hand and on drivers."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import time
@@ -16,8 +14,7 @@ from fake_hand import FakeHand, FakeHandSink, write_fake_table
 from free_port import free_port
 from lerobot_stand_in import REAL, ROBOT, use_plugins
 
-from smooth_operator import load_hand
-from smooth_operator.hands.hand import Hand
+from smooth_operator import Hand, load_hand
 from smooth_operator.signals import ENDING
 
 
@@ -76,9 +73,7 @@ def go(device: Any, action: dict[str, float], near: float, seconds: float = 20.0
     pytest.fail(f"the hand did not come to {action}, but to {seen}")
 
 
-def test_a_simulated_hand_goes_slowly_to_the_first_action_and_is_measured(
-    robot: Callable[..., Any], plugin: SimpleNamespace
-) -> None:
+def test_a_simulated_hand_goes_slowly_to_the_first_action_and_is_measured(robot, plugin):
     hand = load_hand("mimic_p050")
     device = robot(unit="radians")
     keys = [f"{name}.pos" for name in hand.actuated_names]
@@ -109,7 +104,7 @@ def test_a_simulated_hand_goes_slowly_to_the_first_action_and_is_measured(
         device.send_action(start)
 
 
-def test_a_signal_is_ctrl_c_while_it_is_connected(robot: Callable[..., Any]) -> None:
+def test_a_signal_is_ctrl_c_while_it_is_connected(robot):
     """After which LeRobot disconnects: the hand comes to rest."""
     before = [signal.getsignal(number) for number in ENDING]
     device = robot()
@@ -126,9 +121,7 @@ def test_a_signal_is_ctrl_c_while_it_is_connected(robot: Callable[..., Any]) -> 
         signal.signal(signal.SIGTERM, handler)
 
 
-def test_both_hands_have_keys_of_their_own_and_joints_may_be_chosen(
-    robot: Callable[..., Any],
-) -> None:
+def test_both_hands_have_keys_of_their_own_and_joints_may_be_chosen(robot):
     device = robot(side="both", joints={"index_mcp2pp": "index"}, unit="degrees")
     assert list(device.action_features) == ["right_index.pos", "left_index.pos"]
     device.connect()
@@ -139,9 +132,7 @@ def test_both_hands_have_keys_of_their_own_and_joints_may_be_chosen(
     assert abs(other - neutral[names.index("middle_mcp2pp")]) < 0.1
 
 
-def test_a_driver_is_moved_and_its_currents_observed(
-    robot: Callable[..., Any], fake: FakeHandSink, plugin: SimpleNamespace
-) -> None:
+def test_a_driver_is_moved_and_its_currents_observed(robot, fake, plugin):
     hand = load_hand("mimic_p050")
     device = robot(unit="degrees", currents=True, sinks=["fake"], stale_s=30.0)
     currents = [f"m{k}.current" for k in range(len(hand.actuated))]
@@ -168,11 +159,8 @@ def test_a_driver_is_moved_and_its_currents_observed(
 
 
 def test_joints_that_are_not_measured_are_refused_or_observed_as_commanded(
-    robot: Callable[..., Any],
-    fake: FakeHandSink,
-    plugin: SimpleNamespace,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    robot, fake, plugin, monkeypatch
+):
     from smooth_operator.teleop.hardware.device import Reading
 
     def read(self: FakeHand) -> Reading:
@@ -189,9 +177,7 @@ def test_joints_that_are_not_measured_are_refused_or_observed_as_commanded(
     np.testing.assert_allclose(list(seen.values()), list(sent.values()))
 
 
-def test_a_wrist_goes_to_the_sinks_within_its_limits(
-    robot: Callable[..., Any], plugin: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrist_goes_to_the_sinks_within_its_limits(robot, plugin, monkeypatch):
     seen: list[Any] = []
     tail = ("x", "y", "z", "r1", "r2", "r3", "r4", "r5", "r6")
     keys = [f"tcp.{name}" for name in tail]
@@ -221,7 +207,7 @@ def test_a_wrist_goes_to_the_sinks_within_its_limits(
         device.send_action({"index.pos": 0.5, **dict.fromkeys(keys, 0.0)})
 
 
-def test_an_arm_carries_the_hand_and_is_measured(robot: Callable[..., Any]) -> None:
+def test_an_arm_carries_the_hand_and_is_measured(robot):
     for library in ("mink", "daqp"):
         pytest.importorskip(library, reason="the extra arm is not installed")
     device = robot(joints={"index_mcp2pp": "index"}, wrist="quaternion", arm="panda")
@@ -241,7 +227,7 @@ def test_an_arm_carries_the_hand_and_is_measured(robot: Callable[..., Any]) -> N
     assert max(abs(now[key] - start[key]) for key in arm) > 0.02
 
 
-def test_joints_that_follow_others_may_be_among_the_keys(robot: Callable[..., Any]) -> None:
+def test_joints_that_follow_others_may_be_among_the_keys(robot):
     hand = load_hand("mimic_p050")
     device = robot(keys="all")
     assert list(device.action_features) == [f"{name}.pos" for name in hand.joint_names]
@@ -253,7 +239,7 @@ def test_joints_that_follow_others_may_be_among_the_keys(robot: Callable[..., An
     assert abs(follows - action["index_pp2mp.pos"]) < 0.1
 
 
-def test_the_environment_state_is_a_column_of_its_own(robot: Callable[..., Any]) -> None:
+def test_the_environment_state_is_a_column_of_its_own(robot):
     hand = load_hand("mimic_p050")
     joints = robot(environment_state="joints", unit="degrees")
     from lerobot.utils.feature_utils import hw_to_dataset_features  # the robot replaced it
@@ -298,16 +284,12 @@ def test_the_environment_state_is_a_column_of_its_own(robot: Callable[..., Any])
         ({"arm": "panda"}, "an arm follows the wrist"),
     ],
 )
-def test_a_wrong_setting_is_refused(
-    robot: Callable[..., Any], settings: dict[str, Any], message: str
-) -> None:
+def test_a_wrong_setting_is_refused(robot, settings, message):
     with pytest.raises(ValueError, match=message):
         robot(**settings)
 
 
-def test_a_sink_that_measures_nothing_is_refused(
-    robot: Callable[..., Any], plugin: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sink_that_measures_nothing_is_refused(robot, plugin, monkeypatch):
     port = sys.modules[f"{ROBOT}.hand_port"]
     monkeypatch.setattr(port, "_PATIENCE_S", 0.05)
     device = robot(sinks=[f"zmq:tcp://127.0.0.1:{free_port()}"])

@@ -1,7 +1,5 @@
 """The LeRobot teleoperator: keys and units, commands that stop, come late or come back."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys
@@ -87,7 +85,7 @@ def session(plugin: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> Callabl
 JOINTS = {"i-mcp": "index_mcp", "i-pip": "index_pip"}
 
 
-def test_an_action_has_the_robots_keys_in_its_unit(session: Callable[..., Session]) -> None:
+def test_an_action_has_the_robots_keys_in_its_unit(session):
     made = {
         "degrees": ({}, [math.degrees(0.1), math.degrees(0.2)]),
         "radians": ({"signs": {"index_mcp": -1}, "offsets": {"index_pip": 0.5}}, [-0.1, 0.7]),
@@ -107,7 +105,7 @@ def test_an_action_has_the_robots_keys_in_its_unit(session: Callable[..., Sessio
         now.device.disconnect()
 
 
-def test_both_hands_and_the_wrist_have_keys_of_their_own(session: Callable[..., Session]) -> None:
+def test_both_hands_and_the_wrist_have_keys_of_their_own(session):
     now = session(joints={"i-pip": "pip"}, side="both", unit="radians", wrist="rotation_6d")
     now.sides = ("right", "left")
     half = math.sqrt(0.5)  # a quarter turn about z: x of the wrist is y of the base
@@ -125,7 +123,7 @@ def test_both_hands_and_the_wrist_have_keys_of_their_own(session: Callable[..., 
     assert now.device.get_action()["tcp.qz"] == half
 
 
-def test_joints_of_an_arm_are_among_the_keys(session: Callable[..., Session]) -> None:
+def test_joints_of_an_arm_are_among_the_keys(session):
     """As the sink zmq sends them."""
     arm = ArmCommand("panda", ("joint1", "joint2"), np.array([0.3, -0.4]), np.zeros(2), np.zeros(7))
     hand = load_hand("mimic_p050")
@@ -139,9 +137,7 @@ def test_joints_of_an_arm_are_among_the_keys(session: Callable[..., Session]) ->
     assert now.device.get_action().keys() == {"index.pos", "shoulder.pos"}
 
 
-def test_without_names_all_joints_are_known_once_commands_come(
-    session: Callable[..., Session], plugin: SimpleNamespace
-) -> None:
+def test_without_names_all_joints_are_known_once_commands_come(session, plugin):
     now = session()
     with pytest.raises(plugin.errors.DeviceNotConnectedError, match="connect first"):
         _ = now.device.action_features
@@ -149,9 +145,7 @@ def test_without_names_all_joints_are_known_once_commands_come(
     assert list(now.device.action_features) == ["i-mcp.pos", "i-pip.pos"]
 
 
-def test_an_old_command_is_not_followed_and_a_new_one_not_jumped_to(
-    session: Callable[..., Session], plugin: SimpleNamespace
-) -> None:
+def test_an_old_command_is_not_followed_and_a_new_one_not_jumped_to(session, plugin):
     now = session(joints=JOINTS, unit="radians", hold_s=1.0)
     device, clock = now.device, now.clock
     device.connect()
@@ -179,7 +173,7 @@ def test_an_old_command_is_not_followed_and_a_new_one_not_jumped_to(
         device.get_action()
 
 
-def test_commands_that_waited_in_a_queue_are_old(session: Callable[..., Session]) -> None:
+def test_commands_that_waited_in_a_queue_are_old(session):
     now = session(joints=JOINTS, unit="radians")
     now.device.connect()
     before = now.device.get_action()
@@ -196,9 +190,7 @@ def test_commands_that_waited_in_a_queue_are_old(session: Callable[..., Session]
     assert now.device.get_action()["index_mcp.pos"] == 0.9
 
 
-def test_a_session_that_ended_is_not_followed(
-    session: Callable[..., Session], plugin: SimpleNamespace
-) -> None:
+def test_a_session_that_ended_is_not_followed(session, plugin):
     now = session(joints=JOINTS, hold_s=0.0)
     now.device.connect()
     now.device.get_action()
@@ -210,9 +202,7 @@ def test_a_session_that_ended_is_not_followed(
     assert now.device.get_action()
 
 
-def test_a_wrist_that_is_lost_stays_and_comes_back_without_a_jump(
-    session: Callable[..., Session],
-) -> None:
+def test_a_wrist_that_is_lost_stays_and_comes_back_without_a_jump(session):
     now = session(joints=JOINTS, wrist="quaternion")
     pose = [0.3, 0.2, 0.1, 1.0, 0.0, 0.0, 0.0]
     now.wrist = {"pose": pose, "valid": True, "engaged": True}
@@ -239,7 +229,7 @@ def test_a_wrist_that_is_lost_stays_and_comes_back_without_a_jump(
     assert turns.max() < 0.02
 
 
-def test_messages_that_cannot_be_read_are_left_out(session: Callable[..., Session]) -> None:
+def test_messages_that_cannot_be_read_are_left_out(session):
     now = session(joints=JOINTS)
     now.device.connect()
     before = now.device.get_action()
@@ -270,14 +260,12 @@ def test_messages_that_cannot_be_read_are_left_out(session: Callable[..., Sessio
         ({"hold_s": -1.0}, "hold_s must not be negative"),
     ],
 )
-def test_a_wrong_setting_is_refused(
-    plugin: SimpleNamespace, settings: dict[str, Any], message: str
-) -> None:
+def test_a_wrong_setting_is_refused(plugin, settings, message):
     with pytest.raises(ValueError, match=message):
         plugin.package.SmoothOperator(plugin.package.SmoothOperatorConfig(**settings))
 
 
-def test_it_says_what_is_missing(plugin: SimpleNamespace) -> None:
+def test_it_says_what_is_missing(plugin):
     address = f"tcp://127.0.0.1:{free_port()}"
     hand = load_hand("mimic_p050")
 
@@ -308,7 +296,7 @@ def test_it_says_what_is_missing(plugin: SimpleNamespace) -> None:
         plugin.package.SmoothOperator(config).connect()
 
 
-def test_it_reads_what_the_sink_zmq_sends(plugin: SimpleNamespace) -> None:
+def test_it_reads_what_the_sink_zmq_sends(plugin):
     hand = load_hand("mimic_p050")
     address = f"tcp://127.0.0.1:{free_port()}"
     sink = ZmqSink(address)
@@ -336,14 +324,10 @@ def test_it_reads_what_the_sink_zmq_sends(plugin: SimpleNamespace) -> None:
         device.get_action()
 
 
-def test_the_loop_may_run_in_the_same_process(plugin: SimpleNamespace) -> None:
+def test_the_loop_may_run_in_the_same_process(plugin):
     """Both hands and their wrists, from the built-in operator."""
     config = plugin.package.SmoothOperatorConfig(
-        source="synthetic",
-        hand="mimic_p050",
-        method="joint_angle",
-        side="both",
-        wrist="quaternion",
+        source="synthetic", hand="mimic_p050", method="joint_angle", side="both", wrist="quaternion"
     )
     device = plugin.package.SmoothOperator(config)
     device.connect()

@@ -1,7 +1,5 @@
 """The limits hold between any two stamps: uneven steps, coupled joints, stops, new limits."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -11,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smooth_operator import Retargeter, load_hand
-from smooth_operator.hands.hand import Hand
+from smooth_operator import Hand, HandFrame, Retargeter, load_hand
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.runtime.limiter import (
     EXTRA,
@@ -26,7 +23,6 @@ from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
-from smooth_operator.types import HandFrame
 
 GEARED = {"schunk_svh": 1.44889, "inspire_hand": 1.334, "ability_hand": 1.05851}
 """Hands of which a coupled joint moves faster than the one that it follows, and by how much."""
@@ -80,10 +76,7 @@ TARGETS = st.one_of(
 @given(
     name=st.sampled_from(["mimic_p050", *GEARED]),
     limits=st.builds(
-        LimitsConfig,
-        st.floats(1.0, 20.0),
-        st.floats(20.0, 3000.0),
-        st.sampled_from([0.0, 0.02]),
+        LimitsConfig, st.floats(1.0, 20.0), st.floats(20.0, 3000.0), st.sampled_from([0.0, 0.02])
     ),
     moves=st.lists(
         st.tuples(
@@ -96,9 +89,7 @@ TARGETS = st.one_of(
         max_size=25,
     ),
 )
-def test_limits_hold_at_every_pair_of_stamps(
-    name: str, limits: LimitsConfig, moves: list[tuple[float, float, str, int]]
-) -> None:
+def test_limits_hold_at_every_pair_of_stamps(name, limits, moves):
     hand = loaded(name)
     limiter, (low, high) = Limiter(hand, limits), hand.limits.T
     times, q = [0.0], [limiter.q]
@@ -115,7 +106,7 @@ def test_limits_hold_at_every_pair_of_stamps(
 
 
 @pytest.mark.parametrize("steps", [(0.0125, 0.0014), (0.0025, 0.01, 0.0175), (1e-3,), (0.5, 2e-3)])
-def test_limits_hold_with_targets_at_the_ends_of_the_range(steps: tuple[float, ...]) -> None:
+def test_limits_hold_with_targets_at_the_ends_of_the_range(steps):
     """Full speed into the end, then a short step: what an audit found at 5 times the limit."""
     hand, rng = loaded(), np.random.default_rng(1)
     for limits in (LimitsConfig(), LimitsConfig(velocity=5.0, acceleration=100.0)):
@@ -133,7 +124,7 @@ def test_limits_hold_with_targets_at_the_ends_of_the_range(steps: tuple[float, .
 
 
 @pytest.mark.parametrize("name", GEARED)
-def test_a_geared_joint_keeps_the_limits_and_uses_them(name: str) -> None:
+def test_a_geared_joint_keeps_the_limits_and_uses_them(name):
     hand, limits = loaded(name), LimitsConfig(velocity=3.0, acceleration=100.0)
     assert np.abs(hand.coupling_matrix).max() == pytest.approx(GEARED[name], abs=1e-4)
     limiter = Limiter(hand, limits)
@@ -148,7 +139,7 @@ def test_a_geared_joint_keeps_the_limits_and_uses_them(name: str) -> None:
     assert over["acceleration"] > -1e-6
 
 
-def test_a_target_that_moves_is_followed_exactly_with_uneven_steps() -> None:
+def test_a_target_that_moves_is_followed_exactly_with_uneven_steps():
     hand, rng = loaded(), np.random.default_rng(3)
     middle, half = hand.limits.mean(axis=1), np.diff(hand.limits, axis=1)[:, 0] / 2
     limiter, t = Limiter(hand, LimitsConfig()), 0.0
@@ -164,7 +155,7 @@ def test_a_target_that_moves_is_followed_exactly_with_uneven_steps() -> None:
     assert fastest > 4.0  # rad/s: a fist in a fifth of a second
 
 
-def test_a_jump_is_reached_with_little_overshoot_in_uneven_steps() -> None:
+def test_a_jump_is_reached_with_little_overshoot_in_uneven_steps():
     hand, rng = loaded(), np.random.default_rng(5)
     low, high = hand.limits.T
     for _ in range(20):
@@ -175,7 +166,7 @@ def test_a_jump_is_reached_with_little_overshoot_in_uneven_steps() -> None:
         np.testing.assert_allclose(path[-1], target, atol=1e-9)
 
 
-def test_a_pause_is_not_caught_up_with_and_its_velocity_is_what_was_seen() -> None:
+def test_a_pause_is_not_caught_up_with_and_its_velocity_is_what_was_seen():
     hand, limits = loaded(), LimitsConfig(velocity=5.0, acceleration=200.0)
     limiter = Limiter(hand, limits)
     times, q = [0.0], [limiter.q]
@@ -186,7 +177,7 @@ def test_a_pause_is_not_caught_up_with_and_its_velocity_is_what_was_seen() -> No
     assert np.abs(q[9] - q[8]).max() <= limits.velocity * MAX_STEP_S + 1e-9
 
 
-def test_an_emergency_stop_brakes_within_the_limits_and_then_stands() -> None:
+def test_an_emergency_stop_brakes_within_the_limits_and_then_stands():
     """In every mode: the stop itself, at any moment and pace, and the release."""
     hand = loaded()
     limits = LimitsConfig(velocity=10.0, acceleration=200.0)
@@ -287,9 +278,7 @@ def most(times: list[float], within: float) -> int:
     st.sampled_from([0.002, 0.01, 0.05]),
     st.floats(0.001, 1.0),
 )
-def test_the_rate_is_a_bound_whatever_comes(
-    gaps: list[float], period: float, window: float
-) -> None:
+def test_the_rate_is_a_bound_whatever_comes(gaps, period, window):
     result = played(np.cumsum(gaps), min(sum(gaps) + 0.2, 3.0), period)
     between = np.diff(result.commands)
     assert most(result.commands, window) <= window / period + EXTRA + SLACK
@@ -300,7 +289,7 @@ def test_the_rate_is_a_bound_whatever_comes(
 @pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 100.0])
 @pytest.mark.parametrize("tracker", [30.0, 60.0, 72.0, 100.0, 120.0, 240.0, 1000.0])
 @pytest.mark.parametrize("jitter", [0.0, 0.15])
-def test_the_rate_holds_and_frames_stay_fresh(rate: float, tracker: float, jitter: float) -> None:
+def test_the_rate_holds_and_frames_stay_fresh(rate, tracker, jitter):
     rng = np.random.default_rng(0)
     even = np.arange(0.003, SPAN, 1 / tracker)
     arrivals = np.sort(even + jitter / tracker * rng.uniform(size=len(even)))
@@ -316,13 +305,13 @@ def test_the_rate_holds_and_frames_stay_fresh(rate: float, tracker: float, jitte
         assert np.percentile(result.ages(), 95) < 0.1 / tracker
 
 
-def test_in_silence_commands_keep_the_rate() -> None:
+def test_in_silence_commands_keep_the_rate():
     commands = played(np.array([]), 5.0).commands
     assert len(commands) == pytest.approx(5.0 / PERIOD, abs=1)
     np.testing.assert_allclose(np.diff(commands), PERIOD, rtol=1e-9)
 
 
-def test_a_tracker_at_the_pace_is_answered_as_it_comes() -> None:
+def test_a_tracker_at_the_pace_is_answered_as_it_comes():
     rng = np.random.default_rng(0)
     arrivals = np.arange(500) * PERIOD + rng.uniform(0, 0.15 * PERIOD, 500)
     result = played(arrivals, 5.0)
@@ -330,13 +319,13 @@ def test_a_tracker_at_the_pace_is_answered_as_it_comes() -> None:
     assert len(result.commands) == len(arrivals)
 
 
-def test_frames_that_were_held_up_do_not_hold_up_the_next() -> None:
+def test_frames_that_were_held_up_do_not_hold_up_the_next():
     arrivals = np.arange(200) * PERIOD
     arrivals[100] += 0.7 * PERIOD  # its successor comes 0.3 periods behind it
     assert played(arrivals, 2.0).ages().max() < SLACK
 
 
-def test_of_a_stall_half_a_turn_is_made_up_for() -> None:
+def test_of_a_stall_half_a_turn_is_made_up_for():
     pace, left = RateLimiter(1.0), []
     pace.begin(0.0)
     for now in (0.0, 10.0):  # a stall of ten turns, and then as many commands as may leave
@@ -349,7 +338,7 @@ def test_of_a_stall_half_a_turn_is_made_up_for() -> None:
 
 @pytest.mark.parametrize("excess", [0.0, 0.0005, 0.005])
 @pytest.mark.parametrize("stall", [0.7, 1.2, 3.0])
-def test_a_wait_that_a_stall_left_behind_does_not_stay(stall: float, excess: float) -> None:
+def test_a_wait_that_a_stall_left_behind_does_not_stay(stall, excess):
     arrivals = np.arange(3000) * PERIOD / (1 + excess)
     for at in (200, 700, 701, 1100):  # nothing comes for a while, then all of it comes late
         arrivals[at : at + 5] += stall * PERIOD
@@ -364,13 +353,13 @@ def test_a_wait_that_a_stall_left_behind_does_not_stay(stall: float, excess: flo
     assert len(ages) > 0.985 * len(arrivals)
 
 
-def test_half_the_frames_of_a_tracker_twice_as_fast_are_answered_as_they_come() -> None:
+def test_half_the_frames_of_a_tracker_twice_as_fast_are_answered_as_they_come():
     result = played(np.arange(0.0, 5.0, PERIOD / 2), 5.0)
     assert np.all(result.ages()[5:] < SLACK)
     assert np.isclose(np.diff(result.commands), PERIOD).mean() > 0.98
 
 
-def test_a_command_that_keeps_the_pace_waits_for_a_frame_that_is_due() -> None:
+def test_a_command_that_keeps_the_pace_waits_for_a_frame_that_is_due():
     # of a headset at 72 Hz and commands at 100: none leaves just before a frame, whose turn it took
     result = played(np.arange(0.0, 5.0, 1 / 72), 5.0)
     frames, others = [], []
@@ -380,7 +369,7 @@ def test_a_command_that_keeps_the_pace_waits_for_a_frame_that_is_due() -> None:
     assert result.ages()[5:].max() < SLACK
 
 
-def test_an_emergency_stop_waits_for_nothing_and_delays_what_follows_only_so_far() -> None:
+def test_an_emergency_stop_waits_for_nothing_and_delays_what_follows_only_so_far():
     pace = RateLimiter(PERIOD)
     pace.begin(0.0)
     for _ in range(200):  # stopped and released again and again within a moment
@@ -389,7 +378,7 @@ def test_an_emergency_stop_waits_for_nothing_and_delays_what_follows_only_so_far
     assert pace.keeps(None) <= 0.5 + LONGEST * PERIOD + SLACK
 
 
-def test_the_mailbox_knows_when_the_next_frame_is_expected() -> None:
+def test_the_mailbox_knows_when_the_next_frame_is_expected():
     now = 0.0
     mailbox = Mailbox(lambda: now)
     assert mailbox.following("right") is None

@@ -1,7 +1,5 @@
 """Lint, format and types hold. Types take a minute of one core, so they run among the tests."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import subprocess

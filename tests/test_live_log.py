@@ -1,7 +1,5 @@
 """The log of a live loop: every kind of message, its index, damage."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 
@@ -95,7 +93,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_log_gives_what_was_written(path: Path) -> None:
+def test_a_log_gives_what_was_written(path):
     log = read_log(path)
     assert len(log.recording) == 24
     assert_everything(log)
@@ -131,7 +129,7 @@ def assert_everything(log: Log) -> None:
     assert np.isnan(recording.metacarpals[0]).all()
 
 
-def test_live_messages_are_decoded_by_the_types_in_the_file(tmp_path: Path) -> None:
+def test_live_messages_are_decoded_by_the_types_in_the_file(tmp_path):
     pose = np.arange(7.0)
     loop = LoopState(
         number=2**40, mode="holding", time=1.5, session=-2, scale=1.1, events=("späte", "b")
@@ -170,7 +168,7 @@ def test_live_messages_are_decoded_by_the_types_in_the_file(tmp_path: Path) -> N
 
 
 @pytest.mark.filterwarnings("ignore:.*_time is deprecated:DeprecationWarning")
-def test_a_part_of_a_log_is_found_by_its_index(path: Path) -> None:
+def test_a_part_of_a_log_is_found_by_its_index(path):
     """The index of the messages, as a viewer uses it that jumps to a time."""
     everything = [(topic, m.log_time, m.data) for topic, m, _ in decoded(path)]
     times = sorted({at for _, at, _ in everything})
@@ -186,7 +184,7 @@ def test_a_part_of_a_log_is_found_by_its_index(path: Path) -> None:
     assert sorted(found) == sorted(one for one in everything if start <= one[1] < end)
 
 
-def test_damaged_logs_are_refused_or_read_in_part(tmp_path: Path, path: Path) -> None:
+def test_damaged_logs_are_refused_or_read_in_part(tmp_path, path):
     content, rng = path.read_bytes(), random.Random(1)
     outcomes = set()
     for _ in range(50):

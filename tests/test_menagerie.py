@@ -1,7 +1,5 @@
 """Hands drawn with their real meshes: from a file, or from MuJoCo Menagerie by its package."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -229,9 +227,6 @@ def test_teleop_draws_the_vendors_meshes_on_its_page(tmp_path, monkeypatch, caps
         close_server(server)
 
 
-# Where meshes are on this machine
-
-
 @pytest.mark.shared
 @pytest.mark.parametrize(("name", "side", "folder"), HANDS)
 def test_meshes_lie_where_the_simple_shapes_do(shared, name, side, folder):
@@ -264,7 +259,6 @@ def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root):
     assert hand_with_meshes(hand) is None  # neither fetched nor in the checkout
     vendors(root / "shadow_hand")
     there = hand_with_meshes(hand)
-    assert there is not None
     assert has_meshes(there)
     assert hand_with_meshes(there) is there
     assert hand_with_meshes(load_hand("mimic_p050")) is None

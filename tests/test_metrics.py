@@ -1,7 +1,5 @@
 """Metrics on runs whose values are known on paper."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -80,9 +78,6 @@ def test_pinch_error_is_the_robots_gap_while_the_human_pinches():
     assert per_finger["index"] == pytest.approx(20)
     assert per_finger["middle"] == pytest.approx(8)
     assert per_finger["ring"] is None
-
-
-# --- consistency --------------------------------------------------------------------------------
 
 
 def test_flatness_and_acceleration_of_constant_acceleration():
@@ -176,10 +171,7 @@ def test_still_frames_do_not_dilute_motion_preservation():
     tips[30:] += np.random.default_rng(0).normal(scale=1e-3, size=tips[30:].shape)
     result = evaluate(make_trace(slow, tips))
     assert result["motion_preservation"] == pytest.approx(1, abs=1e-9)
-    assert evaluate(make_trace(slow, tips), "paper")["motion_preservation"] < 0.6  # type: ignore[operator]
-
-
-# --- joints, safety, service --------------------------------------------------------------------
+    assert evaluate(make_trace(slow, tips), "paper")["motion_preservation"] < 0.6
 
 
 def test_limits_steps_and_joints_without_limits():
@@ -202,7 +194,7 @@ def test_rounding_at_a_limit_is_no_violation():
     joints = np.full((6, 1), np.float32(1.1), np.float32)  # rounds to above 1.1
     trace = make_trace(human_motion(6), joints=joints, joint_limits=np.array([[-1, 1.1]]))
     result = evaluate(trace)
-    assert 0 < result["limit_violation_rad"] < 1e-6  # type: ignore[operator]
+    assert 0 < result["limit_violation_rad"] < 1e-6
     assert result["limit_violation_share"] == 0
     joints[:2] += 1e-4  # a hundredth of a degree is a violation
     beyond = evaluate(
@@ -267,10 +259,7 @@ def test_latency_and_status():
         "unknown": 1,
     }
     silent = evaluate(make_trace(human_motion(9), latency_ms=np.full(9, np.nan)))
-    assert set(silent["latency_ms"].values()) == {None}  # type: ignore[union-attr]
-
-
-# --- gaps, tiny recordings, bad input -----------------------------------------------------------
+    assert set(silent["latency_ms"].values()) == {None}
 
 
 @pytest.mark.parametrize("definition", ["sound", "paper"])
@@ -281,7 +270,7 @@ def test_invalid_frames_are_left_out_and_not_bridged(definition):
     gap[40:44] = np.nan
     tips[40:44] = tips[39]  # the command is held
     with np.errstate(all="raise"):
-        result = evaluate(make_trace(gap, tips), definition)  # type: ignore[arg-type]
+        result = evaluate(make_trace(gap, tips), definition)
     for name in ("cosine_similarity", "scale_ratio"):
         assert result[name] == pytest.approx(1, abs=1e-4), name
     if definition == "sound":
@@ -297,7 +286,7 @@ def test_one_missing_fingertip_costs_only_its_own_vectors():
     tips[:, 4] += 0.1  # wrong, but there is nothing to compare it with
     result = evaluate(make_trace(human, tips))
     assert result["cosine_similarity_all"] == pytest.approx(1, abs=1e-12)
-    assert result["pinch_error_per_finger_mm"]["pinky"] is None  # type: ignore[index, call-overload]
+    assert result["pinch_error_per_finger_mm"]["pinky"] is None
 
 
 def test_a_run_of_invalid_frames_only():
@@ -306,7 +295,7 @@ def test_a_run_of_invalid_frames_only():
     with np.errstate(all="raise"):
         for definition in ("sound", "paper"):
             trace = make_trace(human, np.zeros((30, 5, 3)), robot_landmarks=robot_landmarks)
-            result = evaluate(trace, definition)  # type: ignore[arg-type]
+            result = evaluate(trace, definition)
             assert result["cosine_similarity"] is None
             assert result["motion_preservation"] is None
             assert result["lag_ms"] is None
@@ -320,7 +309,7 @@ def test_a_run_of_invalid_frames_only():
 def test_tiny_recordings_give_none_and_no_warning(frames, definition):
     human = human_motion(frames)
     trace = make_trace(human, penetration=np.zeros(frames), robot_landmarks=human)
-    result = evaluate(trace, definition)  # type: ignore[arg-type]
+    result = evaluate(trace, definition)
     json.dumps(result, allow_nan=False)
     assert result["frames"] == frames
     assert (result["flatness"] is None) == (frames < 3)
@@ -359,7 +348,7 @@ def test_a_two_finger_hand():
 def test_a_trace_that_does_not_fit_together_says_why(changes, error, message):
     trace = make_trace(human_motion(20))
     with pytest.raises(error, match=message):
-        dataclasses.replace(trace, **changes)  # type: ignore[arg-type]
+        dataclasses.replace(trace, **changes)
 
 
 def test_extra_figures_join_but_do_not_overrule():
@@ -371,13 +360,13 @@ def test_extra_figures_join_but_do_not_overrule():
     with pytest.raises(ConfigError, match="flatness"):
         evaluate(trace, extra={"flatness": 0.0})
     with pytest.raises(UnknownNameError, match="paper"):
-        evaluate(trace, "papr")  # type: ignore[arg-type]
+        evaluate(trace, "papr")
 
 
 def test_the_table_names_every_key_and_no_other():
     trace = make_trace(human_motion(40), penetration=np.zeros(40), reach=np.zeros((5, 5, 3)))
     for definition in ("sound", "paper"):
-        result = evaluate(trace, definition)  # type: ignore[arg-type]
+        result = evaluate(trace, definition)
         assert list(result) == list(dict.fromkeys(m.name.split(".")[0] for m in METRICS))
         for metric in METRICS:
             value = metric.of(result)
@@ -385,6 +374,6 @@ def test_the_table_names_every_key_and_no_other():
                 assert value is None or isinstance(value, float)
         for key in ("latency_ms", "self_collision"):
             named = {m.name.split(".")[1] for m in METRICS if m.name.startswith(f"{key}.")}
-            assert named == set(result[key])  # type: ignore[arg-type]
+            assert named == set(result[key])
     with pytest.raises(UnknownNameError, match="metric"):
         METRICS[0].of({})

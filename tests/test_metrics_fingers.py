@@ -1,17 +1,13 @@
 """Metrics follow the fingers that a hand has: three, four, and others than the first."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from metrics_cases import WRIST, human_motion, make_trace
 
-from smooth_operator import HandRecording, load_hand
-from smooth_operator.hands.hand import Hand
+from smooth_operator import Hand, HandRecording, assemble_trace, load_hand
 from smooth_operator.lab.benchmark.quality import PER_FINGER, finger_metrics
 from smooth_operator.landmarks import FINGERS, LANDMARKS, NUM_LANDMARKS, TIPS
 from smooth_operator.metrics import Trace, evaluate
-from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.types import CommandTrajectory
 
 THREE = ("thumb", "index", "middle")

@@ -1,7 +1,5 @@
 """Plots: names of points, and matplotlib that is not imported before a plot is drawn."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

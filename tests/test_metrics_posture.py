@@ -1,7 +1,5 @@
 """Metrics of posture on made-up hands whose figures are known on paper."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The published definitions of the metrics, and the fit that goes with them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mujoco
@@ -9,11 +7,9 @@ import numpy as np
 import pytest
 from metrics_cases import WRIST, human_motion, make_trace, rotation
 
-from smooth_operator import load_hand
-from smooth_operator.formats.readers import read_recording
+from smooth_operator import assemble_trace, load_hand, read_recording
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import evaluate, published
-from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.types import CommandTrajectory
 
 
@@ -49,10 +45,10 @@ def test_paper_fits_the_human_to_the_robots_pose():
     assert result["human_fit"] == "robot pose"
     assert result["cosine_similarity_all"] == pytest.approx(1, abs=1e-4)
     assert result["scale_ratio"] == pytest.approx(1, abs=1e-5)
-    assert result["motion_preservation"] > 0.95  # type: ignore[operator]
+    assert result["motion_preservation"] > 0.95
     unfitted = evaluate(make_trace(human, tips), "paper")
     assert unfitted["human_fit"] == "palm"
-    assert unfitted["cosine_similarity_all"] < 0.9  # type: ignore[operator]
+    assert unfitted["cosine_similarity_all"] < 0.9
 
 
 def test_fit_is_a_rotation_and_refuses_degenerate_frames():

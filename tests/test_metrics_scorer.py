@@ -1,7 +1,5 @@
 """The sound definition against an independent scorer, on real recordings and real commands."""
 
-from __future__ import annotations
-
 import functools
 import importlib.util
 from pathlib import Path
@@ -116,10 +114,10 @@ def test_agrees_with_the_independent_scorer(method, start, shared, scorer, recor
             assert ours[name] is None, name
         else:
             assert ours[name] == pytest.approx(theirs[their_name], rel=1e-9, abs=1e-9), name
-    assert round(ours["rate_hz"], 1) == theirs["rate_hz"]  # type: ignore[arg-type, call-overload]
+    assert round(ours["rate_hz"], 1) == theirs["rate_hz"]
     assert ours["flatness"] == pytest.approx(theirs["flatness"], rel=1e-9, abs=0)
     if method == "late":
-        assert 20 < ours["lag_ms"] < 45  # type: ignore[operator]
+        assert 20 < ours["lag_ms"] < 45
         latency_ms = ours["latency_ms"]
         assert isinstance(latency_ms, dict)
         assert latency_ms["p50"] == pytest.approx(theirs["latency_p50"], rel=1e-12)

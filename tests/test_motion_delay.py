@@ -1,7 +1,5 @@
 """The delay from command to motion is found where there is one, and nowhere else."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from dataclasses import replace

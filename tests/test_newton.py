@@ -1,7 +1,5 @@
 """The projected Newton polish against bounded reference solvers."""
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -121,4 +119,4 @@ def test_no_iterations_return_the_start_untouched():
 @pytest.mark.parametrize("bad", [{"iterations": -1}, {"damping": ()}, {"damping": (-1.0, 0.0)}])
 def test_settings_are_checked(bad):
     with pytest.raises(ConfigError, match=next(iter(bad))):
-        NewtonConfig(**bad)  # type: ignore[arg-type]
+        NewtonConfig(**bad)

@@ -1,7 +1,5 @@
 """Keyvectors, DexPilot's latches, and Eq. (1) with its derivatives, against plain NumPy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 from typing import Literal
@@ -12,9 +10,8 @@ import numpy as np
 import pytest
 from trees import float64, limited_poses
 
+from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import FINGERS, LANDMARKS
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
@@ -23,9 +20,6 @@ from smooth_operator.objective.published import DexPilotTargets, LatchState, Pla
 from smooth_operator.objective.targets import Targets
 
 FIVE = KeyvectorLayout(FINGERS)
-
-
-# Keyvectors
 
 
 def test_five_fingers_have_fifteen_keyvectors_in_order():
@@ -67,9 +61,6 @@ def test_human_and_robot_keyvectors():
     robot = FIVE.robot(points[:, 1:] - points[:, :1], np.zeros(3))
     np.testing.assert_allclose(robot, FIVE.human(landmarks), atol=1e-12)
     assert isinstance(FIVE.human(jnp.asarray(landmarks)), jax.Array)
-
-
-# Target policies
 
 
 def human_vectors(distances: list[float], layout: KeyvectorLayout = FIVE) -> jax.Array:
@@ -184,7 +175,6 @@ def test_plain_targets_follow_the_human():
     human = human_vectors([0.005, 0.1, 0.1, 0.1])
     policy = PlainTargets(beta=0.9, w_wrist=1.0, w_thumb=2.0, w_between=3.0)
     out, state = policy((), FIVE, human)
-    assert isinstance(out, Targets)
     np.testing.assert_allclose(out.vectors, 0.9 * human, rtol=1e-6)
     np.testing.assert_array_equal(out.weights, [1] * 5 + [2] * 4 + [3] * 6)
     assert state == policy.init(FIVE) == ()
@@ -196,8 +186,6 @@ def test_distances_of_a_latch_are_checked(project, escape):
     with pytest.raises(ConfigError, match="0 < project <= escape"):
         DexPilotTargets(project=project, escape=escape)
 
-
-# Eq. (1)
 
 Loss = Literal["smooth_l1", "squared"]
 LOSSES: tuple[Loss, ...] = ("smooth_l1", "squared")
@@ -319,4 +307,4 @@ def test_no_velocity_term_without_a_previous_command():
 )
 def test_weights_are_checked(bad):
     with pytest.raises(ConfigError, match=next(iter(bad))):
-        ObjectiveConfig(**bad)  # type: ignore[arg-type]
+        ObjectiveConfig(**bad)

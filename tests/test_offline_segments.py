@@ -1,7 +1,5 @@
 """Stretches of a recording, its stamps on a grid, its noise and its leaps."""
 
-from __future__ import annotations
-
 import jax.numpy as jnp
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Whole recordings at once: the solver of trajectories, gaps, and the retargeter around it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -30,6 +28,7 @@ from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
 from smooth_operator.synthetic import SyntheticOperator, TrackerModel
+from smooth_operator.types import CommandTrajectory
 
 # -- the solver ----------------------------------------------------------------------------------
 
@@ -208,8 +207,6 @@ def test_a_recording_of_one_or_two_frames():
         assert np.isfinite(q).all()
 
 
-# -- recordings ----------------------------------------------------------------------------------
-
 CAUSAL = SbrConfig(
     sampling=SamplingConfig(samples=64, elites=12, cycles=3, draws="quasi"),
     polish=NewtonConfig(iterations=3, damping=(0.0, 1.0)),
@@ -231,6 +228,12 @@ def recording() -> HandRecording:
     return SyntheticOperator(seed=12, rate_hz=60.0, tracker=tracker).record(4.0)[40:200]
 
 
+@pytest.fixture(scope="module")
+def full(whole, recording) -> tuple[CommandTrajectory, np.ndarray]:
+    """Commands and loss of the undisturbed recording."""
+    return whole.run(recording)
+
+
 @pytest.fixture
 def small_windows(monkeypatch) -> None:
     monkeypatch.setattr(trajectory_module, "WINDOW", 50)
@@ -244,15 +247,15 @@ def lost(recording: HandRecording, *frames: slice) -> HandRecording:
     return replace(recording, landmarks=landmarks, valid=None)
 
 
-def test_it_is_smoother_than_frame_by_frame_and_no_later(whole, recording, hand):
-    found, loss = whole.run(recording)
+def test_it_is_smoother_than_frame_by_frame_and_no_later(whole, full, recording, hand):
+    found, loss = full
     causal, _ = whole.causal.run(recording)
     ours, theirs = (
         evaluate(assemble_trace(recording, c, hand, CAUSAL.alignment, reach_samples=0))
         for c in (found, causal)
     )
-    assert ours["flatness"] < 0.5 * theirs["flatness"]  # type: ignore[operator]
-    assert ours["cosine_similarity"] > theirs["cosine_similarity"] - 1e-3  # type: ignore[operator]
+    assert ours["flatness"] < 0.5 * theirs["flatness"]
+    assert ours["cosine_similarity"] > theirs["cosine_similarity"] - 1e-3
     assert ours["lag_ms"] == 0.0
     assert ours["limit_violation_share"] == 0.0
     assert (found.status == Status.OK).all()
@@ -269,36 +272,28 @@ def test_it_is_smoother_than_frame_by_frame_and_no_later(whole, recording, hand)
     assert correlation[0] > correlation[1]
 
 
-def test_led_fingertips_move_as_the_humans(whole, recording, hand):
+def test_led_fingertips_move_as_the_humans(whole, full, recording, hand):
     free, led = (
-        evaluate(assemble_trace(recording, r.run(recording)[0], hand, reach_samples=0))
-        for r in (whole, whole.priced(LED))
+        evaluate(assemble_trace(recording, commands, hand, reach_samples=0))
+        for commands, _ in (full, whole.priced(LED).run(recording))
     )
-    assert led["motion_preservation"] > free["motion_preservation"] + 0.1  # type: ignore[operator]
-    assert led["velocity_correlation"] > free["velocity_correlation"] + 0.1  # type: ignore[operator]
-    assert led["cosine_similarity"] > free["cosine_similarity"] - 0.03  # type: ignore[operator]
+    assert led["motion_preservation"] > free["motion_preservation"] + 0.1
+    assert led["velocity_correlation"] > free["velocity_correlation"] + 0.1
+    assert led["cosine_similarity"] > free["cosine_similarity"] - 0.03
     with pytest.raises(AssertionError):
-        whole.priced(PRESETS["sbr"]["offline"])  # type: ignore[arg-type]
+        whole.priced(PRESETS["sbr"]["offline"])
 
 
-def test_it_repeats_itself_to_the_bit(whole, recording):
-    first, second = (whole.run(recording)[0] for _ in range(2))
-    assert first.joint_positions.tobytes() == second.joint_positions.tobytes()
-
-
-def test_windows_do_not_show(whole, recording, small_windows):
+def test_windows_do_not_show(whole, full, recording, small_windows):
     parts, _ = whole.run(recording)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trajectory_module, "WINDOW", 1000)
-        once, _ = whole.run(recording)
     assert len(windows(len(recording), 50, 36)) > 2
-    assert np.abs(parts.joint_positions - once.joint_positions).max() < 5e-3
+    assert np.abs(parts.joint_positions - full[0].joint_positions).max() < 5e-3
 
 
-def test_short_gaps_are_bridged_long_ones_held(whole, recording, hand):
+def test_short_gaps_are_bridged_long_ones_held(whole, full, recording, hand):
     gaps = (slice(0, 3), slice(30, 36), slice(70, 110), slice(155, 160))
     found, loss = whole.run(lost(recording, *gaps))
-    full, _ = whole.run(recording)
+    undisturbed = full[0].joint_positions
     q = found.joint_positions
     missing = np.concatenate([np.arange(160)[gap] for gap in gaps])
     assert (found.status[missing] == Status.INVALID_LANDMARKS).all()
@@ -313,21 +308,19 @@ def test_short_gaps_are_bridged_long_ones_held(whole, recording, hand):
     assert (q[155:] == q[154]).all()
     # over the short one the hand goes on, and near where it would have been
     assert (
-        np.abs(np.diff(q[29:37], axis=0)).max()
-        < 2.0 * np.abs(np.diff(full.joint_positions, axis=0)).max()
+        np.abs(np.diff(q[29:37], axis=0)).max() < 2.0 * np.abs(np.diff(undisturbed, axis=0)).max()
     )
-    assert np.abs(q[30:36] - full.joint_positions[30:36]).max() < 0.1
+    assert np.abs(q[30:36] - undisturbed[30:36]).max() < 0.1
 
 
-def test_frames_that_never_came_are_bridged_in_time(whole, recording):
+def test_frames_that_never_came_are_bridged_in_time(whole, full, recording):
     kept = np.delete(np.arange(160), [60, 61, 62])
     thinned = replace(
         recording, landmarks=recording.landmarks[kept], stamps=recording.stamps[kept],
         valid=None, metacarpals=None, orientations=None, meta={},
     )  # fmt: skip
     found, _ = whole.run(thinned)
-    full, _ = whole.run(recording)
-    assert np.abs(found.joint_positions - full.joint_positions[kept]).max() < 0.15
+    assert np.abs(found.joint_positions - full[0].joint_positions[kept]).max() < 0.15
 
 
 def test_a_recording_without_any_hand(whole, recording, hand):
@@ -341,9 +334,6 @@ def test_one_frame(whole, recording):
     found, loss = whole.run(recording[:1])
     assert found.status.tolist() == [Status.OK]
     assert np.isfinite(loss).all()
-
-
-# -- where it may be used ------------------------------------------------------------------------
 
 
 def test_live_use_is_refused(hand):
@@ -364,11 +354,10 @@ def test_methods_without_derivatives_are_refused(hand):
 
 def test_an_alignment_reaches_the_method_within():
     changed = CONFIG.with_alignment(scale=0.8)
-    assert isinstance(changed, TrajectoryMethodConfig)
     assert (changed.alignment.scale, changed.future) == (0.8, CONFIG.future)
 
 
-def test_a_plan_with_the_preset_is_done_as_a_whole(recording, monkeypatch, whole):
+def test_a_plan_with_the_preset_is_done_as_a_whole(recording, monkeypatch, full):
     monkeypatch.setitem(PRESETS["sbr"], "tiny", CONFIG)
     todo = plan(recording, make_request(method="sbr", preset="tiny"))
     built = build(todo)
@@ -382,8 +371,8 @@ def test_a_plan_with_the_preset_is_done_as_a_whole(recording, monkeypatch, whole
 
     outcome = execute(todo, built, track)
     assert shown == list(range(160))
-    expected, _ = whole.run(recording)
-    assert outcome.commands.joint_positions.tobytes() == expected.joint_positions.tobytes()
+    # another run of the same recording, to the last bit
+    assert outcome.commands.joint_positions.tobytes() == full[0].joint_positions.tobytes()
 
 
 def test_a_folder_is_done_as_a_whole_and_kept(recording, monkeypatch, whole, tmp_path, capsys):

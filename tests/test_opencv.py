@@ -1,7 +1,5 @@
 """An OpenCV that is installed and can't be loaded."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

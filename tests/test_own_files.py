@@ -1,7 +1,5 @@
 """Machine code is taken only from where no other user can have written it."""
 
-from __future__ import annotations
-
 import os
 import stat
 import subprocess
@@ -87,8 +85,7 @@ def test_a_folder_of_others_is_not_used(cache, damage, words, caplog):
 
 
 @pytest.mark.parametrize(
-    "damage",
-    [open_to_all, open_to_the_group, pytest.param(of_another, marks=as_root)],
+    "damage", [open_to_all, open_to_the_group, pytest.param(of_another, marks=as_root)]
 )
 @pytest.mark.parametrize("above", [1, 2])
 def test_a_folder_above_that_others_can_write_is_said_once(cache, damage, above, caplog):

@@ -1,7 +1,5 @@
 """Many tasks at once: order, failures, deaths, Ctrl-C, and nothing left behind."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import re
@@ -59,7 +57,7 @@ def die_between_two_parts(size: int) -> bytes:
     """A result whose worker is killed when the first part of a message of two is sent."""
     from multiprocessing.connection import Connection
 
-    whole = Connection._send_bytes  # type: ignore[attr-defined]
+    whole = Connection._send_bytes
 
     def die(connection: Connection, message: bytes) -> None:
         if len(message) <= 4096:  # a pipe takes it as one
@@ -68,7 +66,7 @@ def die_between_two_parts(size: int) -> bytes:
             os.write(connection.fileno(), len(message).to_bytes(4, "big"))
             os.kill(os.getpid(), signal.SIGKILL)
 
-    Connection._send_bytes = die  # type: ignore[attr-defined]
+    Connection._send_bytes = die
     return bytes(size)
 
 
@@ -172,7 +170,6 @@ def test_a_kill_from_outside_is_survived():
     running = run_tasks(time.sleep, [0.3] * 6, workers=2)
     results = [next(running)]
     victim = multiprocessing.active_children()[0]
-    assert victim.pid is not None
     os.kill(victim.pid, signal.SIGKILL)
     results += running
     assert sorted(result.index for result in results) == list(range(6))
@@ -297,7 +294,7 @@ def test_a_worker_has_one_thread_and_all_cores(tmp_path, monkeypatch):
         pytest.skip("needs two cores")
     (tmp_path / "probe_of_threads.py").write_text(PROBE, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    import probe_of_threads  # type: ignore[import-not-found]
+    import probe_of_threads
 
     (result,) = run_tasks(probe_of_threads.cores_and_threads, [0], workers=1)
     # Not tied to the core that it started on: somebody else may need that one.

@@ -3,8 +3,6 @@
 The encoders here are written from the formats alone and share no code with the readers.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import random

@@ -1,7 +1,5 @@
 """Penalties of Eq. (1) and their derivatives, against plain NumPy and automatic differentiation."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import jax
@@ -83,7 +81,7 @@ def test_the_length_of_an_error_counts_and_not_its_components():
 @pytest.mark.parametrize("velocity", ["squared", "smooth_l1"])
 def test_regularisation(centre, velocity):
     hand = load_hand()
-    config = ObjectiveConfig(pose_centre=centre, velocity_loss=velocity)  # type: ignore[arg-type]
+    config = ObjectiveConfig(pose_centre=centre, velocity_loss=velocity)
     objective = Objective(hand, config)
     rng = np.random.default_rng(1)
     q = rng.uniform(*hand.limits.T)
@@ -110,8 +108,8 @@ def test_regularisation(centre, velocity):
 
 def test_unknown_words_are_refused():
     with pytest.raises(ConfigError, match="'smooth_l1_norm', not 'l2'"):
-        ObjectiveConfig(loss="l2")  # type: ignore[arg-type]
+        ObjectiveConfig(loss="l2")
     with pytest.raises(ConfigError, match="'neutral' or 'zero', not 'middle'"):
-        ObjectiveConfig(pose_centre="middle")  # type: ignore[arg-type]
+        ObjectiveConfig(pose_centre="middle")
     with pytest.raises(ConfigError, match="'squared' or 'smooth_l1', not 'l2'"):
-        ObjectiveConfig(velocity_loss="l2")  # type: ignore[arg-type]
+        ObjectiveConfig(velocity_loss="l2")

@@ -1,7 +1,5 @@
 """Workers that stay from one list of tasks to the next."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

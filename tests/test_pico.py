@@ -1,7 +1,5 @@
 """The PICO app XRoboToolkit: its packets, its connection, what goes wrong with them."""
 
-from __future__ import annotations
-
 import json
 import random
 import socket
@@ -40,9 +38,7 @@ def check(frame: HandFrame, pose: app.Pose, joints: np.ndarray) -> None:
     world = joints @ app.turn(pose[3:]).T + np.asarray(pose[:3])
     np.testing.assert_allclose(frame.landmarks, app.landmarks(world), atol=1e-6)
     np.testing.assert_allclose(frame.metacarpals, world[[5, 10, 15, 20]], atol=1e-6)
-    assert frame.T_world_wrist is not None
     assert (separation(frame.T_world_wrist, np.asarray(pose)) < 1e-6).all()
-    assert frame.orientations is not None
     assert (np.abs(frame.orientations @ np.asarray(pose[3:])) > 1 - 1e-6).all()
     assert frame.world == "pico"
     sign = 1.0 if frame.side == "right" else -1.0
@@ -158,9 +154,6 @@ def test_no_packet_is_a_crash():
     assert len(refused) > 50
     assert taken > 10
     assert all(len(words) < 500 for words in refused)
-
-
-# The connection.
 
 
 def started(text: str) -> tuple[PicoSource, Kept, tuple[str, int]]:

@@ -1,7 +1,5 @@
 """The example plugin in a Python environment of its own: each of its parts shows up and works."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,16 +1,13 @@
 """Poses of the wrist: algebra against SciPy, conversions against points, fields of frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from smooth_operator import poses
+from smooth_operator import HandFrame, HandRecording, poses
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.poses import WORLD_AXES, WRIST_AXES
-from smooth_operator.types import HandFrame, HandRecording
 
 RNG = np.random.default_rng(7)
 TURNS = Rotation.random(200, random_state=3)
@@ -84,17 +81,15 @@ def test_the_wrist_of_landmarks(side):
     # FLAT_HAND lies in the palmar, radial, distal axes of a right hand.
     sign = 1 if side == "right" else -1
     palm_down = FLAT_HAND[:, [2, 1, 0]] * (1, sign, -1)
-    found = poses.wrist_from_landmarks(palm_down, side)  # type: ignore[arg-type]
+    found = poses.wrist_from_landmarks(palm_down, side)
     assert poses.separation(found, poses.IDENTITY)[1] < 0.05
     moved = palm_down @ TURNS[0].as_matrix().T + (1, 2, 3)
     expected = poses.compose(np.r_[1.0, 2, 3, TURNS[0].as_quat(scalar_first=True)], found)
     assert np.allclose(
-        poses.separation(poses.wrist_from_landmarks(moved, side), expected),  # type: ignore[arg-type]
-        0,
-        atol=1e-7,
+        poses.separation(poses.wrist_from_landmarks(moved, side), expected), 0, atol=1e-7
     )
     for broken in (palm_down * (1, 0, 0), np.where(np.eye(21, 1) > 0, np.nan, palm_down)):
-        assert not poses.is_valid(poses.wrist_from_landmarks(broken, side))  # type: ignore[arg-type]
+        assert not poses.is_valid(poses.wrist_from_landmarks(broken, side))
 
 
 def test_frames_carry_a_wrist():
@@ -139,13 +134,9 @@ def test_one_pair_is_turned_as_rows_are():
     q = rng.normal(size=(200, 4))
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     q[:6] = [
-        [1, 0, 0, 0],
-        [-1, 0, 0, 0],
-        [np.nan] * 4,
-        [-1, 1e-13, 0, 0],
-        [0, 1, 0, 0],
+        [1, 0, 0, 0], [-1, 0, 0, 0], [np.nan] * 4, [-1, 1e-13, 0, 0], [0, 1, 0, 0],
         [-0.0, 0, 1, 0],
-    ]
+    ]  # fmt: skip
     r = np.roll(q, 1, axis=0)
     vectors = rng.normal(size=(200, 3))
     vectors[:4] = [[0, 0, 0], [np.nan, 0, 0], [1e-14, 0, 0], [np.pi, 0, 0]]

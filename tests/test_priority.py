@@ -1,7 +1,5 @@
 """The loop's process goes first where it may, and says so; children don't."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

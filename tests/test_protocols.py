@@ -1,7 +1,5 @@
 """Methods and sinks say what they can do, and what a method of one's own needs."""
 
-from __future__ import annotations
-
 import inspect
 from dataclasses import dataclass, field
 from itertools import permutations
@@ -12,20 +10,16 @@ import numpy as np
 import pytest
 from made_hands import hand_points
 
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator import AlignmentConfig, Hand, HandFrame, Retargeter, Status, load_hand
 from smooth_operator.methods.host_method import HostMethod
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
 from smooth_operator.methods.presets import PRESETS, method_config
 from smooth_operator.methods.registry import METHODS
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.plugins import Entry
 from smooth_operator.reporting.drawing import COLORS, colors_of
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.teleop.sinks.table import TableSink
-from smooth_operator.types import HandFrame, Status
 
 # Methods
 
@@ -71,7 +65,7 @@ class MirrorConfig(MethodConfig):
     color: ClassVar[str | None] = "#123456"
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
 
-    def build(self, hand: Hand) -> Mirror:
+    def build(self, hand: Hand) -> "Mirror":
         return Mirror(hand)
 
 
@@ -107,9 +101,6 @@ def test_a_method_of_ones_own_needs_only_what_is_abstract():
     assert MIRROR.without_pull() == MIRROR
 
 
-# Colours
-
-
 def test_every_built_in_method_has_a_colour_of_its_own():
     assert set(COLORS) == set(METHODS.built_in)
     assert len(set(COLORS.values())) == len(COLORS)
@@ -135,13 +126,10 @@ def test_a_plugins_method_brings_its_colour(monkeypatch):
     assert colors_of(["broken"])["broken"].startswith("#")
 
 
-# Sinks
-
-
 def test_sinks_say_whether_they_simulate_and_observe():
     simulation, table = Simulation(), TableSink()
     assert simulated_hands([table]) is None
     assert simulated_hands([table, simulation]) is simulation
     assert (simulation.observes, table.observes) == (False, True)
     with pytest.raises(TypeError, match="abstract"):
-        Sink()  # type: ignore[abstract]
+        Sink()

@@ -1,7 +1,5 @@
 """The recording of a session: whole, of all ticks, and left readable by whatever ends it."""
 
-from __future__ import annotations
-
 import errno
 import os
 import random
@@ -22,11 +20,8 @@ from live_time import until
 from protobuf_log import rewritten
 from ticks import make_tick
 
-from smooth_operator import Retargeter
+from smooth_operator import Hand, Retargeter, load_hand, read_recording
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, SinkError
-from smooth_operator.formats.readers import read_recording
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.recording import Log, LogWriter, read_episode, read_log
@@ -149,7 +144,7 @@ def test_two_hands_and_numbered_takes(hands, tmp_path):
         for side in hands:
             sink.send(make_tick(hands[side], 0))
         sink.close()
-        names += [p.name for p in sink.paths]  # type: ignore[attr-defined]
+        names += [p.name for p in sink.paths]
     assert names == [f"take-00{n}.{s}.mcap" for n in (1, 2, 3) for s in ("right", "left")]
     for side in hands:
         recording = read_log(folder / f"take-002.{side}.mcap").recording
@@ -193,7 +188,7 @@ def test_a_slow_disk_never_stops_the_loop_and_losses_are_told(hand, tmp_path, mo
 
     def slow(self: LogWriter, *args: object, **more: object) -> None:
         gate.wait(60.0)
-        write(self, *args, **more)  # type: ignore[arg-type]
+        write(self, *args, **more)
         written.append(1)
 
     monkeypatch.setattr(LogWriter, "write_command", slow)

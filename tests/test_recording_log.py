@@ -1,7 +1,5 @@
 """The project's own log: exact round trips, and what is left after a crash."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re
@@ -49,7 +47,7 @@ def command(stamp: float, value: float = 0.1) -> JointCommand:
 
 
 def write(path: Path, hands: HandRecording, **options: object) -> Path:
-    with LogWriter(path, **options) as log:  # type: ignore[arg-type]
+    with LogWriter(path, **options) as log:
         log.write_config({"method": "sbr", "limit": float("inf")})
         for i, frame in enumerate(hands):
             log.write_hand(frame)
@@ -77,7 +75,6 @@ def test_round_trip_is_exact(tmp_path, compression, side, rich):
     log = read_log(path)
     assert log.truncated is False
     assert log.config == {"method": "sbr", "limit": "inf"}
-    assert log.recording is not None
     assert_same(hands, log.recording)
     i = np.arange(len(hands))
     assert log.commands.joint_names == NAMES
@@ -88,11 +85,7 @@ def test_round_trip_is_exact(tmp_path, compression, side, rich):
     np.testing.assert_array_equal(log.commands.status, np.where(i % 3, 0, 1))
     np.testing.assert_array_equal(log.stages_ms["solve"], 0.03 * i)
     assert_same(hands, read_recording(path))
-    assert read_recording(path).meta == {
-        "format": "log",
-        "truncated": False,
-        "side_assumed": False,
-    }
+    assert read_recording(path).meta == {"format": "log", "truncated": False, "side_assumed": False}
 
 
 def test_opens_in_the_mcap_library_and_its_types_say_what_it_holds(tmp_path):
@@ -218,9 +211,6 @@ def test_optional_fields_may_come_and_go(tmp_path):
     assert back.stamps[0] == -2.5
 
 
-# --- crashes ---------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path, compression):
     hands = recording(60)
@@ -245,13 +235,8 @@ def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path, compression):
     cut = tmp_path / "cut.mcap"
     rng = np.random.default_rng(5)
     edges = [
-        len(content) - 1,
-        len(content) - 8,
-        len(content) - 9,
-        int(ends[0]),
-        int(ends[0]) - 1,
-        8,
-    ]
+        len(content) - 1, len(content) - 8, len(content) - 9, int(ends[0]), int(ends[0]) - 1, 8,
+    ]  # fmt: skip
     for length in {*rng.integers(8, len(content), 20).tolist(), *edges}:
         cut.write_bytes(content[:length])
         log = read_log(cut)
@@ -262,7 +247,6 @@ def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path, compression):
             with pytest.raises(RecordingError, match="cut off before its first frames"):
                 read_recording(cut)
             continue
-        assert log.recording is not None
         assert_same(hands[: sum(counts["/hand"][:complete])], log.recording)
         commands = sum(counts["/command"][:complete])
         np.testing.assert_array_equal(log.commands.stamps, hands.stamps[:commands])
@@ -328,9 +312,6 @@ def test_exception_in_the_block_still_ends_the_log(tmp_path):
     assert read_log(tmp_path / "a.mcap").truncated is False
 
 
-# --- refusals --------------------------------------------------------------------------------
-
-
 def test_writer_refuses_what_could_not_be_read(tmp_path):
     hands = recording(5)
     with LogWriter(tmp_path / "a.mcap") as log:
@@ -362,7 +343,7 @@ def test_writer_refuses_what_could_not_be_read(tmp_path):
 )
 def test_bad_options(tmp_path, options):
     with pytest.raises(ConfigError):
-        LogWriter(tmp_path / "a.mcap", **options)  # type: ignore[arg-type]
+        LogWriter(tmp_path / "a.mcap", **options)
     assert not list(tmp_path.iterdir())
 
 

@@ -1,7 +1,5 @@
 """Results: OUT.npz with OUT.json beside it, and files that are whole or not there."""
 
-from __future__ import annotations
-
 import enum
 import errno
 import json
@@ -141,9 +139,6 @@ def test_unwritable_results(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-# --- atomic_write ----------------------------------------------------------------------------
-
-
 def test_old_file_survives_a_failure(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")
@@ -233,9 +228,6 @@ def test_output_error_says_what_to_do(number, match):
     assert match in str(error)
     assert "file.npz" in str(error)
     assert error.errno == number
-
-
-# --- to_json ---------------------------------------------------------------------------------
 
 
 class Colour(enum.Enum):

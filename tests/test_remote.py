@@ -1,7 +1,5 @@
 """A running teleoperation that other programs switch: methods, operators, tasks, trials, blind."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -133,9 +131,6 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
     session.close()
     sys.setswitchinterval(turn)
     assert not thread.is_alive()
-
-
-# -- methods and operators --------------------------------------------------------------------
 
 
 def test_the_rate_is_what_another_program_asks_for(stage):
@@ -308,9 +303,6 @@ def test_the_record_knows_which_method_was_used_when(stage):
     assert log.methods[-1].config["alignment"]["operator"] is None
 
 
-# -- blind ------------------------------------------------------------------------------------
-
-
 def test_blind_nothing_that_is_shown_names_the_method(stage):
     stage.do("method", method="joint_angle")
     with contextlib.suppress(RemoteRefusedError):
@@ -364,9 +356,6 @@ def test_blind_the_terminal_does_not_name_it(capsys, tmp_path):
     assert "compiling the method for mimic_p050" in printed
     assert "joint_angle" not in printed
     assert [use.method for use in read_log(record).methods] == ["joint_angle"]
-
-
-# -- tasks ------------------------------------------------------------------------------------
 
 
 def test_a_task_is_loaded_switched_and_left(stage):
@@ -456,7 +445,6 @@ class Script:
         self.session = stage.runner._sessions["right"]
         stage.simulation.watch("right", None)  # the physics' own card is not looked at
         seen = stage.simulation.scene_state("right")
-        assert seen is not None
         self.state, self.positions = seen, np.zeros(len(self.session._record.joint_names))
         self.starts = self.state.starts + 1  # beginning a trial puts the object back
 
@@ -520,9 +508,6 @@ def test_without_a_simulation_there_is_no_task(stage):
         closed.change_task("card")
     with pytest.raises(UnknownNameError, match="chess"):
         stage.runner.change("chess")
-
-
-# -- the client -------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager

@@ -1,7 +1,5 @@
 """What public values print as: one short line with what a person asks first."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from smooth_operator import HandFrame, HandRecording, Result, Status, load_hand

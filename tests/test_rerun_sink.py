@@ -1,7 +1,5 @@
 """The sink for Rerun: what a file of it holds, and what is refused."""
 
-from __future__ import annotations
-
 import importlib.util
 from typing import Any
 

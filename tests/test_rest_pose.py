@@ -1,7 +1,5 @@
 """``smooth`` is exact where it can be: rest pose, cost of fingertip positions, grip."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -12,11 +10,9 @@ import pytest
 from capsule_depths import depths, ends_of
 from trees import float64, limited_poses
 
+from smooth_operator import Hand, Retargeter, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import capsule_pairs
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.smooth import SMOOTH_PRECISE, SmoothConfig
 from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout

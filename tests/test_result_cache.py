@@ -1,7 +1,5 @@
 """The result cache: what is found again, what is not, and what is said about it."""
 
-from __future__ import annotations
-
 import multiprocessing
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -121,9 +119,6 @@ def test_processes_that_share_a_folder_leave_whole_results(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["shared.json"]
 
 
-# -- the log --------------------------------------------------------------------------------------
-
-
 def test_a_log_goes_on_after_half_a_line(tmp_path):
     path = tmp_path / "log.jsonl"
     log = ResultLog(path)
@@ -149,9 +144,6 @@ def test_a_log_says_what_it_does_not_use(tmp_path):
     assert "2 lines that are no result" in damaged
     assert "another version of the code" in outdated
     assert log.find("", "key", "code") == {"x": 1}
-
-
-# -- jobs -----------------------------------------------------------------------------------------
 
 
 def square(number: int) -> int:
@@ -194,6 +186,6 @@ def test_what_is_done_is_kept_when_a_run_is_stopped(tmp_path):
 
     results = compute_results(longest_first(jobs([1, 2])), ResultCache(tmp_path), execute)
     assert next(results).job.task == 2
-    results.close()  # type: ignore[attr-defined]
+    results.close()
     assert ResultCache(tmp_path).find("n2", {"n": 2}, "code") == 4
     assert ResultCache(tmp_path).find("n1", {"n": 1}, "code") is None

@@ -1,7 +1,5 @@
 """A folder into a folder: the same bytes whoever made them, whatever was killed on the way."""
 
-from __future__ import annotations
-
 import functools
 import json
 import os
@@ -18,11 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter
+from smooth_operator import Retargeter, read_commands, read_recording
 from smooth_operator.compilation.batching import BLOCK
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
-from smooth_operator.formats.commands import read_commands
-from smooth_operator.formats.readers import read_recording
 from smooth_operator.lab.offline import folder as pipeline
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.offline.folder import (
@@ -101,9 +97,6 @@ def expected(folder, tmp_path_factory) -> Bytes:
     return found
 
 
-# Bytes.
-
-
 def test_a_result_is_that_of_the_library(folder, expected):
     """Of a batch to the last bit, whatever else is in it; of a frame after a frame but for
     rounding."""
@@ -172,7 +165,7 @@ def test_a_killed_worker_loses_nothing(folder, expected, tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, "MOST", 1)  # each recording is a task
     monkeypatch.setattr(pipeline, "retarget_group", killed_once)
     todo = survey(folder, tmp_path / "out", ASKED)
-    entries = list(retarget_all(todo.jobs, workers=2))
+    entries = list(retarget_all(todo.jobs, workers=1))
     assert {entry.state for entry in entries} == {"done"}
     assert {entry.name: entry.attempts for entry in entries}["deep/c.npz"] == 2
     assert sum(entry.attempts for entry in entries) > len(FRAMES)
@@ -240,9 +233,6 @@ def test_ray_makes_the_same_bytes(folder, expected, tmp_path):
     entries = list(retarget_all(todo.jobs, workers=1, cluster="local"))
     assert [entry.reason for entry in entries] == [None] * len(FRAMES)
     assert contents(tmp_path / "out") == expected
-
-
-# What is kept and what is made again.
 
 
 @pytest.fixture
@@ -332,9 +322,6 @@ def test_two_runs_do_not_meet(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-# What counts as a recording.
-
-
 def test_what_is_found(tmp_path, expected):
     save(tmp_path / "glove.npz", hand(5))
     np.save(tmp_path / "plain.npy", hand(7).landmarks)
@@ -390,10 +377,7 @@ def test_a_request_is_checked_once_and_not_per_recording():
         make_request(method="sbrr")
     for wrong in ({"frames": "1-2"}, {"frames": "5:5"}, {"rate": -1.0}, {"scale": 40.0}):
         with pytest.raises(ConfigError):
-            checked(make_request(**wrong))  # type: ignore[arg-type]
-
-
-# The command.
+            checked(make_request(**wrong))
 
 
 @pytest.fixture

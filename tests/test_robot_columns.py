@@ -1,7 +1,5 @@
 """Logs as data sets with the columns that LeRobot records of our robot."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -54,7 +52,7 @@ def test_a_row_is_a_moment_of_lerobots_clock(tmp_path):
     takes = [episode(), episode(1.0)]
     written: list[int] = []
     write_dataset(
-        tmp_path / "set", [lambda v=v: v for v in takes], columns="robot",  # type: ignore[misc]
+        tmp_path / "set", [lambda v=v: v for v in takes], columns="robot",
         environment_state=True, done=written.append,
     )  # fmt: skip
     info, columns, file = read(tmp_path / "set")
@@ -70,7 +68,7 @@ def test_a_row_is_a_moment_of_lerobots_clock(tmp_path):
     assert info["total_frames"] == sum(written) == len(columns["index"])
 
     first = columns["episode_index"] == 0
-    begin = takes[0].states.stamps[0]  # type: ignore[union-attr]
+    begin = takes[0].states.stamps[0]
     moments = begin + columns["frame_index"][first] / 30
     sent = np.floor((moments - 1e6) * 97 + 1e-6)
     np.testing.assert_allclose(columns["action"][first][:, 0], sent + ACTUATED[0] / 100, atol=1e-4)
@@ -85,7 +83,7 @@ def test_a_row_is_a_moment_of_lerobots_clock(tmp_path):
 def test_the_wrist_is_left_out_or_written_with_the_robots_keys(tmp_path):
     take = episode(wrist=True)
     for name, size in (("robot", 16), ("robot-wrist", 23)):
-        write_dataset(tmp_path / name, [lambda: take], columns=name)  # type: ignore[arg-type]
+        write_dataset(tmp_path / name, [lambda: take], columns=name)
         info, columns, _ = read(tmp_path / name)
         assert columns["action"].shape[1] == size
         assert "observation.environment_state" not in info["features"]

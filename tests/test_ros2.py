@@ -1,7 +1,5 @@
 """ROS 2 without ROS 2: against another process with definitions of its own, and against rosbags."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os
@@ -22,12 +20,7 @@ from live_time import until
 from scipy.spatial.transform import Rotation
 from ticks import make_tick
 
-from smooth_operator.errors import (
-    ConfigError,
-    RecordingError,
-    SinkError,
-    UnknownNameError,
-)
+from smooth_operator.errors import ConfigError, RecordingError, SinkError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.landmarks import NODE_LAYOUTS
@@ -80,7 +73,7 @@ class Peer:
 def peer() -> Iterator[Peer]:
     other = Peer()
     yield other
-    other.process.stdin.close()  # type: ignore[union-attr]
+    other.process.stdin.close()
     other.process.wait(20)
 
 
@@ -98,9 +91,6 @@ def send_until(sink: Ros2Sink, tick: Tick, done: Callable[[], object]) -> None:
         return done()
 
     until(sent)
-
-
-# --- the bytes
 
 
 SAMPLES: list[Message] = [
@@ -154,9 +144,6 @@ def test_bytes_are_those_of_rosbags(release):
         assert type(message).deserialize(theirs) == message
         back = store.deserialize_cdr(ours, name)
         assert str(back) == str(of_rosbags(store, message))
-
-
-# --- the sink
 
 
 def test_another_process_gets_joints_mode_and_wrists(peer, domain, hand):
@@ -235,7 +222,7 @@ def test_controllers_get_the_actuated_joints_by_their_names(peer, domain):
     for sink in sinks:  # three participants in one process, in one domain
         sink.open({"right": hand}, {})
     for sink in sinks:
-        send_until(sink, tick, lambda sink=sink: peer.of(f"rt{sink.topic}"))  # type: ignore[misc]
+        send_until(sink, tick, lambda sink=sink: peer.of(f"rt{sink.topic}"))
     trajectory, array, state = (peer.of(f"rt{sink.topic}")[-1] for sink in sinks)
     assert trajectory["joint_names"] == [f"r_{name}" for name in names]
     (point,) = trajectory["points"]
@@ -443,9 +430,6 @@ def test_wrong_names_and_settings_say_what_is_expected(hand, recorded):
             build_sink(text)
 
 
-# --- the source
-
-
 def a_hand(side: Side = "right", points: int = 21) -> np.ndarray:
     """(n, 3) points of an open hand, of 21, 25 or 26 [m]."""
     landmarks = reference_landmarks(load_hand("mimic_p050", side))
@@ -494,13 +478,13 @@ def test_hands_come_from_another_process_with_the_wrist_in_the_world(peer, domai
     ]
     publish_until(peer, lambda: len(mailbox.received_of) == 2, *orders)
     for side, points in moved.items():
-        arrival = mailbox.take(side)  # type: ignore[arg-type]
+        arrival = mailbox.take(side)
         frame = arrival.frame
         landmarks = points[list(NODE_LAYOUTS[len(points)][0])]
         assert np.array_equal(frame.landmarks, landmarks)
         assert (frame.stamp, frame.side, frame.world) == (12.5, side, "map")
         assert frame.orientations is None  # all are the unit one: they say nothing
-        wrist = wrist_from_landmarks(landmarks, side)  # type: ignore[arg-type]
+        wrist = wrist_from_landmarks(landmarks, side)
         assert np.allclose(frame.T_world_wrist, wrist)
         assert np.isfinite(wrist).all()
     source.stop()
@@ -586,7 +570,7 @@ def test_bytes_of_another_type_are_refused_in_one_line(domain):
         def take(self, most: int, condition: Any) -> list[Any]:
             return [ros.PoseArray.deserialize(b"\0\1\0\0\7")]
 
-    (refusal,) = transport_module._take(Reader(), None, ros.PoseArray)  # type: ignore[arg-type]
+    (refusal,) = transport_module._take(Reader(), None, ros.PoseArray)
     assert isinstance(refusal, RecordingError)
     reader = HandPoseReader({"/x": "right"}, {}, "world", "mediapipe", {})
     with pytest.raises(RecordingError, match="another type than geometry_msgs/msg/PoseArray"):
@@ -633,9 +617,6 @@ def test_settings_of_the_source_that_contradict_each_other():
     assert build_source("ros2", "left").label == "ROS 2 /hand/{side}/poses"
 
 
-# --- domain, network and libraries
-
-
 def test_network_and_domain_come_from_the_setting_else_from_ros_variables(monkeypatch):
     names = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "CYCLONEDDS_URI")
     for name in (*names, "ROS_DOMAIN_ID"):
@@ -663,7 +644,7 @@ def test_network_and_domain_come_from_the_setting_else_from_ros_variables(monkey
 
 
 def test_one_domain_has_one_network_in_a_process(domain):
-    end = Endpoint("the ros2 sink", SinkError, domain=domain, **LOCAL)  # type: ignore[arg-type]
+    end = Endpoint("the ros2 sink", SinkError, domain=domain, **LOCAL)
     first = Transport(end)
     with pytest.raises(ConfigError, match="in use here with network 'localhost'"):
         Transport(replace(end, network="subnet"))

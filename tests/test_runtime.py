@@ -1,7 +1,5 @@
 """Policies, limits and one hand's steps, on a clock that the test turns; no sleeping."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from dataclasses import replace
@@ -9,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smooth_operator import HandFrame, Retargeter, Status
+from smooth_operator import Hand, HandFrame, HandRecording, Retargeter, Status, read_recording
 from smooth_operator.errors import ConfigError
-from smooth_operator.formats.readers import read_recording
-from smooth_operator.hands.hand import Hand
 from smooth_operator.io.anatomy import FEWEST_FRAMES
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.methods.frame import RetargetState
@@ -31,7 +27,6 @@ from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, Sa
 from smooth_operator.teleop.runtime.statistics import LoopStatistics, TrackerDelay, percentiles
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival
-from smooth_operator.types import HandRecording
 
 PERIOD = 0.01
 LOOP = LoopConfig(rate=1 / PERIOD)
@@ -47,9 +42,6 @@ def retargeter(hand) -> Retargeter:
 @pytest.fixture(scope="module")
 def motion() -> HandRecording:
     return SyntheticOperator(seed=2, rate_hz=1 / PERIOD).record(8.0)
-
-
-# Limits
 
 
 def within(hand: Hand, limits: LimitsConfig, q: np.ndarray, dt: float) -> None:
@@ -96,11 +88,8 @@ def test_impossible_settings_are_refused(make):
         make()
 
 
-# Which frames count
-
-
 def arrived(frame: HandFrame, at: float, session: int = 0, **changes: object) -> Arrival:
-    return Arrival(replace(frame, **changes), at, session)  # type: ignore[arg-type]
+    return Arrival(replace(frame, **changes), at, session)
 
 
 def test_only_newer_frames_count(motion):
@@ -137,7 +126,7 @@ def test_another_hand_and_another_unit_are_refused():
 
 
 @pytest.mark.parametrize(("distance", "far"), [(0.48, False), (0.52, True)])
-def test_a_landmark_over_half_a_metre_from_the_wrist_is_refused(distance: float, far: bool) -> None:
+def test_a_landmark_over_half_a_metre_from_the_wrist_is_refused(distance, far):
     landmarks = SyntheticOperator(seed=1).record(0.05).landmarks[0].copy()
     landmarks[4] = landmarks[0] + [distance, 0.0, 0.0]  # the thumb's tip, which no curl counts
     assert ("a landmark more than 0.5 m" in (implausible(HandFrame(landmarks)) or "")) == far
@@ -145,9 +134,7 @@ def test_a_landmark_over_half_a_metre_from_the_wrist_is_refused(distance: float,
 
 @pytest.mark.shared
 def test_no_frame_of_a_real_hand_is_implausible(shared):
-    recording = read_recording(
-        shared / "recordings" / "manus_right_subject-000_run-010.npz"  # type: ignore[operator]
-    )
+    recording = read_recording(shared / "recordings" / "manus_right_subject-000_run-010.npz")
     assert not [why for frame in recording[::7] if (why := implausible(frame))]
 
 
@@ -204,9 +191,6 @@ def test_the_delay_of_a_recording_that_is_played_slowly(motion):
         arrival = Arrival(replace(motion[0], stamp=i * PERIOD), 5.0 + 10 * i * PERIOD, 0, 0.1)
         delay.see(arrival)
         assert delay.above_fastest(arrival) == pytest.approx(0.0, abs=1e-9)
-
-
-# One hand
 
 
 class Stage:
@@ -445,9 +429,6 @@ def test_the_fault_run_breaks_no_limit(hand, retargeter):
     stamps = [t.command.stamp for t in stage.ticks if t.status == Status.OK]
     backwards = sum(b <= a for a, b in itertools.pairwise(stamps))
     assert backwards == 1  # the restart
-
-
-# Statistics
 
 
 def test_what_a_run_came_to(retargeter, motion):

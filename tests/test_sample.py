@@ -1,7 +1,5 @@
 """``smooth-operator sample``: a recording for whoever has none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

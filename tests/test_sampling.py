@@ -1,7 +1,5 @@
 """Algorithm 1 on functions whose minima are known, and the normals that it draws."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import jax
@@ -29,9 +27,6 @@ def bowl(centre, stiffness=1.0):
 def minimise(cost, start, limits, config=SMALL, key=KEY) -> np.ndarray:
     run = jax.jit(lambda s, k: sample_minimise(cost, s, np.asarray(limits, float), k, config))
     return np.asarray(run(jnp.asarray(start, jnp.float32), jnp.asarray(key)))
-
-
-# Known minima
 
 
 @pytest.mark.parametrize("draws", ["fresh", "quasi"])
@@ -124,9 +119,6 @@ def test_a_constant_may_be_added_to_the_cost():
     np.testing.assert_allclose(shifted, plain, atol=0.1)
 
 
-# Random numbers in use
-
-
 def test_the_key_decides_fresh_draws_and_nothing_else():
     cost, limits = bowl([0.3, -0.2]), [[-1, 1]] * 2
     short = replace(SMALL, cycles=4)
@@ -194,7 +186,7 @@ def test_it_is_algorithm_1_to_the_letter(draws):
 )  # fmt: skip
 def test_settings_are_checked(bad, message):
     with pytest.raises(ConfigError, match=message):
-        SamplingConfig(**bad)  # type: ignore[arg-type]
+        SamplingConfig(**bad)
 
 
 def test_the_defaults_are_the_papers_table():
@@ -203,8 +195,6 @@ def test_the_defaults_are_the_papers_table():
     assert (config.sigma, config.temperature, config.jitter) == (0.2, 0.1, 1e-6)
     assert config.draws == "fresh"
 
-
-# The normals themselves
 
 COLUMNS = 8
 

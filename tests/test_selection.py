@@ -1,7 +1,5 @@
 """The largest few of many numbers, against sorting."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import jax

@@ -1,7 +1,5 @@
 """Programs are compiled once for all that would compile the same one."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import jax
@@ -18,10 +16,7 @@ def test_the_same_hand_and_settings_share_and_others_do_not():
     hand, config = load_hand("mimic_p050"), method_config("joint_angle")
     first = shared_program(hand, config)
     assert shared_program(hand, method_config("joint_angle")).run is first.run
-    other = dataclasses.replace(
-        config,
-        alignment=dataclasses.replace(config.alignment, scale=1.1),  # type: ignore[type-var]
-    )
+    other = dataclasses.replace(config, alignment=dataclasses.replace(config.alignment, scale=1.1))
     assert shared_program(hand, other).run is not first.run
     fewer = load_hand("mimic_p050", fingers=("thumb", "index", "middle"))
     assert shared_program(fewer, config).run is not first.run

@@ -1,7 +1,5 @@
 """Signals end programs in order: torque off, recordings whole, the terminal as it was."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re
@@ -133,7 +131,7 @@ def test_a_check_of_a_hand_ends_with_torque_off(bank, how):
 
 
 @posix
-@pytest.mark.parametrize("how", ["SIGINT", "SIGHUP"])
+@pytest.mark.parametrize("how", ["SIGINT", pytest.param("SIGHUP", marks=pytest.mark.weekly)])
 def test_a_run_that_has_not_begun_ends_too(bank, tmp_path, how):
     sink = ("--sink", f"leap:{bank.path},baud=57600")
     waiting = ("--method", "smooth", "--duration", "9", "--no-browser", "--port", "0")
@@ -148,7 +146,7 @@ def test_a_run_that_has_not_begun_ends_too(bank, tmp_path, how):
 
 
 @posix
-@pytest.mark.parametrize("how", ["SIGINT", "SIGQUIT"])
+@pytest.mark.parametrize("how", [pytest.param("SIGINT", marks=pytest.mark.weekly), "SIGQUIT"])
 def test_a_progress_bar_leaves_the_cursor_and_no_file(tmp_path, how):
     motion = SyntheticOperator().record(300.0)
     np.savez(tmp_path / "long.npz", landmarks=motion.landmarks, timestamps=motion.stamps)

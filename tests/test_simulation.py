@@ -1,7 +1,5 @@
 """Simulated hands: they follow, they stop where they should, and they do not come apart."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator
@@ -30,16 +28,12 @@ from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
 BUILT_IN = [
     "mimic_p050", "shadow_hand", "allegro_hand", "leap_hand", "wuji_hand",
     "shadow_dexee", "orca_v2", "ability_hand", "inspire_hand", "schunk_svh",
 ]  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path, monkeypatch) -> None:
-    """MuJoCo writes its warnings into the working folder."""
-    monkeypatch.chdir(tmp_path)
 
 
 def test_all_built_in_hands_are_tried():

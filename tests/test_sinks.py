@@ -1,7 +1,5 @@
 """Sinks side by side: one that fails harms nobody, and each says what it is told to say."""
 
-from __future__ import annotations
-
 import io
 import json
 import subprocess
@@ -19,9 +17,8 @@ from live_time import until
 from rich.console import Console
 from ticks import make_tick
 
+from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError, SinkError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.components import SINKS, build_sink
 from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.table import HandPanel, TableSink
@@ -188,16 +185,13 @@ def test_the_watchdog_does_not_wait_for_a_sink_that_hangs(hand):
     runner.close()
 
 
-def test_every_word_of_the_catalogue_is_a_sink(tmp_path: Any) -> None:
+def test_every_word_of_the_catalogue_is_a_sink(tmp_path):
     pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
     for word in SINKS:
         sink = build_sink(f"record:{tmp_path}/a.mcap" if word == "record" else word)
         assert sink.label.startswith(word)
         sink.close()  # never opened: nothing to do
         sink.stalled(1.0)
-
-
-# --- ZeroMQ
 
 
 @pytest.fixture
@@ -342,20 +336,17 @@ def test_bad_settings(text):
         build_sink(text)
 
 
-# --- table
-
-
 def test_table_shows_joints_mode_and_latency(hand):
     panel = HandPanel("right", hand)
     console = Console(file=io.StringIO(), width=100)
     console.print(panel.table())
-    assert "no command yet" in console.file.getvalue()  # type: ignore[attr-defined]
+    assert "no command yet" in console.file.getvalue()
     for i in range(200):
         panel.see(make_tick(hand, i, at=10.0 + 0.01 * i))
     line = panel.line()
     assert "tracking, 100 Hz, latency p50 2.00 ms, p99 2.00 ms" in line
     console.print(panel.table())
-    text = console.file.getvalue()  # type: ignore[attr-defined]
+    text = console.file.getvalue()
     last = make_tick(hand, 199)
     for name, q in zip(hand.joint_names, last.command.positions, strict=True):
         (row,) = [row for row in text.splitlines() if f"│{name} " in row]

@@ -1,7 +1,5 @@
 """The documentation site builds without a warning and holds every page and public name."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os
@@ -16,19 +14,9 @@ import smooth_operator
 
 PROJECT = Path(__file__).resolve().parents[1]
 PACKAGES = [
-    "hands",
-    "human",
-    "calibration",
-    "objective",
-    "solvers",
-    "methods",
-    "metrics",
-    "synthetic",
-    "formats",
-    "teleop",
-    "lab",
-    "study",
-]
+    "hands", "human", "calibration", "objective", "solvers", "methods", "metrics", "synthetic",
+    "formats", "teleop", "lab", "study",
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +40,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_every_page_is_in_the_site(site: Path) -> None:
+def test_every_page_is_in_the_site(site):
     pages = [p.relative_to(PROJECT / "docs") for p in (PROJECT / "docs").glob("**/*.md")]
     assert len(pages) > 20
     for page in pages:
@@ -60,13 +48,13 @@ def test_every_page_is_in_the_site(site: Path) -> None:
         assert (site / name / "index.html").is_file(), page
 
 
-def test_the_site_has_a_search_index(site: Path) -> None:
+def test_the_site_has_a_search_index(site):
     index = (site / "search" / "search_index.json").read_text(encoding="utf-8")
     assert "smooth_operator.methods" in index
     assert "load_hand" in index
 
 
-def test_guides_rank_before_the_api_in_the_search(site: Path) -> None:
+def test_guides_rank_before_the_api_in_the_search(site):
     index = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))
     boosts: dict[str, set[float]] = {"how-to": set(), "reference/api": set()}
     for entry in index["docs"]:
@@ -76,7 +64,7 @@ def test_guides_rank_before_the_api_in_the_search(site: Path) -> None:
     assert min(boosts["how-to"]) > 10 * max(boosts["reference/api"])
 
 
-def test_the_site_ships_no_bytecode_and_wraps_code(site: Path) -> None:
+def test_the_site_ships_no_bytecode_and_wraps_code(site):
     assert [
         path for path in site.rglob("*") if "pycache" in path.name or path.suffix == ".pyc"
     ] == []
@@ -84,20 +72,20 @@ def test_the_site_ships_no_bytecode_and_wraps_code(site: Path) -> None:
     assert "pre-wrap" in (site / "site.css").read_text(encoding="utf-8")
 
 
-def test_the_site_loads_nothing_from_other_hosts(site: Path) -> None:
+def test_the_site_loads_nothing_from_other_hosts(site):
     loaded = re.compile(r'<(?:script|img|iframe|link rel="(?:stylesheet|preload)")[^>]*https?://')
     for page in site.glob("**/*.html"):
         assert loaded.search(page.read_text(encoding="utf-8")) is None, page
 
 
-def test_the_api_reference_has_every_public_name(site: Path) -> None:
+def test_the_api_reference_has_every_public_name(site):
     page = (site / "reference" / "api" / "smooth_operator" / "index.html").read_text("utf-8")
     documented = set(re.findall(r'id="smooth_operator\.[\w.]*?(\w+)"', page))
     assert sorted(set(smooth_operator.__all__) - documented) == []
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_each_package_has_a_page_of_its_modules(site: Path, package: str) -> None:
+def test_each_package_has_a_page_of_its_modules(site, package):
     page = (site / "reference" / "api" / package / "index.html").read_text(encoding="utf-8")
     folder = PROJECT / "src" / "smooth_operator" / package
     modules = [path.stem for path in folder.glob("*.py") if path.stem != "__init__"]

@@ -1,7 +1,5 @@
 """SLSQP on functions whose minima are known, and all its ways to stop."""
 
-from __future__ import annotations
-
 import builtins
 import time
 
@@ -138,7 +136,7 @@ def test_a_gradient_away_from_a_bound_counts():
 )
 def test_a_bad_configuration_is_refused(bad):
     with pytest.raises(ConfigError, match=next(iter(bad))):
-        SlsqpConfig(**bad)  # type: ignore[arg-type]
+        SlsqpConfig(**bad)
 
 
 @pytest.mark.parametrize("name", ["RuntimeError", "RoundoffLimited", "runtime_error"])
@@ -157,9 +155,6 @@ def test_a_line_search_that_fails_gives_the_best_so_far(name, monkeypatch):
     found = slsqp_minimise(bowl, np.full(4, 2.5), WIDE, SlsqpConfig())
     assert found.stopped_by == "rounding"
     np.testing.assert_allclose(found.x, CENTRE, atol=0.01)
-
-
-# SciPy's
 
 
 def test_scipys_finds_the_minimum_within_bounds():
@@ -195,4 +190,4 @@ def test_scipys_says_that_an_objective_is_not_finite():
 @pytest.mark.parametrize("changes", [{"tolerance": 0.0}, {"max_iterations": 0}])
 def test_scipys_settings_that_can_not_be(changes):
     with pytest.raises(ConfigError, match="tolerance > 0 and max_iterations >= 1"):
-        ScipySlsqpConfig(**changes)  # type: ignore[arg-type]
+        ScipySlsqpConfig(**changes)

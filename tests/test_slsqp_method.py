@@ -1,7 +1,5 @@
 """DexPilot, keyvector, AKO and hybrid: what each minimises, and how all of them answer."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -17,7 +15,6 @@ from smooth_operator.baselines.slsqp_method import (
     PinchLayout,
     SlsqpMethod,
     SlsqpMethodConfig,
-    TipLayout,
     TipTargets,
 )
 from smooth_operator.errors import ConfigError
@@ -32,7 +29,11 @@ METHODS = ("keyvector", "hybrid", "dexpilot", "ako")
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
 
-@pytest.fixture(scope="module", params=METHODS)
+@pytest.fixture(
+    scope="module",
+    # ``hybrid`` has the vectors of ``keyvector``
+    params=[pytest.param(m, marks=[pytest.mark.weekly] * (m == "hybrid")) for m in METHODS],
+)
 def retargeter(request, hand) -> Retargeter:
     built = Retargeter(hand, method=request.param, rate=100.0)
     built.warm_up()
@@ -46,9 +47,6 @@ def posed(hand: Hand, share: float) -> np.ndarray:
     from smooth_operator.landmarks import LANDMARKS
 
     return np.stack([at.get(name, hand.wrist) for name in LANDMARKS])
-
-
-# AKO's targets
 
 
 def ako_vectors(gaps: list[float]) -> np.ndarray:
@@ -102,9 +100,6 @@ def test_ako_refuses_a_hand_without_last_joints(hand):
     Retargeter(poor, method="dexpilot")  # asks for tips only
 
 
-# The objective behind them
-
-
 @pytest.mark.parametrize("policy", [AkoTargets(), TipTargets()])
 def test_objective_of_other_vectors_is_their_weighted_loss(hand, policy):
     objective = Objective(
@@ -126,7 +121,6 @@ def test_objective_of_other_vectors_is_their_weighted_loss(hand, policy):
     got = objective([jnp.asarray(v, jnp.float32) for v in q], goal)
     np.testing.assert_allclose(float(got), expected, rtol=1e-4)
     if isinstance(policy, TipTargets):
-        assert isinstance(layout, TipLayout)
         assert len(layout.vectors) == 5
 
 
@@ -150,9 +144,6 @@ def test_gradient_against_finite_differences(hand):
             for s in (step, -step)
         ]
         assert abs((ends[0] - ends[1]) / (2 * step) - gradient[i]) < 2e-2 * max(1, abs(gradient[i]))
-
-
-# The methods
 
 
 def test_round_trip_brings_the_tips_to_the_robots_own(hand, retargeter):
@@ -242,7 +233,8 @@ def test_both_sides(retargeter):
 @pytest.mark.shared
 @pytest.mark.parametrize(
     ("method", "cosine", "flatness"),
-    [("dexpilot", 0.9981, 6.3e-6), ("keyvector", 0.9981, 6.3e-6),
+    [("dexpilot", 0.9981, 6.3e-6),
+     pytest.param("keyvector", 0.9981, 6.3e-6, marks=pytest.mark.weekly),
      pytest.param("hybrid", 0.9981, 7.7e-6, marks=pytest.mark.weekly),
      pytest.param("ako", 0.9985, 4.6e-6, marks=pytest.mark.weekly)],
 )  # fmt: skip
@@ -263,9 +255,6 @@ def test_figures_of_our_presets_on_a_glove(shared, hand, method, cosine, flatnes
     assert alike.mean() >= cosine - 2e-4  # the figure has four places
     assert bend <= flatness
     assert (np.abs(np.diff(commands.joint_positions, axis=0)).max(axis=1) > 1e-6).mean() > 0.95
-
-
-# Newton steps before SLSQP
 
 
 @pytest.mark.parametrize("method", ["keyvector", pytest.param("hybrid", marks=pytest.mark.weekly)])

@@ -1,7 +1,5 @@
 """The parts of the method ``smooth``, one by one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import jax
@@ -12,12 +10,11 @@ import pytest
 from capsule_depths import depths, ends_of
 from trees import float64, limited_poses
 
+from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import capsule_pairs, segment_parameters
 from smooth_operator.hands.collision import owners
-from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.landmark_filter import (
     FilterState,
     LandmarkFilterConfig,
@@ -40,9 +37,6 @@ from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 
 NO_GOAL = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 0.0)
 HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")
-
-
-# Capsules
 
 
 def test_segments_are_nearest_where_a_search_says_so():
@@ -69,7 +63,6 @@ def test_capsules_are_as_deep_as_the_models_shapes(name):
     q = np.random.default_rng(1).uniform(*hand.limits.T, (150, len(hand.limits)))
     ours = np.maximum(depths(pairs, ends_of(pairs, hand, q)).max(axis=-1), 0.0)
     theirs = penetration_depths(hand, hand.full_configuration(q))
-    assert theirs is not None
     assert (theirs > 0.002).mean() > 0.1  # such poses are among them
     assert np.abs(ours - theirs).max() < (1e-9 if name == "mimic_p050" else 0.02)
     assert np.median(np.abs(ours - theirs)) < 1e-3
@@ -101,9 +94,6 @@ def _compiled_without_inertia(spec: mujoco.MjSpec) -> mujoco.MjModel:
     for body in spec.bodies[1:]:
         body.mass, body.inertia, body.explicitinertial = 0.01, [1e-5] * 3, True
     return spec.compile()
-
-
-# Self-collision
 
 
 def test_the_price_is_that_of_the_depths():
@@ -141,9 +131,6 @@ def test_thumb_and_finger_whose_tips_are_there_may_be_deeper_by_the_grip():
         price = jax.jit(lambda one: term.expand(one, no_joints, goal).cost)
         found = [price(jnp.asarray(one)) for one in ends[closed]]
     np.testing.assert_allclose(found, expected[closed], rtol=1e-6, atol=1e-9)
-
-
-# The objective
 
 
 def problem(
@@ -269,9 +256,6 @@ def test_the_cost_never_rises():
     np.testing.assert_allclose(found, 0, atol=1e-3)
 
 
-# Targets
-
-
 def targets_of(config: CloseTargets, human: np.ndarray):
     layout = config.layout(("thumb", "index", "middle"))
     return layout, config((), layout, jnp.asarray(human))[0]
@@ -321,9 +305,6 @@ def test_latches_close_near_and_open_far_and_change_no_target():
     assert [first for first, _ in seen] == [False, False, True, True, False, False]
     assert not any(second for _, second in seen)
     assert CloseTargets().latched(()) is None
-
-
-# Angle and length
 
 
 class EveryVector(DirectionLength):
@@ -402,9 +383,6 @@ def test_prices_of_angle_and_length_are_checked(bad):
 def test_target_settings_are_checked(bad):
     with pytest.raises(ConfigError):
         CloseTargets(**bad)
-
-
-# The landmark filter
 
 
 filtered = jax.jit(filter_landmarks, static_argnames="config")

@@ -1,7 +1,5 @@
 """What all live sources share, and those that need no socket: replay and the built-in operator."""
 
-from __future__ import annotations
-
 import threading
 import time
 import warnings
@@ -13,13 +11,7 @@ import numpy as np
 import pytest
 from live_time import Kept, Waits, started, until
 
-from smooth_operator.errors import (
-    ConfigError,
-    RecordingError,
-    SmoothOperatorError,
-    SourceError,
-    UnknownNameError,
-)
+from smooth_operator.errors import ConfigError, RecordingError, SourceError, UnknownNameError
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import SOURCES, build_component, build_source
@@ -34,10 +26,7 @@ def frame(stamp: float = 0.0, side: Side = "right") -> HandFrame:
     return HandFrame(np.zeros((21, 3)), stamp, side)
 
 
-# The mailbox.
-
-
-def test_a_mailbox_gives_the_newest_frame_of_each_hand_once() -> None:
+def test_a_mailbox_gives_the_newest_frame_of_each_hand_once():
     mailbox = Mailbox(lambda: 7.0)
     for stamp in (1.0, 2.0, 3.0):
         mailbox.post(frame(stamp))
@@ -49,7 +38,7 @@ def test_a_mailbox_gives_the_newest_frame_of_each_hand_once() -> None:
     assert (mailbox.received, mailbox.overwritten) == (4, 2)
 
 
-def test_a_mailbox_waits_for_the_hands_that_are_asked_for() -> None:
+def test_a_mailbox_waits_for_the_hands_that_are_asked_for():
     mailbox = Mailbox()
     mailbox.post(frame(side="left"))
     assert not mailbox.wait(("right",), 0.01)
@@ -60,7 +49,7 @@ def test_a_mailbox_waits_for_the_hands_that_are_asked_for() -> None:
     later.join()
 
 
-def test_waking_a_mailbox_ends_a_wait_or_the_next_one() -> None:
+def test_waking_a_mailbox_ends_a_wait_or_the_next_one():
     mailbox = Mailbox()
     waker = threading.Timer(0.02, mailbox.wake)
     waker.start()
@@ -73,7 +62,7 @@ def test_waking_a_mailbox_ends_a_wait_or_the_next_one() -> None:
     assert not mailbox.wait(("right",), 0.01)  # once
 
 
-def test_a_mailbox_loses_count_of_nothing_among_threads() -> None:
+def test_a_mailbox_loses_count_of_nothing_among_threads():
     mailbox, taken = Mailbox(), 0
     threads = [
         threading.Thread(target=lambda: [mailbox.post(frame()) for _ in range(200)])
@@ -85,9 +74,6 @@ def test_a_mailbox_loses_count_of_nothing_among_threads() -> None:
         taken += mailbox.take("right") is not None
     assert mailbox.received == 800
     assert taken + mailbox.overwritten == 800
-
-
-# Sources with a thread.
 
 
 @dataclass(frozen=True)
@@ -110,7 +96,7 @@ class Told(ThreadedSource):
     ("error", "detail"),
     [(SourceError("the cable is out"), "the cable is out"), (KeyError("x"), "KeyError: 'x'")],
 )
-def test_what_a_source_raises_is_its_health(error: Exception, detail: str) -> None:
+def test_what_a_source_raises_is_its_health(error, detail):
     source = Told(error)
     source.start(Mailbox())
     until(lambda: source.health().state == "failed")
@@ -118,7 +104,7 @@ def test_what_a_source_raises_is_its_health(error: Exception, detail: str) -> No
     source.stop()
 
 
-def test_a_source_can_be_asked_and_stopped_at_any_time() -> None:
+def test_a_source_can_be_asked_and_stopped_at_any_time():
     source = Told()
     assert source.health().state == "waiting"
     source.stop()
@@ -126,9 +112,6 @@ def test_a_source_can_be_asked_and_stopped_at_any_time() -> None:
     source.stop()
     source.stop()
     assert source.health().state == "ended"
-
-
-# Words with settings.
 
 
 @dataclass(frozen=True)
@@ -145,14 +128,14 @@ PARTS = Registry(
 )
 
 
-def test_a_word_with_settings_makes_its_part() -> None:
+def test_a_word_with_settings_makes_its_part():
     made = build_component(PARTS, "part:in/a=b.npz,speed=2,loop=yes,many=none,side=left")
     assert made == Part(Path("in/a=b.npz"), 2.0, True, None, "left")
     assert build_component(PARTS, "part:where=x,many=3") == Part(Path("x"), many=3)
     assert "part" in PARTS.describe()
 
 
-def test_a_class_of_ones_own_is_named_by_its_module() -> None:
+def test_a_class_of_ones_own_is_named_by_its_module():
     own = f"{__name__}:Part"
     assert build_component(PARTS, f"{own}:in/a=b.npz,speed=2") == Part(Path("in/a=b.npz"), 2.0)
     assert build_component(PARTS, f"{own},where=x,many=3") == Part(Path("x"), many=3)
@@ -184,20 +167,18 @@ def test_a_class_of_ones_own_is_named_by_its_module() -> None:
         ("part:x,side=both", ConfigError, "right or left"),
     ],
 )
-def test_a_bad_word_says_what_is_wrong(
-    text: str, error: type[SmoothOperatorError], says: str
-) -> None:
+def test_a_bad_word_says_what_is_wrong(text, error, says):
     with pytest.raises(error) as caught:
         build_component(PARTS, text)
     assert says in str(caught.value)
 
 
-def test_a_class_that_is_no_source_is_refused() -> None:
+def test_a_class_that_is_no_source_is_refused():
     with pytest.raises(ConfigError, match="can't be a source: it lacks label, start, stop, health"):
         build_source(f"{__name__}:Part:x")
 
 
-def test_the_sources_of_this_page_are_in_the_catalogue() -> None:
+def test_the_sources_of_this_page_are_in_the_catalogue():
     assert build_source("replay:glove.npz,speed=2") == Replay(Path("glove.npz"), speed=2.0)
     assert build_source("synthetic:3,side=both") == SyntheticSource(seed=3, side="both")
     for word in ("udp", "zmq", "manus", "synthetic"):
@@ -205,10 +186,7 @@ def test_the_sources_of_this_page_are_in_the_catalogue() -> None:
         assert word in SOURCES
 
 
-# Time.
-
-
-def test_deadlines_are_absolute_so_that_lateness_never_adds_up() -> None:
+def test_deadlines_are_absolute_so_that_lateness_never_adds_up():
     waits = Waits(overshoot=0.004)
     done = [
         (waits.now, late)
@@ -220,7 +198,7 @@ def test_deadlines_are_absolute_so_that_lateness_never_adds_up() -> None:
     np.testing.assert_allclose(lates, 0.004)
 
 
-def test_what_is_late_comes_at_once_and_in_order() -> None:
+def test_what_is_late_comes_at_once_and_in_order():
     waits = Waits()
     seen = []
     for _, k in on_time(((k * 0.01, k) for k in range(6)), waits.clock, waits):
@@ -230,7 +208,7 @@ def test_what_is_late_comes_at_once_and_in_order() -> None:
     assert seen == [(0, 0.0), (1, 0.01), (2, 0.035), (3, 0.035), (4, 0.04), (5, 0.05)]
 
 
-def test_time_starts_when_the_first_item_is_made() -> None:
+def test_time_starts_when_the_first_item_is_made():
     waits = Waits()
 
     def slow() -> object:
@@ -244,13 +222,10 @@ def test_time_starts_when_the_first_item_is_made() -> None:
     ]
 
 
-def test_stopping_ends_a_wait() -> None:
+def test_stopping_ends_a_wait():
     waits = Waits(until=0.255)
     due = ((k * 0.01, k) for k in range(1000))
     assert [k for _, k in on_time(due, waits.clock, waits)][-1] == 25
-
-
-# Replay.
 
 
 @pytest.fixture
@@ -266,7 +241,7 @@ def glove(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_replay_posts_each_frame_at_its_time(glove: Path) -> None:
+def test_a_replay_posts_each_frame_at_its_time(glove):
     source = Replay(glove, speed=2.0)
     source.open()
     waits = Waits(overshoot=1e-3)
@@ -280,7 +255,7 @@ def test_a_replay_posts_each_frame_at_its_time(glove: Path) -> None:
     assert running.health.state == "running"
 
 
-def test_rounds_of_a_replay_are_sessions_whose_stamps_go_on(glove: Path) -> None:
+def test_rounds_of_a_replay_are_sessions_whose_stamps_go_on(glove):
     source = Replay(glove, loop=True)
     source.open()
     running, mailbox = started(Waits(until=1.0))
@@ -292,7 +267,7 @@ def test_rounds_of_a_replay_are_sessions_whose_stamps_go_on(glove: Path) -> None
     assert np.array_equal(first.landmarks, again.landmarks)
 
 
-def test_a_replay_in_real_time_ends_by_itself(glove: Path) -> None:
+def test_a_replay_in_real_time_ends_by_itself(glove):
     source, mailbox = Replay(glove), Kept()
     source.start(mailbox)
     until(lambda: source.health().state == "ended")
@@ -302,7 +277,7 @@ def test_a_replay_in_real_time_ends_by_itself(glove: Path) -> None:
     assert received[-1] - received[0] >= 0.38 - 0.02  # never ahead of its time
 
 
-def test_a_replay_that_can_t_be_read_says_so_at_the_start(tmp_path: Path) -> None:
+def test_a_replay_that_can_t_be_read_says_so_at_the_start(tmp_path):
     with pytest.raises(RecordingError, match=r"nothing\.npz"):
         Replay(tmp_path / "nothing.npz").start(Mailbox())
     plain = tmp_path / "plain.npy"
@@ -318,7 +293,7 @@ def test_a_replay_that_can_t_be_read_says_so_at_the_start(tmp_path: Path) -> Non
         Replay(plain, speed=0.0)
 
 
-def test_a_single_pose_can_be_looped(tmp_path: Path) -> None:
+def test_a_single_pose_can_be_looped(tmp_path):
     path = tmp_path / "pose.npy"
     np.save(path, SyntheticOperator().record(0.1).landmarks[0])
     source = Replay(path, loop=True)
@@ -329,7 +304,7 @@ def test_a_single_pose_can_be_looped(tmp_path: Path) -> None:
 
 
 @pytest.mark.shared
-def test_a_real_glove_s_recording_keeps_its_rhythm(shared: Path) -> None:
+def test_a_real_glove_s_recording_keeps_its_rhythm(shared):
     source = Replay(shared / "recordings" / "manus_right_subject-000_run-010.npz")
     source.open()
     running, mailbox = started(Waits(until=3.0))
@@ -340,10 +315,7 @@ def test_a_real_glove_s_recording_keeps_its_rhythm(shared: Path) -> None:
     np.testing.assert_allclose(received - received[0], stamps - stamps[0], atol=1e-6)
 
 
-# The built-in operator.
-
-
-def test_the_built_in_operator_in_real_time_is_that_of_the_demo() -> None:
+def test_the_built_in_operator_in_real_time_is_that_of_the_demo():
     running, mailbox = started(Waits())
     SyntheticSource(seed=4, rate=60.0, duration=1.0, noise=1.0).run(running)
     recording = SyntheticOperator(seed=4, rate_hz=60.0).record(1.0)
@@ -353,7 +325,7 @@ def test_the_built_in_operator_in_real_time_is_that_of_the_demo() -> None:
     assert 0.8e-3 < off.std() < 1.2e-3
 
 
-def test_both_hands_come_by_turns_and_mirror_each_other() -> None:
+def test_both_hands_come_by_turns_and_mirror_each_other():
     running, mailbox = started(Waits(until=0.5))
     SyntheticSource(side="both", gestures="pinch_index+spread").run(running)
     right, left = ([a.frame for a in mailbox.all if a.frame.side == s] for s in ("right", "left"))
@@ -374,12 +346,9 @@ def test_both_hands_come_by_turns_and_mirror_each_other() -> None:
         ({"rate": 0.0, "duration": 1.0}, "rate"),
     ],
 )
-def test_settings_of_the_operator_are_checked(settings: dict[str, object], says: str) -> None:
+def test_settings_of_the_operator_are_checked(settings, says):
     with pytest.raises((ConfigError, UnknownNameError), match=says):
         SyntheticSource(**settings)
-
-
-# Sessions.
 
 
 @pytest.mark.parametrize(
@@ -392,9 +361,7 @@ def test_settings_of_the_operator_are_checked(settings: dict[str, object], says:
         ([5.0, 99.0, 5.1, 5.2], [0, 0, 1, 1]),
     ],
 )
-def test_stamps_that_jump_back_are_another_session(
-    stamps: list[float], sessions: list[int]
-) -> None:
+def test_stamps_that_jump_back_are_another_session(stamps, sessions):
     running, mailbox = started(Waits())
     receiver = MessageReceiver(
         running, "here", ("right",), lambda _, at: [Reading(frame(at), True)]
@@ -404,7 +371,7 @@ def test_stamps_that_jump_back_are_another_session(
     assert [a.session for a in mailbox.all] == sessions
 
 
-def test_each_hand_has_its_sessions_and_a_tracker_may_name_them() -> None:
+def test_each_hand_has_its_sessions_and_a_tracker_may_name_them():
     script: list[Reading] = [
         Reading(frame(1.0), True, "a"),
         Reading(frame(1.0, "left"), True, "a"),
@@ -420,7 +387,7 @@ def test_each_hand_has_its_sessions_and_a_tracker_may_name_them() -> None:
         ("right", 0), ("left", 0), ("right", 1), ("left", 0), ("right", 2)]  # fmt: skip
 
 
-def test_health_counts_what_could_not_be_read_and_tells_of_silence() -> None:
+def test_health_counts_what_could_not_be_read_and_tells_of_silence():
     def read(message: tuple[bytes, ...], at: float) -> list[Reading]:
         if message[0] == b"bad":
             raise RecordingError("it makes no sense")
@@ -448,7 +415,7 @@ def test_health_counts_what_could_not_be_read_and_tells_of_silence() -> None:
     assert len(mailbox.all) == 4
 
 
-def test_frames_of_the_other_hand_are_not_taken_and_that_is_said() -> None:
+def test_frames_of_the_other_hand_are_not_taken_and_that_is_said():
     running, mailbox = started(Waits())
     receiver = MessageReceiver(running, "x", ("right",), lambda _, at: [Reading(frame(at, "left"))])
     receiver.take((b"",), 0.0)
@@ -457,7 +424,7 @@ def test_frames_of_the_other_hand_are_not_taken_and_that_is_said() -> None:
     assert "other hand" in running.health.detail
 
 
-def test_overflow_in_a_source_says_nothing_on_the_terminal() -> None:
+def test_overflow_in_a_source_says_nothing_on_the_terminal():
     class Overflowing(ThreadedSource):
         label = "overflowing"
 
@@ -469,5 +436,5 @@ def test_overflow_in_a_source_says_nothing_on_the_terminal() -> None:
 
     source = Overflowing()
     source.start(Mailbox())
-    source._running.end()  # type: ignore[attr-defined]
+    source._running.end()
     assert source.health().state == "ended", source.health()

@@ -1,7 +1,5 @@
 """Spec files: round trips, mistakes, the user's own hands, and the commands that list and show."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable
@@ -75,9 +73,6 @@ def changed(old: str, new: str) -> Callable[[Path], Path]:
     return lambda folder: written(folder, TEXT.replace(old, new, 1))
 
 
-# Round trips
-
-
 def test_a_file_says_what_it_says(tmp_path):
     spec = read_hand_spec(written(tmp_path))
     assert (spec.name, spec.side, spec.palm, spec.mirror) == ("pincer", "left", "palm", False)
@@ -114,7 +109,7 @@ def test_what_is_written_is_read_back(tmp_path):
 @pytest.mark.parametrize("name", hand_names())
 def test_built_in_hands_are_read_back(tmp_path, name):
     for side in ("right", "left"):
-        spec = find_hand(name).spec(side)  # type: ignore[arg-type]
+        spec = find_hand(name).spec(side)
         write_hand_spec(spec, tmp_path / "spec.toml")
         assert read_hand_spec(tmp_path / "spec.toml") == spec
 
@@ -134,9 +129,6 @@ def test_a_file_from_windows(tmp_path):
     path = tmp_path / "w.toml"
     path.write_bytes(b"\xef\xbb\xbf" + TEXT.replace("\n", "\r\n").encode())
     assert read_hand_spec(path).name == "pincer"
-
-
-# Mistakes
 
 
 @pytest.mark.parametrize(
@@ -210,9 +202,6 @@ def test_what_can_not_be_written(tmp_path):
     assert not (tmp_path / "a.toml").exists()
 
 
-# The user's own
-
-
 def test_a_users_hand_is_found_by_name(tmp_path, folder):
     assert "pincer" not in hand_names()
     file = save_hand(pincer(tmp_path))
@@ -277,9 +266,6 @@ def test_where_the_users_folder_is(monkeypatch, tmp_path):
         assert user_hands_folder() == tmp_path / "smooth-operator" / "hands"
     monkeypatch.setattr(sys, "platform", "darwin")
     assert user_hands_folder().parts[-3:] == ("Application Support", "smooth-operator", "hands")
-
-
-# Commands
 
 
 def run(*arguments: str) -> None:
@@ -364,9 +350,6 @@ def test_help(arguments, capsys):
         run(*arguments)
     assert stop.value.code == 0
     assert "hand" in capsys.readouterr().out
-
-
-# The page
 
 
 @pytest.mark.parametrize(("name", "side"), [("schunk_svh", "left"), ("shadow_dexee", "right")])

@@ -1,7 +1,5 @@
 """Estimated capsules for links whose collision shapes can't be read."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -10,18 +8,16 @@ import numpy as np
 import pytest
 from capsule_depths import depths, ends_of
 
-from smooth_operator import Retargeter
+from smooth_operator import Retargeter, hand_names, load_hand, method_config
 from smooth_operator.cli import main
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.capsules import capsule_pairs
 from smooth_operator.hands.collision import solid_shapes
 from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec
 from smooth_operator.hands.penetration import penetration_depths
-from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.hands.stand_ins import stand_in_links, stand_in_note, stand_ins
 from smooth_operator.lab.discovery import discover
 from smooth_operator.lab.validation.joints import check_shapes
-from smooth_operator.methods.presets import method_config
 
 _GEOM = re.compile(r"<geom name=\"(\w+)\"[^>]*/>")
 _INERTIA = '<inertial pos="0 0 0" mass="0.01" diaginertia="1e-5 1e-5 1e-5"/>'
@@ -59,7 +55,6 @@ def test_a_hand_without_shapes_is_kept_clear_nearly_as_with_them(name, tmp_path)
     assert (pairs.shapes == -1).all()
     q = np.random.default_rng(3).uniform(*real.limits.T, (600, len(real.limits)))
     truth = penetration_depths(real, real.full_configuration(q))
-    assert truth is not None
     ours = np.maximum(depths(pairs, ends_of(pairs, bare, q)).max(axis=-1), 0.0)
     deep, clear = truth > 0.008, truth == 0
     assert deep.sum() > 15

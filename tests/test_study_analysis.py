@@ -1,7 +1,5 @@
 """The analysis as a whole: what it holds, and that what can't be known is refused or flagged."""
 
-from __future__ import annotations
-
 import json
 import math
 import random
@@ -57,7 +55,7 @@ def failed(rows: list[Row], **where: object) -> list[Row]:
     return altered(rows, where, score=0, time_s="")
 
 
-def test_the_layout_is_the_one_that_is_promised(analysis: Analysis) -> None:
+def test_the_layout_is_the_one_that_is_promised(analysis):
     content = json.loads(json.dumps(analysis.to_json(), allow_nan=False))
     names = ["dexpilot", "geort", "hybrid", "sbr"]
     for mode in MODES:
@@ -99,7 +97,7 @@ def test_the_layout_is_the_one_that_is_promised(analysis: Analysis) -> None:
     assert content["operator_variance"]["success"]["A"]["sbr"]["operators"] == 12
 
 
-def test_modes_differ_where_they_should(analysis: Analysis) -> None:
+def test_modes_differ_where_they_should(analysis):
     small, paper = (analysis.results[mode] for mode in MODES)
     for outcome in OUTCOMES:
         for scope in analysis.scopes:
@@ -116,7 +114,7 @@ def test_modes_differ_where_they_should(analysis: Analysis) -> None:
     assert small["success"]["A"].emm["sbr"].df == small["success"]["A"].operators - 1
 
 
-def test_the_baseline_can_be_another(case: Case, tmp_path: Path) -> None:
+def test_the_baseline_can_be_another(case, tmp_path):
     data = load(tmp_path, case.trials)
     found = analyze_study(data, "sbr").results["small-sample"]["time"]["pooled"]
     assert list(found.dunnett) == ["dexpilot", "geort", "hybrid"]
@@ -125,7 +123,7 @@ def test_the_baseline_can_be_another(case: Case, tmp_path: Path) -> None:
         analyze_study(data, "dexpilo")
 
 
-def test_one_operator_or_retargeter_is_refused(case: Case, tmp_path: Path) -> None:
+def test_one_operator_or_retargeter_is_refused(case, tmp_path):
     alone = [row for row in case.trials if row["operator"] == "P00"]
     with pytest.raises(StudyError, match="one operator, P00"):
         analyze_study(load(tmp_path, alone))
@@ -134,19 +132,19 @@ def test_one_operator_or_retargeter_is_refused(case: Case, tmp_path: Path) -> No
         analyze_study(load(tmp_path, only))
 
 
-def test_a_task_of_one_operator_is_refused_alone(case: Case, tmp_path: Path) -> None:
+def test_a_task_of_one_operator_is_refused_alone(case, tmp_path):
     trials = [row for row in case.trials if row["task"] != "B" or row["operator"] == "P00"]
     found = analyze_study(load(tmp_path, trials)).results["small-sample"]
     for outcome in ("success", "time"):
-        refused = found[outcome]["B"]  # type: ignore[index]
+        refused = found[outcome]["B"]
         assert "one operator (P00)" in (refused.refused or "")
         assert not refused.emm
         assert refused.observed["sbr"]["n"] > 0
-        assert found[outcome]["A"].refused is None  # type: ignore[index]
+        assert found[outcome]["A"].refused is None
     assert "no questionnaires" in (found["tlx"]["pooled"].refused or "")
 
 
-def test_a_retargeter_that_never_succeeds_leaves_the_others(case: Case, tmp_path: Path) -> None:
+def test_a_retargeter_that_never_succeeds_leaves_the_others(case, tmp_path):
     """Its own row is exact; everything else is as if it had not taken part."""
     found = analyze_study(load(tmp_path, failed(case.trials, retargeter="geort")))
     others = analyze_study(load(tmp_path, without(case.trials, retargeter="geort"))).results
@@ -178,9 +176,7 @@ def test_a_retargeter_that_never_succeeds_leaves_the_others(case: Case, tmp_path
     assert geort["against"]["sbr"]["p_dunnett"] is None
 
 
-def test_two_retargeters_of_which_one_never_succeeds_are_compared(
-    case: Case, tmp_path: Path
-) -> None:
+def test_two_retargeters_of_which_one_never_succeeds_are_compared(case, tmp_path):
     two = [row for row in case.trials if row["retargeter"] in ("dexpilot", "sbr")]
     found = analyze_study(load(tmp_path, failed(two, retargeter="dexpilot"))).results
     result = found["small-sample"]["success"]["pooled"]
@@ -197,9 +193,7 @@ def test_two_retargeters_of_which_one_never_succeeds_are_compared(
     assert result.separated["sbr"].against["dexpilot"].difference == 1
 
 
-def test_separation_in_one_task_is_left_out_there_and_flagged_pooled(
-    case: Case, tmp_path: Path
-) -> None:
+def test_separation_in_one_task_is_left_out_there_and_flagged_pooled(case, tmp_path):
     trials = failed(case.trials, retargeter="geort", task="B")
     found = analyze_study(load(tmp_path, trials)).results["small-sample"]["success"]
     assert list(found["B"].separated) == ["geort"]
@@ -208,7 +202,7 @@ def test_separation_in_one_task_is_left_out_there_and_flagged_pooled(
     assert any("geort in task B has 0 successes" in text for text in found["pooled"].warnings)
 
 
-def test_separation_by_the_trial_is_found(case: Case, tmp_path: Path) -> None:
+def test_separation_by_the_trial_is_found(case, tmp_path):
     """Every level has both outcomes, but the index of the trial tells them apart."""
     trials: list[Row] = []
     for row in case.trials:
@@ -219,7 +213,7 @@ def test_separation_by_the_trial_is_found(case: Case, tmp_path: Path) -> None:
     assert "separation: a combination of" in (found.refused or "")
 
 
-def test_constant_outcomes_are_refused(case: Case, tmp_path: Path) -> None:
+def test_constant_outcomes_are_refused(case, tmp_path):
     trials = [row | {"score": 1, "time_s": "20"} for row in case.trials]
     tlx = [row | dict.fromkeys(ITEMS, 50) for row in case.tlx]
     found = analyze_study(load(tmp_path, trials, tlx)).results
@@ -229,7 +223,7 @@ def test_constant_outcomes_are_refused(case: Case, tmp_path: Path) -> None:
             assert not found[mode][outcome]["pooled"].coefficients
 
 
-def test_a_baseline_without_rows_leaves_the_pairs(case: Case, tmp_path: Path) -> None:
+def test_a_baseline_without_rows_leaves_the_pairs(case, tmp_path):
     trials = without(case.trials, retargeter="dexpilot", task="B")
     found = analyze_study(load(tmp_path, trials)).results["small-sample"]["success"]["B"]
     assert found.refused is None
@@ -238,7 +232,7 @@ def test_a_baseline_without_rows_leaves_the_pairs(case: Case, tmp_path: Path) ->
     assert any("nothing is compared with it" in text for text in found.warnings)
 
 
-def test_missing_times_and_answers_are_flagged(case: Case, tmp_path: Path) -> None:
+def test_missing_times_and_answers_are_flagged(case, tmp_path):
     won = [row for row in case.trials if row["score"] and row["task"] == "A"][:3]
     trials = [row | {"time_s": "nan"} if row in won else row for row in case.trials]
     tlx = [dict(row) for row in case.tlx]
@@ -251,14 +245,14 @@ def test_missing_times_and_answers_are_flagged(case: Case, tmp_path: Path) -> No
     assert any("answer missing" in text for text in found["tlx"]["pooled"].warnings)
 
 
-def test_tasks_that_tell_the_retargeter_are_refused(case: Case, tmp_path: Path) -> None:
+def test_tasks_that_tell_the_retargeter_are_refused(case, tmp_path):
     trials = [row for row in case.trials if (row["task"] == "B") == (row["retargeter"] == "sbr")]
     trials = [row for row in trials if row["task"] in "AB"]
     found = analyze_study(load(tmp_path, trials)).results["small-sample"]["success"]
     assert "taskB: not independent of the other terms" in (found["pooled"].refused or "")
 
 
-def test_singular_fits_and_few_operators_are_flagged(tmp_path: Path) -> None:
+def test_singular_fits_and_few_operators_are_flagged(tmp_path):
     case = simulate(5, alternate=True, spread=0.0, effect=0.0, operators=range(6))
     found = analyze_study(load(tmp_path, case.trials, case.tlx)).results["small-sample"]
     singular = [r for scopes in found.values() for r in scopes.values() if r.model.get("singular")]
@@ -267,7 +261,7 @@ def test_singular_fits_and_few_operators_are_flagged(tmp_path: Path) -> None:
     assert any("only 6 operators" in text for text in found["tlx"]["pooled"].warnings)
 
 
-def test_as_many_coefficients_as_operators_is_flagged(case: Case, tmp_path: Path) -> None:
+def test_as_many_coefficients_as_operators_is_flagged(case, tmp_path):
     few = [
         row for row in case.trials
         if row["operator"] in ("P00", "P01", "P02") and row["task"] == "A"
@@ -280,7 +274,7 @@ def test_as_many_coefficients_as_operators_is_flagged(case: Case, tmp_path: Path
 
 
 @pytest.mark.parametrize("seed", [1, 2, 5])
-def test_damaged_studies_never_give_a_silent_number(seed: int, tmp_path: Path) -> None:
+def test_damaged_studies_never_give_a_silent_number(seed, tmp_path):
     """Rows, cells and operators go at random: every figure is finite, or refused with a reason."""
     draw = random.Random(seed)
     case = simulate(seed, operators=range(draw.choice([2, 3, 5])), effect=draw.choice([0.0, 1.5]))
@@ -304,7 +298,7 @@ def test_damaged_studies_never_give_a_silent_number(seed: int, tmp_path: Path) -
                         assert entry.df > 0, where
 
 
-def test_the_methods_paragraph_has_the_numbers_and_every_citation(analysis: Analysis) -> None:
+def test_the_methods_paragraph_has_the_numbers_and_every_citation(analysis):
     text = methods_paragraph(analysis)
     assert "12 operators took part" in text
     assert "All 6 pairs" in text
@@ -314,7 +308,7 @@ def test_the_methods_paragraph_has_the_numbers_and_every_citation(analysis: Anal
     assert "exact" not in text  # contrasts have degrees of freedom of their own
 
 
-def test_the_methods_paragraph_claims_nothing_that_was_refused(tmp_path: Path) -> None:
+def test_the_methods_paragraph_claims_nothing_that_was_refused(tmp_path):
     won = [
         {**row, "score": 1, "time_s": 20 + 7919 * k % 13}
         for k, row in enumerate(simulate(3, operators=range(4), retargeters=FOUR[:2]).trials)

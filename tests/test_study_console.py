@@ -1,7 +1,5 @@
 """The console of a study without a browser: what was acknowledged is stored, and stored once."""
 
-from __future__ import annotations
-
 import contextlib
 import http
 import json
@@ -63,7 +61,6 @@ def walk(service: SessionService, store: StudyStore, until: str, operator: str =
         if progress.step.what == until:
             return
         asked = due_command(progress)
-        assert asked is not None
         service.carry_out(asked, "operator" if asked.do == "answer" else "experimenter")
     raise AssertionError("no end")
 
@@ -72,10 +69,7 @@ def kinds(store: StudyStore, operator: str = "P01") -> list[str]:
     return [record.event.kind for record in store.records(operator)]
 
 
-# -- commands ---------------------------------------------------------------------------------
-
-
-def test_every_command_that_is_sent_twice_is_done_once(store: StudyStore) -> None:
+def test_every_command_that_is_sent_twice_is_done_once(store):
     service = SessionService(store, operator="P01")
     sent = []
     while (asked := due_command(store.progress("P01"))) is not None:
@@ -91,7 +85,7 @@ def test_every_command_that_is_sent_twice_is_done_once(store: StudyStore) -> Non
     assert store.progress("P01").step.what == "done"
 
 
-def test_a_token_of_another_command_is_refused(store: StudyStore) -> None:
+def test_a_token_of_another_command_is_refused(store):
     service = SessionService(store, operator="P01")
     first = command(store.progress("P01"), "calibrated")
     service.carry_out(first, "experimenter")
@@ -101,7 +95,7 @@ def test_a_token_of_another_command_is_refused(store: StudyStore) -> None:
     assert kinds(store) == ["calibrated"]
 
 
-def test_of_two_tabs_that_do_the_same_one_is_refused(tmp_path: Path) -> None:
+def test_of_two_tabs_that_do_the_same_one_is_refused(tmp_path):
     with open_study(tmp_path, console_plan(resets=2)) as store:
         service = SessionService(store, operator="P01")
         walk(service, store, "start_trial")
@@ -115,7 +109,7 @@ def test_of_two_tabs_that_do_the_same_one_is_refused(tmp_path: Path) -> None:
         assert (trial.line, trial.resets, trial.void) == ("done", 1, None)
 
 
-def test_a_note_never_stands_in_the_way(store: StudyStore) -> None:
+def test_a_note_never_stands_in_the_way(store):
     service = SessionService(store, operator="P01")
     seen = store.progress("P01")
     service.carry_out(command(seen, "note", text="left hand is cold"), "experimenter")
@@ -124,7 +118,7 @@ def test_a_note_never_stands_in_the_way(store: StudyStore) -> None:
     assert kinds(store) == ["noted", "calibrated", "noted"]
 
 
-def test_a_command_for_somebody_who_is_not_on_is_refused(store: StudyStore) -> None:
+def test_a_command_for_somebody_who_is_not_on_is_refused(store):
     service = SessionService(store, operator="P02")
     with pytest.raises(StudyError, match="for operator P01, but operator P02 is on"):
         service.carry_out(command(store.progress("P01"), "calibrated"), "experimenter")
@@ -143,12 +137,12 @@ def test_a_command_for_somebody_who_is_not_on_is_refused(store: StudyStore) -> N
         ({"token": "x" * 16, "do": "note", "waited_s": float("nan")}, "waited_s"),
     ],
 )
-def test_what_is_no_command_is_refused(said: dict[str, Any], why: str) -> None:
+def test_what_is_no_command_is_refused(said, why):
     with pytest.raises(StudyError, match=why):
         command_of(said, "experimenter")
 
 
-def test_the_operators_page_answers_and_nothing_else(store: StudyStore) -> None:
+def test_the_operators_page_answers_and_nothing_else(store):
     for do in ("start_trial", "undo", "choose", "note"):
         with pytest.raises(StudyError, match="may not"):
             command_of({"token": "x" * 16, "do": do, "operator": "P01"}, "operator")
@@ -159,10 +153,7 @@ def test_the_operators_page_answers_and_nothing_else(store: StudyStore) -> None:
     assert store.records("P01")[-1].author == "operator"
 
 
-# -- time -------------------------------------------------------------------------------------
-
-
-def test_a_trial_ends_when_its_clock_was_stopped(store: StudyStore) -> None:
+def test_a_trial_ends_when_its_clock_was_stopped(store):
     service = SessionService(store, operator="P01")
     walk(service, store, "trial")
     started = store.progress("P01").step.since
@@ -177,7 +168,7 @@ def test_a_trial_ends_when_its_clock_was_stopped(store: StudyStore) -> None:
 
 
 @pytest.mark.parametrize("step", [-600.0, 0.0, 3600.0])
-def test_a_clock_that_is_set_changes_no_trial(store: StudyStore, step: float) -> None:
+def test_a_clock_that_is_set_changes_no_trial(store, step):
     day, steady = 1_700_000_000.0, 5_000.0
     store.clock = Clock(lambda: day, lambda: steady)
     service = SessionService(store, operator="P01")
@@ -189,7 +180,7 @@ def test_a_clock_that_is_set_changes_no_trial(store: StudyStore, step: float) ->
     assert progress.records[-1].at - progress.trials[-1].started == timedelta(seconds=12.5)
 
 
-def test_a_score_that_is_undone_keeps_its_time(store: StudyStore) -> None:
+def test_a_score_that_is_undone_keeps_its_time(store):
     service = SessionService(store, operator="P01")
     walk(service, store, "trial")
     service.carry_out(command(store.progress("P01"), "score", line="failed"), "experimenter")
@@ -206,7 +197,7 @@ def test_a_score_that_is_undone_keeps_its_time(store: StudyStore) -> None:
     assert "wrong key" in log[1]["text"]
 
 
-def test_after_a_reset_lines_above_the_cap_are_off(store: StudyStore) -> None:
+def test_after_a_reset_lines_above_the_cap_are_off(store):
     service = SessionService(store, operator="P01")
     walk(service, store, "trial")
     assert [line["possible"] for line in service.look()[0]["now"]["rubric"]] == [True] * 3
@@ -216,7 +207,7 @@ def test_after_a_reset_lines_above_the_cap_are_off(store: StudyStore) -> None:
     assert now["resets_left"] == 0
 
 
-def test_free_movement_ends_by_itself_and_once(tmp_path: Path) -> None:
+def test_free_movement_ends_by_itself_and_once(tmp_path):
     with open_study(tmp_path, console_plan(seconds=0.3)) as store:
         service = SessionService(store, operator="P01")
         walk(service, store, "familiarise")
@@ -231,10 +222,7 @@ def test_free_movement_ends_by_itself_and_once(tmp_path: Path) -> None:
         assert store.progress("P01").step.what == "familiarise"
 
 
-# -- who is on --------------------------------------------------------------------------------
-
-
-def test_a_restarted_console_is_on_whoever_was(store: StudyStore) -> None:
+def test_a_restarted_console_is_on_whoever_was(store):
     assert SessionService(store).operator is None
     walk(SessionService(store, operator="P01"), store, "trial")
     walk(SessionService(store, operator="P02"), store, "start_block", "P02")
@@ -244,7 +232,7 @@ def test_a_restarted_console_is_on_whoever_was(store: StudyStore) -> None:
         SessionService(store, operator="P99")
 
 
-def test_enrolling_on_the_page_is_stored_and_kept(store: StudyStore) -> None:
+def test_enrolling_on_the_page_is_stored_and_kept(store):
     plans: list[Plan] = []
     service = SessionService(store, operator="P01", enrolled=plans.append)
     enrol = command_of(
@@ -258,10 +246,7 @@ def test_enrolling_on_the_page_is_stored_and_kept(store: StudyStore) -> None:
     assert service.operator == "P03"
 
 
-# -- the teleoperation ------------------------------------------------------------------------
-
-
-def test_each_block_switches_the_hand(store: StudyStore) -> None:
+def test_each_block_switches_the_hand(store):
     teleop = FakeTeleop()
     service = SessionService(store, operator="P01", teleop=teleop)
     walk(service, store, "done")
@@ -270,7 +255,7 @@ def test_each_block_switches_the_hand(store: StudyStore) -> None:
     assert teleop.switched == [known[block.condition.method] for block in blocks]
 
 
-def test_the_hand_goes_at_the_rate_of_the_plan(tmp_path: Path) -> None:
+def test_the_hand_goes_at_the_rate_of_the_plan(tmp_path):
     class Paced(FakeTeleop):
         rate = 100.0
 
@@ -293,7 +278,7 @@ def test_the_hand_goes_at_the_rate_of_the_plan(tmp_path: Path) -> None:
         assert service.look()[0]["study"]["rate_hz"] == 30.0
 
 
-def test_no_block_starts_on_a_hand_that_was_not_switched(store: StudyStore) -> None:
+def test_no_block_starts_on_a_hand_that_was_not_switched(store):
     teleop, said = FakeTeleop(), []
     service = SessionService(store, operator="P01", teleop=teleop, blind=True, report=said.append)
     walk(service, store, "start_block")
@@ -311,12 +296,11 @@ def test_no_block_starts_on_a_hand_that_was_not_switched(store: StudyStore) -> N
     assert service.look()[0]["teleop"]["state"] == "ready"
 
 
-def test_a_hand_that_was_started_again_is_put_back_on_its_method(store: StudyStore) -> None:
+def test_a_hand_that_was_started_again_is_put_back_on_its_method(store):
     teleop = FakeTeleop()
     service = SessionService(store, operator="P01", teleop=teleop)
     walk(service, store, "trial")
     block = store.progress("P01").begun
-    assert block is not None
     teleop.gone = True
     service.watch()
     assert service.look()[0]["teleop"]["state"] == "gone"
@@ -335,7 +319,7 @@ def test_a_hand_that_was_started_again_is_put_back_on_its_method(store: StudySto
     assert teleop.method == block.condition.method
 
 
-def test_no_trial_starts_while_the_hand_is_gone(store: StudyStore) -> None:
+def test_no_trial_starts_while_the_hand_is_gone(store):
     teleop = FakeTeleop()
     service = SessionService(store, operator="P01", teleop=teleop)
     walk(service, store, "start_trial")
@@ -345,7 +329,7 @@ def test_no_trial_starts_while_the_hand_is_gone(store: StudyStore) -> None:
     assert store.progress("P01").step.what == "start_trial"
 
 
-def test_a_calibration_is_loaded_and_loaded_again(store: StudyStore, tmp_path: Path) -> None:
+def test_a_calibration_is_loaded_and_loaded_again(store, tmp_path):
     class Calibrated(FakeTeleop):
         source = None
 
@@ -374,14 +358,13 @@ def test_a_calibration_is_loaded_and_loaded_again(store: StudyStore, tmp_path: P
     assert teleop.source == str(file)
 
 
-def test_trials_of_a_simulation_go_with_those_of_the_protocol(store: StudyStore) -> None:
+def test_trials_of_a_simulation_go_with_those_of_the_protocol(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P01", teleop=simulation, blind=True)
 
     def proposed() -> dict[str, Any]:
         service.watch()
-        proposal: dict[str, Any] = service.look()[0]["teleop"]["trial"]
-        return proposal
+        return service.look()[0]["teleop"]["trial"]
 
     walk(service, store, "start_trial")
     assert simulation.task == "card"  # the scene of the block's task
@@ -407,7 +390,7 @@ def test_trials_of_a_simulation_go_with_those_of_the_protocol(store: StudyStore)
     assert store.progress("P01").trials[-1].time_s != 30.0
 
 
-def test_a_simulated_trial_is_not_taken_for_another(store: StudyStore) -> None:
+def test_a_simulated_trial_is_not_taken_for_another(store):
     simulation = FakeSimulation()
     # The console had no teleoperation then.
     walk(SessionService(store, operator="P01"), store, "trial")
@@ -420,10 +403,7 @@ def test_a_simulated_trial_is_not_taken_for_another(store: StudyStore) -> None:
     assert store.progress("P01").trials[-1].time_s != 3.0
 
 
-# -- what is shown ----------------------------------------------------------------------------
-
-
-def test_no_page_that_is_blind_knows_a_condition(store: StudyStore) -> None:
+def test_no_page_that_is_blind_knows_a_condition(store):
     service = SessionService(store, operator="P01", blind=True, teleop=FakeTeleop())
     for _ in range(100):
         experimenter, operator = (json.dumps(view) for view in service.look())
@@ -439,7 +419,7 @@ def test_no_page_that_is_blind_knows_a_condition(store: StudyStore) -> None:
     assert "secret" not in json.dumps(SessionService(store, operator="P01").look()[1])
 
 
-def test_the_pages_need_nothing_from_elsewhere() -> None:
+def test_the_pages_need_nothing_from_elsewhere():
     folder = resources.files("smooth_operator.study.console") / "page"
     texts = {f.name: f.read_text("utf-8") for f in folder.iterdir()}
     for name, text in texts.items():
@@ -451,16 +431,13 @@ def test_the_pages_need_nothing_from_elsewhere() -> None:
         )
 
 
-# -- the store fails --------------------------------------------------------------------------
-
-
 def full(store: StudyStore, pages: int) -> None:
     """As a disk that has no room left."""
     with store.reading() as connection:
         connection.execute(f"PRAGMA max_page_count={pages}")
 
 
-def test_on_a_full_disk_nothing_is_acknowledged(store: StudyStore) -> None:
+def test_on_a_full_disk_nothing_is_acknowledged(store):
     service = SessionService(store, operator="P01")
     walk(service, store, "trial")
     full(store, 1)
@@ -473,7 +450,7 @@ def test_on_a_full_disk_nothing_is_acknowledged(store: StudyStore) -> None:
     assert kinds(store).count("noted") == 1
 
 
-def test_a_database_that_is_gone_is_told(store: StudyStore, tmp_path: Path) -> None:
+def test_a_database_that_is_gone_is_told(store, tmp_path):
     service = SessionService(store, operator="P01")
     asked = command(store.progress("P01"), "calibrated")
     (tmp_path / "study.db").rename(tmp_path / "elsewhere.db")
@@ -486,7 +463,7 @@ def test_a_database_that_is_gone_is_told(store: StudyStore, tmp_path: Path) -> N
         service.look()
 
 
-def test_pages_say_that_the_store_fails_and_come_back(store: StudyStore, tmp_path: Path) -> None:
+def test_pages_say_that_the_store_fails_and_come_back(store, tmp_path):
     service = SessionService(store, operator="P01")
     with served(service) as port:
         tab = Tab(port)
@@ -504,10 +481,7 @@ def test_pages_say_that_the_store_fails_and_come_back(store: StudyStore, tmp_pat
     assert kinds(store) == ["calibrated"]
 
 
-# -- the server -------------------------------------------------------------------------------
-
-
-def test_two_tabs_and_a_tablet_see_what_happens(store: StudyStore) -> None:
+def test_two_tabs_and_a_tablet_see_what_happens(store):
     with served(SessionService(store, operator="P01")) as port:
         one, other, tablet = Tab(port), Tab(port), Tab(port, "operator")
         one.until(lambda s: s["pages"] == {"experimenter": 2, "operator": 1})
@@ -531,7 +505,7 @@ def test_two_tabs_and_a_tablet_see_what_happens(store: StudyStore) -> None:
             tab.close()
 
 
-def test_what_another_program_writes_is_shown(store: StudyStore, tmp_path: Path) -> None:
+def test_what_another_program_writes_is_shown(store, tmp_path):
     with served(SessionService(store, operator="P01")) as port:
         tab = Tab(port)
         tab.until(lambda s: s["now"]["what"] == "calibrate")
@@ -541,7 +515,7 @@ def test_what_another_program_writes_is_shown(store: StudyStore, tmp_path: Path)
         tab.close()
 
 
-def test_nonsense_on_the_socket_does_no_harm(store: StudyStore) -> None:
+def test_nonsense_on_the_socket_does_no_harm(store):
     with served(SessionService(store, operator="P01")) as port:
         tab = Tab(port)
         for text in ("", "[]", "{", "[" * 100_000, json.dumps({"type": "hello", "operator": 5})):
@@ -561,12 +535,9 @@ def upgrade(**more: str) -> dict[str, str]:
             "Sec-WebSocket-Version": "13", **more}  # fmt: skip
 
 
-def test_the_operators_link_opens_the_operators_page_alone(
-    store: StudyStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_operators_link_opens_the_operators_page_alone(store, tmp_path, monkeypatch):
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path / "cache"))
     auth = auth_for("0.0.0.0", "console")
-    assert auth.tokens is not None
     assert auth.tokens == auth_for("0.0.0.0", "console").tokens  # after a restart, too
     assert auth.tokens != auth_for("0.0.0.0", "another").tokens
     tokens = auth.tokens
@@ -608,7 +579,7 @@ def test_the_operators_link_opens_the_operators_page_alone(
         assert status("/link", **upgrade(Cookie=cookie, **elsewhere)) == 403
 
 
-def test_an_operators_link_takes_no_experimenters_place(store: StudyStore) -> None:
+def test_an_operators_link_takes_no_experimenters_place(store):
     auth = ConsoleAuth({"experimenter": "e" * 24, "operator": "o" * 24})
     with contextlib.ExitStack() as stack:
         port = stack.enter_context(served(SessionService(store, operator="P01"), auth))
@@ -631,7 +602,7 @@ def test_an_operators_link_takes_no_experimenters_place(store: StudyStore) -> No
         eventually(lambda: fetch(port, "/operator/link?token=" + "o" * 24, **upgrade())[0] == 101)
 
 
-def test_on_this_machine_other_pages_are_kept_out(store: StudyStore) -> None:
+def test_on_this_machine_other_pages_are_kept_out(store):
     with served(SessionService(store, operator="P01"), ConsoleAuth(None)) as port:
         status, headers, body = fetch(port, "/")
         assert status == http.HTTPStatus.OK
@@ -646,7 +617,7 @@ def test_on_this_machine_other_pages_are_kept_out(store: StudyStore) -> None:
         assert fetch(port, "/link", **upgrade(Origin="https://elsewhere.example"))[0] == 403
 
 
-def test_a_tablet_can_read_the_code(tmp_path: Path) -> None:
+def test_a_tablet_can_read_the_code(tmp_path):
     cv2 = opencv_or_skip()
     np = pytest.importorskip("numpy")
     text = "http://192.168.17.105:8765/operator?token=" + "aB3-_xYz" * 3
@@ -670,12 +641,9 @@ def test_a_tablet_can_read_the_code(tmp_path: Path) -> None:
     assert cv2.QRCodeDetector().detectAndDecode(picture)[0] == text
 
 
-# -- the command ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("how", ["SIGINT", "SIGHUP"])
+@pytest.mark.parametrize("how", [pytest.param("SIGINT", marks=pytest.mark.weekly), "SIGHUP"])
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
-def test_the_command_serves_and_ends_on_a_signal(tmp_path: Path, how: str) -> None:
+def test_the_command_serves_and_ends_on_a_signal(tmp_path, how):
     folder = tmp_path / "study"
     folder.mkdir()
     write_plan_files(console_plan(), folder)
@@ -691,7 +659,7 @@ def test_the_command_serves_and_ends_on_a_signal(tmp_path: Path, how: str) -> No
     assert "P07" in (folder / "schedule.csv").read_text()
 
 
-def test_what_can_not_be_run_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_can_not_be_run_is_told(tmp_path, capsys):
     complaint: Callable[[], str] = lambda: capsys.readouterr().err  # noqa: E731
     assert main(["study", "run", str(tmp_path), "--port", "0"]) == 2
     assert "study new" in complaint()
@@ -702,7 +670,7 @@ def test_what_can_not_be_run_is_told(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "can't listen" in complaint()
 
 
-def test_a_look_that_fails_takes_no_answer_with_it(store: StudyStore) -> None:
+def test_a_look_that_fails_takes_no_answer_with_it(store):
     """A page that never hears of its command would wait for it, with all buttons off."""
     service = SessionService(store, operator="P01")
     look, broken = service.look, threading.Event()
@@ -712,7 +680,7 @@ def test_a_look_that_fails_takes_no_answer_with_it(store: StudyStore) -> None:
             raise RuntimeError("a fault")
         return look()
 
-    service.look = failing  # type: ignore[method-assign]
+    service.look = failing
     with served(service) as port:
         tab = Tab(port)
         tab.until(lambda state: state["now"])
@@ -726,7 +694,7 @@ def test_a_look_that_fails_takes_no_answer_with_it(store: StudyStore) -> None:
         tab.close()
 
 
-def test_what_comes_late_does_not_replace_what_is_newer(store: StudyStore) -> None:
+def test_what_comes_late_does_not_replace_what_is_newer(store):
     """A page that went back to an earlier step would take keys for what is over."""
     service = SessionService(store, operator="P01")
     look = service.look
@@ -739,7 +707,7 @@ def test_what_comes_late_does_not_replace_what_is_newer(store: StudyStore) -> No
             assert gate.wait(PATIENCE_S)
         return found
 
-    service.look = slow  # type: ignore[method-assign]
+    service.look = slow
     with served(service) as port:
         tab = Tab(port)
         tab.until(lambda state: state["now"])

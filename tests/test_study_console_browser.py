@@ -1,7 +1,5 @@
 """A block in a real browser: experimenter and operator, while the server is killed twice."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from dataclasses import replace
@@ -11,14 +9,7 @@ from urllib.parse import urlsplit
 
 import pytest
 from fake_teleop import FakeSimulation
-from study_console import (
-    PATIENCE_S,
-    ConsoleProcess,
-    console_plan,
-    due_command,
-    ratings,
-    served,
-)
+from study_console import PATIENCE_S, ConsoleProcess, console_plan, due_command, ratings, served
 
 from smooth_operator.study.console.server import ConsoleAuth
 from smooth_operator.study.console.session_service import SessionService
@@ -31,7 +22,7 @@ from smooth_operator.web.browser import leading_to
 
 pytest.importorskip("segno", reason="the extra study is not installed")
 
-TRIALS = 10
+TRIALS = 6
 PATIENCE_MS = 1e3 * PATIENCE_S
 LINES = ("done", "nearly", "failed")
 
@@ -94,7 +85,7 @@ def mark(operator: Any, marks: dict[str, int]) -> None:
 
 
 @pytest.mark.browser
-def test_a_block_while_the_server_is_killed(chromium: Any, tmp_path: Path) -> None:
+def test_a_block_while_the_server_is_killed(chromium, tmp_path):
     folder = tmp_path / "study"
     folder.mkdir()
     write_plan_files(console_plan(TRIALS, seconds=1.0), folder)
@@ -111,7 +102,7 @@ def test_a_block_while_the_server_is_killed(chromium: Any, tmp_path: Path) -> No
         pages.press(" ", "space")
         pages.step("Free movement")
         pages.press(" ", "space")  # ends by itself
-        points = {1: "initial", 5: "midpoint", 10: "final"}
+        points = {1: "initial", 3: "midpoint", TRIALS: "final"}
         for trial in range(1, TRIALS + 1):
             pages.step(f"Trial {trial} of {TRIALS}")
             pages.press(" ", "space")
@@ -142,7 +133,7 @@ def test_a_block_while_the_server_is_killed(chromium: Any, tmp_path: Path) -> No
             operator.get_by_role("heading", name="How was it?").wait_for()
             marks = ratings(trial)
             send = operator.get_by_role("button", name="Send my answers")
-            if trial == 5:  # killed with the questionnaire half filled in
+            if trial == 3:  # killed with the questionnaire half filled in
                 mark(operator, dict(list(marks.items())[:3]))
                 console.kill()
                 pages.cut_off()
@@ -169,7 +160,7 @@ def test_a_block_while_the_server_is_killed(chromium: Any, tmp_path: Path) -> No
 
 
 @pytest.mark.browser
-def test_two_tabs_keep_what_both_could_not_send(chromium: Any, tmp_path: Path) -> None:
+def test_two_tabs_keep_what_both_could_not_send(chromium, tmp_path):
     folder = tmp_path / "study"
     folder.mkdir()
     write_plan_files(console_plan(), folder)
@@ -224,19 +215,18 @@ def check_store(folder: Path) -> None:
         answered = progress.events(QuestionnaireAnswered)
         assert [(q.point, dict(q.ratings)) for _, q in answered] == [
             (point, ratings(trial))
-            for trial, point in ((1, "initial"), (5, "midpoint"), (10, "final"))
+            for trial, point in ((1, "initial"), (3, "midpoint"), (TRIALS, "final"))
         ]
         assert set(ratings(1)) == set(SCALE_NAMES)
         # The trial ended when it was scored, not when the server was there again to hear of it.
         third = progress.trials[2]
         scored = next(r for r in progress.records if r.event.kind == "trial_scored"
                       and r.event.trial == 3)  # fmt: skip
-        assert third.time_s is not None
         assert third.time_s < (scored.at - third.started).total_seconds()
 
 
 @pytest.mark.browser
-def test_the_clock_of_the_browser_may_be_set(chromium: Any, tmp_path: Path) -> None:
+def test_the_clock_of_the_browser_may_be_set(chromium, tmp_path):
     with (
         open_study(tmp_path, console_plan()) as store,
         served(SessionService(store, operator="P01"), ConsoleAuth(None)) as port,
@@ -262,7 +252,7 @@ def test_the_clock_of_the_browser_may_be_set(chromium: Any, tmp_path: Path) -> N
 
 
 @pytest.mark.browser
-def test_a_browser_is_led_to_the_page_by_a_file(chromium: Any, tmp_path: Path) -> None:
+def test_a_browser_is_led_to_the_page_by_a_file(chromium, tmp_path):
     auth = ConsoleAuth({"experimenter": "e" * 24, "operator": "o" * 24})
     with (
         open_study(tmp_path, console_plan()) as store,
@@ -276,9 +266,7 @@ def test_a_browser_is_led_to_the_page_by_a_file(chromium: Any, tmp_path: Path) -
 
 
 @pytest.mark.browser
-def test_a_score_that_contradicts_the_simulation_is_asked_about(
-    chromium: Any, tmp_path: Path
-) -> None:
+def test_a_score_that_contradicts_the_simulation_is_asked_about(chromium, tmp_path):
     teleop = FakeSimulation()
     with (
         open_study(tmp_path, cube_plan()) as store,
@@ -304,14 +292,13 @@ def test_a_score_that_contradicts_the_simulation_is_asked_about(
 
 
 @pytest.mark.browser
-def test_scales_and_send_are_in_sight_on_a_tablet(chromium: Any, tmp_path: Path) -> None:
+def test_scales_and_send_are_in_sight_on_a_tablet(chromium, tmp_path):
     with (
         open_study(tmp_path, console_plan()) as store,
         served(SessionService(store, operator="P01"), ConsoleAuth(None)) as port,
     ):
         while store.progress("P01").step.what != "questionnaire":
             asked = due_command(store.progress("P01"))
-            assert asked is not None
             SessionService(store, operator="P01").carry_out(asked, "experimenter")
         page = chromium.new_page()
         page.goto(f"http://127.0.0.1:{port}/operator")
@@ -331,7 +318,7 @@ def test_scales_and_send_are_in_sight_on_a_tablet(chromium: Any, tmp_path: Path)
 
 
 @pytest.mark.browser
-def test_the_list_of_operators_shows_who_is_on(chromium: Any, tmp_path: Path) -> None:
+def test_the_list_of_operators_shows_who_is_on(chromium, tmp_path):
     plan = make_plan(replace(console_plan().protocol, operators=24))
     with (
         open_study(tmp_path, plan) as store,

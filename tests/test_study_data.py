@@ -1,9 +1,6 @@
 """Tables of a study: read whatever is well-formed, and say by row and column what is not."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,13 +23,12 @@ def changed(case: Case, row: int, **values: Any) -> list[dict[str, object]]:
     return rows
 
 
-def test_tables_are_told_by_their_columns(case: Case, tmp_path: Path) -> None:
+def test_tables_are_told_by_their_columns(case, tmp_path):
     trials, tlx = case.write(tmp_path)
     trials = trials.rename(tmp_path / "a.csv")
     tlx = tlx.rename(tmp_path / "b.csv")
     data = read_study([tlx, trials])
     assert len(data.trials) == len(case.trials)
-    assert data.questionnaires is not None
     assert len(data.questionnaires) == len(case.tlx)
     assert data.notes == ()
     assert data.questionnaires["index"].max() == 12
@@ -40,7 +36,7 @@ def test_tables_are_told_by_their_columns(case: Case, tmp_path: Path) -> None:
     assert data.questionnaires.workload[0] == pytest.approx(first.mean())
 
 
-def test_a_folder_and_json_hold_the_same(case: Case, tmp_path: Path) -> None:
+def test_a_folder_and_json_hold_the_same(case, tmp_path):
     case.write(tmp_path)
     write_rows(
         tmp_path / "sim_metrics.csv",
@@ -68,7 +64,7 @@ def test_a_folder_and_json_hold_the_same(case: Case, tmp_path: Path) -> None:
     assert same.sources == ("study.json",)
 
 
-def test_semicolons_and_a_byte_order_mark_are_read(case: Case, tmp_path: Path) -> None:
+def test_semicolons_and_a_byte_order_mark_are_read(case, tmp_path):
     trials, _ = case.write(tmp_path)
     text = trials.read_text(encoding="utf-8").replace(",", ";")
     trials.write_text("\ufeff" + text, encoding="utf-8")
@@ -93,16 +89,14 @@ def test_semicolons_and_a_byte_order_mark_are_read(case: Case, tmp_path: Path) -
         ),
     ],
 )
-def test_a_bad_value_is_named_by_row_and_column(
-    case: Case, tmp_path: Path, values: dict[str, Any], expected: str
-) -> None:
+def test_a_bad_value_is_named_by_row_and_column(case, tmp_path, values, expected):
     file = write_rows(tmp_path / "trials.csv", changed(case, 5, **values))
     with pytest.raises(StudyError, match=r"trials\.csv can't be used") as caught:
         read_study([file])
     assert expected in str(caught.value)
 
 
-def test_all_bad_values_are_told_at_once(case: Case, tmp_path: Path) -> None:
+def test_all_bad_values_are_told_at_once(case, tmp_path):
     rows = changed(case, 5, score=2, block="x")
     for row in rows[10:40]:
         row["score"] = 9
@@ -111,13 +105,13 @@ def test_all_bad_values_are_told_at_once(case: Case, tmp_path: Path) -> None:
     assert "and 24 more" in str(caught.value)  # of 32, eight are shown
 
 
-def test_names_that_differ_in_case_are_no_two_retargeters(case: Case, tmp_path: Path) -> None:
+def test_names_that_differ_in_case_are_no_two_retargeters(case, tmp_path):
     rows = changed(case, 7, retargeter=str(case.trials[5]["retargeter"]).upper())
     with pytest.raises(StudyError, match="differ only in case"):
         read_study([write_rows(tmp_path / "trials.csv", rows)])
 
 
-def test_missing_columns_rows_and_files_are_named(case: Case, tmp_path: Path) -> None:
+def test_missing_columns_rows_and_files_are_named(case, tmp_path):
     rows = [{k: v for k, v in row.items() if k != "score"} for row in case.trials]
     file = write_rows(tmp_path / "t.csv", rows)
     with pytest.raises(StudyError, match="no column 'score'"):
@@ -148,7 +142,7 @@ def test_missing_columns_rows_and_files_are_named(case: Case, tmp_path: Path) ->
         read_study([tmp_path / "picture.csv"])
 
 
-def test_questionnaires_are_checked_too(case: Case, tmp_path: Path) -> None:
+def test_questionnaires_are_checked_too(case, tmp_path):
     trials, _ = case.write(tmp_path)
     for values, expected in (
         ({"effort": 101}, "column effort: expected 0 to 100"),
@@ -162,7 +156,7 @@ def test_questionnaires_are_checked_too(case: Case, tmp_path: Path) -> None:
         assert expected in str(caught.value)
 
 
-def test_what_is_odd_but_usable_is_noted(case: Case, tmp_path: Path) -> None:
+def test_what_is_odd_but_usable_is_noted(case, tmp_path):
     rows = [dict(row) for row in case.trials]
     won = [i for i, row in enumerate(rows) if row["score"] != 0]
     rows[won[0]]["time_s"] = "NaN"

@@ -1,7 +1,5 @@
 """What departs from the plan on a day: corrections, pauses, withdrawals, stray clicks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +27,6 @@ def store(tmp_path: Path) -> Iterator[StudyStore]:
 
 def give(service: SessionService, store: StudyStore, do: str, **fields: object) -> int:
     operator = service.operator
-    assert operator is not None
     asked = command(store.progress(operator), do, **fields)
     return service.carry_out(asked, "experimenter")
 
@@ -49,10 +46,7 @@ class Hours:
         return Clock(lambda: self.at, lambda: self.at)
 
 
-# Amendments.
-
-
-def test_a_score_is_amended_in_a_later_trial_and_nothing_else_changes(store: StudyStore) -> None:
+def test_a_score_is_amended_in_a_later_trial_and_nothing_else_changes(store):
     service = SessionService(store, operator="P01")
     walk(service, store, "questionnaire")
     walk(service, store, "trial")  # the second one; the questionnaire is answered
@@ -77,13 +71,12 @@ def test_a_score_is_amended_in_a_later_trial_and_nothing_else_changes(store: Stu
     assert store.progress("P01").trials[0].time_s == 4.25
     assert store.progress("P01").trials[0].line == "nearly"
     last = store.progress("P01").undoable
-    assert last is not None
     give(service, store, "undo", number=last.number)
     assert store.progress("P01").trials[0].time_s == before.trials[0].time_s
     assert store.progress("P01").running is not None
 
 
-def test_a_finished_operator_is_amended_within_the_rubric_and_the_cap(store: StudyStore) -> None:
+def test_a_finished_operator_is_amended_within_the_rubric_and_the_cap(store):
     service = SessionService(store, operator="P01")
     walk(service, store, "trial")
     give(service, store, "reset")
@@ -104,7 +97,7 @@ def test_a_finished_operator_is_amended_within_the_rubric_and_the_cap(store: Stu
     assert len(store.progress("P01").amendments) == 2
 
 
-def test_no_trial_is_amended_to_a_reset_that_it_did_not_have(tmp_path: Path) -> None:
+def test_no_trial_is_amended_to_a_reset_that_it_did_not_have(tmp_path):
     plan = console_plan()
     line = RubricLine("done-after-reset", 0.5, "after all")
     task = replace(plan.protocol.tasks[0], rubric=(*plan.protocol.tasks[0].rubric, line))
@@ -116,7 +109,7 @@ def test_no_trial_is_amended_to_a_reset_that_it_did_not_have(tmp_path: Path) -> 
             give(service, store, "amend", **place, line=line.name)
 
 
-def test_a_page_that_has_not_seen_an_amendment_still_scores(store: StudyStore) -> None:
+def test_a_page_that_has_not_seen_an_amendment_still_scores(store):
     service = SessionService(store, operator="P01")
     walk(service, store, "start_trial")
     walk(service, store, "questionnaire")
@@ -129,10 +122,7 @@ def test_a_page_that_has_not_seen_an_amendment_still_scores(store: StudyStore) -
         service.carry_out(stale, "experimenter")
 
 
-# Pauses, blocks that end early, calibration.
-
-
-def test_a_pause_does_not_count_in_the_time_of_a_trial(tmp_path: Path) -> None:
+def test_a_pause_does_not_count_in_the_time_of_a_trial(tmp_path):
     hours = Hours()
     with open_study(tmp_path, console_plan()) as store:
         store.clock = hours.clock()
@@ -155,7 +145,7 @@ def test_a_pause_does_not_count_in_the_time_of_a_trial(tmp_path: Path) -> None:
         assert [(length, why) for _, length, why in trial.pauses] == [(100.0, "the robot tripped")]
 
 
-def test_a_simulation_stands_still_in_a_pause(tmp_path: Path) -> None:
+def test_a_simulation_stands_still_in_a_pause(tmp_path):
     hours, simulation = Hours(), FakeSimulation()
 
     def stands() -> bool:
@@ -169,7 +159,6 @@ def test_a_simulation_stands_still_in_a_pause(tmp_path: Path) -> None:
         give(service, store, "pause", reason="the glove slipped")
         assert stands()
         undoable = store.progress("P01").undoable
-        assert undoable is not None
         give(service, store, "undo", number=undoable.number)  # the pause was a slip
         assert not stands()
         give(service, store, "pause", reason="now it did")
@@ -185,7 +174,7 @@ def test_a_simulation_stands_still_in_a_pause(tmp_path: Path) -> None:
         assert store.progress("P01").trials[0].time_s == 30.0  # its clock had stood, too
 
 
-def test_a_block_that_ends_early_leaves_the_next_one_due(store: StudyStore) -> None:
+def test_a_block_that_ends_early_leaves_the_next_one_due(store):
     service = SessionService(store, operator="P01")
     walk(service, store, "trial")
     with pytest.raises(StudyError, match="score or void"):
@@ -201,14 +190,11 @@ def test_a_block_that_ends_early_leaves_the_next_one_due(store: StudyStore) -> N
     blocks = service.look()[0]["overview"][0]["blocks"]
     assert [block["state"] for block in blocks] == ["left", "on"]
     last = progress.undoable
-    assert last is not None
     give(service, store, "undo", number=last.number)
     assert store.progress("P01").step.what == "questionnaire"
 
 
-def test_the_hand_is_calibrated_again_between_trials_only(
-    store: StudyStore, tmp_path: Path
-) -> None:
+def test_the_hand_is_calibrated_again_between_trials_only(store, tmp_path):
     teleop = FakeTeleop()
     service = SessionService(store, operator="P01", teleop=teleop)
     walk(service, store, "trial")
@@ -225,10 +211,7 @@ def test_the_hand_is_calibrated_again_between_trials_only(
     assert store.progress("P01").step.what == "questionnaire"
 
 
-# Who takes part.
-
-
-def test_who_withdraws_ends_whatever_was_on_and_can_be_replaced(store: StudyStore) -> None:
+def test_who_withdraws_ends_whatever_was_on_and_can_be_replaced(store):
     kept = []
     service = SessionService(store, operator="P01", enrolled=kept.append)
     walk(service, store, "questionnaire")
@@ -239,7 +222,6 @@ def test_who_withdraws_ends_whatever_was_on_and_can_be_replaced(store: StudyStor
     assert tablet["what"] == "done"
     progress = store.progress("P01")
     assert (progress.step.what, progress.busy, progress.begun) == ("withdrawn", False, None)
-    assert progress.withdrawn is not None
     assert (progress.withdrawn.keep, progress.withdrawn.reason) == (False, "felt dizzy")
     assert [trial.void is not None for trial in progress.trials] == [False, True]
     with pytest.raises(StudyError, match="already"):
@@ -251,17 +233,16 @@ def test_who_withdraws_ends_whatever_was_on_and_can_be_replaced(store: StudyStor
     walk(service, store, "done", "P09")
 
 
-def test_a_withdrawal_is_undone_with_the_trial_that_ran(store: StudyStore) -> None:
+def test_a_withdrawal_is_undone_with_the_trial_that_ran(store):
     service = SessionService(store, operator="P01")
     walk(service, store, "trial")
     give(service, store, "withdraw", keep=True, reason="")
     last = store.progress("P01").undoable
-    assert last is not None
     give(service, store, "undo", number=last.number)
     assert store.progress("P01").step.what == "trial"
 
 
-def test_who_comes_later_gets_the_row_of_who_was_left_out(store: StudyStore) -> None:
+def test_who_comes_later_gets_the_row_of_who_was_left_out(store):
     for code in ("P03", "P04", "P05"):
         service = SessionService(store, operator="P01")
         service.carry_out(Command(f"enrol-{code}", "enrol", code, None, {}), "experimenter")
@@ -274,10 +255,7 @@ def test_who_comes_later_gets_the_row_of_who_was_left_out(store: StudyStore) -> 
         assert store.plan.enrolment(code).rows == rows[other]
 
 
-# Who is on.
-
-
-def test_no_other_operator_is_chosen_during_a_trial_or_free_movement(tmp_path: Path) -> None:
+def test_no_other_operator_is_chosen_during_a_trial_or_free_movement(tmp_path):
     teleop = FakeTeleop()
     with open_study(tmp_path, console_plan(seconds=60.0)) as store:
         service = SessionService(store, operator="P01", teleop=teleop)
@@ -300,10 +278,7 @@ def test_no_other_operator_is_chosen_during_a_trial_or_free_movement(tmp_path: P
         assert SessionService(store).operator == "P02"
 
 
-# What the scorer knows, and what the log keeps.
-
-
-def test_the_workload_is_not_shown_before_its_block_is_over(store: StudyStore) -> None:
+def test_the_workload_is_not_shown_before_its_block_is_over(store):
     service = SessionService(store, operator="P01")
     walk(service, store, "questionnaire")
     walk(service, store, "trial")
@@ -313,7 +288,6 @@ def test_the_workload_is_not_shown_before_its_block_is_over(store: StudyStore) -
     ]
     while store.progress("P01").step.block == store.progress("P01").blocks[0]:
         asked = due_command(store.progress("P01"))
-        assert asked is not None
         service.carry_out(asked, "experimenter")
     view, _ = service.look()
     texts = [e["text"] for e in view["log"] if e["kind"] == "questionnaire_answered"]
@@ -321,14 +295,14 @@ def test_the_workload_is_not_shown_before_its_block_is_over(store: StudyStore) -
     assert "workload" in view["now"]["undoable"]["text"]
 
 
-def test_a_block_keeps_what_the_hand_said_it_runs(store: StudyStore) -> None:
+def test_a_block_keeps_what_the_hand_said_it_runs(store):
     teleop = FakeTeleop()
     service = SessionService(store, operator="P01", teleop=teleop)
     walk(service, store, "trial")
     assert store.progress("P01").begun_with == (teleop.method, teleop.preset)
 
 
-def test_a_restarted_console_knows_what_the_hand_answered(store: StudyStore) -> None:
+def test_a_restarted_console_knows_what_the_hand_answered(store):
     """Also where the plan leaves the preset to the method, and the hand calls it otherwise."""
     first = {code: store.plan.blocks(code)[0].condition for code in store.plan.codes}
     operator = next(code for code, condition in first.items() if condition.preset is None)
@@ -352,7 +326,7 @@ def test_a_restarted_console_knows_what_the_hand_answered(store: StudyStore) -> 
     assert len(teleop.switched) == switched
 
 
-def test_what_the_simulation_proposed_stays_when_it_is_overruled(store: StudyStore) -> None:
+def test_what_the_simulation_proposed_stays_when_it_is_overruled(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P01", teleop=simulation)
     walk(service, store, "trial")
@@ -365,12 +339,11 @@ def test_what_the_simulation_proposed_stays_when_it_is_overruled(store: StudySto
     assert (event.proposed_line, event.proposed_score) == ("done", 1.0)
 
 
-def test_undone_events_are_counted_by_condition(store: StudyStore) -> None:
+def test_undone_events_are_counted_by_condition(store):
     service = SessionService(store, operator="P01")
     walk(service, store, "questionnaire")
     for _ in range(2):
         last = store.progress("P01").undoable
-        assert last is not None
         give(service, store, "undo", number=last.number)
     condition = store.progress("P01").blocks[0].condition.name
     assert store.progress("P01").undone() == {condition: 2}

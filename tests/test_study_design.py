@@ -1,14 +1,11 @@
 """Plans of studies: orders are balanced, rows are dealt evenly, files read back as they were."""
 
-from __future__ import annotations
-
 import csv
 import io
 import itertools
 import random
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -40,11 +37,8 @@ def protocol(**changes: Any) -> Protocol:
     return replace(made, **changes)
 
 
-# The squares.
-
-
 @pytest.mark.parametrize("count", range(2, 10))
-def test_squares_are_balanced_for_place_and_carry_over(count: int) -> None:
+def test_squares_are_balanced_for_place_and_carry_over(count):
     """Counted by hand, not by the code under test."""
     rows = balanced_rows(count)
     assert len(rows) == (count if count % 2 == 0 else 2 * count)
@@ -57,15 +51,12 @@ def test_squares_are_balanced_for_place_and_carry_over(count: int) -> None:
     assert set(follows.values()) == {1 if count % 2 == 0 else 2}
 
 
-def test_one_condition_has_no_order() -> None:
+def test_one_condition_has_no_order():
     with pytest.raises(StudyError, match="two conditions or more"):
         balanced_rows(1)
 
 
-# Who gets which row.
-
-
-def test_the_papers_study() -> None:
+def test_the_papers_study():
     plan = make_plan(protocol())
     assert Counter(task for one in plan.enrolled for task in one.rows) == {"A": 12, "B": 8, "C": 6}
     assert Counter(len(one.rows) for one in plan.enrolled) == {1: 10, 2: 8}
@@ -84,7 +75,7 @@ def test_the_papers_study() -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_uneven_enrolment_is_as_balanced_as_its_numbers_allow(seed: int) -> None:
+def test_uneven_enrolment_is_as_balanced_as_its_numbers_allow(seed):
     rng = random.Random(seed)
     count, operators = rng.randint(2, 7), rng.randint(4, 36)
     tasks = tuple(
@@ -101,7 +92,7 @@ def test_uneven_enrolment_is_as_balanced_as_its_numbers_allow(seed: int) -> None
         assert all(len(set(one.rows.values())) == len(one.rows) for one in plan.enrolled)
 
 
-def test_prefixes_of_a_study_are_balanced_too() -> None:
+def test_prefixes_of_a_study_are_balanced_too():
     """Where a study stops early, what was done is as even as it can be."""
     plan = make_plan(protocol(tasks=(Task("A"),), operators=40))
     for stop in range(1, 41):
@@ -114,7 +105,7 @@ def test_prefixes_of_a_study_are_balanced_too() -> None:
         assert max(imbalance(orders, "abc")) <= most
 
 
-def test_those_who_come_later_get_the_least_used_row() -> None:
+def test_those_who_come_later_get_the_least_used_row():
     plan = make_plan(protocol())
     later = plan.enrol("X1", ["C"]).enrol("X2", ["C"])
     assert spread_of_rows(later.enrolled, "C", 4) == 0
@@ -130,7 +121,7 @@ def test_those_who_come_later_get_the_least_used_row() -> None:
         done.enrol("P09", ["B"])
 
 
-def test_more_tasks_than_rows_share_rows_evenly() -> None:
+def test_more_tasks_than_rows_share_rows_evenly():
     two = (Condition("a"), Condition("b"))
     tasks = tuple(Task(name) for name in "ABCDE")
     plan = make_plan(Protocol("two", two, tasks, "a", 8))
@@ -139,7 +130,7 @@ def test_more_tasks_than_rows_share_rows_evenly() -> None:
     assert all(set(one.rows.values()) == {0, 1} for one in plan.enrolled)
 
 
-def test_tasks_come_in_balanced_orders_or_as_listed() -> None:
+def test_tasks_come_in_balanced_orders_or_as_listed():
     tasks = tuple(Task(name) for name in "ABC")
     plan = make_plan(protocol(tasks=tasks, operators=12))
     orders = Counter(tuple(one.rows) for one in plan.enrolled)
@@ -149,7 +140,7 @@ def test_tasks_come_in_balanced_orders_or_as_listed() -> None:
     assert {tuple(one.rows) for one in listed.enrolled} == {("A", "B", "C")}
 
 
-def test_the_seed_decides_and_nothing_else() -> None:
+def test_the_seed_decides_and_nothing_else():
     assert make_plan(protocol()) == make_plan(protocol())
     others = {make_plan(protocol(seed=seed)).orders for seed in range(8)}
     assert len(others) > 4
@@ -160,7 +151,7 @@ def test_the_seed_decides_and_nothing_else() -> None:
     assert [c.label for c in plan.protocol.conditions] == ["Pine", "Oak", "Holly", "Maple"]
 
 
-def test_labels_tell_nothing() -> None:
+def test_labels_tell_nothing():
     many = tuple(Condition(f"m{k}") for k in range(25))
     plan = make_plan(Protocol("many", many, (Task("A"),), "m0", 4))
     labels = [c.label for c in plan.protocol.conditions]
@@ -172,16 +163,13 @@ def test_labels_tell_nothing() -> None:
 
 
 @pytest.mark.parametrize("operators", [1, 3, 5, 7, 11, 29, 90])
-def test_a_design_is_scaled_in_its_shares(operators: int) -> None:
+def test_a_design_is_scaled_in_its_shares(operators):
     halves = protocol(tasks=(Task("A", operators=9), Task("B", operators=9)))
     for design in (protocol(), halves):
         made = scaled(design, operators)
         make_plan(made)
         for task, was in zip(made.tasks, design.tasks, strict=True):
             assert abs(made.planned(task) - design.planned(was) * operators / 18) <= 1
-
-
-# What is no study.
 
 
 @pytest.mark.parametrize(
@@ -202,29 +190,26 @@ def test_a_design_is_scaled_in_its_shares(operators: int) -> None:
         ({"questionnaires": ("final", "lunch")}, "'lunch'"),
     ],
 )
-def test_protocols_that_can_not_be(changes: dict[str, Any], says: str) -> None:
+def test_protocols_that_can_not_be(changes, says):
     with pytest.raises(SmoothOperatorError, match=says):
         protocol(**changes)
 
 
 @pytest.mark.parametrize("name", ["", "a b", "ä", "../x", "-x", "x" * 65, "a,b"])
-def test_names_that_can_not_be(name: str) -> None:
+def test_names_that_can_not_be(name):
     for made in (Condition, Task):
         with pytest.raises(StudyError, match="letters, digits"):
             made(name)
 
 
-def test_rubrics_need_failure_and_success() -> None:
+def test_rubrics_need_failure_and_success():
     with pytest.raises(StudyError, match="a line that scores 0"):
         Task("A", rubric=(RubricLine("done", 1.0, "done"),))
     with pytest.raises(StudyError, match=r"0, 0.5 or 1, not 0.7"):
         RubricLine("nearly", 0.7, "nearly")
 
 
-# Files.
-
-
-def test_a_plan_reads_back_as_it_was(tmp_path: Path) -> None:
+def test_a_plan_reads_back_as_it_was(tmp_path):
     odd = Task("T-1.x", trials=7, time_limit_s=90.0, title='Say "hm" \\ 手', instruction="n")
     made = protocol(tasks=(odd, *PAPER_TASKS), name='quoted "x"', break_s=0.0)
     plan = make_plan(made).enrol("late_1", ["A"])
@@ -233,7 +218,7 @@ def test_a_plan_reads_back_as_it_was(tmp_path: Path) -> None:
     assert plan_of(plan_table(plan), "x") == plan
 
 
-def test_a_short_file_is_enough(tmp_path: Path) -> None:
+def test_a_short_file_is_enough(tmp_path):
     file = tmp_path / "draft.toml"
     file.write_text(
         'format = 1\nname = "short"\nbaseline = "a"\noperators = 4\n'
@@ -262,9 +247,7 @@ def test_a_short_file_is_enough(tmp_path: Path) -> None:
         (("format = 1", "format = = 1"), "not well-formed TOML"),
     ],
 )
-def test_what_is_wrong_in_a_file_is_named(
-    tmp_path: Path, change: tuple[str, str], says: str
-) -> None:
+def test_what_is_wrong_in_a_file_is_named(tmp_path, change, says):
     file = write_plan(make_plan(protocol()), tmp_path)
     text = file.read_text()
     assert change[0] in text
@@ -274,7 +257,7 @@ def test_what_is_wrong_in_a_file_is_named(
     assert "study.toml" in str(refused.value)
 
 
-def test_files_that_are_none(tmp_path: Path) -> None:
+def test_files_that_are_none(tmp_path):
     with pytest.raises(StudyError, match="study new"):
         read_plan(tmp_path)
     (tmp_path / "study.toml").write_bytes(b"\xff\xfe\x00")
@@ -282,22 +265,17 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         read_plan(tmp_path)
 
 
-def test_unbalanced_orders_of_a_file_are_pointed_out() -> None:
+def test_unbalanced_orders_of_a_file_are_pointed_out():
     plan = make_plan(protocol())
     lame = Plan(plan.protocol, plan.orders[:3])
     assert any("no balanced Latin square" in note for note in imbalances(lame))
-
-
-# The command.
 
 
 def run(*arguments: str) -> int:
     return main(["study", *arguments])
 
 
-def test_study_new_writes_plan_and_schedule(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_study_new_writes_plan_and_schedule(tmp_path, capsys):
     folder = tmp_path / "mine"
     arguments = ("--conditions", "sbr=sbr:paper", "dexpilot", "ako", "--tasks", "pinch:12", "A:8:5")
     assert (
@@ -331,7 +309,7 @@ def test_study_new_writes_plan_and_schedule(
     assert read_plan(tmp_path / "again") == read_plan(folder)
 
 
-def test_study_new_alone_is_the_papers(tmp_path: Path) -> None:
+def test_study_new_alone_is_the_papers(tmp_path):
     assert run("new", str(tmp_path / "p")) == 0
     plan = read_plan(tmp_path / "p")
     conditions = tuple(map(Condition.of, PAPERS))
@@ -347,7 +325,7 @@ def test_study_new_alone_is_the_papers(tmp_path: Path) -> None:
         assert condition.method == "geort" or condition.preset in named[1:]
 
 
-def test_a_condition_is_typed_with_its_method_and_preset() -> None:
+def test_a_condition_is_typed_with_its_method_and_preset():
     assert Condition.of("a=ako:slsqp") == Condition("a", "ako", "slsqp")
     assert Condition.of("mine=ako") == Condition("mine", "ako")
     assert Condition.of("sbr=sbr") == Condition("sbr")
@@ -367,9 +345,7 @@ def test_a_condition_is_typed_with_its_method_and_preset() -> None:
         (["--margin", "time=3", "--margin", "time=4"], "comes twice"),
     ],
 )
-def test_study_new_refuses(
-    tmp_path: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_study_new_refuses(tmp_path, arguments, says, capsys):
     assert run("new", str(tmp_path / "p"), *arguments) == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "p").exists()

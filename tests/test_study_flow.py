@@ -1,12 +1,9 @@
 """Who is analysed and why, what a study stores of it, and what the plan decides."""
 
-from __future__ import annotations
-
 import csv
 import json
 import random
 from pathlib import Path
-from typing import Any
 
 import pytest
 from study_cases import simulate, write_rows
@@ -21,13 +18,7 @@ from smooth_operator.study.data import StudyData, read_study
 from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.plan_file import plan_table, write_plan_files
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
-from smooth_operator.study.store.events import (
-    Amended,
-    Recalibrated,
-    TrialVoided,
-    Undone,
-    Withdrawn,
-)
+from smooth_operator.study.store.events import Amended, Recalibrated, TrialVoided, Undone, Withdrawn
 from smooth_operator.study.store.export import export_study
 from smooth_operator.study.store.study_store import StudyStore, open_study
 from smooth_operator.version import __version__
@@ -94,10 +85,7 @@ def first_condition(folder: Path) -> str:
     return str(content["operators"][0]["voided"][0]["retargeter"])
 
 
-# What is stored of it.
-
-
-def test_study_json_has_what_departs_from_the_plan(exported: Path) -> None:
+def test_study_json_has_what_departs_from_the_plan(exported):
     content = json.loads((exported / "study.json").read_text(encoding="utf-8"))
     one, two, *_ = content["operators"]
     assert (one["voided"][0]["reason"], one["withdrawn"]) == ("the robot tripped", None)
@@ -108,7 +96,7 @@ def test_study_json_has_what_departs_from_the_plan(exported: Path) -> None:
     assert (two["withdrawn"]["keep"], two["withdrawn"]["reason"]) == (False, "ill")
 
 
-def test_the_tables_of_an_export_bring_the_plan_with_them(exported: Path) -> None:
+def test_the_tables_of_an_export_bring_the_plan_with_them(exported):
     with (exported / "trials.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     amended = [row for row in rows if row["amended"] == "1"]
@@ -118,7 +106,6 @@ def test_the_tables_of_an_export_bring_the_plan_with_them(exported: Path) -> Non
     assert {row["place"] for row in rows if row["operator"] == "P04"} == {"1", "2"}
     for paths in ([exported], [exported / "trials.csv", exported / "tlx.csv"]):
         data = read_study(paths)
-        assert data.plan is not None
         assert (data.plan.baseline, data.plan.primary) == ("sbr", "time/A")
         assert data.flow.withdrawn["P02"].reason == "ill"
         assert len(data.orders) == 2
@@ -127,13 +114,9 @@ def test_the_tables_of_an_export_bring_the_plan_with_them(exported: Path) -> Non
     assert alone.trials.score.tolist() == data.trials.score.tolist()
 
 
-# Who is analysed.
-
-
-def test_who_withdrew_and_wants_to_be_left_out_is_left_out(exported: Path) -> None:
+def test_who_withdrew_and_wants_to_be_left_out_is_left_out(exported):
     data = leave_out(read_study([exported]), {"P05": "an author"})
     assert set(data.trials.operator) == {"P01", "P03", "P04"}
-    assert data.questionnaires is not None
     assert set(data.questionnaires.operator) <= {"P01", "P03", "P04"}
     flow = data.flow
     assert (flow.enrolled, flow.started) == (CODES, CODES)
@@ -155,7 +138,7 @@ def test_who_withdrew_and_wants_to_be_left_out_is_left_out(exported: Path) -> No
     assert leave_out(data).flow == flow
 
 
-def test_exclusions_that_cannot_be(exported: Path) -> None:
+def test_exclusions_that_cannot_be(exported):
     data = read_study([exported])
     for exclude, said in (
         ({"P06": "x"}, "unknown operator to exclude: 'P06'.*Available: P01, P02, P03, P04, P05.$"),
@@ -166,7 +149,7 @@ def test_exclusions_that_cannot_be(exported: Path) -> None:
             leave_out(data, exclude)
 
 
-def test_tables_alone_have_a_flow_of_those_who_are_there(tmp_path: Path) -> None:
+def test_tables_alone_have_a_flow_of_those_who_are_there(tmp_path):
     data = leave_out(load(tmp_path), {"P01": "pilot"})
     assert (len(data.flow.enrolled), len(data.flow.analysed), data.flow.logged) == (4, 3, False)
     assert flow_text(data.flow) == "P01 was excluded (pilot); 3 were analysed."
@@ -175,7 +158,7 @@ def test_tables_alone_have_a_flow_of_those_who_are_there(tmp_path: Path) -> None
     }  # fmt: skip
 
 
-def test_the_plan_of_virtual_operators_comes_with_their_tables(tmp_path: Path) -> None:
+def test_the_plan_of_virtual_operators_comes_with_their_tables(tmp_path):
     load(tmp_path)
     conditions = (Condition("sbr"), Condition("dexpilot"))
     plan = make_plan(Protocol("virtual", conditions, (Task("A"),), "sbr", 4))
@@ -194,9 +177,7 @@ def test_the_plan_of_virtual_operators_comes_with_their_tables(tmp_path: Path) -
         ({"operators": [{"withdrawn": {"at": "x"}}]}, "participants are not as study export"),
     ],
 )
-def test_a_damaged_study_json_next_to_the_tables(
-    content: dict[str, Any], said: str, tmp_path: Path
-) -> None:
+def test_a_damaged_study_json_next_to_the_tables(content, said, tmp_path):
     load(tmp_path)
     conditions = (Condition("sbr"), Condition("dexpilot"))
     plan = make_plan(Protocol("damaged", conditions, (Task("A"),), "sbr", 4))
@@ -211,12 +192,7 @@ def load(folder: Path) -> StudyData:
     return read_study([write_rows(folder / "trials.csv", case.trials)])
 
 
-# What the plan decides.
-
-
-def test_the_plans_baseline_is_the_analysis_baseline(
-    study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_plans_baseline_is_the_analysis_baseline(study, tmp_path, capsys):
     arguments = ["study", "analyze", str(study), "--no-report", "--output"]
     assert main([*arguments, str(tmp_path / "a"), "--exclude", "P05=an author"]) in (0, 1)
     printed = capsys.readouterr().out
@@ -237,7 +213,7 @@ def test_the_plans_baseline_is_the_analysis_baseline(
     assert "the baseline dexpilot was asked for; the plan's is sbr" in capsys.readouterr().err
 
 
-def test_without_a_plan_nothing_is_primary(tmp_path: Path) -> None:
+def test_without_a_plan_nothing_is_primary(tmp_path):
     found = analyze_study(load(tmp_path))
     assert (found.baseline, found.primary, found.role("success", "pooled")) == (
         "dexpilot",
@@ -247,9 +223,7 @@ def test_without_a_plan_nothing_is_primary(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("word", ["P03", "P03=", "=author"])
-def test_an_exclusion_needs_a_reason(
-    word: str, exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_exclusion_needs_a_reason(word, exported, tmp_path, capsys):
     out = tmp_path / "out"
     words = ["study", "analyze", str(exported), "--output", str(out), "--exclude", word]
     assert main(words) == 2
@@ -257,10 +231,7 @@ def test_an_exclusion_needs_a_reason(
     assert not out.exists()
 
 
-# The methods paragraph.
-
-
-def test_the_methods_paragraph_is_of_the_plan_and_of_the_data(exported: Path) -> None:
+def test_the_methods_paragraph_is_of_the_plan_and_of_the_data(exported):
     found = analyze_study(read_study([exported]), exclude={"P05": "an author"})
     text = methods_paragraph(found)
     for part in (

@@ -1,7 +1,5 @@
 """Forms on the operator's page, and NASA-TLX in its published words or another language's."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -49,7 +47,7 @@ def answer(service: SessionService, store: StudyStore, form: str, **answers: obj
     service.carry_out(asked, "operator")
 
 
-def test_forms_come_before_and_after_and_a_plan_keeps_them(store: StudyStore) -> None:
+def test_forms_come_before_and_after_and_a_plan_keeps_them(store):
     assert plan_of(plan_table(store.plan), "x") == store.plan
     service = SessionService(store, operator="P01")
     assert store.progress("P01").step.form == "consent"
@@ -67,7 +65,7 @@ def test_forms_come_before_and_after_and_a_plan_keeps_them(store: StudyStore) ->
     assert progress.forms["about-you"][1] == {"age": 31, "writes_with": "left"}
 
 
-def test_nothing_starts_without_consent_and_a_slip_is_undone(store: StudyStore) -> None:
+def test_nothing_starts_without_consent_and_a_slip_is_undone(store):
     service = SessionService(store, operator="P01")
     answer(service, store, "consent", agreed=False, recordings=True)
     assert store.progress("P01").step.what == "refused"
@@ -81,7 +79,7 @@ def test_nothing_starts_without_consent_and_a_slip_is_undone(store: StudyStore) 
 
 
 @pytest.mark.parametrize("do", ["form", "answer"])
-def test_only_the_operators_page_answers(do: str) -> None:
+def test_only_the_operators_page_answers(do):
     message = {"token": "t" * 8, "do": do, "operator": "P01", "fields": {"form": "a"}}
     assert command_of(message, "operator").do == do
     with pytest.raises(StudyError, match="the experimenter's page may not do"):
@@ -98,7 +96,7 @@ def test_only_the_operators_page_answers(do: str) -> None:
         ({"ranking": [], "other": 3}, "no field 'other'"),
     ],
 )
-def test_what_does_not_answer_a_form_is_refused(answers: dict[str, Any], why: str) -> None:
+def test_what_does_not_answer_a_form_is_refused(answers, why):
     with pytest.raises(StudyError, match="'ranking' is not answered"):
         SURVEY.check({}, ["Oak", "Elm"])
     SURVEY.check({}, ["Oak"])  # nothing to rank
@@ -116,12 +114,12 @@ def test_what_does_not_answer_a_form_is_refused(answers: dict[str, Any], why: st
         ({"kind": "number", "least": 2, "most": 1}, "least is 2, most 1"),
     ],
 )
-def test_what_is_no_field_is_refused(made: dict[str, Any], why: str) -> None:
+def test_what_is_no_field_is_refused(made, why):
     with pytest.raises(StudyError, match=why):
         FormField(**{"name": "x", "label": "y", **made})
 
 
-def test_study_new_writes_forms_unless_asked_not_to(tmp_path: Path) -> None:
+def test_study_new_writes_forms_unless_asked_not_to(tmp_path):
     options = ["--conditions", "sbr", "dexpilot", "--tasks", "A:3", "--operators", "4"]
     assert main(["study", "new", str(tmp_path / "a"), *options]) == 0
     assert read_plan(tmp_path / "a").protocol.forms == DEFAULT_FORMS
@@ -156,7 +154,7 @@ def german(folder: Path, name: str, scales: dict[str, Any]) -> Path:
 
 
 @pytest.mark.parametrize("name", ["tlx-de.toml", "tlx-de.json"])
-def test_another_language_is_read_from_a_file(tmp_path: Path, name: str) -> None:
+def test_another_language_is_read_from_a_file(tmp_path, name):
     part = {"title": "T", "question": "F?", "low": "gering", "high": "hoch"}
     scales = {scale.name: {**part, "title": scale.name.upper()} for scale in ENGLISH.scales}
     words = read_words(german(tmp_path, name, scales))
@@ -178,7 +176,7 @@ def test_another_language_is_read_from_a_file(tmp_path: Path, name: str) -> None
 
 
 @pytest.mark.browser
-def test_an_operator_fills_in_forms_and_ranks(chromium: Any, tmp_path: Path) -> None:
+def test_an_operator_fills_in_forms_and_ranks(chromium, tmp_path):
     forms = (DEFAULT_FORMS[0], SURVEY)
     with open_study(tmp_path, form_plan(*forms)) as store:
         service = SessionService(store, operator="P01")

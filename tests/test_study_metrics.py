@@ -1,7 +1,5 @@
 """Simulation metrics of a study from its own takes."""
 
-from __future__ import annotations
-
 import csv
 import time
 from dataclasses import replace
@@ -34,7 +32,6 @@ def study(tmp_path: Path) -> Path:
         service = SessionService(store, operator="P01")
         while store.progress("P01").step.what != "questionnaire":
             asked = due_command(store.progress("P01"))
-            assert asked is not None
             service.carry_out(asked, "experimenter")
         place = {"task": "card", "block": 1, "trial": 1}
         fields = {**place, "time_s": SECONDS, "reason": "as in the film"}
@@ -61,9 +58,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return capsys.readouterr().err
 
 
-def test_takes_are_cut_to_trials_and_measured(
-    study: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_takes_are_cut_to_trials_and_measured(study, capsys):
     record(study / "takes")
     main(["study", "metrics", str(study)])
     assert "1 rows of 1 trials" in capsys.readouterr().err
@@ -81,7 +76,7 @@ def test_takes_are_cut_to_trials_and_measured(
     assert metrics.retargeter.tolist() == [row["retargeter"]]
 
 
-def test_what_can_not_be_measured_is_said(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_can_not_be_measured_is_said(study, capsys):
     assert "no takes in" in refused(capsys, str(study))
     record(study / "late", begin=500.0)
     assert "recorded at other times" in refused(capsys, str(study), "--takes", str(study / "late"))

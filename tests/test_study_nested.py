@@ -1,11 +1,8 @@
 """Nested random intercepts of time and workload, against R and against whole matrices."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,10 +29,10 @@ def check(rows: list[Row], expected: dict[str, Any]) -> None:
         ("estimate", [c.estimate for c in of], 1e-6),
         ("se", [c.se for c in of], 1e-6),
         ("df", [c.df for c in of], 1e-5),
-        ("emm", [m.estimate for m in means], 1e-6),  # type: ignore[attr-defined]
+        ("emm", [m.estimate for m in means], 1e-6),
         ("emm_se", [m.se for m in means], 1e-6),
         ("emm_df", [m.df for m in means], 1e-5),
-        ("pair", [p.difference for p in pairs], 1e-6),  # type: ignore[attr-defined]
+        ("pair", [p.difference for p in pairs], 1e-6),
         ("pair_se", [p.se for p in pairs], 1e-6),
         ("pair_df", [p.df for p in pairs], 1e-5),
     ):
@@ -48,11 +45,11 @@ def check(rows: list[Row], expected: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("name", list(EXPECTED))
-def test_nested_intercepts_are_as_r_has_them(name: str) -> None:
+def test_nested_intercepts_are_as_r_has_them(name):
     check(CASES[name], EXPECTED[name])
 
 
-def test_r_itself_says_so(tmp_path: Path) -> None:
+def test_r_itself_says_so(tmp_path):
     if shutil.which("Rscript") is None:
         pytest.skip("R is not installed")
     cases = {name: CASES[name] for name in ("own time pooled", "singular time pooled")}
@@ -66,7 +63,7 @@ def test_r_itself_says_so(tmp_path: Path) -> None:
         check(cases[name], expected)
 
 
-def test_some_of_the_cases_are_singular() -> None:
+def test_some_of_the_cases_are_singular():
     """Or the tests above would say nothing on boundaries."""
     zero = [
         level
@@ -77,7 +74,7 @@ def test_some_of_the_cases_are_singular() -> None:
     assert {"operator", "operator:retargeter", "operator:retargeter:task"} <= set(zero)
 
 
-def test_the_end_of_the_search_is_the_minimum() -> None:
+def test_the_end_of_the_search_is_the_minimum():
     """The criterion with whole matrices, minimised by another program from several places."""
     from scipy.optimize import minimize
 
@@ -107,7 +104,7 @@ def test_the_end_of_the_search_is_the_minimum() -> None:
             assert here <= other.fun + 1e-8
 
 
-def test_levels_that_can_not_be_told_apart_are_left_out() -> None:
+def test_levels_that_can_not_be_told_apart_are_left_out():
     """One task for each operator: a block is an operator with one retargeter."""
     frame = frame_of(CASES["own time A"])
     levels = {**frame.levels, "block": frame.levels["operator:retargeter"]}
@@ -118,7 +115,7 @@ def test_levels_that_can_not_be_told_apart_are_left_out() -> None:
     assert fit_mixed(frame.design()[0], frame.outcome, alone).levels == fit.levels
 
 
-def test_operators_that_differ_hugely_change_nothing_within_them() -> None:
+def test_operators_that_differ_hugely_change_nothing_within_them():
     frame = frame_of(CASES["own time A"])
     design = frame.design()[0]
     near = fit_mixed(design, frame.outcome, frame.levels)
@@ -130,14 +127,14 @@ def test_operators_that_differ_hugely_change_nothing_within_them() -> None:
     assert far.satterthwaite(contrast) == pytest.approx(near.satterthwaite(contrast), rel=0.2)
 
 
-def test_blocks_without_any_residual_are_refused() -> None:
+def test_blocks_without_any_residual_are_refused():
     frame = frame_of(CASES["own time A"])
     level = frame.levels["operator:retargeter"].astype(float)
     with pytest.raises(StudyError, match="without any residual"):
         fit_mixed(frame.design()[0], np.sin(level), frame.levels)
 
 
-def test_what_suits_operators_is_said_with_its_size() -> None:
+def test_what_suits_operators_is_said_with_its_size():
     found = analyze("time", frame_of(CASES["own time pooled"]), limits=False)
     text = "operators differ in which retargeter suits them: SD 2.4 s of operator by retargeter"
     assert any(said.startswith(text) for said in found["small-sample"].warnings)
@@ -149,16 +146,13 @@ def test_what_suits_operators_is_said_with_its_size() -> None:
     )
     assert found["paper"].model["formula"].endswith("+ t + (1 | operator)")
     # The error that a difference is given is that of operators who differ in it.
-    small, paper = (found[mode].dunnett["sbr"] for mode in ("small-sample", "paper"))  # type: ignore[index]
+    small, paper = (found[mode].dunnett["sbr"] for mode in ("small-sample", "paper"))
     assert small.se > 1.3 * paper.se
     calm = analyze("tlx", frame_of(CASES["singular tlx A"]), limits=False)
     assert not any("suits them" in said for said in calm["small-sample"].warnings)
 
 
-# Slopes.
-
-
-def test_the_robust_covariance_is_what_whole_matrices_say() -> None:
+def test_the_robust_covariance_is_what_whole_matrices_say():
     frame = frame_of(CASES["own time pooled"])
     design = frame.design()[0]
     fit = fit_mixed(design, frame.outcome, {"operator": frame.group})
@@ -175,13 +169,12 @@ def test_the_robust_covariance_is_what_whole_matrices_say() -> None:
     for x, w, r in parts:
         score = x.T @ w @ np.linalg.solve(np.eye(len(r)) - x @ inverse @ x.T @ w, r)
         expected += np.outer(inverse @ score, inverse @ score)
-    assert found is not None
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-12)
     alone = np.column_stack([np.ones(len(left)), frame.group == 0]).astype(float)
     assert mancl_derouen(alone, left, frame.group, 0.1) is None
 
 
-def test_operators_who_learn_at_different_rates_make_no_slope_of_all() -> None:
+def test_operators_who_learn_at_different_rates_make_no_slope_of_all():
     """One gets quicker, the next slower: a model without random slopes finds one all the same."""
     found = []
     for seed in range(40):

@@ -1,7 +1,5 @@
 """R's figures for one simulated study: lme4, lmerTest, geepack, emmeans, mvtnorm, to 15 digits."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -71,13 +69,7 @@ def column(table: dict[str, dict[str, Any]], name: str) -> list[Any]:
 
 @pytest.mark.parametrize("scope", SCOPES)
 @pytest.mark.parametrize("outcome", ["time", "tlx"])
-def test_mixed_models(
-    oracle: dict[str, Any],
-    results: dict[str, Any],
-    of_t: dict[str, Any],
-    outcome: str,
-    scope: str,
-) -> None:
+def test_mixed_models(oracle, results, of_t, outcome, scope):
     """Random intercepts of operators: as mode paper has them, and with Satterthwaite's t."""
     expected = oracle[outcome][scope]["REML"]
     for mode, of in (("paper", "asymptotic"), ("t", "satterthwaite")):
@@ -125,7 +117,7 @@ def test_mixed_models(
 
 
 @pytest.mark.parametrize("scope", SCOPES)
-def test_success(oracle: dict[str, Any], results: dict[str, Any], scope: str) -> None:
+def test_success(oracle, results, scope):
     expected = oracle["success"][scope]
     for mode, error, of in (
         ("paper", "se_robust", "emm_robust"),
@@ -164,7 +156,7 @@ def test_success(oracle: dict[str, Any], results: dict[str, Any], scope: str) ->
 
 
 @pytest.mark.parametrize("scope", SCOPES)
-def test_learning(oracle: dict[str, Any], results: dict[str, Any], scope: str) -> None:
+def test_learning(oracle, results, scope):
     for index, outcomes in oracle["learning"][scope].items():
         for outcome, expected in outcomes.items():
             found = results["learning"][scope][index][outcome]
@@ -180,7 +172,7 @@ def test_learning(oracle: dict[str, Any], results: dict[str, Any], scope: str) -
                     close(found[name], value, 1e-5, 1e-9)
 
 
-def test_rank_correlations(oracle: dict[str, Any], results: dict[str, Any]) -> None:
+def test_rank_correlations(oracle, results):
     assert set(results["spearman"]) == set(oracle["spearman"])
     for pair, expected in oracle["spearman"].items():
         found = results["spearman"][pair]
@@ -194,8 +186,7 @@ def test_rank_correlations(oracle: dict[str, Any], results: dict[str, Any]) -> N
             close(found["ci_boot_operators"][end], boot, abs_=0.03)
 
 
-def test_single_scales_of_the_tlx(oracle: dict[str, Any], data: StudyData) -> None:
-    assert data.questionnaires is not None
+def test_single_scales_of_the_tlx(oracle, data):
     for item, expected in oracle["tlx_items"].items():
         frame = frame_of(answers(data.questionnaires, item), "pooled", "dexpilot")
         found = plain(intercepts_with_t(frame))

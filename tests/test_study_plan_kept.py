@@ -1,16 +1,13 @@
 """What a study's plan says reaches its data and its analysis."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 from study_cases import write_rows
 
+from smooth_operator import SmoothOperatorError, __version__
 from smooth_operator.cli import main
-from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.plan import make_plan
 from smooth_operator.study.design.plan_file import (
@@ -20,7 +17,6 @@ from smooth_operator.study.design.plan_file import (
     write_preregistration,
 )
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
-from smooth_operator.version import __version__
 
 
 def protocol(**changes: Any) -> Protocol:
@@ -30,17 +26,14 @@ def protocol(**changes: Any) -> Protocol:
     )
 
 
-# The plan's endpoints.
-
-
-def test_primary_endpoint_and_margins_read_back() -> None:
+def test_primary_endpoint_and_margins_read_back():
     plan = make_plan(protocol(primary="tlx/B", margins={"success": 0.1, "time": 5}))
     table = plan_table(plan)
     assert table["primary"] == "tlx/B"
     assert plan_of(table, "study.toml") == plan
 
 
-def test_a_drawn_plan_without_primary_endpoint_had_none() -> None:
+def test_a_drawn_plan_without_primary_endpoint_had_none():
     table = plan_table(make_plan(protocol()))
     assert table.pop("primary") == "success/pooled"
     assert plan_of(table, "study.toml").protocol.primary == ""
@@ -60,12 +53,9 @@ def test_a_drawn_plan_without_primary_endpoint_had_none() -> None:
         ({"margins": {"speed": 1.0}}, "unknown outcome of a margin"),
     ],
 )
-def test_endpoints_that_cannot_be(changes: dict[str, Any], said: str) -> None:
+def test_endpoints_that_cannot_be(changes, said):
     with pytest.raises(SmoothOperatorError, match=said):
         protocol(**changes)
-
-
-# Columns that a table of trials may have.
 
 
 def rows(**more: Any) -> list[dict[str, object]]:
@@ -80,16 +70,13 @@ def rows(**more: Any) -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
-def test_further_columns_of_trials(tmp_path: Path) -> None:
+def test_further_columns_of_trials(tmp_path):
     more = {"duration_s": 12.5, "line": "dropped", "resets": 1, "started_at": "2026-01-02T03:04:05"}
     trials = read_study([write_rows(tmp_path / "t.csv", rows(**more, place=3, amended=1))]).trials
     assert len(trials) == 6
 
 
-# The pre-registration.
-
-
-def test_the_preregistration_says_what_the_plan_commits_to(tmp_path: Path) -> None:
+def test_the_preregistration_says_what_the_plan_commits_to(tmp_path):
     plan = make_plan(protocol(primary="time/B", margins={"success": 0.1}))
     assert write_preregistration(plan, tmp_path) is not None
     text = (tmp_path / "PREREGISTRATION.md").read_text(encoding="utf-8")
@@ -115,7 +102,7 @@ def test_the_preregistration_says_what_the_plan_commits_to(tmp_path: Path) -> No
     assert "NASA" not in text.split("## Models")[0]
 
 
-def test_a_preregistration_that_was_completed_stays_beside_a_new_one(tmp_path: Path) -> None:
+def test_a_preregistration_that_was_completed_stays_beside_a_new_one(tmp_path):
     folder = tmp_path / "study"
     new = ["study", "new", str(folder), "--conditions", "sbr", "ako", "--tasks", "A:3"]
     assert main([*new, "--operators", "2"]) == 0

@@ -1,7 +1,5 @@
 """``analysis.R`` in the folder of results gives the report's figures in R, to its own precision."""
 
-from __future__ import annotations
-
 import csv
 import math
 import random
@@ -21,10 +19,7 @@ KEYS = ("mode", "outcome", "scope", "retargeter", "pair", "name")
 ABSOLUTE = {"p": 1e-6, "p_raw": 1e-6, "p_holm": 1e-6, "p_dunnett": 1e-5}
 """Probabilities; all else is compared relative to its size, limits to the standard error."""
 RELATIVE = {"df": 1e-4, "lower": 1e-4, "upper": 1e-4}
-MORE = {
-    "learning": ("scope", "index", "outcome"),
-    "readings": ("reading", "where", "term"),
-}
+MORE = {"learning": ("scope", "index", "outcome"), "readings": ("reading", "where", "term")}
 """Further tables of the script, and what names their rows."""
 READ = {"full_success": 3, "equivalence": 1, "interaction": 1}
 """Readings that R has, and how many sorts of rows each has at least."""
@@ -78,7 +73,7 @@ def rows(path: Path, keys: tuple[str, ...] = KEYS) -> dict[tuple[str, ...], dict
     return {tuple(row.get(key, "").removeprefix("'") for key in keys): row for row in found}
 
 
-def test_the_script_and_its_rows_are_written(folder: Path) -> None:
+def test_the_script_and_its_rows_are_written(folder):
     script = (folder / "analysis.R").read_text(encoding="utf-8")
     assert 'baseline <- "sbr"' in script
     assert "@" not in script.split("suppressMessages")[0]
@@ -101,7 +96,7 @@ def by_r(folder: Path) -> Path:
     return folder
 
 
-def test_r_reads_the_rest_the_same(by_r: Path) -> None:
+def test_r_reads_the_rest_the_same(by_r):
     for name, keys in MORE.items():
         ours, theirs = rows(by_r / f"{name}.csv", keys), rows(by_r / f"R_{name}.csv", keys)
         assert theirs.keys() <= ours.keys()
@@ -127,7 +122,7 @@ def test_r_reads_the_rest_the_same(by_r: Path) -> None:
     )
 
 
-def test_r_finds_the_same(by_r: Path) -> None:
+def test_r_finds_the_same(by_r):
     folder = by_r
     for name in ("emm", "dunnett", "pairs", "coefficients"):
         ours, theirs = rows(folder / f"{name}.csv"), rows(folder / f"R_{name}.csv")

@@ -1,7 +1,5 @@
 """Further readings of a study: their arithmetic against R, plain loops and worked examples."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +24,7 @@ from smooth_operator.study.data import read_study
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
 
 
-def test_operators_are_drawn_whole_and_the_first_sample_is_everybody() -> None:
+def test_operators_are_drawn_whole_and_the_first_sample_is_everybody():
     weights = operator_weights(7, seed=3, draws=50)
     assert weights.shape == (51, 7)
     assert (weights[0] == 1).all()
@@ -39,7 +37,7 @@ def pair(a: str, b: str, difference: float, se: float, df: float) -> Pair:
     return Pair(a, b, difference, se, df, difference / se, 0.5, 0.5, 0.1, "small")
 
 
-def test_equivalence_is_two_one_sided_tests() -> None:
+def test_equivalence_is_two_one_sided_tests():
     result = ScopeResult(
         pairs={
             "base-one": pair("base", "one", -0.02, 0.04, 17.0),
@@ -66,7 +64,7 @@ def test_equivalence_is_two_one_sided_tests() -> None:
     assert without.smallest_margin == one.smallest_margin
 
 
-def test_joint_tests_are_those_of_one_difference_where_there_is_one() -> None:
+def test_joint_tests_are_those_of_one_difference_where_there_is_one():
     test = clustered_wald(np.array([0.6]), np.array([[0.04]]), 12)
     assert (test.f, test.df1, test.df2) == (pytest.approx(9.0), 1, 11)
     assert test.p == pytest.approx(0.0120798394719, rel=1e-9)  # 2 * pt(-3, 11)
@@ -76,7 +74,7 @@ def test_joint_tests_are_those_of_one_difference_where_there_is_one() -> None:
         clustered_wald(np.ones(5), np.eye(5), 5)
 
 
-def test_rankings_are_tested() -> None:
+def test_rankings_are_tested():
     rankings = {f"P{i}": ("b", "a", "c") for i in range(7)}
     rankings |= {"P7": ("a", "b", "c"), "P8": ("b", "a")}
     found = preference(rankings, ("a", "b", "c"))
@@ -91,7 +89,7 @@ def test_rankings_are_tested() -> None:
     assert isinstance(preference({"P1": ("a", "b")}, ("a", "b")), Refused)
 
 
-def test_two_operators_who_disagree_prefer_nothing() -> None:
+def test_two_operators_who_disagree_prefer_nothing():
     found = preference({"P1": ("a", "b"), "P2": ("b", "a")}, ("a", "b"))
     assert isinstance(found, Preference)
     assert (found.friedman, found.p, found.kendall_w) == (0, 1, 0)
@@ -117,7 +115,7 @@ def analysis(tmp_path_factory: pytest.TempPathFactory) -> Analysis:
     return analyze_study(replace(data, plan=plan, ranking=ranking))
 
 
-def test_correlations_within_operators_leave_out_what_operators_differ_in() -> None:
+def test_correlations_within_operators_leave_out_what_operators_differ_in():
     # Operators who score high have a high metric, but each ranks retargeters against it.
     rows = [
         (f"P{i}", name, 10.0 * i + j, 10.0 * i - j)
@@ -158,7 +156,7 @@ def test_what_one_retargeter_leaves_is_refused_and_never_an_error(tmp_path: Path
     assert readings.full_success["pooled"].separated["sbr"].rate == 0
 
 
-def test_a_whole_study_has_every_reading(analysis: Analysis) -> None:
+def test_a_whole_study_has_every_reading(analysis):
     content = analysis.to_json()["readings"]
     json.dumps(content, allow_nan=False)
 
@@ -174,14 +172,14 @@ def test_a_whole_study_has_every_reading(analysis: Analysis) -> None:
     assert content["preference"]["mean_rank"]["sbr"] == 1
 
 
-def test_readings_agree_with_the_models_where_they_are_the_same(analysis: Analysis) -> None:
+def test_readings_agree_with_the_models_where_they_are_the_same(analysis):
     readings = analysis.readings
     trials = analysis.data.trials
     observed = readings.full_success["pooled"].observed["sbr"]["mean"]
     assert observed == np.mean(trials.score[trials.retargeter == "sbr"] == 1)
 
 
-def test_the_table_of_readings_names_every_figure(analysis: Analysis) -> None:
+def test_the_table_of_readings_names_every_figure(analysis):
     rows = reading_rows(analysis.readings)
     assert {row["reading"] for row in rows} == set(vars(analysis.readings))
     (one,) = [

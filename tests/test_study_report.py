@@ -1,7 +1,5 @@
 """``smooth-operator study analyze``: what it writes and prints, and how it refuses."""
 
-from __future__ import annotations
-
 import csv
 import html
 import json
@@ -83,7 +81,7 @@ class Tags(HTMLParser):
             assert self.open.pop() == tag
 
 
-def test_the_page_is_whole_and_needs_nothing_else(output: Path) -> None:
+def test_the_page_is_whole_and_needs_nothing_else(output):
     text = (output / "report.html").read_text(encoding="utf-8")
     page = Tags()
     page.feed(text)
@@ -103,7 +101,7 @@ def test_the_page_is_whole_and_needs_nothing_else(output: Path) -> None:
         assert (output / "figures" / f"{stem}.svg").stat().st_size > 2000
 
 
-def test_tables_hold_the_numbers_of_the_results(output: Path) -> None:
+def test_tables_hold_the_numbers_of_the_results(output):
     results = json.loads((output / "results.json").read_text(encoding="utf-8"))
     for family in ("coefficients", "emm", "dunnett", "pairs"):
         with (output / f"{family}.csv").open(encoding="utf-8", newline="") as file:
@@ -140,7 +138,7 @@ def verdict(folder: Path) -> list[str]:
     return [html.unescape(line) for line in re.findall(r"<p>(.*?)</p>", head, re.DOTALL)]
 
 
-def test_the_head_says_what_the_tables_hold(output: Path) -> None:
+def test_the_head_says_what_the_tables_hold(output):
     results = json.loads((output / "results.json").read_text(encoding="utf-8"))
     lines = verdict(output)
     assert len(lines) == 5
@@ -165,7 +163,7 @@ def test_the_head_says_what_the_tables_hold(output: Path) -> None:
     assert lines[4].lower().endswith("a difference that is not shown is no evidence of equality.")
 
 
-def test_the_primary_outcome_of_the_plan_comes_first(data: Path) -> None:
+def test_the_primary_outcome_of_the_plan_comes_first(data):
     study = replace(
         read_study([data]),
         plan=Protocol(
@@ -186,7 +184,7 @@ def test_the_primary_outcome_of_the_plan_comes_first(data: Path) -> None:
     assert lines[4].startswith("Equivalent within the planned 60.00\N{NO-BREAK SPACE}s")
 
 
-def test_the_page_has_plain_names_and_minus_signs(output: Path) -> None:
+def test_the_page_has_plain_names_and_minus_signs(output):
     page = (output / "report.html").read_text(encoding="utf-8")
     text = re.sub(r"<(style|svg|script)\b.*?</\1>", "", page, flags=re.DOTALL)
     for raw in ("trial_global", "trial_in_block", "tlx_index", "retargetersbr", "taskB"):
@@ -206,7 +204,7 @@ def test_the_page_has_plain_names_and_minus_signs(output: Path) -> None:
     assert "mode paper" not in main.lower().replace("(mode paper)", "")
 
 
-def test_numbers_have_a_minus_sign_and_no_negative_zero() -> None:
+def test_numbers_have_a_minus_sign_and_no_negative_zero():
     assert number(-1.25, 1) == "−1.2"
     assert number(-0.0001) == "0.00"
     assert signed(0.001, 1) == "0.0"
@@ -216,9 +214,7 @@ def test_numbers_have_a_minus_sign_and_no_negative_zero() -> None:
     assert (p_equation(0.0001), p_equation(0.05)) == ("p < 0.001", "p = 0.050")
 
 
-def test_the_conclusion_is_printed(
-    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_conclusion_is_printed(data, tmp_path, capsys):
     arguments = ["study", "analyze", str(data), "--output", str(tmp_path), "--no-report"]
     assert main(arguments) == 0
     printed = capsys.readouterr()
@@ -229,9 +225,7 @@ def test_the_conclusion_is_printed(
     assert not (tmp_path / "report.html").exists()
 
 
-def test_refused_parts_give_a_reason_and_status_1(
-    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_refused_parts_give_a_reason_and_status_1(data, tmp_path, capsys):
     case = simulate(3, operators=range(6))
     lost: list[Row] = [
         row | {"score": 0, "time_s": ""} if row["retargeter"] == "geort" else row
@@ -249,9 +243,7 @@ def test_refused_parts_give_a_reason_and_status_1(
     assert "no questionnaires were given" in text
 
 
-def test_a_refused_model_is_not_replaced_by_figures_of_the_published_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_refused_model_is_not_replaced_by_figures_of_the_published_one(tmp_path, capsys):
     case = simulate(3, operators=range(2), retargeters=("dexpilot", "sbr"))
     case.write(tmp_path)
     out = tmp_path / "out"
@@ -268,14 +260,14 @@ def test_a_refused_model_is_not_replaced_by_figures_of_the_published_one(
     assert "±" not in success
 
 
-def test_sentences_of_what_was_refused_have_minus_signs(tmp_path: Path) -> None:
+def test_sentences_of_what_was_refused_have_minus_signs(tmp_path):
     simulate(5, alternate=True, spread=0.0, effect=0.0, operators=range(6)).write(tmp_path)
     sentences = conclusion(analyze_study(read_study([tmp_path])))
     (success,) = [text for text in sentences if text.startswith("Success")]
     assert "correlation is estimated as −0." in success
 
 
-def test_a_summary_of_few_operators_says_that_little_can_be_shown(tmp_path: Path) -> None:
+def test_a_summary_of_few_operators_says_that_little_can_be_shown(tmp_path):
     simulate(3, operators=range(3), retargeters=("dexpilot", "sbr")).write(tmp_path)
     sentences = conclusion(analyze_study(read_study([tmp_path])))
     assert "with 3 operators only very large differences can be shown" in sentences[-1].lower()
@@ -284,9 +276,7 @@ def test_a_summary_of_few_operators_says_that_little_can_be_shown(tmp_path: Path
             assert not re.search("negligible|small|medium|large$", text)
 
 
-def test_bad_data_write_nothing_and_give_status_2(
-    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_data_write_nothing_and_give_status_2(data, tmp_path, capsys):
     rows: list[Row] = [dict(row) for row in simulate(3, operators=range(6)).trials]
     rows[3]["score"] = 0.25
     file = write_rows(tmp_path / "trials.csv", rows)
@@ -302,9 +292,7 @@ def test_bad_data_write_nothing_and_give_status_2(
     assert "no such file" in capsys.readouterr().err
 
 
-def test_a_study_that_was_run_is_analysed_from_its_store(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_that_was_run_is_analysed_from_its_store(tmp_path, capsys):
     from study_writers import due, small_plan
 
     from smooth_operator.study.store.study_store import open_study

@@ -1,7 +1,5 @@
 """The scene, the trials and the clock of a study in simulation follow the protocol."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -44,7 +42,6 @@ def walk(service: SessionService, store: StudyStore, until: str, task: str = "ca
         if step.what == until and step.block is not None and step.block.task.name == task:
             return
         asked = due_command(progress)
-        assert asked is not None
         service.carry_out(asked, "operator" if asked.do == "answer" else "experimenter")
     raise AssertionError("no end")
 
@@ -59,7 +56,7 @@ def begun(simulation: FakeSimulation) -> list[tuple[str | None, int]]:
     return [(fields["about"]["task"], fields["about"]["trial"]) for fields in asked]
 
 
-def test_a_trial_has_its_scene_after_a_restart_with_another(store: StudyStore) -> None:
+def test_a_trial_has_its_scene_after_a_restart_with_another(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P01", teleop=simulation)
     walk(service, store, "trial")
@@ -73,7 +70,7 @@ def test_a_trial_has_its_scene_after_a_restart_with_another(store: StudyStore) -
     assert simulation.trial["phase"] == "running"
 
 
-def test_between_trials_the_scene_is_watched(store: StudyStore) -> None:
+def test_between_trials_the_scene_is_watched(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P01", teleop=simulation)
     walk(service, store, "start_trial")
@@ -83,7 +80,7 @@ def test_between_trials_the_scene_is_watched(store: StudyStore) -> None:
     assert service.look()[0]["teleop"]["scene"] == "card"
 
 
-def test_back_at_an_operator_in_mid_block_their_scene_is_there(store: StudyStore) -> None:
+def test_back_at_an_operator_in_mid_block_their_scene_is_there(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P02", teleop=simulation)
     walk(service, store, "start_block", "cube")
@@ -100,7 +97,7 @@ def test_back_at_an_operator_in_mid_block_their_scene_is_there(store: StudyStore
     assert (simulation.task, begun(simulation)[-1]) == ("card", ("card", 2))
 
 
-def test_before_the_first_trial_of_a_block_there_is_no_object(store: StudyStore) -> None:
+def test_before_the_first_trial_of_a_block_there_is_no_object(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P01", teleop=simulation)
     walk(service, store, "familiarise")
@@ -115,7 +112,7 @@ def test_before_the_first_trial_of_a_block_there_is_no_object(store: StudyStore)
     assert simulation.there
 
 
-def test_a_console_that_is_started_again_leaves_the_hand_alone(store: StudyStore) -> None:
+def test_a_console_that_is_started_again_leaves_the_hand_alone(store):
     simulation = FakeSimulation()
     walk(SessionService(store, operator="P01", teleop=simulation), store, "trial")
     simulation.done("done", 1.0, 12.25)
@@ -129,14 +126,13 @@ def test_a_console_that_is_started_again_leaves_the_hand_alone(store: StudyStore
     assert store.progress("P01").trials[-1].time_s == 12.25
 
 
-def test_a_start_that_is_undone_ends_the_trial_of_the_simulation(store: StudyStore) -> None:
+def test_a_start_that_is_undone_ends_the_trial_of_the_simulation(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P01", teleop=simulation)
     for end, marked in ((lambda: None, 0), (lambda: simulation.done("done", 1.0, 3.0), 1)):
         walk(service, store, "trial")
         end()
         last = store.progress("P01").undoable
-        assert last is not None
         service.carry_out(due(store, "undo", number=last.number), "experimenter")
         assert simulation.trial["phase"] != "running"
         assert len(simulation.marked) == marked
@@ -147,7 +143,7 @@ def test_a_start_that_is_undone_ends_the_trial_of_the_simulation(store: StudySto
     assert [word for word, _ in simulation.marked] == ["undone", "void"]
 
 
-def test_a_line_after_a_reset_needs_one(tmp_path: Path) -> None:
+def test_a_line_after_a_reset_needs_one(tmp_path):
     rubric = TASKS["card"].task.rubric
     with open_study(tmp_path, two_tasks(rubric=rubric)) as store:
         service = SessionService(store, operator="P01")
@@ -169,7 +165,7 @@ def test_a_line_after_a_reset_needs_one(tmp_path: Path) -> None:
         assert store.progress("P01").trials[-1].score == 0.5
 
 
-def test_plans_of_scenes_have_their_rubric_and_limit(tmp_path: Path) -> None:
+def test_plans_of_scenes_have_their_rubric_and_limit(tmp_path):
     main(["study", "new", str(tmp_path / "study"), "--tasks", "card:4", "A:4", "lift:4"])
     card, paper, other = read_plan(tmp_path / "study" / "study.toml").protocol.tasks
     assert (card.time_limit_s, card.trials) == (60.0, 4)
@@ -178,7 +174,7 @@ def test_plans_of_scenes_have_their_rubric_and_limit(tmp_path: Path) -> None:
     assert other.rubric == GENERAL_RUBRIC
 
 
-def test_a_rubric_that_contradicts_the_scene_is_refused(tmp_path: Path) -> None:
+def test_a_rubric_that_contradicts_the_scene_is_refused(tmp_path):
     rubric = (
         RubricLine("done", 1.0, "as instructed"),
         RubricLine("done-after-reset", 0.0, "too late"),

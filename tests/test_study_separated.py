@@ -1,7 +1,5 @@
 """Retargeters that never or always succeed: exact tests against all swaps, and bounds."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
@@ -24,7 +22,7 @@ def study(wins: dict[str, list[int]], trials: int = 4, tasks: int = 1) -> Frame:
     return make_frame(columns[0].astype(float), *columns[1:], baseline="base")
 
 
-def test_p_is_that_of_all_swaps() -> None:
+def test_p_is_that_of_all_swaps():
     wins = {"base": [1, 3, 0, 2, 4, 1], "never": [0] * 6, "other": [0, 0, 1, 0, 0, 0]}
     frame = study(wins)
     _, found = split(frame)
@@ -41,7 +39,7 @@ def test_p_is_that_of_all_swaps() -> None:
     assert found["never"].against["other"].p_raw == 1.0
 
 
-def test_the_bound_holds_where_trials_of_an_operator_are_one_and_the_same() -> None:
+def test_the_bound_holds_where_trials_of_an_operator_are_one_and_the_same():
     """Operators always or never succeed: with the true rate at the bound, 5 % of studies show
     none. The bound for independent trials is broken by far more."""
     _, found = split(study({"base": [1] * 10, "never": [0] * 10}, trials=10))
@@ -51,7 +49,7 @@ def test_the_bound_holds_where_trials_of_an_operator_are_one_and_the_same() -> N
     assert naive == pytest.approx(1 - 0.05 ** (1 / 100))
 
 
-def test_who_lacks_a_task_with_one_of_them_is_compared_where_there_are_both() -> None:
+def test_who_lacks_a_task_with_one_of_them_is_compared_where_there_are_both():
     frame = study({"base": [1, 2], "always": [4, 4], "never": [0, 0]}, tasks=2)
     kept = ~((frame.task == 1) & (frame.group == 0) & (frame.retargeter == 0))
     names, operators = np.array(frame.retargeters), np.array(frame.operators)
@@ -60,7 +58,6 @@ def test_who_lacks_a_task_with_one_of_them_is_compared_where_there_are_both() ->
         operators[frame.group[kept]], frame.index[kept], "base",
     )  # fmt: skip
     rest, found = split(part)
-    assert rest is not None
     assert rest.retargeters == ("base",)
     assert found["always"].against["base"].difference == pytest.approx((3 / 4 + 2 / 4) / 2)
     assert found["always"].against["never"].difference == 1.0
@@ -71,6 +68,6 @@ def test_who_lacks_a_task_with_one_of_them_is_compared_where_there_are_both() ->
     assert "at least 22.4 %" in separated_in_words("always", found["always"])
 
 
-def test_nothing_is_separated_where_nothing_varies() -> None:
+def test_nothing_is_separated_where_nothing_varies():
     frame = study({"base": [0, 0], "never": [0, 0]})
     assert split(frame) == (frame, {})

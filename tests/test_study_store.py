@@ -1,7 +1,5 @@
 """The store: nothing acknowledged is lost, nothing is in it that could not have happened."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -63,15 +61,11 @@ def walk(store: StudyStore, operator: str, until: str = "done", seed: int = 1) -
 def score(store: StudyStore, operator: str, line: str, seconds: float = 9.5) -> TrialScored:
     progress = store.progress(operator)
     trial = progress.running
-    assert trial is not None
     place = (trial.block.task.name, trial.block.number, trial.number)
     return TrialScored(*place, line, progress.capped(line), seconds)
 
 
-# One operator, from beginning to end.
-
-
-def test_an_operator_goes_through_the_protocol(store: StudyStore) -> None:
+def test_an_operator_goes_through_the_protocol(store):
     walk(store, "P01")
     progress = store.progress("P01")
     blocks = store.plan.blocks("P01")
@@ -93,7 +87,7 @@ def test_an_operator_goes_through_the_protocol(store: StudyStore) -> None:
     assert first.questionnaires == {1: "initial", 2: "midpoint", 3: "final"}
 
 
-def test_what_is_read_back_is_what_was_there(store: StudyStore, tmp_path: Path) -> None:
+def test_what_is_read_back_is_what_was_there(store, tmp_path):
     walk(store, "P01", "questionnaire")
     store.append("P01", Noted("glove slipped; 50 % \"quotes\" 手 'n' \n all"))
     with open_study(tmp_path) as again:  # as after a restart
@@ -105,10 +99,9 @@ def test_what_is_read_back_is_what_was_there(store: StudyStore, tmp_path: Path) 
     assert store.progress("P01").step.what == "done"  # the other one sees it, too
 
 
-def test_a_trial_that_runs_goes_on_after_a_restart(store: StudyStore, tmp_path: Path) -> None:
+def test_a_trial_that_runs_goes_on_after_a_restart(store, tmp_path):
     walk(store, "P01", "start_trial")
     block = store.progress("P01").step.block
-    assert block is not None
     started = store.append("P01", TrialStarted(block.task.name, block.number, 1))
     store.append("P01", TrialReset(block.task.name, block.number, 1))
     with open_study(tmp_path) as again:
@@ -117,10 +110,9 @@ def test_a_trial_that_runs_goes_on_after_a_restart(store: StudyStore, tmp_path: 
         assert again.progress("P01").capped("done") == 0.5
 
 
-def test_a_reset_caps_the_score_and_there_is_one(store: StudyStore) -> None:
+def test_a_reset_caps_the_score_and_there_is_one(store):
     walk(store, "P01", "start_trial")
     block = store.progress("P01").step.block
-    assert block is not None
     place = (block.task.name, block.number, 1)
     store.append("P01", TrialStarted(*place))
     assert store.progress("P01").capped("done") == 1.0
@@ -135,7 +127,7 @@ def test_a_reset_caps_the_score_and_there_is_one(store: StudyStore) -> None:
     assert store.progress("P01").trials[-1].score == 0.5
 
 
-def test_undo_is_one_more_event(store: StudyStore) -> None:
+def test_undo_is_one_more_event(store):
     walk(store, "P01", "trial")
     running = store.progress("P01").step
     store.append("P01", score(store, "P01", "failed", 31.25))
@@ -147,7 +139,6 @@ def test_undo_is_one_more_event(store: StudyStore) -> None:
     store.append("P01", Undone(scored.number, "wrong key"))
     progress = store.progress("P01")
     assert progress.step == running
-    assert progress.running is not None
     assert progress.running.undone_time_s == 31.25
     assert notes(progress) == ["wrong key"]
     store.append("P01", score(store, "P01", "marginal", 31.25))
@@ -157,7 +148,7 @@ def test_undo_is_one_more_event(store: StudyStore) -> None:
     assert [t.score for t in store.progress("P01").trials] == [0.5]
 
 
-def test_everything_can_be_undone_back_to_the_beginning(store: StudyStore) -> None:
+def test_everything_can_be_undone_back_to_the_beginning(store):
     walk(store, "P01", "questionnaire")
     store.append("P01", Noted("a remark"))
     while (last := store.progress("P01").undoable) is not None:
@@ -169,10 +160,9 @@ def test_everything_can_be_undone_back_to_the_beginning(store: StudyStore) -> No
     assert len(store.progress("P01").trials) == 18
 
 
-def test_a_void_trial_is_done_again(store: StudyStore, tmp_path: Path) -> None:
+def test_a_void_trial_is_done_again(store, tmp_path):
     walk(store, "P01", "trial")
     trial = store.progress("P01").running
-    assert trial is not None
     place = (trial.block.task.name, trial.block.number, 1)
     store.append("P01", TrialVoided(*place, "tracker lost"))
     step = store.progress("P01").step
@@ -182,21 +172,20 @@ def test_a_void_trial_is_done_again(store: StudyStore, tmp_path: Path) -> None:
     assert study_json(store)["operators"][0]["voided"][0]["reason"] == "tracker lost"
 
 
-def test_breaks_are_between_trials(store: StudyStore) -> None:
+def test_breaks_are_between_trials(store):
     walk(store, "P01", "trial")
     with pytest.raises(StudyError, match="no break can begin: trial 1 in block 1"):
         store.append("P01", BreakStarted())
     store.append("P01", score(store, "P01", "done"))
     store.append("P01", BreakStarted())
     too_early = due(replay(store.plan, "P01", store.records("P01")[:-1]), random.Random(0))
-    assert too_early is not None
     with pytest.raises(StudyError, match="not due; break in block 1"):
         store.append("P01", too_early)
     store.append("P01", BreakEnded())
     assert store.progress("P01").breaks[0][1] is not None
 
 
-def test_a_page_left_open_changes_nothing(store: StudyStore) -> None:
+def test_a_page_left_open_changes_nothing(store):
     walk(store, "P01", "trial")
     stale = score(store, "P01", "done")
     store.append("P01", stale)
@@ -209,7 +198,7 @@ def test_a_page_left_open_changes_nothing(store: StudyStore) -> None:
     assert store.records("P01") == before
 
 
-def test_the_same_event_sent_twice_is_written_once(store: StudyStore) -> None:
+def test_the_same_event_sent_twice_is_written_once(store):
     task = store.plan.blocks("P01")[0].task.name
     first = store.append("P01", Calibrated(task), token="a1")
     assert store.append("P01", Calibrated(task), token="a1") == first
@@ -228,7 +217,7 @@ def test_the_same_event_sent_twice_is_written_once(store: StudyStore) -> None:
         ("noted", {"text": "a\x00b"}, "expected a text"),
     ],
 )
-def test_what_is_no_event_is_refused(kind: str, values: dict[str, object], says: str) -> None:
+def test_what_is_no_event_is_refused(kind, values, says):
     with pytest.raises(StudyError, match=says):
         event_of(kind, values)
 
@@ -243,22 +232,16 @@ def test_what_is_no_event_is_refused(kind: str, values: dict[str, object], says:
         (dict.fromkeys(SCALE_NAMES, 50.0), "not 50.0"),
     ],
 )
-def test_what_is_no_answer_is_refused(
-    store: StudyStore, ratings: dict[str, int], says: str
-) -> None:
+def test_what_is_no_answer_is_refused(store, ratings, says):
     walk(store, "P01", "questionnaire")
     block = store.progress("P01").step.block
-    assert block is not None
     with pytest.raises(StudyError, match=says):
         store.append(
             "P01", QuestionnaireAnswered(block.task.name, block.number, "initial", ratings)
         )
 
 
-# The log can only grow.
-
-
-def test_events_can_be_neither_changed_nor_deleted(store: StudyStore, tmp_path: Path) -> None:
+def test_events_can_be_neither_changed_nor_deleted(store, tmp_path):
     walk(store, "P01", "trial")
     file = sqlite3.connect(tmp_path / "study.db")
     for statement in (
@@ -271,14 +254,14 @@ def test_events_can_be_neither_changed_nor_deleted(store: StudyStore, tmp_path: 
     file.close()
 
 
-def test_a_log_with_a_gap_is_refused(store: StudyStore) -> None:
+def test_a_log_with_a_gap_is_refused(store):
     walk(store, "P01", "trial")
     records = store.records("P01")
     with pytest.raises(StudyError, match="the log has lost something"):
         replay(store.plan, "P01", [records[0], replace(records[1], number=3)])
 
 
-def test_a_participant_is_erased(store: StudyStore, tmp_path: Path) -> None:
+def test_a_participant_is_erased(store, tmp_path):
     walk(store, "P01", "questionnaire")
     walk(store, "P02", "questionnaire")
     store.append("P01", Noted("left-handed pianist"))
@@ -299,9 +282,7 @@ def test_a_participant_is_erased(store: StudyStore, tmp_path: Path) -> None:
     assert made["erased"] == ["P01"]
 
 
-def test_operators_join_and_those_who_began_keep_their_rows(
-    store: StudyStore, tmp_path: Path
-) -> None:
+def test_operators_join_and_those_who_began_keep_their_rows(store, tmp_path):
     walk(store, "P01", "trial")
     with open_study(tmp_path) as other:
         store.revise(store.plan.enrol("P03", ["B"]))
@@ -318,7 +299,7 @@ def test_operators_join_and_those_who_began_keep_their_rows(
         store.append("P09", Noted("who?"))
 
 
-def test_a_plan_is_mended_until_someone_has_begun(store: StudyStore, tmp_path: Path) -> None:
+def test_a_plan_is_mended_until_someone_has_begun(store, tmp_path):
     shorter = replace(store.plan.protocol, familiarisation_s=7.0)
     with open_study(tmp_path, replace(store.plan, protocol=shorter)) as again:
         assert again.plan.protocol.familiarisation_s == 7.0
@@ -330,10 +311,7 @@ def test_a_plan_is_mended_until_someone_has_begun(store: StudyStore, tmp_path: P
         open_study(tmp_path, replace(store.plan, protocol=longer))
 
 
-# Out again.
-
-
-def test_what_is_exported_is_read_by_the_analysis(store: StudyStore, tmp_path: Path) -> None:
+def test_what_is_exported_is_read_by_the_analysis(store, tmp_path):
     for operator in store.plan.codes:
         walk(store, operator, seed=int(operator[1:]))
     files = export_study(store, tmp_path / "out")
@@ -342,7 +320,6 @@ def test_what_is_exported_is_read_by_the_analysis(store: StudyStore, tmp_path: P
     from_json = read_study([tmp_path / "out" / "study.json"])
     assert len(from_tables.trials) == len(from_json.trials) == 2 * 18
     assert list(from_tables.trials.score) == list(from_json.trials.score)
-    assert from_tables.questionnaires is not None
     assert len(from_tables.questionnaires) == 2 * 18
     scored = store.progress("P01").trials
     row = list(csv.DictReader(io.StringIO((tmp_path / "out/trials.csv").read_text())))[4]
@@ -351,9 +328,6 @@ def test_what_is_exported_is_read_by_the_analysis(store: StudyStore, tmp_path: P
     assert float(row["score"]) == scored[4].score
     everything = json.loads((tmp_path / "out/study.json").read_text())
     assert everything["format"] == 1
-
-
-# Many at once, and killed.
 
 
 def writers(what: str, target: str, folder: Path, count: int, most: int) -> str:
@@ -382,12 +356,12 @@ def check_together(target: str, folder: Path, events: int) -> None:
 
 
 @forks
-def test_twenty_sessions_at_once_into_sqlite(tmp_path: Path) -> None:
+def test_twenty_sessions_at_once_into_sqlite(tmp_path):
     check_together(str(tmp_path), tmp_path, 12)
 
 
 @forks
-def test_a_killed_writer_loses_nothing_acknowledged(tmp_path: Path) -> None:
+def test_a_killed_writer_loses_nothing_acknowledged(tmp_path):
     """Killed at random moments and started again, the session ends as if nothing had been."""
     target = str(tmp_path)
     plan = small_plan()
@@ -407,11 +381,8 @@ def test_a_killed_writer_loses_nothing_acknowledged(tmp_path: Path) -> None:
     assert whole.fetchone() == ("ok",)
 
 
-# Where it is kept, and for whom.
-
-
 @pytest.mark.parametrize("name", ["a?b", "a?mode=ro", "a#b", "100%25", "50%", "a b&c=d"])
-def test_the_database_is_in_the_folder_whatever_its_name(tmp_path: Path, name: str) -> None:
+def test_the_database_is_in_the_folder_whatever_its_name(tmp_path, name):
     folder = tmp_path / name
     folder.mkdir()
     with open_study(folder, small_plan(2)) as made:
@@ -424,7 +395,7 @@ def test_the_database_is_in_the_folder_whatever_its_name(tmp_path: Path, name: s
 
 
 @pytest.mark.skipif(os.name != "posix", reason="rights of POSIX")
-def test_the_database_is_for_its_owner_alone(tmp_path: Path) -> None:
+def test_the_database_is_for_its_owner_alone(tmp_path):
     before = os.umask(0o000)
     try:
         with open_study(tmp_path, small_plan(2)) as made:
@@ -439,10 +410,7 @@ def test_the_database_is_for_its_owner_alone(tmp_path: Path) -> None:
         os.umask(before)
 
 
-# Targets that are none.
-
-
-def test_stores_that_can_not_be_opened(tmp_path: Path) -> None:
+def test_stores_that_can_not_be_opened(tmp_path):
     (tmp_path / "text.db").write_text("no database" * 100)
     with pytest.raises(StudyError, match=r"can't open the store .*not a database"):
         open_study(tmp_path / "text.db")
@@ -464,7 +432,7 @@ def test_stores_that_can_not_be_opened(tmp_path: Path) -> None:
         ("UPDATE plans SET plan = '{'", "the stored plan is damaged"),
     ],
 )
-def test_a_damaged_database_is_refused_by_name(tmp_path: Path, statement: str, what: str) -> None:
+def test_a_damaged_database_is_refused_by_name(tmp_path, statement, what):
     with open_study(tmp_path, small_plan(2)) as made:
         made.append("P01", Noted("hello"))
     with sqlite3.connect(tmp_path / "study.db") as database:

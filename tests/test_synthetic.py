@@ -1,7 +1,5 @@
 """The synthetic operator: anatomy, motion, pinches, tracker imperfections, and its form."""
 
-from __future__ import annotations
-
 import itertools
 import subprocess
 import sys
@@ -30,7 +28,7 @@ from smooth_operator.synthetic.hand_anatomy import (
     draw_anatomy,
     pose_hand,
 )
-from smooth_operator.types import HandFrame, HandRecording
+from smooth_operator.types import HandRecording
 
 PINCHES = GESTURES[1:5]
 SMALL = 1e-12
@@ -54,9 +52,6 @@ def rotate(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 def tip_gaps(landmarks: np.ndarray) -> np.ndarray:
     return np.linalg.norm(landmarks[:, TIPS[1:]] - landmarks[:, [TIPS[0]]], axis=-1)
-
-
-# Anatomy
 
 
 @pytest.mark.parametrize("seed", [0, 7, 123])
@@ -134,8 +129,6 @@ def test_left_mirrors_right_exactly(tracker):
     np.testing.assert_array_equal(left.landmarks, right.landmarks * flip)
     np.testing.assert_array_equal(left.metacarpals, right.metacarpals * flip)
     np.testing.assert_array_equal(left.stamps, right.stamps)
-    assert left.orientations is not None
-    assert right.orientations is not None
     dorsal = np.array([0.0, 0.0, 1.0])
     np.testing.assert_allclose(
         rotate(left.orientations, dorsal), rotate(right.orientations, dorsal) * flip, atol=1e-14
@@ -168,9 +161,6 @@ def test_digits_do_not_pass_through_one_another(recording):
         if a == 0:
             apart = apart[labels != f"pinch_{('index', 'middle', 'ring', 'pinky')[b - 1]}"]
         assert apart.min() > 0.007
-
-
-# Motion
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -248,7 +238,7 @@ def test_gestures_can_be_chosen_and_go_on_for_ever_with_new_draws():
     (begun,) = np.nonzero(np.diff(pinching) == 1)
     tops = [recorded.meta["joint_angles"][i : i + 60].max(0) for i in begun[:5]]
     assert np.abs(np.diff(np.array(tops), axis=0)).max(1).min() > 1e-3
-    assert SyntheticOperator(gestures="wander").gestures == ("wander",)  # type: ignore[arg-type]
+    assert SyntheticOperator(gestures="wander").gestures == ("wander",)
 
 
 @pytest.mark.parametrize("gesture", GESTURES)
@@ -265,9 +255,6 @@ def test_wandering_does_not_repeat_or_stand_still():
     assert moving.mean() > 0.95
     fresh = SyntheticOperator(seed=5, gestures=("wander",)).record(20.0).meta["joint_angles"]
     assert np.abs(np.corrcoef(free[:, 6], fresh[:, 6])[0, 1]) < 0.6
-
-
-# Determinism
 
 
 def test_same_seed_same_bits_other_seed_other_person():
@@ -297,8 +284,8 @@ def test_frames_are_those_of_the_recording(tracker):
     endless = operator.frames()
     for k, frame in enumerate(itertools.islice(endless, len(longer))):
         np.testing.assert_array_equal(frame.landmarks, longer.landmarks[k])
-        np.testing.assert_array_equal(frame.orientations, longer.orientations[k])  # type: ignore[index]
-        np.testing.assert_array_equal(frame.valid, longer.valid[k])  # type: ignore[index]
+        np.testing.assert_array_equal(frame.orientations, longer.orientations[k])
+        np.testing.assert_array_equal(frame.valid, longer.valid[k])
         assert (frame.stamp, frame.side) == (longer.stamps[k], "left")
     np.testing.assert_array_equal(shorter.landmarks, longer.landmarks[: len(shorter)])
     assert next(endless).stamp > longer.stamps[-1]
@@ -312,9 +299,6 @@ def test_the_programme_does_not_depend_on_how_it_is_asked():
     parts = [piecewise.at(part) for part in np.split(times, [1, 700, 701, 2400])]
     np.testing.assert_allclose(np.concatenate([angles for angles, _ in parts]), whole, atol=1e-11)
     assert [name for _, names in parts for name in names] == labels
-
-
-# Tracker
 
 
 def test_motion_underneath_is_the_same_with_and_without_imperfections():
@@ -338,8 +322,6 @@ def test_noise_has_the_standard_deviation_and_correlation_asked_for(noise_time):
     noisy = SyntheticOperator(
         seed=1, tracker=TrackerModel(noise=1.5e-3, noise_time=noise_time)
     ).record(40.0)
-    assert noisy.metacarpals is not None
-    assert clean.metacarpals is not None
     noise = np.concatenate(
         [noisy.landmarks - clean.landmarks, noisy.metacarpals - clean.metacarpals], 1
     )
@@ -381,7 +363,6 @@ def test_lost_frames_have_the_share_and_bursts_asked_for():
 def test_lost_landmarks_are_nan_and_invalid_in_bursts():
     tracker = TrackerModel(landmark_loss=0.15, landmark_loss_burst=0.1, seed=3)
     recorded = SyntheticOperator(gestures=("gait",), tracker=tracker).record(100.0)
-    assert recorded.valid is not None
     lost = ~recorded.valid
     assert lost.mean() == pytest.approx(0.15, abs=0.015)
     np.testing.assert_array_equal(np.isnan(recorded.landmarks), np.repeat(lost[..., None], 3, -1))
@@ -414,9 +395,6 @@ def in_wrist(recorded: HandRecording, name: str) -> np.ndarray:
     return rotate(np.broadcast_to(inverse, (*points.shape[:2], 4)), points)
 
 
-# Form
-
-
 def test_form_is_that_of_a_glove(recording):
     assert recording.landmarks.shape == (4000, NUM_LANDMARKS, 3)
     assert recording.metacarpals.shape == (4000, 4, 3)
@@ -427,8 +405,6 @@ def test_form_is_that_of_a_glove(recording):
     assert len(recording.meta["gesture"]) == 4000
     assert recording.name == "synthetic-right-3"
     frame = next(SyntheticOperator(seed=3).frames())
-    assert isinstance(frame, HandFrame)
-    assert frame.metacarpals is not None
     assert frame.orientations is not None
     # Metacarpals lie between the wrist and their knuckles.
     knuckles = frame.landmarks[[5, 9, 13, 17]]
@@ -462,7 +438,7 @@ def test_palm_and_pinches_resemble_a_real_glove(shared, recording):
     assert fit(ours, bases)[1].max() < 0.006
     # The hand's own frame is turned as the glove's: x distal, z dorsal in both.
     for source, landmarks in ((data[0, 0, 3:], glove[0]), (None, recording.landmarks[0])):
-        quaternion = recording.orientations[0, 0] if source is None else source  # type: ignore[index]
+        quaternion = recording.orientations[0, 0] if source is None else source
         distal = landmarks[9] - landmarks[0]
         assert rotate(quaternion, np.array([1.0, 0, 0])) @ distal / np.linalg.norm(distal) > 0.95
     # Whole pinching hands, each at the glove's closest frame.
@@ -471,9 +447,6 @@ def test_palm_and_pinches_resemble_a_real_glove(shared, recording):
         pinch = pose_hand(SyntheticOperator(seed=3).anatomy, couple(posture[None])).landmarks[0]
         chains = [*palm, 2, 3, 4, *range(6 + 4 * finger, 9 + 4 * finger)]
         assert fit(pinch[chains], closest[chains])[1].mean() < 0.015
-
-
-# Settings
 
 
 @pytest.mark.parametrize(
@@ -492,7 +465,7 @@ def test_palm_and_pinches_resemble_a_real_glove(shared, recording):
 )
 def test_bad_settings_are_refused(settings, said):
     with pytest.raises(ConfigError, match=said):
-        SyntheticOperator(**settings)  # type: ignore[arg-type]
+        SyntheticOperator(**settings)
 
 
 @pytest.mark.parametrize(
@@ -510,7 +483,7 @@ def test_bad_settings_are_refused(settings, said):
 )
 def test_bad_tracker_settings_are_refused(settings, said):
     with pytest.raises(ConfigError, match=said):
-        TrackerModel(**settings)  # type: ignore[arg-type]
+        TrackerModel(**settings)
 
 
 def test_other_bad_input_is_refused():
@@ -524,9 +497,6 @@ def test_other_bad_input_is_refused():
         with pytest.raises(ConfigError, match="duration must be finite"):
             SyntheticOperator().frames(duration)
     assert len(SyntheticOperator(rate_hz=30).record(1 / 30)) == 1
-
-
-# Cost
 
 
 def test_twenty_seconds_take_well_under_a_second():

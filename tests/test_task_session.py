@@ -1,7 +1,5 @@
 """Trials in a simulation that is stepped by hand: when the clock starts, and what is kept."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 
@@ -84,11 +82,7 @@ def closed(simulation: Stepped) -> np.ndarray:
 
 def test_a_trial_waits_until_the_hand_is_clear(simulation):
     begun: list[float] = []
-    session = TaskSession(
-        simulation,  # type: ignore[arg-type]
-        "right",
-        begun=lambda: begun.append(simulation.physics.time),
-    )
+    session = TaskSession(simulation, "right", begun=lambda: begun.append(simulation.physics.time))
     simulation.physics.put_away()
     simulation.to(closed(simulation))
     session.go(when_clear=True, limit_s=7.0, operator="P01")
@@ -109,7 +103,7 @@ def test_a_trial_waits_until_the_hand_is_clear(simulation):
 
 
 def test_what_is_swept_away_before_the_start_is_put_back(simulation):
-    session = TaskSession(simulation, "right")  # type: ignore[arg-type]
+    session = TaskSession(simulation, "right")
     session.go(when_clear=True)
     simulation.run(0.1)
     starts = simulation.physics.starts
@@ -127,7 +121,7 @@ def test_what_is_swept_away_before_the_start_is_put_back(simulation):
 
 
 def test_in_free_movement_nothing_can_be_touched(simulation):
-    runner = TrialRunner(simulation, ("right",))  # type: ignore[arg-type]
+    runner = TrialRunner(simulation, ("right",))
     assert runner.object_there
     runner.change("cube", with_object=False)
     assert not runner.object_there
@@ -149,7 +143,7 @@ def test_the_operator_sees_task_number_clock_and_go_and_no_score(simulation):
     trials = TaskTrials((), ("right",), LoggingReporter())
     assert trials.shown() is None
     assert live_texts.trial(None) == ""
-    trials.runner = TrialRunner(simulation, ("right",))  # type: ignore[arg-type]
+    trials.runner = TrialRunner(simulation, ("right",))
 
     def shown() -> str:
         return re.sub("<[^>]+>", " ", live_texts.trial(trials.shown()))
@@ -179,7 +173,7 @@ def test_the_operator_sees_task_number_clock_and_go_and_no_score(simulation):
 
 
 def test_what_ends_a_trial_ends_its_pause(simulation, tmp_path):
-    runner = TrialRunner(simulation, ("right",), tmp_path)  # type: ignore[arg-type]
+    runner = TrialRunner(simulation, ("right",), tmp_path)
     with pytest.raises(StudyError, match="could be paused"):
         runner.pause()
     runner.pause(False)  # nothing to do
@@ -199,7 +193,7 @@ def test_what_ends_a_trial_ends_its_pause(simulation, tmp_path):
 
 def test_the_record_of_an_undone_trial_is_marked(simulation, tmp_path):
     folder = tmp_path / "trials"
-    runner = TrialRunner(simulation, ("right",), folder)  # type: ignore[arg-type]
+    runner = TrialRunner(simulation, ("right",), folder)
     for trial in (1, 2):
         runner.go(trial=trial)
         simulation.run(0.1)

@@ -1,7 +1,5 @@
 """The loop with real threads and clocks, and the command around it."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -13,17 +11,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
-from smooth_operator import HandFrame, Retargeter, load_hand
+from smooth_operator import Hand, HandFrame, Retargeter, load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import SinkError, SourceError
 from smooth_operator.extras import install_command
-from smooth_operator.hands.hand import Hand
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import run as run_module
 from smooth_operator.teleop.recording import read_log
@@ -121,7 +117,7 @@ def looped(
 class WakingTime:
     """How long a thread of this machine waits for a core after another one has woken it."""
 
-    def __enter__(self) -> WakingTime:
+    def __enter__(self) -> "WakingTime":
         self._called, self._done = threading.Event(), threading.Event()
         self._at, self._waits = 0.0, list[float]()
         self._threads = [threading.Thread(target=f) for f in (self._call, self._answer)]
@@ -156,9 +152,7 @@ class WakingTime:
         return float(len(self._waits))
 
 
-def test_every_frame_is_answered_soon(
-    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
-) -> None:
+def test_every_frame_is_answered_soon(retargeters, frames):
     sink, log = Keeper(), Keeper(observes=True)
     loop = looped(retargeters, Player(frames), sink, log)
     with WakingTime() as machine:
@@ -180,9 +174,7 @@ def test_every_frame_is_answered_soon(
     assert (sink.opened, sink.closed) == (1, 1)
 
 
-def test_both_hands_have_their_own_frames(
-    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
-) -> None:
+def test_both_hands_have_their_own_frames(retargeters, frames):
     left = list(SyntheticOperator(seed=4, rate_hz=RATE, side="left").record(3.0))
     both = [frame for pair in zip(frames, left, strict=True) for frame in pair]
     sink = Keeper()
@@ -194,7 +186,7 @@ def test_both_hands_have_their_own_frames(
         assert {t.arrival.frame.side for t in ticks if t.arrival} == {side}
 
 
-def test_commands_go_on_when_no_frame_comes(retargeters: dict[Side, Retargeter]) -> None:
+def test_commands_go_on_when_no_frame_comes(retargeters):
     sink = Keeper()
     with WakingTime() as machine:
         looped(retargeters, Player([], 1.0), sink).run(duration=0.6)
@@ -202,9 +194,7 @@ def test_commands_go_on_when_no_frame_comes(retargeters: dict[Side, Retargeter])
     assert {tick.mode for tick in sink.ticks} == {Mode.WAITING}
 
 
-def test_a_sink_that_fails_is_opened_again_and_harms_nobody(
-    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
-) -> None:
+def test_a_sink_that_fails_is_opened_again_and_harms_nobody(retargeters, frames):
     bad, good = Keeper(fails_at=frozenset({10})), Keeper()
     loop = looped(retargeters, Player(frames), bad, good)
     loop.run(duration=2.5)
@@ -217,9 +207,7 @@ def test_a_sink_that_fails_is_opened_again_and_harms_nobody(
     assert "cable" in report.detail
 
 
-def test_what_cannot_be_opened_is_said_before_anything_moves(
-    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
-) -> None:
+def test_what_cannot_be_opened_is_said_before_anything_moves(retargeters, frames):
     good, bad = Keeper(), Keeper(fails_at=frozenset({-1}))
     with pytest.raises(SinkError, match="no such robot"):
         looped(retargeters, Player(frames), good, bad).run(duration=1.0)
@@ -235,9 +223,7 @@ def test_what_cannot_be_opened_is_said_before_anything_moves(
     assert good.closed == 2
 
 
-def test_the_watchdog_tells_of_a_loop_that_hangs(
-    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
-) -> None:
+def test_the_watchdog_tells_of_a_loop_that_hangs(retargeters, frames):
     sink = Keeper()
     config = LoopConfig(rate=RATE, safety=SafetyConfig(watchdog_s=0.1))
     loop = looped(retargeters, Player(frames), sink, config=config)
@@ -246,9 +232,7 @@ def test_the_watchdog_tells_of_a_loop_that_hangs(
     assert max(sink.silences) > 0.2
 
 
-def test_the_end_of_a_source_ends_the_loop_after_its_policies(
-    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
-) -> None:
+def test_the_end_of_a_source_ends_the_loop_after_its_policies(retargeters, frames):
     sink = Keeper()
     config = LoopConfig(rate=RATE, safety=SafetyConfig(lost_s=0.3))
     looped(retargeters, Player(frames[:20]), sink, config=config).run()
@@ -256,9 +240,7 @@ def test_the_end_of_a_source_ends_the_loop_after_its_policies(
     assert modes[-1] in (Mode.HOLDING, Mode.EASING)
 
 
-def test_a_source_that_fails_is_a_loss_and_not_the_end(
-    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
-) -> None:
+def test_a_source_that_fails_is_a_loss_and_not_the_end(retargeters, frames):
     def unplug(i: int) -> None:
         if i == 20:
             raise OSError("unplugged")
@@ -271,9 +253,7 @@ def test_a_source_that_fails_is_a_loss_and_not_the_end(
     assert loop.source.health() == SourceHealth("failed", "OSError: unplugged")
 
 
-def test_switches_work_from_another_thread(
-    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
-) -> None:
+def test_switches_work_from_another_thread(retargeters, frames):
     sink, start = Keeper(), []
 
     def begin(number: int) -> None:
@@ -294,9 +274,7 @@ def test_switches_work_from_another_thread(
     assert Mode.BLENDING in modes[stopped[-1] :]
 
 
-def test_a_slow_sink_makes_the_loop_skip_frames_not_fall_behind(
-    retargeters: dict[Side, Retargeter], frames: list[HandFrame]
-) -> None:
+def test_a_slow_sink_makes_the_loop_skip_frames_not_fall_behind(retargeters, frames):
     sink = Keeper(slow_s=0.05)
     loop = looped(retargeters, Player(frames, 100.0), sink)
     loop.run(duration=1.0)
@@ -305,7 +283,7 @@ def test_a_slow_sink_makes_the_loop_skip_frames_not_fall_behind(
     assert np.median(ages) < 0.06
 
 
-def test_a_source_is_opened_once_though_it_was_prepared(frames: list[HandFrame]) -> None:
+def test_a_source_is_opened_once_though_it_was_prepared(frames):
     class Counting(Player):
         opened = 0
 
@@ -320,9 +298,7 @@ def test_a_source_is_opened_once_though_it_was_prepared(frames: list[HandFrame])
         assert source.opened == count
 
 
-def test_an_emergency_stop_does_not_wait_for_the_next_tick(
-    retargeters: dict[Side, Retargeter],
-) -> None:
+def test_an_emergency_stop_does_not_wait_for_the_next_tick(retargeters):
     sink = Keeper()
     loop = looped(retargeters, Player([], 1.0), sink, config=LoopConfig(rate=1.0))
     pressed: list[float] = []
@@ -342,19 +318,16 @@ def test_an_emergency_stop_does_not_wait_for_the_next_tick(
     assert loop.pipelines["right"].mode_now is Mode.STOPPED
 
 
-# The command
-
-
-def test_a_source_is_told_which_hands_are_wanted() -> None:
+def test_a_source_is_told_which_hands_are_wanted():
     from smooth_operator.teleop.components import build_source
 
     for text, told in (("synthetic", "left"), ("udp:0", "left"), ("synthetic:seed=1", "both")):
-        assert build_source(text, told).side == told  # type: ignore[arg-type, attr-defined]
+        assert build_source(text, told).side == told
     own = build_source("synthetic:side=right", "left")
-    assert own.side == "right"  # type: ignore[attr-defined]
+    assert own.side == "right"
 
 
-def test_teleop_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
+def test_teleop_on_the_command_line(capsys, tmp_path):
     log = tmp_path / "take.mcap"
     arguments = ["--source", "synthetic:rate=60", "--sink", f"record:{log}", "--rate", "60"]
     ending = ["--method", "joint_angle", "--duration", "2.5", "--no-view", "--json"]
@@ -390,9 +363,7 @@ class Unfinished(Sink):
         (["--model", "hand.xml"], "--no-view leaves the page out"),
     ],
 )
-def test_what_teleop_says_of_mistakes(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str], nothing_slow: None
-) -> None:
+def test_what_teleop_says_of_mistakes(arguments, words, capsys, nothing_slow):
     assert main(["teleop", "--no-view", "--method", "joint_angle", *arguments]) == 2
     assert words in capsys.readouterr().err
 
@@ -430,12 +401,8 @@ def nothing_slow(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_what_is_missing_or_taken_is_found_before_anything_slow(
-    arguments: list[str],
-    words: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    nothing_slow: None,
-) -> None:
+    arguments, words, tmp_path, capsys, nothing_slow
+):
     (tmp_path / "there.mcap").write_bytes(b"")
     (tmp_path / "bad.json").write_text("{")
     kind = socket.SOCK_DGRAM if "udp" in arguments[1] else socket.SOCK_STREAM
@@ -466,13 +433,8 @@ def test_what_is_missing_or_taken_is_found_before_anything_slow(
     ],
 )
 def test_a_missing_extra_is_found_before_anything_slow(
-    arguments: list[str],
-    library: str,
-    extra: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    nothing_slow: None,
-) -> None:
+    arguments, library, extra, monkeypatch, capsys, nothing_slow
+):
     for name in [n for n in sys.modules if n.startswith("smooth_operator.teleop.ros2")]:
         monkeypatch.delitem(sys.modules, name)  # another test of this process has imported it
     monkeypatch.setitem(sys.modules, library, None)
@@ -481,7 +443,7 @@ def test_a_missing_extra_is_found_before_anything_slow(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
-def test_ctrl_c_ends_a_run_in_good_order(tmp_path: Any) -> None:
+def test_ctrl_c_ends_a_run_in_good_order(tmp_path):
     log = tmp_path / "take.mcap"
     command = [sys.executable, "-m", "smooth_operator", "teleop", "--no-view", "--json"]
     command += ["--method", "joint_angle", "--methods", "joint_angle", "--sink", f"record:{log}"]
@@ -504,7 +466,7 @@ def test_ctrl_c_ends_a_run_in_good_order(tmp_path: Any) -> None:
 class Mirrored(ThreadedSource):
     """A tracker that sends a left hand for a right one."""
 
-    label: ClassVar[str] = "mirrored"  # type: ignore[assignment]
+    label: ClassVar[str] = "mirrored"
 
     def run(self, running: Running) -> None:
         motion = SyntheticOperator(seed=2, rate_hz=100.0).record(8.0)
@@ -512,9 +474,7 @@ class Mirrored(ThreadedSource):
         Player([f for f in mirrored if implausible(f)][:60], 60.0).run(running)
 
 
-def test_refused_frames_are_counted_in_the_summary(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refused_frames_are_counted_in_the_summary(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(run_module, "build_source", lambda *_: Mirrored())
     log = tmp_path / "take.mcap"
     arguments = ["--sink", f"record:{log}", "--safety.lost-s", "0.3"]

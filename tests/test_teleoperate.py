@@ -1,7 +1,5 @@
 """``teleoperate``: a whole run as one call, without a terminal, a page or a main thread."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os
@@ -19,10 +17,9 @@ from typing import Any
 import pytest
 from live_time import until
 
-from smooth_operator import Retargeter
+from smooth_operator import Retargeter, load_hand
 from smooth_operator.errors import ConfigError, SinkError, SourceError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import temporary_spec
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop import TeleopLoop, read_log, teleoperate
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.control import switches
@@ -62,11 +59,11 @@ class Kept(Sink):
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_hand_may_be_an_object(side: str, tmp_path: Path) -> None:
+def test_the_hand_may_be_an_object(side, tmp_path):
     """A loaded hand, a description or its file; the other side is the mirror image."""
     hand = load_hand("leap_hand", "right", fingers=("thumb", "index", "middle"))
     kept = Kept()
-    teleoperate("synthetic", [kept], hand=hand, side=side, duration=0.4, **METHOD)  # type: ignore[arg-type]
+    teleoperate("synthetic", [kept], hand=hand, side=side, duration=0.4, **METHOD)
     assert kept.config["hand"] == hand.name
     assert {tick.side for tick in kept.ticks} == {side}
     assert kept.ticks[-1].command.names == hand.joint_names
@@ -78,9 +75,7 @@ def test_the_hand_may_be_an_object(side: str, tmp_path: Path) -> None:
         assert text == "leap_hand"
 
 
-def test_a_run_is_one_call_from_text_or_objects_to_a_summary(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_run_is_one_call_from_text_or_objects_to_a_summary(tmp_path, caplog):
     caplog.set_level(logging.INFO, "smooth_operator.teleop")
     kept, log, loops = Kept(), tmp_path / "take.mcap", []
     summary = teleoperate(
@@ -109,7 +104,7 @@ def test_a_run_is_one_call_from_text_or_objects_to_a_summary(
     assert any("frames in" in text for text in said)
 
 
-def test_another_thread_may_run_and_end_it() -> None:
+def test_another_thread_may_run_and_end_it():
     handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     summaries: list[dict[str, Any]] = []
 
@@ -125,7 +120,7 @@ def test_another_thread_may_run_and_end_it() -> None:
     assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == handlers
 
 
-def test_the_robot_holds_until_the_method_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_robot_holds_until_the_method_is_compiled(monkeypatch):
     kept, go, warm_up = Kept(), threading.Event(), Retargeter.warm_up
 
     def slow(retargeter: Retargeter) -> float:
@@ -145,7 +140,7 @@ def test_the_robot_holds_until_the_method_is_compiled(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(Retargeter, "warm_up", slow)
     monkeypatch.setattr(Retargeter, "compiled", property(lambda _: go.is_set()))
-    teleoperate("synthetic", [kept], started=start, **METHOD)  # type: ignore[arg-type]
+    teleoperate("synthetic", [kept], started=start, **METHOD)
     assert kept.ticks[0].events == (COMPILING,)
     assert {(tick.mode, tick.status) for tick in kept.ticks[:30]} == {(Mode.WAITING, None)}
     assert any(COMPILED in tick.events for tick in kept.ticks[30:])
@@ -153,7 +148,7 @@ def test_the_robot_holds_until_the_method_is_compiled(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal")
-def test_ctrl_c_ends_a_run_and_everything_is_as_before(tmp_path: Path) -> None:
+def test_ctrl_c_ends_a_run_and_everything_is_as_before(tmp_path):
     handler, turn = signal.getsignal(signal.SIGINT), sys.getswitchinterval()
     kept, log = Kept(), tmp_path / "take.mcap"
 
@@ -169,9 +164,7 @@ def test_ctrl_c_ends_a_run_and_everything_is_as_before(tmp_path: Path) -> None:
     assert [t.name for t in threading.enumerate() if t.name in ("watchdog", "keys", "page")] == []
 
 
-def test_a_sink_that_fails_is_in_the_summary_and_stops_no_other(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_sink_that_fails_is_in_the_summary_and_stops_no_other(caplog):
     works, fails = Kept(), Kept(fails=True, name="robot")
     summary = teleoperate("synthetic", [fails, works], duration=0.3, **METHOD)
     assert len(works.ticks) == summary["commands"]["right"] > 0
@@ -192,9 +185,7 @@ def test_a_sink_that_fails_is_in_the_summary_and_stops_no_other(
         ({"task": "cube", "sinks": ["mujoco"]}, ConfigError, "leave out"),
     ],
 )
-def test_what_is_wrong_is_said_before_anything_opens(
-    settings: dict[str, Any], error: type[Exception], says: str
-) -> None:
+def test_what_is_wrong_is_said_before_anything_opens(settings, error, says):
     kept = Kept()
     sinks = [*settings.pop("sinks", ()), kept]
     with pytest.raises(error, match=says):
@@ -215,11 +206,11 @@ class FakeLoop:
         self.supervisor.stopped = True
 
 
-def test_a_file_stops_when_it_changes_or_is_gone(tmp_path: Path) -> None:
+def test_a_file_stops_when_it_changes_or_is_gone(tmp_path):
     line = tmp_path / "value"
     line.write_text("1\n")
     loop = FakeLoop()
-    with stopped_by(loop, f"file:{line}"):  # type: ignore[arg-type]
+    with stopped_by(loop, f"file:{line}"):
         time.sleep(0.05)
         assert loop.stops == 0
         line.write_text("0\n")
@@ -235,7 +226,7 @@ def test_a_file_stops_when_it_changes_or_is_gone(tmp_path: Path) -> None:
         until(lambda: loop.supervisor.stopped)
 
 
-def test_a_heartbeat_that_ends_is_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_heartbeat_that_ends_is_a_stop(monkeypatch):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -257,9 +248,7 @@ def test_a_heartbeat_that_ends_is_a_stop(monkeypatch: pytest.MonkeyPatch) -> Non
     assert pressed()
 
 
-def test_a_heartbeat_counts_for_0_3_s_and_from_this_machine_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_heartbeat_counts_for_0_3_s_and_from_this_machine_alone(monkeypatch):
     now = [100.0]
     monkeypatch.setattr(switches, "time", SimpleNamespace(monotonic=lambda: now[0]))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
@@ -283,7 +272,7 @@ def test_a_heartbeat_counts_for_0_3_s_and_from_this_machine_alone(
     pressed.close()
 
 
-def test_a_serial_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_serial_line(monkeypatch):
     serial = pytest.importorskip("serial", reason="pyserial is not installed")
 
     class Line:
@@ -307,12 +296,12 @@ def test_a_serial_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("text", ["file:", "pin:4", "udp:x", "udp:99999", ""])
-def test_other_texts_are_refused(text: str) -> None:
+def test_other_texts_are_refused(text):
     with pytest.raises(ConfigError, match="an emergency stop"):
         StopInput(text)
 
 
-def test_a_function_that_raises_stops_a_run_as_a_broken_wire_does() -> None:
+def test_a_function_that_raises_stops_a_run_as_a_broken_wire_does():
     modes: list[Mode] = []
     loops: list[Any] = []
 

@@ -1,7 +1,5 @@
 """What comes from elsewhere is printed as text: no control characters, no markup."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tests' own environment: nothing of the machine's user reaches a run, from collection on."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

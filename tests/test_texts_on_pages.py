@@ -1,10 +1,6 @@
 """Names and texts that others wrote, on pages in a Chromium: shown letter by letter, never run."""
 
-from __future__ import annotations
-
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,10 +23,9 @@ pytestmark = [
 ]
 
 
-def test_the_page_of_a_hand(chromium: Any, tmp_path: Path) -> None:
+def test_the_page_of_a_hand(chromium, tmp_path):
     hand = load_hand(hostile_hand(tmp_path / ATTACK))
     with HandPage(hand, ATTACK, port=0) as shown, guarded_page(chromium) as page:
-        assert shown._server is not None
         shown._server.scene.configure_environment_map(None)
         page.goto(shown.url)
         page.get_by_text(ATTACK, exact=True).first.wait_for()
@@ -38,7 +33,7 @@ def test_the_page_of_a_hand(chromium: Any, tmp_path: Path) -> None:
             assert page.get_by_text(joint, exact=True).count() == 1
 
 
-def test_the_report_of_a_benchmark(chromium: Any, tmp_path: Path) -> None:
+def test_the_report_of_a_benchmark(chromium, tmp_path):
     recording = SyntheticOperator(seed=2).record(0.6)
     file = tmp_path / f"{ATTACK}.npz"
     np.savez(file, landmarks=recording.landmarks, timestamps=recording.stamps)
@@ -54,7 +49,7 @@ def test_the_report_of_a_benchmark(chromium: Any, tmp_path: Path) -> None:
         page.wait_for_timeout(300)
 
 
-def test_the_report_of_a_study(chromium: Any, tmp_path: Path) -> None:
+def test_the_report_of_a_study(chromium, tmp_path):
     names = ["dexpilot", *(f"{ATTACK}{k}" for k in range(2))]
     simulate(3, operators=range(6), retargeters=names).write(tmp_path)
     files = [str(tmp_path / name) for name in ("tlx.csv", "trials.csv")]
@@ -65,7 +60,7 @@ def test_the_report_of_a_study(chromium: Any, tmp_path: Path) -> None:
         assert page.get_by_text(names[1]).count() > 3
 
 
-def test_the_console_of_a_study(chromium: Any, tmp_path: Path) -> None:
+def test_the_console_of_a_study(chromium, tmp_path):
     pytest.importorskip("segno", reason="the extra study is not installed")
     rubric = (
         RubricLine("done", 1.0, f"{ATTACK} done"),

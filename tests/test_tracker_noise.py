@@ -1,7 +1,5 @@
 """Removal of tracker noise: the palm tells how much there is, and what is rigid stays as it is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
@@ -12,25 +10,18 @@ import numpy as np
 import pytest
 from jax import lax
 
+from smooth_operator import Status, load_hand, method_config
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import umeyama
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
-from smooth_operator.human.landmark_filter import (
-    PALM,
-    NoiseConfig,
-    NoiseState,
-    remove_noise,
-)
+from smooth_operator.human.landmark_filter import PALM, NoiseConfig, NoiseState, remove_noise
 from smooth_operator.landmarks import TIPS, WRIST
-from smooth_operator.methods.frame import align_frame
-from smooth_operator.methods.presets import method_config
-from smooth_operator.types import Status
+from smooth_operator.methods.program import align_frame
 
 NEEDS = (WRIST, *TIPS)
 DT = 0.01
 FRAMES = 300
-CONFIG = method_config("smooth").tracker_noise  # type: ignore[attr-defined]
+CONFIG = method_config("smooth").tracker_noise
 
 
 @lru_cache(maxsize=1)

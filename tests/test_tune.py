@@ -1,7 +1,5 @@
 """Tuning: settings by name, preset files, recordings that are held out, the search, its journal."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import dataclass, replace
@@ -12,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from smooth_operator import HandRecording, Retargeter
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, UnknownNameError
 from smooth_operator.formats.setting_paths import (
@@ -26,13 +25,11 @@ from smooth_operator.lab.tuning import TuningSettings, plan_tuning, tune
 from smooth_operator.lab.tuning.search_plan import Bound, Scoring, check_held_out, parse_variable
 from smooth_operator.lab.tuning.tune import TracedRun, write_preset_file
 from smooth_operator.methods.presets import PRESETS, method_config
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SBR_REALTIME, SbrConfig
 from smooth_operator.objective import LeastSquaresTerm
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.types import HandRecording
 
 pytest.importorskip("optuna", reason="needs optuna: in the clone, pip install '.[tune]'")
 
@@ -41,9 +38,6 @@ TINY = SbrConfig(
     polish=NewtonConfig(iterations=2, damping=(0.0, 1.0)),
     settle_rounds=4,
 )
-
-
-# -- settings and preset files -------------------------------------------------------------------
 
 
 def test_settings_are_found_by_the_end_of_their_path():
@@ -97,15 +91,19 @@ def test_settings_of_an_added_term_have_a_path():
         with_settings(WITH_TERM, {"objective.terms.1.distance": 0.1})
 
 
-def test_settings_of_an_added_term_can_be_arguments_of_a_program():
+def test_settings_can_be_arguments_of_a_program():
+    """Of the method and of an added term, as constants give them."""
     recording = SyntheticOperator(seed=2).record(0.3)
-    paths = ("objective.terms.0.weight", "objective.terms.0.distance")
+    paths = ("objective.terms.0.weight", "objective.terms.0.distance", "objective.pose_weight")
     traced = TracedRun(Retargeter("shadow_dexee", config=WITH_TERM), paths)
-    near, far = (dict(zip(paths, (20_000.0, gap), strict=True)) for gap in (0.02, 0.09))
+    near, far = (dict(zip(paths, (20_000.0, gap, 0.2), strict=True)) for gap in (0.02, 0.09))
     constant = Retargeter("shadow_dexee", config=with_settings(WITH_TERM, far))
-    found = traced.run(recording, far).joint_positions
-    np.testing.assert_allclose(found, constant.run(recording)[0].joint_positions, atol=2e-3)
-    assert np.abs(found - traced.run(recording, near).joint_positions).max() > 0.05
+    commands = traced.run(recording, far)
+    expected, _ = constant.run(recording)
+    np.testing.assert_allclose(commands.joint_positions, expected.joint_positions, atol=2e-3)
+    np.testing.assert_array_equal(commands.status, expected.status)
+    moved = commands.joint_positions - traced.run(recording, near).joint_positions
+    assert np.abs(moved).max() > 0.05
 
 
 def test_variables():
@@ -169,9 +167,6 @@ def test_a_preset_file_that_is_not_there(tmp_path):
         method_config("sbr", str(tmp_path / "none.toml"))
 
 
-# -- what is held out ----------------------------------------------------------------------------
-
-
 def named(recording: HandRecording, name: str) -> Source:
     return replace(
         load_sources([parse_request("synthetic:1@:2")])[0], recording=recording, name=name
@@ -202,7 +197,6 @@ def moved(recording: HandRecording) -> np.ndarray:
     ids=["whole", "slice", "thinned", "float32", "mirrored", "moved", "other stamps"],
 )
 def test_what_is_held_out_is_known_again(held, change):
-    assert held.recording is not None
     with pytest.raises(ConfigError, match="held out for judging"):
         check_held_out([named(change(held.recording), "innocent")], [held])
 
@@ -219,8 +213,6 @@ def test_the_command_refuses_what_is_held_out(tmp_path, capsys):
     assert "held out" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
-
-# -- score and search ----------------------------------------------------------------------------
 
 START = {"cosine_similarity": 0.9, "flatness": 1e-6, "rate_hz": 115.0, "lag_ms": 0.0,
          "max_joint_step": 0.1, "frozen_share": 0.0, "motion_preservation": None}  # fmt: skip
@@ -245,9 +237,6 @@ def test_what_breaks_a_bound_is_worse_than_what_does_not():
         Scoring({"flattness": 1.0}, ())
     with pytest.raises(UnknownNameError):
         Scoring({}, (Bound("lag", 1.0),))
-
-
-# -- all of it -----------------------------------------------------------------------------------
 
 
 def settings(folder: Path, **changes: Any) -> TuningSettings:
@@ -323,16 +312,6 @@ def test_a_search_finds_a_minimum_and_repeats_itself(tmp_path, monkeypatch):
     assert (np.array(trials) <= [0.2, 0.5]).all()
     tune(plan_tuning(settings(tmp_path / "two", trials=100)))
     assert trials[:100] == trials[100:]
-
-
-def test_values_as_arguments_give_what_values_as_constants_do(tuned):
-    recording = load_sources([parse_request("synthetic:4@:40")])[0].recording
-    assert recording is not None
-    values = {"objective.pose_weight": 0.2, "objective.velocity_weight": 0.3}
-    traced = TracedRun(Retargeter(config=TINY), tuple(values)).run(recording, values)
-    constant, _ = Retargeter(config=with_settings(TINY, values)).run(recording)
-    assert np.abs(traced.joint_positions - constant.joint_positions).max() < 1e-3
-    assert np.array_equal(traced.status, constant.status)
 
 
 def test_what_cannot_be_traced_is_compiled_and_what_cannot_be_is_left_out(tuned, tmp_path):

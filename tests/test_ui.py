@@ -1,7 +1,5 @@
 """The browser page: its clock, meshes, layout and words; the server; and the page in a Chromium."""
 
-from __future__ import annotations
-
 import html
 import os
 import re
@@ -23,11 +21,10 @@ import pytest
 from browser_page import changed, new_page, settled
 from live_time import until as eventually
 
-from smooth_operator import landmarks
+from smooth_operator import Status, landmarks, load_hand
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.hand_files.vendor_model import drawn_on
 from smooth_operator.hands.hand import landmark_points
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.metrics import Trace
 from smooth_operator.teleop.pages import Playback, PlaybackServer, player, serve
 from smooth_operator.teleop.pages.hand_view import (
@@ -46,7 +43,6 @@ from smooth_operator.teleop.pages.hand_view import (
 from smooth_operator.teleop.pages.player import PlaybackClock
 from smooth_operator.teleop.pages.scene import _turn_z, lit_tips
 from smooth_operator.teleop.pages.viser_server import plain
-from smooth_operator.types import Status
 from smooth_operator.web import browser
 
 FINGERS = ("thumb", "index", "pinky")
@@ -142,9 +138,6 @@ def server(playback: Playback) -> Iterator[PlaybackServer]:
         yield running
 
 
-# -- the recording ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("frames", "changes", "error", "words"),
     [
@@ -153,14 +146,12 @@ def server(playback: Playback) -> Iterator[PlaybackServer]:
         (60, {"robot_tips": np.full((60, 5, 3), np.inf)}, HandModelError, "infinity"),
     ],
 )
-def test_a_run_that_cannot_be_drawn_is_refused(
-    frames: int, changes: dict[str, Any], error: type[Exception], words: str
-) -> None:
+def test_a_run_that_cannot_be_drawn_is_refused(frames, changes, error, words):
     with pytest.raises(error, match=words):
         make_playback(frames, **changes)
 
 
-def test_pinches_are_under_15_mm_and_never_of_a_lost_hand() -> None:
+def test_pinches_are_under_15_mm_and_never_of_a_lost_hand():
     human = human_hand(np.zeros(4))
     human[1, 8] = human[1, 4] + [0.0149, 0, 0]
     human[2, 20] = human[2, 4] + [0, 0.0151, 0]
@@ -171,10 +162,7 @@ def test_pinches_are_under_15_mm_and_never_of_a_lost_hand() -> None:
     assert lit_tips(pinches[1]).tolist() == [True, True, False, False, False]
 
 
-# -- the clock --------------------------------------------------------------------------------
-
-
-def test_the_clock_drops_frames_and_never_stretches_time() -> None:
+def test_the_clock_drops_frames_and_never_stretches_time():
     times = np.array([0.0, 0.01, 0.02, 0.5, 0.51])  # a gap in tracking is a gap on the page
     clock = PlaybackClock(times, loop=False)
     clock.start(0, now=100.0)
@@ -185,7 +173,7 @@ def test_the_clock_drops_frames_and_never_stretches_time() -> None:
     assert clock.frame(0.5)[0] == 3  # due at its very stamp
 
 
-def test_the_clock_changes_speed_without_a_jump_and_loops() -> None:
+def test_the_clock_changes_speed_without_a_jump_and_loops():
     clock = PlaybackClock(np.arange(100) / 100, speed=1.0, loop=True)
     clock.start(10, now=0.0)
     assert clock.frame(0.105)[0] == 20
@@ -195,13 +183,10 @@ def test_the_clock_changes_speed_without_a_jump_and_loops() -> None:
     assert clock.frame(0.105 + (1.0 - 0.205) / 4 + 0.01) == (4, False)
 
 
-def test_the_clock_ends_at_once_on_a_single_frame() -> None:
+def test_the_clock_ends_at_once_on_a_single_frame():
     clock = PlaybackClock(np.array([3.0]), loop=True)
     clock.start(0, now=0.0)
     assert clock.frame(0.0) == (0, True)
-
-
-# -- the meshes -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -215,9 +200,7 @@ def test_the_clock_ends_at_once_on_a_single_frame() -> None:
         ("ellipsoid", "0.01 0.02 0.03", (0.01, 0.02, 0.03), 4 / 3 * np.pi * 6e-6),
     ],
 )  # fmt: skip
-def test_primitive_meshes_have_mujocos_size(
-    kind: str, size: str, half: tuple[float, ...], volume: float
-) -> None:
+def test_primitive_meshes_have_mujocos_size(kind, size, half, volume):
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><worldbody><geom type="{kind}" size="{size}"/></worldbody></mujoco>'
     )
@@ -227,7 +210,7 @@ def test_primitive_meshes_have_mujocos_size(
     assert mesh.volume == pytest.approx(volume, rel=0.03)
 
 
-def test_mesh_geoms_land_where_mujoco_puts_them() -> None:
+def test_mesh_geoms_land_where_mujoco_puts_them():
     # an off-centre tetrahedron: MuJoCo re-centres and turns it, which the geom's pose undoes
     corners = np.array([[0.1, 0, 0], [0.14, 0, 0], [0.1, 0.05, 0], [0.1, 0, 0.06]])
     model = mujoco.MjModel.from_xml_string(
@@ -239,7 +222,7 @@ def test_mesh_geoms_land_where_mujoco_puts_them() -> None:
     np.testing.assert_allclose(got, np.unique(corners, axis=0), atol=1e-6)
 
 
-def test_bodies_draw_visible_groups_and_no_scenery(model: mujoco.MjModel) -> None:
+def test_bodies_draw_visible_groups_and_no_scenery(model):
     meshes = body_meshes(model)
     names = {model.body(body).name for body in meshes}
     assert names == {"palm", *(f"{f}_{i}" for f in FINGERS for i in (1, 2))}  # no world: a plane
@@ -247,7 +230,7 @@ def test_bodies_draw_visible_groups_and_no_scenery(model: mujoco.MjModel) -> Non
     assert palm.extents.max() < 0.2  # the 0.3 m collision sphere is not drawn
 
 
-def test_a_model_with_collision_shapes_only_is_drawn_by_them() -> None:
+def test_a_model_with_collision_shapes_only_is_drawn_by_them():
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><geom type="box" size=".1 .1 .1" group="3"/></worldbody></mujoco>'
     )
@@ -265,17 +248,12 @@ def test_a_finger_is_the_chain_to_its_tip_and_the_palm_is_none(name: str) -> Non
         assert owner[model.body_parentid[body]] in (-1, owner[body])
 
 
-# -- the layout -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("side", ["right", "left"])
 @pytest.mark.parametrize(
     ("aspect", "covered", "above"),
     [(0.46, 0.44, 0.0), (1.0, 0.0, 0.0), (1.9, 0.0, 0.0), (1.2, 0.1, 0.2)],
 )
-def test_the_camera_sees_both_hands_from_the_palm_side(
-    side: str, aspect: float, covered: float, above: float
-) -> None:
+def test_the_camera_sees_both_hands_from_the_palm_side(side, aspect, covered, above):
     playback = make_playback(side=side)
     trace, axes = playback.trace, view_axes(HandView(playback.hand, simple=True))
     layout = plan(axes, trace.human, trace.robot_wrist, trace.robot_tips.reshape(-1, 3))
@@ -307,14 +285,14 @@ def test_the_camera_sees_both_hands_from_the_palm_side(
     assert high[0] < low[1]  # human left of robot, apart
 
 
-def test_without_a_human_the_view_stands_on_the_robot() -> None:
+def test_without_a_human_the_view_stands_on_the_robot():
     human = np.full((60, 21, 3), np.nan)
     layout = plan(np.eye(3), human, np.zeros(3), np.random.default_rng(0).normal(size=(9, 3)))
     for part in (layout.centre, layout.human_shift, *layout.robot_shifts, *layout.tops):
         assert np.isfinite(part).all()
 
 
-def test_bones_point_from_joint_to_joint() -> None:
+def test_bones_point_from_joint_to_joint():
     rng = np.random.default_rng(3)
     directions = np.concatenate([rng.normal(size=(50, 3)), [[0, 0, 2], [0, 0, -2]]])
     for direction, quat in zip(directions, _turn_z(directions), strict=True):
@@ -324,10 +302,7 @@ def test_bones_point_from_joint_to_joint() -> None:
     np.testing.assert_allclose(np.linalg.norm(_turn_z(np.zeros((1, 3)))), 1.0)
 
 
-# -- the words --------------------------------------------------------------------------------
-
-
-def test_the_status_line_says_frame_time_reason_and_latency() -> None:
+def test_the_status_line_says_frame_time_reason_and_latency():
     status = np.zeros(60, int)
     status[7], status[8] = Status.DEGENERATE_PALM, 99
     latency = np.full(60, 1.25)
@@ -353,7 +328,7 @@ def test_the_status_line_says_frame_time_reason_and_latency() -> None:
         "from https://elsewhere.example, größer – 手",
     ],
 )
-def test_text_from_elsewhere_is_never_markup(text: str) -> None:
+def test_text_from_elsewhere_is_never_markup(text):
     shown = plain(text)
     assert html.unescape(shown) == text
     assert not set(re.sub(r"&#\d+;", "", shown)) & set(string.punctuation)
@@ -361,7 +336,7 @@ def test_text_from_elsewhere_is_never_markup(text: str) -> None:
     assert "\n" not in plain("export\nconst")
 
 
-def test_runs_of_other_frames_or_fingers_do_not_stand_side_by_side(playback: Playback) -> None:
+def test_runs_of_other_frames_or_fingers_do_not_stand_side_by_side(playback):
     with pytest.raises(RecordingError, match="retarget the same frames"):
         PlaybackServer([make_playback(60), make_playback(61)])
     fingers, tips = playback.trace.fingers[:-1], playback.trace.robot_tips[:, :-1]
@@ -372,7 +347,7 @@ def test_runs_of_other_frames_or_fingers_do_not_stand_side_by_side(playback: Pla
         PlaybackServer([])
 
 
-def test_several_robots_stand_apart_and_all_fit_the_picture(playback: Playback) -> None:
+def test_several_robots_stand_apart_and_all_fit_the_picture(playback):
     trace, axes = playback.trace, view_axes(HandView(playback.hand, simple=True))
     points = trace.robot_tips.reshape(-1, 3)
     layout = plan(axes, trace.human, trace.robot_wrist, points, points, points)
@@ -387,7 +362,7 @@ def test_several_robots_stand_apart_and_all_fit_the_picture(playback: Playback) 
     assert max(abs(end - middle) for end in ends) <= layout.half[0] + 1e-9
 
 
-def test_linear_light_keeps_the_ends_and_darkens_the_middle() -> None:
+def test_linear_light_keeps_the_ends_and_darkens_the_middle():
     np.testing.assert_array_equal(linear(np.array([0, 128, 255], np.uint8)), [0, 55, 255])
 
 
@@ -401,7 +376,7 @@ def cielab(rgb: np.ndarray) -> np.ndarray:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
 
 
-def test_finger_colors_differ_for_the_colour_blind() -> None:
+def test_finger_colors_differ_for_the_colour_blind():
     # Viénot, Brettel and Mollon 1999: what a protanope and a deuteranope see, in linear RGB
     missing = {
         "protan": [[0.11238, 0.88762, 0], [0.11238, 0.88762, 0], [0.00401, -0.00401, 1]],
@@ -415,12 +390,7 @@ def test_finger_colors_differ_for_the_colour_blind() -> None:
         assert gaps[~np.eye(len(gaps), dtype=bool)].min() > 15
 
 
-# -- the server -------------------------------------------------------------------------------
-
-
-def test_the_scene_shows_the_kinematics_of_its_frame(
-    server: PlaybackServer, playback: Playback
-) -> None:
+def test_the_scene_shows_the_kinematics_of_its_frame(server, playback):
     robot, row = server._scene.robots[0], server._scene.row
     tips, joints = row.tips["robot_0"].node, row.human._joints
     server.set_frame(40)
@@ -438,7 +408,7 @@ def test_the_scene_shows_the_kinematics_of_its_frame(
     np.testing.assert_allclose(joints.batched_positions, playback.trace.human[40], atol=1e-6)
 
 
-def test_missing_landmarks_vanish_and_pinches_light_up() -> None:
+def test_missing_landmarks_vanish_and_pinches_light_up():
     human = human_hand(np.zeros(3))
     human[1, 6] = np.nan
     human[2, 8] = human[2, 4]
@@ -464,7 +434,7 @@ def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return clock
 
 
-def test_playback_keeps_real_time_at_any_rate(now: list[float]) -> None:
+def test_playback_keeps_real_time_at_any_rate(now):
     with PlaybackServer(make_playback(1200, rate=2000.0), port=0, loop=False) as server:
         server.play()
         now[0] += 0.30025  # frame 600, and half of it is over
@@ -477,7 +447,7 @@ def test_playback_keeps_real_time_at_any_rate(now: list[float]) -> None:
         assert server.frame == 1199
 
 
-def test_pause_step_and_speed(server: PlaybackServer) -> None:
+def test_pause_step_and_speed(server):
     server.set_speed(0.5)
     server.set_frame(-1)
     server.play()  # from the end: over again
@@ -498,9 +468,7 @@ def test_pause_step_and_speed(server: PlaybackServer) -> None:
         server.set_speed(9.0)
 
 
-def test_scrubbing_holds_time_until_the_slider_rests(
-    now: list[float], server: PlaybackServer
-) -> None:
+def test_scrubbing_holds_time_until_the_slider_rests(now, server):
     server.play()
     server.scrub(20)
     now[0] += 0.25
@@ -511,7 +479,7 @@ def test_scrubbing_holds_time_until_the_slider_rests(
     eventually(lambda: server.frame > 20)
 
 
-def test_a_taken_port_gives_the_next_free_one(playback: Playback, capfd: Any) -> None:
+def test_a_taken_port_gives_the_next_free_one(playback, capfd):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -529,7 +497,7 @@ def test_a_taken_port_gives_the_next_free_one(playback: Playback, capfd: Any) ->
     assert f"(port {taken} was taken)" in output.err
 
 
-def test_ctrl_c_ends_serve_cleanly(playback: Playback, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_ends_serve_cleanly(playback, monkeypatch):
     before = set(threading.enumerate())
 
     def interrupted(self: PlaybackServer) -> None:
@@ -543,9 +511,7 @@ def test_ctrl_c_ends_serve_cleanly(playback: Playback, monkeypatch: pytest.Monke
     assert set(threading.enumerate()) <= before
 
 
-def test_an_error_while_drawing_reaches_the_caller(
-    server: PlaybackServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_while_drawing_reaches_the_caller(server, monkeypatch):
     def broken(frame: int) -> None:
         raise RuntimeError("lost the scene")
 
@@ -557,19 +523,19 @@ def test_an_error_while_drawing_reaches_the_caller(
 
 @pytest.mark.parametrize(("host", "port"), [("192.0.2.1", 8080), ("no.such.host.invalid", 8080),
                                             ("127.0.0.1", 70000)])  # fmt: skip
-def test_an_impossible_address_is_refused(playback: Playback, host: str, port: int) -> None:
+def test_an_impossible_address_is_refused(playback, host, port):
     with pytest.raises(ConfigError):
         PlaybackServer(playback, host=host, port=port).start()
 
 
-def test_a_single_frame_can_be_shown() -> None:
+def test_a_single_frame_can_be_shown():
     with PlaybackServer(make_playback(1), port=0) as server:
         server.play()
         eventually(lambda: not server.playing)
         assert server.frame == 0
 
 
-def test_no_browser_is_opened_without_a_desktop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_browser_is_opened_without_a_desktop(monkeypatch):
     monkeypatch.setattr(browser.sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -578,7 +544,7 @@ def test_no_browser_is_opened_without_a_desktop(monkeypatch: pytest.MonkeyPatch)
     assert browser.has_desktop()
 
 
-def test_a_token_is_in_no_argument_of_the_browser(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_token_is_in_no_argument_of_the_browser(monkeypatch):
     opened: list[str] = []
     monkeypatch.setenv("DISPLAY", ":9")
     monkeypatch.setattr(browser.webbrowser, "open", opened.append)
@@ -592,7 +558,7 @@ def test_a_token_is_in_no_argument_of_the_browser(monkeypatch: pytest.MonkeyPatc
         assert file.stat().st_mode & 0o777 == 0o600
 
 
-def test_the_file_that_leads_to_a_page_does_not_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_file_that_leads_to_a_page_does_not_stay(monkeypatch):
     monkeypatch.setattr(browser, "_FILE_S", 0.05)
     file = browser.leading_to("http://localhost/?token=x")
     end = time.monotonic() + 20.0
@@ -605,7 +571,7 @@ def test_the_file_that_leads_to_a_page_does_not_stay(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.shared
-def test_the_real_hand_of_meshes_is_drawn(shared: Path) -> None:
+def test_the_real_hand_of_meshes_is_drawn(shared):
     path = shared / "hands" / "mimic_p050_hand" / "right_hand.xml"
     view = HandView(drawn_on(load_hand("mimic_p050", "right"), path))
     model, owner, meshes = view.hand.model, view.finger_of_body, view.meshes
@@ -615,9 +581,6 @@ def test_the_real_hand_of_meshes_is_drawn(shared: Path) -> None:
         assert [owner[body]] == (expected or [-1]), name
         assert mesh.extents.max() > 5e-3
     assert len(meshes) == 21  # palm and four parts a finger; the specks at the tips are left out
-
-
-# -- the page ---------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -643,7 +606,7 @@ FRAME = "+document.querySelector('#playback-status').dataset.frame"
 
 
 @pytest.mark.browser
-def test_the_page_plays_pauses_and_scrubs(opened: tuple[PlaybackServer, Any, list[str]]) -> None:
+def test_the_page_plays_pauses_and_scrubs(opened):
     server, page, problems = opened
     for label in ("Frame", "Step", "Speed", "Loop", "Overlay", "Keyvectors"):
         assert page.get_by_text(label, exact=True).is_visible(), label
@@ -681,7 +644,7 @@ def test_the_page_plays_pauses_and_scrubs(opened: tuple[PlaybackServer, Any, lis
 
 
 @pytest.mark.browser
-def test_the_page_fits_a_phone(opened: tuple[PlaybackServer, Any, list[str]]) -> None:
+def test_the_page_fits_a_phone(opened):
     server, page, problems = opened
     server.pause()
     server.set_frame(0)

@@ -1,7 +1,5 @@
 """Self-collision that can't be measured is an empty cell with a footnote, never 0."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

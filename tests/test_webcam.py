@@ -1,7 +1,5 @@
 """Camera and video: what reaches the mailbox, what happens when the camera goes, real pictures."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import re
@@ -47,9 +45,6 @@ from smooth_operator.types import Side
 
 cv2 = opencv_or_skip()
 PINCHES = {"index": 8, "middle": 12, "ring": 16, "little": 20}
-
-
-# With a tracker that sees what a test wants.
 
 
 class Fake:
@@ -116,7 +111,7 @@ def test_smoothing_is_of_each_hand_and_off_by_default(fake):
 
     def last(smoothing: float) -> np.ndarray:
         tracker = PictureTracker(PictureConfig(smoothing=smoothing))
-        tracker._landmarker.find = lambda _, time: [  # type: ignore[method-assign]
+        tracker._landmarker.find = lambda _, time: [
             SeenHand("right", 0.9, jumps[round(time * 30)], np.eye(21, 3), np.ones(21, bool))
         ]
         return [tracker.frames(plain(9), k / 30)[0].landmarks for k in range(2)][-1]
@@ -151,7 +146,7 @@ def test_pictures_that_are_late_are_left_out_unless_every_one_is_wanted(
     for every in (True, False):
         source, mailbox = Video(path, speed=4.0, every=every), Mailbox()
         source.start(mailbox)
-        wait_for(lambda s=source: s.health().state == "ended")  # type: ignore[misc]
+        wait_for(lambda s=source: s.health().state == "ended")
         received[every] = mailbox.received
     assert received[True] == 20
     assert 1 <= received[False] <= 12
@@ -206,9 +201,6 @@ def test_without_the_extra_one_line_says_so(module, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtraError, match=re.escape(install_command("webcam"))):
         Video(clip).start(Mailbox())
-
-
-# Cameras that come and go.
 
 
 class Capture:
@@ -293,9 +285,6 @@ def test_no_camera_says_what_was_tried(captures, fake):
     captures.left = [0]
     with pytest.raises(SourceError, match="another program"):
         Webcam().start(Mailbox())
-
-
-# With the real tracker, on real pictures.
 
 
 @pytest.fixture(scope="module")

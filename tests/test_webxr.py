@@ -1,7 +1,5 @@
 """A headset's browser as source: messages, pairing, certificate, server, and the page itself."""
 
-from __future__ import annotations
-
 import datetime
 import json
 import os
@@ -20,11 +18,7 @@ import pytest
 from emulated_headset import NoEmulator, fetch_emulator, new_headset
 from live_time import until as eventually
 
-from smooth_operator.errors import (
-    ConfigError,
-    RecordingError,
-    SourceError,
-)
+from smooth_operator.errors import ConfigError, RecordingError, SourceError
 from smooth_operator.formats.checks import check_units
 from smooth_operator.landmarks import BONES, FINGER_COLORS, FROM_WEBXR_25, METACARPALS_WEBXR_25
 from smooth_operator.teleop.components import build_source
@@ -73,10 +67,7 @@ def message(
     return HEADER.pack(b"XRH1", number, stamp, mask, 0) + body
 
 
-# -- messages ---------------------------------------------------------------------------------
-
-
-def test_joints_become_landmarks_in_our_order_and_quaternions_ours() -> None:
+def test_joints_become_landmarks_in_our_order_and_quaternions_ours():
     packet = read_packet(message(joints(-1), joints(), number=7, stamp=2.5))
     assert (packet.number, packet.stamp) == (7, 2.5)
     assert [frame.side for frame in packet.frames] == ["left", "right"]
@@ -90,20 +81,19 @@ def test_joints_become_landmarks_in_our_order_and_quaternions_ours() -> None:
         assert frame.valid.all()
 
 
-def test_what_the_headset_does_not_see_is_nan_and_never_a_guess() -> None:
+def test_what_the_headset_does_not_see_is_nan_and_never_a_guess():
     hand = joints()
     hand[2] = np.nan  # thumb MCP
     hand[6, 1] = np.inf  # index MCP
     hand[9, 0] = 1e6  # index tip, a thousand kilometres off
     hand[11, 3:7] = 0.0  # middle MCP has no orientation
     (frame,) = read_packet(message(right=hand)).frames
-    assert frame.valid is not None
     assert np.flatnonzero(~frame.valid).tolist() == [2, 5, 8]
     assert np.isnan(frame.landmarks[[2, 5, 8]]).all()
     assert np.flatnonzero(np.isnan(frame.orientations).any(-1)).tolist() == [2, 9]
 
 
-def test_a_moment_without_hands_is_a_message() -> None:
+def test_a_moment_without_hands_is_a_message():
     assert read_packet(message()).frames == ()
     assert len(message(joints(), joints())) == MAX_BYTES
 
@@ -123,15 +113,12 @@ def test_a_moment_without_hands_is_a_message() -> None:
         message(joints(), stamp=-1e12),
     ],
 )
-def test_a_broken_message_is_refused(bad: bytes) -> None:
+def test_a_broken_message_is_refused(bad):
     with pytest.raises(RecordingError):
         read_packet(bad)
 
 
-# -- pairing ----------------------------------------------------------------------------------
-
-
-def test_codes_are_random_and_forgive_how_they_are_typed() -> None:
+def test_codes_are_random_and_forgive_how_they_are_typed():
     codes = {Pairing(None).code for _ in range(20)}
     assert len(codes) > 15
     assert all(re.fullmatch(r"\d{6}", code) for code in codes)
@@ -141,7 +128,7 @@ def test_codes_are_random_and_forgive_how_they_are_typed() -> None:
     assert pairing.spoken == "abc 123"
 
 
-def test_wrong_codes_are_looked_at_only_so_often() -> None:
+def test_wrong_codes_are_looked_at_only_so_often():
     now = 0.0
     pairing = Pairing(CODE, lambda: now)
     assert [pairing.check("000000", "a") for _ in range(PER_ADDRESS)] == ["wrong"] * PER_ADDRESS
@@ -156,15 +143,12 @@ def test_wrong_codes_are_looked_at_only_so_often() -> None:
 
 
 @pytest.mark.parametrize("code", ["12345", "", "12 34-5", "ünïcöde", "x" * 65, "123456;"])
-def test_a_code_that_is_no_use_is_refused(code: str) -> None:
+def test_a_code_that_is_no_use_is_refused(code):
     with pytest.raises(ConfigError, match="6 to 64 letters and digits"):
         WebXr(code=code)
 
 
-# -- the certificate --------------------------------------------------------------------------
-
-
-def test_a_certificate_is_kept_in_private_and_used_again(tmp_path: Path) -> None:
+def test_a_certificate_is_kept_in_private_and_used_again(tmp_path):
     folder = tmp_path / "kept"
     made = get_certificate(addresses.LOCAL, folder)
     again = get_certificate(addresses.LOCAL, folder)
@@ -179,7 +163,7 @@ def test_a_certificate_is_kept_in_private_and_used_again(tmp_path: Path) -> None
         assert folder.stat().st_mode & 0o777 == 0o700
 
 
-def test_a_certificate_is_made_anew_when_it_runs_out(tmp_path: Path) -> None:
+def test_a_certificate_is_made_anew_when_it_runs_out(tmp_path):
     now = datetime.datetime.now(datetime.UTC)
     first = get_certificate(("localhost",), tmp_path, now)
     late = now + VALID - datetime.timedelta(days=2)
@@ -190,7 +174,7 @@ def test_a_certificate_is_made_anew_when_it_runs_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["cut", "garbage", "open"])
-def test_a_damaged_or_open_certificate_is_replaced(tmp_path: Path, damage: str) -> None:
+def test_a_damaged_or_open_certificate_is_replaced(tmp_path, damage):
     first = get_certificate(("localhost",), tmp_path)
     if damage == "open":
         if os.name != "posix":
@@ -204,13 +188,13 @@ def test_a_damaged_or_open_certificate_is_replaced(tmp_path: Path, damage: str) 
     assert os.name != "posix" or second.file.stat().st_mode & 0o077 == 0
 
 
-def test_a_folder_that_can_not_be_written_is_said(tmp_path: Path) -> None:
+def test_a_folder_that_can_not_be_written_is_said(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(SourceError, match=SWITCH):
         get_certificate(("localhost",), tmp_path / "file")
 
 
-def test_the_names_are_those_that_a_headset_types() -> None:
+def test_the_names_are_those_that_a_headset_types():
     for host in ("127.0.0.1", "localhost", "::1"):
         assert addresses.names_of(host) == addresses.LOCAL
         assert addresses.page_addresses(host, 8443) == ("https://localhost:8443",)
@@ -221,9 +205,6 @@ def test_the_names_are_those_that_a_headset_types() -> None:
     assert not {"127.0.0.1", "::1"} & set(lan)
     assert addresses.names_of("192.168.7.9")[-1] == "192.168.7.9"
     assert addresses.page_addresses("2001:db8::7", 1) == ("https://[2001:db8::7]:1",)
-
-
-# -- the server -------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -266,9 +247,7 @@ class Host:
 
     def arrival(self, side: Side) -> Arrival:
         assert self.mailbox.wait([side], 5.0), "no frame came"
-        found = self.mailbox.take(side)
-        assert found is not None
-        return found
+        return self.mailbox.take(side)
 
     def state(self) -> str:
         return self.source.health().state
@@ -290,7 +269,7 @@ def close_of(link: Any) -> tuple[int, str]:
     return caught.value.rcvd.code, caught.value.rcvd.reason
 
 
-def test_hands_arrive_with_stamp_side_and_session(host: Host) -> None:
+def test_hands_arrive_with_stamp_side_and_session(host):
     assert eventually(host.source.health).state == "waiting"
     eventually(lambda: "pairing code 246 810" in host.source.health().detail)
     assert host.address in host.source.health().detail
@@ -310,7 +289,7 @@ def test_hands_arrive_with_stamp_side_and_session(host: Host) -> None:
         assert host.source.link.frames == 3
 
 
-def test_a_lost_headset_is_waited_for_and_comes_back_as_a_new_session(host: Host) -> None:
+def test_a_lost_headset_is_waited_for_and_comes_back_as_a_new_session(host):
     for expected in (1, 2, 3):
         link, session = host.welcome()
         assert session == expected
@@ -324,7 +303,7 @@ def test_a_lost_headset_is_waited_for_and_comes_back_as_a_new_session(host: Host
         assert "the headset is gone" in host.source.health().detail
 
 
-def test_the_newest_headset_wins_and_the_old_one_is_told(host: Host) -> None:
+def test_the_newest_headset_wins_and_the_old_one_is_told(host):
     old, _ = host.welcome()
     new, session = host.welcome()
     assert session == 2
@@ -344,7 +323,7 @@ def test_the_newest_headset_wins_and_the_old_one_is_told(host: Host) -> None:
         ({"type": "ping", "at": 0.0}, 4400),
     ],
 )
-def test_without_the_code_nobody_gets_in(host: Host, first: dict[str, Any], code: int) -> None:
+def test_without_the_code_nobody_gets_in(host, first, code):
     with host.connect() as link:
         link.send(json.dumps(first))
         assert close_of(link)[0] == code
@@ -355,14 +334,14 @@ def test_without_the_code_nobody_gets_in(host: Host, first: dict[str, Any], code
     assert host.source.link.session == 0
 
 
-def test_guessing_is_locked_out(host: Host) -> None:
+def test_guessing_is_locked_out(host):
     for _ in range(PER_ADDRESS):
         assert close_of(host.pair("999999"))[0] == 4401
     assert close_of(host.pair(CODE)) == (4429, "too many wrong pairing codes: wait a minute")
     eventually(lambda: "wrong pairing codes: 6" in host.source.health().detail)
 
 
-def test_messages_that_can_not_be_read_are_counted_and_the_link_holds(host: Host) -> None:
+def test_messages_that_can_not_be_read_are_counted_and_the_link_holds(host):
     link, _ = host.welcome()
     bad = (b"nonsense", "nonsense", "[" * 1500, "[1]", '{"type": "ping"}', b"XRH1" + b"\0" * 30)
     for item in bad:
@@ -376,7 +355,7 @@ def test_messages_that_can_not_be_read_are_counted_and_the_link_holds(host: Host
     assert close_of(link)[0] == 4400
 
 
-def test_a_message_that_is_too_long_ends_the_link(host: Host) -> None:
+def test_a_message_that_is_too_long_ends_the_link(host):
     link, _ = host.welcome()
     link.send(b"\0" * 4000)
     assert close_of(link)[0] == 1009
@@ -384,7 +363,7 @@ def test_a_message_that_is_too_long_ends_the_link(host: Host) -> None:
     eventually(lambda: host.state() == "waiting")
 
 
-def test_pings_bring_the_clock_of_the_host_and_the_state_of_the_link(host: Host) -> None:
+def test_pings_bring_the_clock_of_the_host_and_the_state_of_the_link(host):
     link, _ = host.welcome()
     before = time.perf_counter()
     ping = {"type": "ping", "at": 3.5, "round_trip": 0.004, "offset": 71.5, "tracking": True}
@@ -402,7 +381,7 @@ def test_pings_bring_the_clock_of_the_host_and_the_state_of_the_link(host: Host)
     link.close()
 
 
-def test_other_sites_can_not_reach_the_link(host: Host) -> None:
+def test_other_sites_can_not_reach_the_link(host):
     refused = pytest.importorskip("websockets.exceptions").InvalidStatus
     with pytest.raises(refused, match="403"):
         host.connect(origin="https://elsewhere.example")
@@ -418,7 +397,7 @@ def fetch(address: str, context: ssl.SSLContext) -> tuple[bytes, Any]:
         return answer.read(), answer.headers
 
 
-def test_the_page_is_whole_and_its_certificate_can_be_trusted(host: Host, tmp_path: Path) -> None:
+def test_the_page_is_whole_and_its_certificate_can_be_trusted(host, tmp_path):
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     page, headers = fetch(host.address, context)
@@ -438,7 +417,7 @@ def test_the_page_is_whole_and_its_certificate_can_be_trusted(host: Host, tmp_pa
         fetch(f"{host.address}/../pyproject.toml", context)
 
 
-def test_the_joints_have_the_colours_of_the_other_pages(host: Host) -> None:
+def test_the_joints_have_the_colours_of_the_other_pages(host):
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     module = fetch(f"{host.address}/colors.js", context)[0].decode()
@@ -450,7 +429,7 @@ def test_the_joints_have_the_colours_of_the_other_pages(host: Host) -> None:
     assert not re.findall(r"const FINGER\w* =", scene)  # and has none besides
 
 
-def test_no_page_can_frame_it(host: Host) -> None:
+def test_no_page_can_frame_it(host):
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     for path in ("/", "/no-such", "/certificate.crt"):
@@ -462,7 +441,7 @@ def test_no_page_can_frame_it(host: Host) -> None:
         assert "frame-ancestors 'none'" in headers["Content-Security-Policy"], path
 
 
-def test_every_address_that_is_shown_leads_to_the_page(cache: Path) -> None:
+def test_every_address_that_is_shown_leads_to_the_page(cache):
     source = WebXr("0.0.0.0", 0, CODE)
     source.start(Mailbox())
     try:
@@ -477,7 +456,7 @@ def test_every_address_that_is_shown_leads_to_the_page(cache: Path) -> None:
         source.stop()
 
 
-def test_the_certificate_serves_no_other_name(cache: Path, tmp_path: Path) -> None:
+def test_the_certificate_serves_no_other_name(cache, tmp_path):
     from cryptography import x509
 
     made = get_certificate(("localhost", "192.168.1.20"), tmp_path)
@@ -485,13 +464,10 @@ def test_the_certificate_serves_no_other_name(cache: Path, tmp_path: Path) -> No
     constraints = found.get_extension_for_class(x509.NameConstraints)
     assert constraints.critical
     permitted = constraints.value.permitted_subtrees
-    assert permitted is not None
     assert {str(name.value) for name in permitted} == {"localhost", "192.168.1.20/32"}
 
 
-def test_a_plain_http_browser_and_noise_do_not_disturb(
-    host: Host, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plain_http_browser_and_noise_do_not_disturb(host, capfd):
     port = int(host.address.rsplit(":", 1)[1])
     for noise in (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"\x16\x03\x01\xff\xff" + b"\0" * 50, b""):
         with socket.create_connection(("127.0.0.1", port), timeout=5) as raw:
@@ -501,9 +477,7 @@ def test_a_plain_http_browser_and_noise_do_not_disturb(
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_flood_of_half_open_connections_is_refused_and_the_link_lives(
-    cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flood_of_half_open_connections_is_refused_and_the_link_lives(cache, monkeypatch):
     """Connections that never finish TLS cost memory each: beyond a few they are closed unread."""
     monkeypatch.setattr(server, "_HANDSHAKE_S", 1.0)
     started = Host()
@@ -530,9 +504,7 @@ def test_a_flood_of_half_open_connections_is_refused_and_the_link_lives(
         started.source.stop()
 
 
-def test_half_open_connections_lock_no_address_out(
-    cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_open_connections_lock_no_address_out(cache, monkeypatch):
     """The oldest of them make room for one that goes on, long before their time is over."""
     monkeypatch.setattr(server, "_HANDSHAKE_S", 120.0)
     started = Host()
@@ -564,7 +536,7 @@ def is_closed(raw: socket.socket, seconds: float = 5.0) -> bool:
         return True
 
 
-def test_a_listener_has_room_again_when_a_connection_ends() -> None:
+def test_a_listener_has_room_again_when_a_connection_ends():
     with LimitedListener(listen("127.0.0.1", 0), most=3, most_of_one=2, most_waiting=2) as door:
         door.settimeout(0.2)
         where = door.getsockname()
@@ -585,7 +557,7 @@ def test_a_listener_has_room_again_when_a_connection_ends() -> None:
             end.close()
 
 
-def test_of_connections_that_wait_the_oldest_makes_room() -> None:
+def test_of_connections_that_wait_the_oldest_makes_room():
     with LimitedListener(listen("127.0.0.1", 0), 9, 9, most_waiting=2) as door:
         where = door.getsockname()
         clients, inside = [], []
@@ -604,7 +576,7 @@ def test_of_connections_that_wait_the_oldest_makes_room() -> None:
             end.close()
 
 
-def test_stopping_tells_the_headset_and_frees_the_port(cache: Path) -> None:
+def test_stopping_tells_the_headset_and_frees_the_port(cache):
     started = Host()
     port = int(started.address.rsplit(":", 1)[1])
     with pytest.raises(SourceError, match="name another port"):
@@ -621,7 +593,7 @@ def test_stopping_tells_the_headset_and_frees_the_port(cache: Path) -> None:
     again.stop()
 
 
-def test_settings_come_from_a_text() -> None:
+def test_settings_come_from_a_text():
     assert build_source(f"webxr:0.0.0.0,port=9000,code={CODE}") == WebXr("0.0.0.0", 9000, CODE)
     assert build_source("webxr").label == "webxr 127.0.0.1:8443"  # nobody else gets in by default
     assert CODE not in repr(WebXr(code=CODE))
@@ -629,9 +601,6 @@ def test_settings_come_from_a_text() -> None:
         WebXr(port=70000)
     with pytest.raises(SourceError, match="can't listen"):
         WebXr(host="203.0.113.7", port=0).start(Mailbox())
-
-
-# -- the page, in a browser with an emulated headset ------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -671,7 +640,7 @@ count();
 
 
 @pytest.mark.browser
-def test_a_headset_streams_both_hands(host: Host, chromium: Any, emulator: str) -> None:
+def test_a_headset_streams_both_hands(host, chromium, emulator):
     page = new_headset(chromium, emulator)
     problems: list[str] = []
     page.on("pageerror", lambda error: problems.append(str(error)))
@@ -746,7 +715,7 @@ def test_a_headset_streams_both_hands(host: Host, chromium: Any, emulator: str) 
 
 
 @pytest.mark.browser
-def test_the_page_comes_back_by_itself(cache: Path, chromium: Any, emulator: str) -> None:
+def test_the_page_comes_back_by_itself(cache, chromium, emulator):
     first = Host()
     port = int(first.address.rsplit(":", 1)[1])
     page = new_headset(chromium, emulator, 390, 844)
@@ -795,9 +764,7 @@ def shown(found: Any, seconds: float) -> bool:
 
 
 @pytest.mark.browser
-def test_a_browser_without_a_headset_is_told_and_a_phone_has_room(
-    host: Host, chromium: Any
-) -> None:
+def test_a_browser_without_a_headset_is_told_and_a_phone_has_room(host, chromium):
     context = chromium.new_context(ignore_https_errors=True, viewport={"width": 360, "height": 740})
     page = context.new_page()
     page.add_init_script("Object.defineProperty(Navigator.prototype, 'xr', {value: undefined})")
@@ -813,9 +780,7 @@ def test_a_browser_without_a_headset_is_told_and_a_phone_has_room(
 
 
 @pytest.mark.browser
-def test_a_headset_that_gives_no_hands_is_told_why(
-    host: Host, chromium: Any, emulator: str
-) -> None:
+def test_a_headset_that_gives_no_hands_is_told_why(host, chromium, emulator):
     page = new_headset(chromium, emulator)
     page.goto(f"{host.address}/#{CODE}")
     page.get_by_text("linked", exact=True).wait_for()
@@ -827,7 +792,7 @@ def test_a_headset_that_gives_no_hands_is_told_why(
     page.context.close()
 
 
-def test_an_address_that_no_headset_can_open_comes_with_what_to_give() -> None:
+def test_an_address_that_no_headset_can_open_comes_with_what_to_give():
     here = describe(
         LinkState(), addresses.page_addresses("127.0.0.1", 8443), Pairing("AB12CD")
     ).detail

@@ -1,7 +1,5 @@
 """The wrist on its way: from each source to each file and message, and back."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any
@@ -38,7 +36,7 @@ POSE = [0.3, -0.2, 1.1, 0.6, 0.0, 0.8, 0.0]
 
 def operator(side: str = "right", seconds: float = 0.4) -> HandRecording:
     motion = WristMotion(0.1, 0.4, seed=3)
-    return SyntheticOperator(seed=1, side=side, wrist=motion).record(seconds)  # type: ignore[arg-type]
+    return SyntheticOperator(seed=1, side=side, wrist=motion).record(seconds)
 
 
 def episode() -> Episode:
@@ -74,9 +72,6 @@ def same(back: Episode, sent: Episode) -> None:
     assert back.wrist.world == "table"
 
 
-# -- sources ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_the_operator_knows_its_wrist(side):
     hand = operator(side)
@@ -100,10 +95,10 @@ def test_the_live_operator_moves_its_wrist_and_not_its_landmarks():
             frames.append(frame)
             return post(frame, **more)
 
-        box.post = keep  # type: ignore[method-assign]
+        box.post = keep
         source = SyntheticSource(duration=0.2, wrist=wrist)
         source.start(box)
-        source._running._thread.join(5)  # type: ignore[attr-defined]
+        source._running._thread.join(5)
         source.stop()
     moved, still = seen
     assert len(moved) == len(still) == 20
@@ -111,7 +106,7 @@ def test_the_live_operator_moves_its_wrist_and_not_its_landmarks():
         np.testing.assert_array_equal(a.landmarks, b.landmarks)
         assert poses.is_valid(a.T_world_wrist)
         assert b.T_world_wrist is None
-    speed = np.diff([f.T_world_wrist[:3] for f in moved], axis=0) * 100  # type: ignore[index]
+    speed = np.diff([f.T_world_wrist[:3] for f in moved], axis=0) * 100
     assert 0.001 < np.linalg.norm(speed, axis=1).max() < 1.0
     assert moved[0].world == "synthetic"
 
@@ -120,9 +115,9 @@ def test_a_replay_has_the_wrist_of_its_recording(tmp_path):
     sent = episode()
     write_log_episode(tmp_path / "a.mcap", sent)
     source, box, seen = Replay(tmp_path / "a.mcap", speed=100.0), Mailbox(), []
-    box.post = lambda frame, **_: seen.append(frame)  # type: ignore[method-assign,assignment]
+    box.post = lambda frame, **_: seen.append(frame)
     source.start(box)
-    source._running._thread.join(5)  # type: ignore[attr-defined]
+    source._running._thread.join(5)
     source.stop()
     np.testing.assert_array_equal([f.T_world_wrist for f in seen], sent.recording.T_world_wrist)
 
@@ -139,11 +134,11 @@ def test_a_headset_sends_its_wrist_in_its_reference_space():
         assert frame.world == world
     joints[0, :7] = 0, 0, 0, 0, 2**-0.5, 0, 2**-0.5  # turned to the left, as seen from above
     (frame,) = read_packet(HEADER.pack(b"XRH1", 0, 1.0, 2, 0) + joints.tobytes()).frames
-    turned = poses.rotate(frame.T_world_wrist[3:], np.array([1.0, 0, 0]))  # type: ignore[index]
+    turned = poses.rotate(frame.T_world_wrist[3:], np.array([1.0, 0, 0]))
     np.testing.assert_allclose(turned, [0, 1, 0], atol=1e-6)
     joints[0, 3:7] = np.nan
     (frame,) = read_packet(HEADER.pack(b"XRH1", 0, 1.0, 2, 0) + joints.tobytes()).frames
-    assert np.isnan(frame.T_world_wrist).all()  # type: ignore[arg-type]
+    assert np.isnan(frame.T_world_wrist).all()
     assert frame.valid[0]
 
 
@@ -173,15 +168,12 @@ def test_a_bridge_may_add_a_trackers_wrist_to_a_glove():
     assert reading.frame.T_world_wrist is None
 
 
-# -- files ------------------------------------------------------------------------------------
-
-
 def test_an_npz_holds_both_wrists(tmp_path):
     sent = episode()
     write_npz_episode(tmp_path / "a.npz", sent)
     same(read_npz_episode(tmp_path / "a.npz"), sent)
     plain = read_recording(tmp_path / "a.npz")
-    np.testing.assert_array_equal(plain.T_world_wrist, sent.recording.T_world_wrist)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(plain.T_world_wrist, sent.recording.T_world_wrist)
     assert plain.world == "synthetic"
 
 
@@ -222,16 +214,12 @@ def test_a_lerobot_dataset_holds_both_wrists(tmp_path):
 def test_parts_of_an_episode_and_of_a_recording_keep_the_wrist(tmp_path):
     sent = episode()
     cut = sent.sliced(slice(3, 11))
-    np.testing.assert_array_equal(cut.recording.T_world_wrist, sent.recording.T_world_wrist[3:11])  # type: ignore[index,union-attr]
-    np.testing.assert_array_equal(cut.wrist.poses, sent.wrist.poses[3:11])  # type: ignore[union-attr]
-    assert sent.recording is not None
+    np.testing.assert_array_equal(cut.recording.T_world_wrist, sent.recording.T_world_wrist[3:11])
+    np.testing.assert_array_equal(cut.wrist.poses, sent.wrist.poses[3:11])
     longer = led(replace(sent.recording, meta={}))
-    assert len(longer.T_world_wrist) == len(longer)  # type: ignore[arg-type]
+    assert len(longer.T_world_wrist) == len(longer)
     write_npz_episode(tmp_path / "c.npz", cut)
     assert read_episode(tmp_path / "c.npz").wrist is not None
-
-
-# -- a live loop ------------------------------------------------------------------------------
 
 
 def test_a_live_command_carries_both_wrists_to_log_and_message(tmp_path):

@@ -1,7 +1,5 @@
 """Ticks as the loop makes them, for the tests of sinks."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

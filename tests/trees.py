@@ -1,7 +1,5 @@
 """Random kinematic trees and small hand models, for more than one test file."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A layout for tests: both hands of a clip in one ``.pair.npz``, made by the built-in operator."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

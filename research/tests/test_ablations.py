@@ -1,7 +1,5 @@
 """The paper's experiments: solvers, statistics, verdicts, resuming, and what is written."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import json
@@ -116,9 +114,6 @@ def programs() -> typing.Any:
     return interval_coverage
 
 
-# Whole runs
-
-
 def test_every_experiment_writes_results_figures_and_a_verdict(settings, outcomes):
     page = (settings.output / "report.html").read_text(encoding="utf-8")
     assert "http://" not in page.replace("http://www.w3.org", "")
@@ -163,9 +158,6 @@ def test_a_finished_run_computes_nothing_again_and_says_the_same(settings, outco
     again = dict(run_experiments(settings, load_recordings(settings)))
     for name in OURS:
         assert again[name].verdicts == outcomes[name].verdicts
-
-
-# Resuming, without any solver
 
 
 @pytest.fixture
@@ -241,9 +233,6 @@ def test_unusable_requests_are_refused(tmp_path):
         run_experiments(short, load_recordings(short))
 
 
-# The command
-
-
 def test_the_command_knows_every_experiment():
     assert set(typing.get_args(ExperimentName)) == set(EXPERIMENTS)
     for name in EXPERIMENTS:
@@ -290,16 +279,11 @@ def test_without_recordings_there_are_enough_independent_ones():
         load_sources([parse_request(f"synthetic:5@{word},:50")])[0]
         for word in ("17cm", "20cm,1.2x")
     )
-    assert first.recording is not None
-    assert second.recording is not None
     reach = [np.linalg.norm(one.landmarks[0, 12]) for one in (first.recording, second.recording)]
     assert reach[1] / reach[0] == pytest.approx(20 / 17, rel=0.01)
     assert first.name != second.name
     with pytest.raises(ConfigError, match="built-in operator"):
         parse_request("glove.npz@17cm")
-
-
-# Solvers
 
 
 def test_rmsprop_finds_the_minimum_of_a_quadratic_within_bounds():
@@ -394,9 +378,6 @@ def test_a_velocity_term_slows_the_answers_down(problem):
     assert np.abs(np.diff(held, axis=0)).max() < 0.2 * np.abs(np.diff(free, axis=0)).max()
 
 
-# The problem and its Hessian
-
-
 def test_the_tracking_loss_is_the_objectives_own(problem):
     rng = np.random.default_rng(0)
     q = np.clip(problem.start + 0.1 * rng.standard_normal((len(problem), 16)),
@@ -458,9 +439,6 @@ def test_the_first_long_run_of_usable_frames_is_taken():
     assert unbroken(np.zeros(3, bool), 2) == slice(0, 0)
 
 
-# Statistics and verdicts
-
-
 def alone(*values: float) -> Samples:
     return independent(values)
 
@@ -472,15 +450,12 @@ def test_contrasts_are_paired_by_recording():
     a = Samples([[0.5 * s * f for f in rng.normal(1, 0.02, 3)] for s in size], units)
     b = Samples([[s] for s in size], units)
     ratio = contrast(a, b, "ratio")
-    assert ratio.low is not None
-    assert ratio.high is not None
     assert ratio.low < 0.5 < ratio.high
     assert ratio.high - ratio.low < 0.03
     change = contrast(a, b, "change")
     assert (change.value, change.low) == pytest.approx((ratio.value - 1, ratio.low - 1))
     mean = mean_of(b)
     assert mean.value == pytest.approx(size.mean())
-    assert mean.high is not None
     assert mean.high - mean.value > 0.2 * size.mean()
     assert typical(b).value == pytest.approx(np.exp(np.log(size).mean()))
     both_ways = pooled([(a, b), (b, a)], "ratio")
@@ -556,7 +531,6 @@ def _of(low: float, value: float, high: float) -> Estimate:
     """An estimate with about these ends, of 20 recordings."""
     shape = np.linspace(-1, 1, 20)
     unit = mean_of(alone(*shape))
-    assert unit.high is not None
     points = value + shape * (high - low) / 2 / unit.high
     found = mean_of(alone(*points))
     assert (found.low, found.value) == pytest.approx((value - (high - low) / 2, value))

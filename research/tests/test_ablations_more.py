@@ -1,7 +1,5 @@
 """The experiments on libraries and methods: takes, lag, orders, gaps, resuming."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path
@@ -18,12 +16,7 @@ from smooth_operator.lab.benchmark.ranking import HEADLINES
 from smooth_operator.lab.benchmark.recordings import Request, Source, load_sources, parse_request
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.synthetic.tracker import TrackerModel
-from smooth_operator_research.paper import (
-    fk,
-    follow,
-    sweeps,
-    table,
-)
+from smooth_operator_research.paper import fk, follow, sweeps, table
 from smooth_operator_research.paper.experiment import QUICK, ExperimentContext, ExperimentFolder
 from smooth_operator_research.paper.figures import looks_of
 from smooth_operator_research.paper.fk import (
@@ -91,9 +84,6 @@ def field() -> Field:
     return Field({PUBLISHED_SBR: stand_in, "geort": geort}, {})
 
 
-# Forward kinematics
-
-
 @pytest.mark.parametrize("hand", [("mimic_p050", "right"), ("mimic_p050", "left")])
 def test_the_urdf_has_the_hands_kinematics(hand):
     robot = load_hand(*hand)
@@ -137,9 +127,9 @@ def test_the_urdf_knows_slides_offsets_and_references():
         spec, joint_names = Spec, ("h", "s", "h2")
         bodies = np.array([False, True, True, True, True])
 
-    Odd.model = model  # type: ignore[attr-defined]
+    Odd.model = model
     assert len(write_urdf(robot).tips) == 5
-    urdf = write_urdf(Odd)  # type: ignore[arg-type]
+    urdf = write_urdf(Odd)
     option = '<mujoco><compiler fusestatic="false"/></mujoco></robot>'
     other = mujoco.MjModel.from_xml_string(urdf.text.replace("</robot>", option))
     data, found = mujoco.MjData(model), mujoco.MjData(other)
@@ -203,18 +193,14 @@ def test_every_round_counts_and_libraries_are_compared_round_by_round():
     assert found.mean(OURS, 1).units == 3
     over = found.over(MUJOCO, OURS, 1)
     assert over.value == pytest.approx((4 * 4 * 37 / 9) ** (1 / 3))
-    assert over.low is not None
     assert over.low > 3.8  # what slows both down alike is no difference between them
-
-
-# Takes
 
 
 def test_a_tracker_adds_its_noise_and_loses_its_share(sources):
     clean = sources[0].recording
     before = clean.landmarks.copy()
     degraded = through_tracker(sources[0], clean, TrackerModel(noise=2e-3, frame_loss=0.2, seed=3))
-    lost = ~degraded.seen.valid.any(axis=1)  # type: ignore[union-attr]
+    lost = ~degraded.seen.valid.any(axis=1)
     assert not lost[:LEAD].any()
     assert 0.08 < lost.mean() < 0.35
     assert np.isnan(degraded.seen.landmarks[lost]).all()
@@ -284,9 +270,6 @@ def test_nearest_frames_are_taken_once():
     )
 
 
-# Lag
-
-
 @pytest.mark.parametrize("rate_hz", [15.0, 30.0, 100.0, 200.0])
 @pytest.mark.parametrize("delay_ms", [0.0, 3.7, 41.0])
 def test_a_delay_is_found_finer_than_a_frame(rate_hz, delay_ms):
@@ -307,9 +290,6 @@ def test_where_nothing_moves_there_is_no_lag():
     still = np.zeros((len(stamps), 5, 3))
     assert np.isnan(sub_frame_lag(still, still, stamps)).all()
     assert np.isnan(sub_frame_lag(still[:5], still[:5], stamps[:5])).all()
-
-
-# Methods
 
 
 def test_noise_makes_rougher_and_is_resumed(context, field, monkeypatch):
@@ -367,9 +347,6 @@ def test_a_method_that_cannot_serve_the_hand_is_a_gap(context):
     assert "geort is missing: there is no built-in GeoRT model" in found.note()
     with pytest.raises(ConfigError, match="no method can serve"):
         field_of(other, ("geort",))
-
-
-# The table
 
 
 def test_the_table_has_six_metrics_by_both_definitions(context, field, monkeypatch):

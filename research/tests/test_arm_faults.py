@@ -1,7 +1,5 @@
 """The fault run of ``research/benchmarks/arm_faults.py``, once around and short."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path

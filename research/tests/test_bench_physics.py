@@ -1,7 +1,5 @@
 """The framework of ``bench --physics``: intervals, kept results, files, report, command line."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """Demonstrations for other hands: first guesses, the search, and the files that come of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -30,13 +28,7 @@ from smooth_operator_research.demonstrations.judging import (
 from smooth_operator_research.demonstrations.perturbation import draw_perturbation
 from smooth_operator_research.demonstrations.search import Evolution, transferred
 
-pytestmark = pytest.mark.weekly
-
-
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path, monkeypatch) -> None:
-    """MuJoCo writes its warnings into the working folder."""
-    monkeypatch.chdir(tmp_path)
+pytestmark = [pytest.mark.weekly, pytest.mark.usefixtures("elsewhere")]
 
 
 OTHERS = [(task, name) for task in SCENES for name in demonstrated_hands(task)[1:]]

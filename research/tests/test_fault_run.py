@@ -1,7 +1,5 @@
 """The fault run of ``research/benchmarks/teleop.py``."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

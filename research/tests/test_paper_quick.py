@@ -1,7 +1,5 @@
 """``paper --quick``: the whole set as a user runs it; one of it again computes nothing anew."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

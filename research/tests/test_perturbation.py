@@ -1,7 +1,5 @@
 """Perturbed worlds: drawn by number, physical where they say so, and of the operator's bones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -26,15 +24,9 @@ from smooth_operator_research.demonstrations.perturbation import (
     draw_perturbation,
 )
 
-pytestmark = pytest.mark.weekly
+pytestmark = [pytest.mark.weekly, pytest.mark.usefixtures("elsewhere")]
 
 HAND = load_hand("mimic_p050")
-
-
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path, monkeypatch) -> None:
-    """MuJoCo writes its warnings into the working folder."""
-    monkeypatch.chdir(tmp_path)
 
 
 def test_a_world_depends_on_its_seed_and_number_alone():

@@ -1,7 +1,5 @@
 """The table and the picture of what pinch damping buys; measuring is a stand-in but in one test."""
 
-from __future__ import annotations
-
 import pytest
 
 from smooth_operator.methods.presets import method_config
@@ -34,7 +32,7 @@ def test_table_and_picture(tmp_path, monkeypatch):
     assert ">share dropped<" in picture
 
 
-def test_rows_are_the_presets() -> None:
+def test_rows_are_the_presets():
     rows = pinch_front.rows_of(pinch_front.Settings())
     assert rows["100"] == ("smooth", method_config("smooth"))
     assert rows["1000"] == ("smooth", method_config("smooth", "grasp"))

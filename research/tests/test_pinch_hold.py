@@ -1,17 +1,13 @@
 """Pinches of recordings on objects in physics: what is held is held, and what is not is not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from smooth_operator import HandRecording, load_hand, method_config
 from smooth_operator.errors import RecordingError
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.methods.presets import method_config
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.types import HandRecording
 from smooth_operator_research.physics.grasp_measures import (
     GraspResult,
     PinchHold,
@@ -43,9 +39,6 @@ def recording() -> HandRecording:
 
 def thing(name: str) -> GraspObject:
     return next(one for one in GRASP_OBJECTS if one.name == name)
-
-
-# The human's pinches
 
 
 def test_pinches_of_a_recording_are_found(recording):
@@ -110,9 +103,6 @@ def test_the_hand_rests_at_the_tightest_moment(recording):
     np.testing.assert_array_equal(longer.landmarks[-1], recording.landmarks[-1])
 
 
-# The robot's
-
-
 def pinched(
     name: str, *, share: float = 1.0, late: float = 0.0, early: bool = False, push: float = 1.0
 ) -> GraspResult:
@@ -143,11 +133,9 @@ def pinched(
 def test_a_good_pinch_holds_and_lets_go(name):
     result = pinched(name)
     assert (result.touched, result.held, result.dropped) == (True, True, False)
-    assert result.force is not None
     assert 0.5 < result.force < 15.0
     if name != "cube 30":  # which is free at a few millimetres' opening
         assert result.let_go
-    assert result.at_limit is not None
     assert 0.0 <= result.at_limit <= 1.0
 
 
@@ -209,12 +197,8 @@ def test_the_object_appears_without_a_jolt():
     assert np.linalg.norm(physics.position - before) < 0.003
 
 
-# The measure
-
-
 def test_the_measure_counts_what_was_tried(recording):
     measure = find_measure("pinch")
-    assert isinstance(measure, PinchHold)
     unit = Unit("two pinches", data=recording[:400])
     case = Case(
         "pinch", "mimic_p050", "right", "keyvector", "published", method_config("keyvector"), "",
@@ -222,17 +206,16 @@ def test_the_measure_counts_what_was_tried(recording):
     )  # fmt: skip
     row = measure.run(case).row
     assert row == measure.run(case).row  # deterministic
-    tried = 2 * int(row["pinches"])  # type: ignore[arg-type]
+    tried = 2 * int(row["pinches"])
     assert row["tried"] == tried
     assert row["diverged"] == 0
     held = row["held"]
-    assert isinstance(held, float)
     assert held * tried == pytest.approx(round(held * tried))
     assert held == np.mean([row["held_card_2"], row["held_sphere_20"]])
     assert held >= 0.5  # its pinches do close
     left = replace(case, side="left")
     assert left.hand.spec.side == "left"
-    assert abs(measure.run(left).row["held"] - held) <= 0.5  # type: ignore[operator]
+    assert abs(measure.run(left).row["held"] - held) <= 0.5
 
 
 def test_what_the_human_could_not_take_is_not_tried(recording):
@@ -250,12 +233,12 @@ def test_what_the_human_could_not_take_is_not_tried(recording):
 
 def test_a_recording_without_pinches_is_refused(recording):
     with pytest.raises(RecordingError, match="no pinch"):
-        PinchHold().units(PhysicsSettings(output=None, recordings=("synthetic@:30",)))  # type: ignore[arg-type]
-    (unit,) = PinchHold().units(PhysicsSettings(output=None, quick=True))  # type: ignore[arg-type]
+        PinchHold().units(PhysicsSettings(output=None, recordings=("synthetic@:30",)))
+    (unit,) = PinchHold().units(PhysicsSettings(output=None, quick=True))
     assert unit.key == find_key(unit)
     assert {figure.name for figure in PinchHold.figures} >= {"held", "let_go", "dropped"}
 
 
 def find_key(unit: Unit) -> str:
-    (again,) = PinchHold().units(PhysicsSettings(output=None, quick=True))  # type: ignore[arg-type]
+    (again,) = PinchHold().units(PhysicsSettings(output=None, quick=True))
     return str(again.key)

@@ -1,7 +1,5 @@
 """Demonstrations as rows of a data set: what was recorded does the task in the environment, too."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +17,9 @@ def paths(monkeypatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "research" / "benchmarks"))
 
 
-@pytest.mark.parametrize(("task", "number"), [("card", 0), ("cube", 1)])
+@pytest.mark.parametrize(
+    ("task", "number"), [("card", 0), pytest.param("cube", 1, marks=pytest.mark.weekly)]
+)
 def test_recorded_actions_do_the_task_in_the_environment(task, number):
     """At a quarter of the rate, from the start pose, in the same world."""
     import policy_loop

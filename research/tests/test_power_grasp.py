@@ -1,17 +1,13 @@
 """Grasps with the whole hand in recordings, on objects in physics."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from smooth_operator import HandRecording, load_hand, method_config
 from smooth_operator.errors import RecordingError
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.methods.presets import method_config
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.types import HandRecording
 from smooth_operator_research.physics.grasp_measures import (
     GraspResult,
     PowerGrasp,
@@ -36,7 +32,6 @@ def recording() -> HandRecording:
 def test_a_fist_is_found_and_a_pinch_is_not(recording):
     (closing,) = find_closings(recording)
     straight = finger_straightness(recording)
-    assert closing.opened is not None
     assert closing.first < closing.tight < closing.shut <= closing.opened <= closing.last
     assert straight[closing.tight].max() < 0.65
     assert straight[closing.opened].min() > 0.85
@@ -76,7 +71,6 @@ def grasped(*, share: float = 1.0, early: bool = False, friction: float = 1.0) -
 def test_a_fist_holds_a_handle_and_lets_go():
     result = grasped()
     assert (result.held, result.dropped, result.let_go) == (True, False, True)
-    assert result.force is not None
     assert 1.0 < result.force < 100.0
 
 
@@ -102,7 +96,6 @@ def test_the_object_lies_in_the_palm_and_touches_nothing():
 
 def test_the_measure_counts_what_was_tried(recording):
     measure = find_measure("grasp")
-    assert isinstance(measure, PowerGrasp)
     case = Case(
         "grasp", "mimic_p050", "right", "keyvector", "published", method_config("keyvector"), "",
         Unit("one fist", data=recording), quick=True,
@@ -115,4 +108,4 @@ def test_the_measure_counts_what_was_tried(recording):
 
 def test_a_recording_without_a_closed_hand_is_refused():
     with pytest.raises(RecordingError, match="the hand closes nowhere"):
-        PowerGrasp().units(PhysicsSettings(output=None, recordings=("synthetic@:30",)))  # type: ignore[arg-type]
+        PowerGrasp().units(PhysicsSettings(output=None, recordings=("synthetic@:30",)))

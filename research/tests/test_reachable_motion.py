@@ -1,7 +1,5 @@
 """Measure 1 of ``bench --physics``: what is exact comes out exact, and a delay is a lag."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The distribution: every module loads, and its commands are those that the package names."""
 
-from __future__ import annotations
-
 import importlib
 import tomllib
 from pathlib import Path

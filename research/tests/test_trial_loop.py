@@ -1,13 +1,10 @@
 """A trial in physics from a source of human landmarks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
+from smooth_operator import Retargeter, load_hand
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import ScenePhysics, SceneState, scene_for
 from smooth_operator.simulation.tasks import TASKS
 from smooth_operator_research.demonstrations.demonstration import (
@@ -16,17 +13,11 @@ from smooth_operator_research.demonstrations.demonstration import (
 )
 from smooth_operator_research.demonstrations.trial_loop import TrialResult, run_trial
 
-pytestmark = pytest.mark.weekly
+pytestmark = [pytest.mark.weekly, pytest.mark.usefixtures("elsewhere")]
 
 HAND = load_hand("mimic_p050")
 AKO = Retargeter(HAND, method="ako")
 """The method that follows the robot's own landmarks to within 0.5 mm, but in one pinch."""
-
-
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path, monkeypatch) -> None:
-    """MuJoCo writes its warnings into the working folder."""
-    monkeypatch.chdir(tmp_path)
 
 
 class Gaps(DemonstrationLandmarks):
@@ -37,14 +28,14 @@ class Gaps(DemonstrationLandmarks):
         self.gaps = gaps
         self.asked: list[tuple[float, float, float]] = []
 
-    def landmarks(self, time: float, state: SceneState, physics: ScenePhysics) -> np.ndarray | None:  # type: ignore[override]
+    def landmarks(self, time: float, state: SceneState, physics: ScenePhysics) -> np.ndarray | None:
         self.asked.append((time, state.time, physics.time))
         return None if any(a <= time < b for a, b in self.gaps) else self.at(time)
 
 
 def trial(task: str, source: DemonstrationLandmarks, **options: object) -> TrialResult:
     options = {"seconds": source.seconds, **options}
-    return run_trial(AKO, scene_for(task, HAND), TASKS[task], source, **options)  # type: ignore[arg-type]
+    return run_trial(AKO, scene_for(task, HAND), TASKS[task], source, **options)
 
 
 @pytest.mark.parametrize("task", ["cube", "screwdriver"])

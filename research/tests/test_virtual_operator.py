@@ -1,7 +1,5 @@
 """Virtual operators: delay, crossover, hand, noise, determinism; and a plan that they do."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -11,11 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from smooth_operator import Hand, Retargeter, load_hand
 from smooth_operator.errors import ConfigError, StudyError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import TIPS
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.task import TASKS
 from smooth_operator.study.data import read_study
@@ -90,7 +86,7 @@ def test_the_loop_crosses_over_at_its_gain():
     gain, delay = 3.0, 0.2
     for omega in (1.0, 3.0, 5.0):
         seconds = 2 * np.pi / omega * 12
-        path = closed_loop(gain, delay, lambda t, w=omega: 0.01 * np.sin(w * t), seconds)  # type: ignore[misc]
+        path = closed_loop(gain, delay, lambda t, w=omega: 0.01 * np.sin(w * t), seconds)
         times = STEP * np.arange(len(path))
         late = times > seconds / 2
         basis = np.stack([np.sin(omega * times), np.cos(omega * times)], axis=1)[late]
@@ -177,7 +173,7 @@ def test_fast_kinematics_agree_with_the_hands_own():
 @pytest.mark.parametrize("body", ["matched", "human"])
 def test_the_hand_reaches_what_it_can_and_keeps_its_bones(body):
     person, hand = draw_person(2), load_hand("mimic_p050", "right")
-    model = hand_model(person, hand, body)  # type: ignore[arg-type]
+    model = hand_model(person, hand, body)
     goal = model.landmarks(model.relaxed + 0.2 * (model.upper - model.relaxed))[0][list(TIPS)]
     own = ReachingHand(model)
     before = own.landmarks
@@ -240,7 +236,7 @@ def test_strokes_turn_towards_the_goal_and_no_further():
             _, start, end = stroke
             assert way * (end - start) == pytest.approx(np.radians(20.0), abs=np.radians(15.1))
             assert 0 < way * (end - start) <= np.radians(20.0) + 1e-9
-    finger, start, end = reach.turn(centre, faces, 0.0, np.pi / 2, 0.024, 0.039)  # type: ignore[misc]
+    finger, start, end = reach.turn(centre, faces, 0.0, np.pi / 2, 0.024, 0.039)
     assert abs(end - start) > np.radians(30.0)
     n = 0.024 * np.array([np.cos(end), np.sin(end), 0.0])
     assert reach.off({0: centre - n, finger: centre + n}) < 0.005
@@ -268,7 +264,7 @@ def exact_person() -> Familiar:
         tremor_m=0.0, tracker_noise=0.0, frame_loss=0.0, pace=1.0, crossover=1e-9,
     )  # fmt: skip
     body = hand_model(person, retargeter.hand)
-    return Familiar(person, retargeter, body, ExactMap(body, retargeter.hand))  # type: ignore[arg-type]
+    return Familiar(person, retargeter, body, ExactMap(body, retargeter.hand))
 
 
 def test_a_person_without_errors_does_the_tasks():
@@ -296,7 +292,7 @@ def test_an_operator_is_granted_one_reset_and_may_stop():
     moments = list(
         perform(
             physics, TASKS["card"], lambda *_: hold, interventions=lambda: next(wishes), seconds=1.0
-        )  # type: ignore[arg-type,return-value]
+        )
     )
     assert [moment.run.resets for moment in moments] == [1] * 5
     assert physics.starts == 2
@@ -310,7 +306,7 @@ def small_plan(**changes: object) -> Plan:
     conditions = (Condition("joint_angle"), Condition("geort"))
     task = Task("B", trials=2, time_limit_s=1.0)
     settings = {"operators": 2, "questionnaires": ("initial", "final"), "rate_hz": 30.0, **changes}
-    return make_plan(Protocol("small", conditions, (task,), "geort", **settings))  # type: ignore[arg-type]
+    return make_plan(Protocol("small", conditions, (task,), "geort", **settings))
 
 
 def test_the_plan_is_done_by_so_many(tmp_path):
@@ -349,7 +345,7 @@ def test_a_stopped_simulation_goes_on_and_analyze_reads_it(tmp_path, monkeypatch
         if len(calls) == 2:
             raise KeyboardInterrupt
         calls.append(chunk)
-        return simulate_chunk(chunk)  # type: ignore[arg-type]
+        return simulate_chunk(chunk)
 
     monkeypatch.setattr("smooth_operator_research.study_simulation.run.simulate_chunk", counted)
     with pytest.raises(KeyboardInterrupt):
@@ -362,7 +358,7 @@ def test_a_stopped_simulation_goes_on_and_analyze_reads_it(tmp_path, monkeypatch
     calls[:] = [None] * -1000
     monkeypatch.setattr(
         "smooth_operator_research.study_simulation.run.simulate_chunk",
-        lambda chunk: calls.append(chunk) or simulate_chunk(chunk),  # type: ignore[func-returns-value]
+        lambda chunk: calls.append(chunk) or simulate_chunk(chunk),
     )
     rows = simulate_study(settings, tmp_path, workers=0)
     assert len(calls) == 4 - done

@@ -3,8 +3,6 @@ where a landmark is valid, stamps that increase, poses of objects and camera tha
 and hands that are of their side.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import re
@@ -37,7 +35,6 @@ def read_soundly(layout: str, path: Path) -> None:
         assert np.isfinite(clip.stamps).all()
         assert (np.diff(clip.stamps) > 0).all()
         for side, hand in clip.hands.items():
-            assert hand.valid is not None
             assert np.isfinite(hand.landmarks[hand.valid]).all()
             wrong, whole = wrong_frames(hand.landmarks, hand.valid, side)
             assert 2 * wrong <= whole, f"{wrong} of {whole} frames of {side}"

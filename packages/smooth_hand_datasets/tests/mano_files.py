@@ -5,8 +5,6 @@ write them: none of these is needed, and nothing of the reader is used. ``refere
 computes the 21 landmarks vertex by vertex with homogeneous matrices, in loops.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import struct
@@ -167,14 +165,14 @@ class Pickled:
     def done(self) -> bytes:
         return self.out.getvalue() + b"."
 
-    def raw(self, code: bytes) -> Pickled:
+    def raw(self, code: bytes) -> "Pickled":
         self.out.write(code)
         return self
 
-    def glob(self, module: str, name: str) -> Pickled:
+    def glob(self, module: str, name: str) -> "Pickled":
         return self.raw(b"c" + module.encode() + b"\n" + name.encode() + b"\n")
 
-    def put(self, value: Any) -> Pickled:
+    def put(self, value: Any) -> "Pickled":
         """A plain value, an array, or an object with ``pickle_into``."""
         if hasattr(value, "pickle_into"):
             value.pickle_into(self)
@@ -221,7 +219,7 @@ class Pickled:
             data = value.to_bytes(value.bit_length() // 8 + 1, "little", signed=True)
             self.raw(b"\x8a" + bytes([len(data)]) + data)
 
-    def dtype(self, dtype: np.dtype[Any]) -> Pickled:
+    def dtype(self, dtype: np.dtype[Any]) -> "Pickled":
         code = dtype.str[1:]
         self.glob("numpy", "dtype").put((code.encode(), 0, 1)).raw(b"R")
         return self.put((3, dtype.str[:1].encode(), None, None, None, -1, -1, 0)).raw(b"b")

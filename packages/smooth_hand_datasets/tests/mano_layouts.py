@@ -5,8 +5,6 @@ should find: landmarks by ``reference_landmarks``, taken to our world by code of
 of the readers is used. Where a data set has pickles, they are written instruction by instruction.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 from collections.abc import Callable

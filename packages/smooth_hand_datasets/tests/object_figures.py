@@ -63,7 +63,7 @@ def judge(
     return figures | {"cosine": float("nan") if cosine is None else cosine}
 
 
-def interval(values: Float[np.ndarray, "n *k"]) -> tuple[float, float, float]:
+def interval(values: Float[np.ndarray, "n ..."]) -> tuple[float, float, float]:
     """Mean of (n,) values, or ratio of the means of (n, 2), and its 95 % interval by a bootstrap
     over clips; NaN values are left out."""
     pairs = values if values.ndim == 2 else np.stack([values, np.ones(len(values))], axis=1)

@@ -4,8 +4,6 @@ The readers here are written from the programs' published loaders: which arrays 
 shapes and order, and from which paths.
 """
 
-from __future__ import annotations
-
 import json
 import tarfile
 from dataclasses import replace
@@ -46,7 +44,7 @@ def unpack(folder: Path) -> None:
 
 
 def write(form: str, output: Path, clips: list[RobotClip], **options: object) -> list[str]:
-    with WRITERS.load(form).open(output, WritingOptions(**options)) as writer:  # type: ignore[arg-type]
+    with WRITERS.load(form).open(output, WritingOptions(**options)) as writer:
         for clip in clips:
             writer.write(clip)
     return list(writer.notes)
@@ -61,13 +59,10 @@ def read_spider(root: Path, name: str, embodiment: str) -> dict[str, dict[str, n
         assert info["embodiment_type"] == embodiment
         data = dict(np.load(folder / "0" / "trajectory_keypoints.npz"))
         parts = [
-            data["qpos_wrist_right"][:, None],
-            data["qpos_finger_right"],
-            data["qpos_wrist_left"][:, None],
-            data["qpos_finger_left"],
-            data["qpos_obj_right"][:, None],
-            data["qpos_obj_left"][:, None],
-        ]
+            data["qpos_wrist_right"][:, None], data["qpos_finger_right"],
+            data["qpos_wrist_left"][:, None], data["qpos_finger_left"],
+            data["qpos_obj_right"][:, None], data["qpos_obj_left"][:, None],
+        ]  # fmt: skip
         together = np.concatenate(parts, axis=1)
         assert together.shape[1:] == (14, 7)
         assert np.isfinite(together).all()
@@ -247,14 +242,14 @@ def test_short_gaps_are_filled_and_long_ones_refused(tmp_path, cube):
 )
 def test_flashdex_says_what_a_clip_lacks(change, said, tmp_path):
     with pytest.raises(RecordingError, match=said):
-        write("flashdex", tmp_path / "out", [robot_clip(0, **change)])  # type: ignore[arg-type]
+        write("flashdex", tmp_path / "out", [robot_clip(0, **change)])
 
 
 def test_flashdex_keeps_to_the_hands_of_its_first_clip(tmp_path, cube):
     both, one = (
         with_mesh(robot_clip(i, sides=s), cube)
         for i, s in enumerate([("right", "left"), ("left",)])
-    )  # type: ignore[arg-type]
+    )
     with pytest.raises(RecordingError, match="it has no right hand"):
         write("flashdex", tmp_path / "out", [both, one])
     write("flashdex", tmp_path / "left", [one, both], joints={"left": ()})

@@ -1,7 +1,5 @@
 """Clips from what hand models say of a video, in the forms in which people save it."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import random
@@ -72,11 +70,7 @@ FORMS: dict[str, tuple[str, Write, dict[str, list[int]]]] = {
         lambda path: path.write_text(json.dumps(files.hawor_tags())),
         {"left": [0, 1, 2, 3, 4]},
     ),
-    "HaMeR": (
-        "v3d.npy",
-        lambda path: np.save(path, np.array(files.hamer_arrays(), object)),
-        {},
-    ),
+    "HaMeR": ("v3d.npy", lambda path: np.save(path, np.array(files.hamer_arrays(), object)), {}),
     "arrays of hands": ("a.npz", lambda path: path.write_bytes(files.detections_npz()), {}),
 }
 

@@ -1,7 +1,5 @@
 """Clips of HaWoR and Dyn-HaMR: hands in MANO's parameters and a camera in one world."""
 
-from __future__ import annotations
-
 import pickle
 import warnings
 from pathlib import Path
@@ -85,7 +83,6 @@ def test_hawor(tmp_path):
         assert np.isnan(hand.landmarks[gone]).all()
         there = hand.valid.all(axis=1)
         np.testing.assert_allclose(hand.landmarks[there], expected[there], atol=1e-6)
-        assert hand.T_world_wrist is not None
         apart = separation(hand.T_world_wrist, wrist_from_landmarks(expected, side))[there]
         assert (apart < [1e-6, 0.02]).all()
         np.testing.assert_allclose(found.shape[side], parameters(seed)["betas"][0], atol=1e-6)
@@ -138,7 +135,6 @@ def test_dyn_hamr(tmp_path):
             expected = expected * (-1, 1, 1)
         np.testing.assert_allclose(found.hands[side].landmarks, expected, atol=1e-6)
     camera = found.T_world_camera
-    assert camera is not None
     to_camera = np.linalg.inv(matrices(camera))[0]
     np.testing.assert_allclose(to_camera[:3, :3], app.turn((0.5, 0.5, 0.5, 0.5)), atol=1e-9)
     np.testing.assert_allclose(to_camera[:3, 3], [0.1, 0.2, 0.3], atol=1e-9)

@@ -1,7 +1,5 @@
 """MANO: the model files, and 21 landmarks and the wrist from parameters."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +9,8 @@ import pytest
 from mano_files import poses_of, reference_landmarks
 
 from smooth_hand_datasets.mano_model import ManoModel, from_axis_angle, load_model
-from smooth_operator import poses
+from smooth_operator import LANDMARKS, poses
 from smooth_operator.errors import RecordingError
-from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.types import Side
 
 SIDES: tuple[Side, ...] = ("right", "left")
@@ -151,9 +148,6 @@ def test_rotations_of_small_and_large_angles():
     vectors = np.array([[0, 0, 0], [1e-9, 0, 0], [0, np.pi, 0], [0, 0, 7.0], [1e-4, 2e-4, 0]])
     for vector, found in zip(vectors, from_axis_angle(vectors), strict=True):
         np.testing.assert_allclose(found, mano_files._rodrigues(vector), atol=1e-9)
-
-
-# --- files that are no model -------------------------------------------------------------------
 
 
 def refused(folder: Path, held: dict[str, Any], side: Side = "right", **changed: Any) -> str:

@@ -1,7 +1,5 @@
 """Data sets in MANO's parameters: a reader finds what an independent writer put there."""
 
-from __future__ import annotations
-
 import contextlib
 import random
 from pathlib import Path
@@ -42,15 +40,14 @@ def test_a_clip_is_what_was_written(tmp_path, models, case):
     found = read(layout, made.path, models)
     assert set(found.hands) == set(made.landmarks)
     for side, frames in made.landmarks.items():
-        hand = found.hands[side]  # type: ignore[index]
+        hand = found.hands[side]
         for frame, points in frames.items():
             np.testing.assert_allclose(hand.landmarks[frame], points, atol=2e-6)
-            axes = poses.wrist_from_landmarks(points, side)  # type: ignore[arg-type]
+            axes = poses.wrist_from_landmarks(points, side)
             apart = poses.separation(hand.T_world_wrist[frame], axes)
             np.testing.assert_allclose(apart, 0.0, atol=5e-5)
         if made.shape.get(side) is not None:
-            np.testing.assert_allclose(found.shape[side], made.shape[side], atol=1e-6)  # type: ignore[index]
-    assert made.stamps is not None
+            np.testing.assert_allclose(found.shape[side], made.shape[side], atol=1e-6)
     np.testing.assert_allclose(found.stamps, made.stamps)
     assert found.task == made.task
     objects = {one.name: one for one in found.objects}
@@ -62,7 +59,6 @@ def test_a_clip_is_what_was_written(tmp_path, models, case):
     for name, mesh in made.meshes.items():
         assert objects[name].mesh == mesh.resolve() or objects[name].mesh == mesh
     if made.camera is not None:
-        assert found.T_world_camera is not None
         camera = np.broadcast_to(made.camera, (layouts.FRAMES, 4, 4))
         np.testing.assert_allclose(poses.matrices(found.T_world_camera), camera, atol=1e-6)
     assert found.video == (made.video and made.video.resolve())
@@ -95,7 +91,7 @@ def test_a_folder_of_all_has_each_clip_once(tmp_path):
 def test_frames_without_a_hand_are_missing(tmp_path, models):
     for case, side in (("dexycb", "right"), ("ho3d", "right"), ("hot3d", "left")):
         made = layouts.WRITERS[case](tmp_path / case)
-        hand = read(case, made.path, models).hands[side]  # type: ignore[index]
+        hand = read(case, made.path, models).hands[side]
         assert hand.valid.all(axis=1).tolist() == [f != 2 for f in range(layouts.FRAMES)]
         assert np.isnan(hand.T_world_wrist[2]).all()
 
@@ -104,7 +100,7 @@ def test_frames_without_a_hand_are_missing(tmp_path, models):
 def test_exchanged_models_and_a_missing_one_are_refused(tmp_path, models, layout):
     made = layouts.WRITERS[layout](tmp_path / "data")
     with pytest.raises(RecordingError, match=r"mano\.is\.tue\.mpg\.de"):
-        read(layout, made.path, None)  # type: ignore[arg-type]
+        read(layout, made.path, None)
     wrong = tmp_path / "wrong"
     wrong.mkdir()
     for a, b in (("RIGHT", "LEFT"), ("LEFT", "RIGHT")):
@@ -118,9 +114,6 @@ def test_another_rate(tmp_path, models):
         made = layouts.WRITERS[layout](tmp_path / layout)
         found = read(layout, made.path, models, rate=60.0)
         np.testing.assert_allclose(np.diff(found.stamps), 1 / 60)
-
-
-# --- files that differ ---------------------------------------------------------------------------
 
 
 def refused(layout: str, path: Path, models: Path) -> str:

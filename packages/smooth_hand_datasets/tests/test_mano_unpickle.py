@@ -1,7 +1,5 @@
 """The restricted reader of pickles: what it reads, and that attacks are refused."""
 
-from __future__ import annotations
-
 import io
 import os
 import pickle
@@ -28,9 +26,6 @@ def load(folder: Path, data: bytes, name: str = "a.pkl") -> Any:
     path = folder / name
     path.write_bytes(data)
     return load_restricted(path)
-
-
-# --- what is read -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
@@ -87,8 +82,8 @@ def test_what_python_2_chumpy_scipy_and_torch_wrote(tmp_path):
 
 def test_numpy_files_with_tables_in_them(tmp_path):
     table_ = {"right": {"rot": np.ones((2, 3))}, "name": "box"}
-    np.save(tmp_path / "a.npy", table_, allow_pickle=True)  # type: ignore[arg-type]
-    np.savez(tmp_path / "a.npz", body=table_, plain=np.arange(3))  # type: ignore[arg-type]
+    np.save(tmp_path / "a.npy", table_, allow_pickle=True)
+    np.savez(tmp_path / "a.npz", body=table_, plain=np.arange(3))
     np.savez_compressed(tmp_path / "b.npz", list=np.array(["a", {"b": 1}], dtype=object))
     np.testing.assert_array_equal(load_restricted(tmp_path / "a.npy")["right"]["rot"], 1.0)
     found = load_restricted(tmp_path / "a.npz", names=("body", "absent"))
@@ -109,9 +104,6 @@ def test_what_is_expected_is_said(tmp_path):
     for value in ({"a": 1}, "text", [["x"]], [[1], [2, 3]], [[[[[1]]]]], None, np.array(["a"])):
         with pytest.raises(RecordingError, match=r"^f"):
             array(value, "f", (None,))
-
-
-# --- attacks ------------------------------------------------------------------------------------
 
 
 class Evil:

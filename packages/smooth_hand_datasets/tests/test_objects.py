@@ -1,7 +1,5 @@
 """Retargeting with objects: signed distances, contacts, costs, and what they gain on made clips."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -30,24 +28,20 @@ from smooth_hand_datasets.objects.signed_distance import (
     signed_distance,
 )
 from smooth_hand_datasets.objects.terms import ObjectCosts, ObjectSettings, object_frames
-from smooth_operator import poses
+from smooth_operator import AlignmentConfig, HandRecording, load_hand, method_config, poses
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.lab.datasets.clip import Clip, ObjectTrack, RobotClip, robot_part
+from smooth_operator.lab.datasets.clip import Clip, ObjectTrack, robot_part
 from smooth_operator.lab.datasets.quality import quality_figures
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips, whole_config
 from smooth_operator.lab.datasets.sources import find_items
 from smooth_operator.lab.datasets.work import read_item
 from smooth_operator.methods.method import TrajectoryMethodConfig
-from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.solvers.trajectory import TrajectoryConfig
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
-from smooth_operator.types import HandRecording
 
 
 def has_libigl() -> bool:
@@ -126,9 +120,6 @@ def test_what_is_no_mesh_is_refused(tmp_path):
             read_solid(tmp_path / name)
 
 
-# -- contacts --------------------------------------------------------------------------------------
-
-
 def still_hand(gaps: np.ndarray) -> Clip:
     """A straight index finger along x above a sphere, its pad so far from it [m]."""
     count = len(gaps)
@@ -177,8 +168,7 @@ def test_landmarks_are_carried_to_the_wrist():
 
 
 @pytest.mark.parametrize(
-    ("kind", "side", "used"),
-    [("pinch", "right", {0, 1}), ("slide", "left", {0, 1, 2, 3})],
+    ("kind", "side", "used"), [("pinch", "right", {0, 1}), ("slide", "left", {0, 1, 2, 3})]
 )
 def test_made_clips_touch_where_they_should(kind, side, used):
     made = make_clip(SceneSpec(kind, "box", 3, side, rate=20.0))
@@ -210,10 +200,7 @@ def test_a_robot_lies_on_its_own_landmarks(side):
 
 def test_a_scene_of_an_unknown_kind():
     with pytest.raises(ConfigError, match="grasp, pinch"):
-        SceneSpec("juggle")  # type: ignore[arg-type]
-
-
-# -- the robot's surface ---------------------------------------------------------------------------
+        SceneSpec("juggle")
 
 
 def test_depth_of_a_hand_at_a_sphere_and_its_bodies_frames():
@@ -265,9 +252,6 @@ def test_derivatives_of_the_costs_by_finite_differences():
     assert np.linalg.eigvalsh(hessian).min() > -1e-3 * np.abs(hessian).max()
 
 
-# -- what it gains ---------------------------------------------------------------------------------
-
-
 LIGHT = TrajectoryMethodConfig(
     SbrConfig(
         sampling=SamplingConfig(samples=64, elites=12, cycles=3, draws="quasi"),
@@ -278,6 +262,7 @@ LIGHT = TrajectoryMethodConfig(
 """Compiles in less time than ``smooth:offline``."""
 
 
+@pytest.mark.weekly
 @pytest.mark.usefixtures("optimised")
 def test_contacts_are_kept_and_the_surface_is_respected():
     hand = load_hand("mimic_p050")
@@ -322,7 +307,6 @@ def test_a_data_set_keeps_contacts_where_a_clip_has_an_object(tmp_path):
         tmp_path / "take.npz", **arrays, **{f"T_world_object_{track.name}": track.T_world_object}
     )
     box = made.solids[track.name].shape
-    assert isinstance(box, Box)
     trimesh.creation.box(2.0 * np.asarray(box.half)).export(tmp_path / f"{track.name}.stl")
     request = RetargetRequest("mimic_p050", "sbr", "light", LIGHT)
     recipe = Recipe(request, with_objects=True)
@@ -332,8 +316,6 @@ def test_a_data_set_keeps_contacts_where_a_clip_has_an_object(tmp_path):
     blind, take = retarget_clips(
         [each.clip for each in read], recipe, [each.files for each in read]
     )
-    assert isinstance(blind, RobotClip)
-    assert isinstance(take, RobotClip)
     figures = quality_figures(take)
     assert figures["right.contact_recall"] > 0.8
     assert figures["right.object_depth_mm"] < 2.0
