@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from smooth_operator import LANDMARKS, Hand, Retargeter, method_config
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.terms import FrameGoal
 
 TIPS = (4, 8, 12, 16, 20)
 Cost: TypeAlias = Callable[[np.ndarray], float]

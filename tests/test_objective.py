@@ -13,11 +13,11 @@ from trees import float64, limited_poses
 from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import FINGERS, LANDMARKS
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.published import DexPilotTargets, LatchState, PlainTargets
 from smooth_operator.objective.targets import Targets
+from smooth_operator.objective.terms import FrameGoal
 
 FIVE = KeyvectorLayout(FINGERS)
 

@@ -18,7 +18,7 @@ from smooth_operator.lab.offline import TrajectoryRetargeter, build, execute
 from smooth_operator.lab.offline import trajectory_retargeter as trajectory_module
 from smooth_operator.lab.offline.trajectory_retargeter import check_method, windows
 from smooth_operator.lab.offline.trajectory_solver import Led, motion_price, smooth_trajectory
-from smooth_operator.methods.method import TrajectoryMethodConfig
+from smooth_operator.methods.method import TrajectoryConfig, TrajectoryMethodConfig
 from smooth_operator.methods.presets import PRESETS, live_presets, method_config
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import evaluate
@@ -26,7 +26,6 @@ from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.planning import make_request, plan
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
-from smooth_operator.solvers.trajectory import TrajectoryConfig
 from smooth_operator.synthetic import SyntheticOperator, TrackerModel
 from smooth_operator.types import CommandTrajectory
 

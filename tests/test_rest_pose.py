@@ -14,7 +14,6 @@ from smooth_operator import Hand, Retargeter, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import capsule_pairs
 from smooth_operator.methods.smooth import SMOOTH_PRECISE, SmoothConfig
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig
 from smooth_operator.objective.smooth_terms import (
@@ -23,7 +22,7 @@ from smooth_operator.objective.smooth_terms import (
     SelfCollision,
     SelfCollisionConfig,
 )
-from smooth_operator.objective.terms import NeutralPose, RobotVectors
+from smooth_operator.objective.terms import FrameGoal, NeutralPose, RobotVectors
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator_research.physics.reachable_motion import reachable_motion
 

@@ -23,7 +23,7 @@ from smooth_operator.human.alignment import (
 )
 from smooth_operator.io.anatomy import implausible
 from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
-from smooth_operator.methods import program as program_module
+from smooth_operator.methods import frame as frame_module
 from smooth_operator.methods.frame import RetargetState
 from smooth_operator.methods.presets import PRESETS, method_config, method_names
 from smooth_operator.methods.registry import DEFAULT_METHOD
@@ -117,7 +117,7 @@ def test_reset_restores_everything_and_never_recompiles(fresh, frames, monkeypat
     def traced_again(*_: object) -> None:
         raise AssertionError("the program is compiled a second time")
 
-    monkeypatch.setattr(program_module, "palm_alignment", traced_again)
+    monkeypatch.setattr(frame_module, "palm_alignment", traced_again)
     fresh.reset()
     first = [fresh(frame) for frame in frames[:15]]
     assert np.asarray(fresh._state.method.targets.latched).any()  # a pinch: something to forget

@@ -21,8 +21,8 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.synthetic import SyntheticOperator
 
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")

@@ -22,7 +22,6 @@ from smooth_operator.human.landmark_filter import (
 )
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.methods.program import ticks_of
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,
@@ -32,7 +31,7 @@ from smooth_operator.objective.smooth_terms import (
     SelfCollisionConfig,
 )
 from smooth_operator.objective.targets import CloseTargets
-from smooth_operator.objective.terms import VectorSlopes
+from smooth_operator.objective.terms import FrameGoal, VectorSlopes
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 
 NO_GOAL = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 0.0)

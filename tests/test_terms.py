@@ -11,9 +11,8 @@ from trees import float64, limited_poses
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
 from smooth_operator.geometry import AnyKind
 from smooth_operator.objective import LeastSquaresTerm, ObjectiveConfig
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
-from smooth_operator.objective.terms import JointTerm
+from smooth_operator.objective.terms import FrameGoal, JointTerm
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from smooth_operator_research.run_report import (
     BenchmarkError,
     Report,
     ReportSettings,
+    memory_mib,
     operator_frames,
-    peak_memory_mib,
     retargeter_of,
     run_program,
 )
@@ -52,7 +52,7 @@ def main(settings: Settings) -> None:
         raise BenchmarkError(f"JAX's default device is a {jax.default_backend()}; see --device")
     report = Report("batch", vars(settings))
     side_by_side(report, settings)
-    memory = peak_memory_mib()
+    memory = memory_mib()
     if memory is not None:
         report.figures["peak_memory_mib"] = memory
         report.notes.append(f"peak memory of this process: {memory:.0f} MiB")

@@ -66,7 +66,7 @@ end = time.time()
 if result.status != smooth_operator.Status.OK:
     sys.exit(f"the first frame was not answered: {result.status.reason}")
 
-from smooth_operator_research.run_report import peak_memory_mib
+from smooth_operator_research.run_report import memory_mib
 
 # A read from the cache happens inside what JAX calls a compilation.
 seconds["compile_s"] -= seconds["cache_read_s"]
@@ -79,7 +79,7 @@ answer = {
     "cpu_s": time.process_time(),
     "cache_hits": hits,
 }
-memory = peak_memory_mib()
+memory = memory_mib()
 if memory is not None:
     answer["peak_mib"] = memory
 print(json.dumps(answer))

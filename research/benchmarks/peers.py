@@ -24,14 +24,13 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from smooth_operator import HandRecording, load_hand
+from smooth_operator import HandRecording, assemble_trace, evaluate, load_hand
 from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.methods.presets import method_config
-from smooth_operator.metrics import Trace, evaluate
+from smooth_operator.types import CommandTrajectory
 from smooth_operator_research.run_report import (
     BenchmarkError,
     Report,
@@ -232,19 +231,11 @@ def in_wrist_axes(recording: HandRecording) -> np.ndarray:
 
 def judged(hand: Hand, recording: HandRecording, q: np.ndarray) -> dict[str, float | None]:
     """Our metrics of commands, on our model of the hand."""
-    figures = evaluate(
-        Trace(
-            human=align_recording(recording, hand, method_config("smooth", None).alignment),
-            robot_tips=hand.tips(q),
-            robot_wrist=hand.wrist,
-            fingers=hand.fingers,
-            joint_positions=q,
-            joint_limits=hand.joint_limits,
-            stamps=recording.stamps,
-            status=np.zeros(len(q), int),
-            latency_ms=np.zeros(len(q)),
-        )
+    commands = CommandTrajectory(
+        q, hand.joint_names, recording.stamps, np.zeros(len(q)), np.zeros(len(q), int)
     )
+    alignment = method_config("smooth", None).alignment
+    figures = evaluate(assemble_trace(recording, commands, hand, alignment, reach_samples=0))
     low, high = hand.joint_limits.T
     outside = ((q < low - BEYOND_RAD) | (q > high + BEYOND_RAD)).any(axis=1)
     values: dict[str, float | None] = {

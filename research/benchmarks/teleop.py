@@ -11,7 +11,6 @@ Exit status 1 if a check failed.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import signal
 import socket
@@ -28,7 +27,7 @@ from typing import Any
 import numpy as np
 import zmq
 
-from smooth_operator_research.run_report import Report
+from smooth_operator_research.run_report import Report, memory_mib
 
 RATE = 100.0
 FAULTS = {
@@ -105,10 +104,8 @@ class Memory:
     samples: list[tuple[float, float]] = field(default_factory=list)
 
     def look(self, now: float) -> None:
-        with contextlib.suppress(OSError, StopIteration):
-            lines = Path(f"/proc/{self.pid}/status").read_text(encoding="ascii").splitlines()
-            kib = next(int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
-            self.samples.append((now, kib / 1024))
+        if (mib := memory_mib("VmRSS", self.pid)) is not None:
+            self.samples.append((now, mib))
 
     def drift(self) -> float | None:
         """Median of the last fifth less that of the second fifth [MiB]."""

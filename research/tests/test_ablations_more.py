@@ -303,7 +303,7 @@ def test_noise_makes_rougher_and_is_resumed(context, field, monkeypatch):
     for source in context.sources:
         for label in field.choices:
             (at_rest,), shaken = (by[label, c, source.name] for c in (clean, noisy))
-            assert len(shaken) == TINY.seeds
+            assert len(shaken) == TINY.tracker_seeds
             assert shaken[0]["jitter"] != shaken[1]["jitter"]
             assert min(one["jitter"] for one in shaken) > 3 * at_rest["jitter"]
             assert min(one["flatness"] for one in shaken) > 9 * at_rest["flatness"]

@@ -35,12 +35,11 @@ from smooth_operator.lab.datasets.quality import quality_figures
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips, whole_config
 from smooth_operator.lab.datasets.sources import find_items
 from smooth_operator.lab.datasets.work import read_item
-from smooth_operator.methods.method import TrajectoryMethodConfig
+from smooth_operator.methods.method import TrajectoryConfig, TrajectoryMethodConfig
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig
-from smooth_operator.solvers.trajectory import TrajectoryConfig
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 
 

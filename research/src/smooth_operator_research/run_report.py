@@ -83,11 +83,12 @@ def percentiles(samples_ms: Sequence[float] | np.ndarray) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
-def peak_memory_mib() -> float | None:
-    """Largest resident set of this program so far [MiB]; None where there is no ``/proc``."""
+def memory_mib(kind: str = "VmHWM", process: int | str = "self") -> float | None:
+    """Largest resident set of a process so far [MiB], or that of now (``VmRSS``); None where there
+    is no ``/proc``."""
     with contextlib.suppress(OSError, StopIteration):  # getrusage would hold that of the parent
-        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+        lines = Path(f"/proc/{process}/status").read_text(encoding="ascii").splitlines()
+        return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(kind))
     return None
 
 

@@ -26,9 +26,9 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.published import PlainTargets
+from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.types import as_side
 
 _MODELS: Final = Path(__file__).parent / "models"

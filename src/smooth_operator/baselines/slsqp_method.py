@@ -36,11 +36,11 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import WRIST
 from smooth_operator.methods.host_method import HostMethod
 from smooth_operator.methods.method import Compiling, MethodOutput, ObjectiveMethodConfig
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import VectorLayout, tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.published import DexPilotTargets, PlainTargets, StatelessTargets
 from smooth_operator.objective.targets import Targets
+from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.settings import check_choice
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 

@@ -12,9 +12,11 @@ import math
 import os
 import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
+from urllib.parse import unquote
 
 from smooth_operator.errors import DocumentError, HandModelError, brief
 from smooth_operator.io.plain_files import check_plain_file, is_file
@@ -35,6 +37,8 @@ _MOST_FACETS: Final = 512
 """Largest resolution of a generated shape; its number of facets is up to the square of it."""
 _ROOM: Final = ("nkey", "nuserdata", "width", "height", "numeric size")
 _DEEPEST: Final = 20  # depth of files that include or attach each other
+_TAILS: Final = 8  # number of last parts of a path with which a file is looked for
+_NEAR: Final = 4  # folders above the model in which a file is looked for by its bare name
 _FILES: Final = ("file", "filename", "fileright", "fileleft", "fileup", "filedown", "filefront",
                  "fileback")  # fmt: skip
 _FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
@@ -185,9 +189,8 @@ class _Reader:
 
     def find(self, name: str) -> None:
         """Adds the file of that name to the assets if it exists."""
-        from smooth_operator.hands.asset_places import possible_places  # few models name any
 
-        for place in possible_places(name, self.model, self.folders, self.listings):
+        for place in _places(name, self.model, self.folders, self.listings):
             if self._is_plain(place, name):
                 if place.stat().st_size <= MOST_MESH_BYTES:
                     self.assets[name] = Path(os.path.normpath(place))
@@ -304,3 +307,42 @@ def decode_xml(data: bytes, path: Path) -> str:
             f"{path} is not text in the encoding that it declares, {encoding}; save it as UTF-8"
         )
     return _DECLARATION.sub("", text, count=1)
+
+
+def _places(
+    name: str, model: Path, folders: Iterable[Path], listings: dict[Path, dict[str, str]]
+) -> Iterator[Path]:
+    """Possible places of a file, the most likely first.
+
+    First the places where MuJoCo looks for it. Then the last parts of its path, the most parts
+    first, in the folders above the model: this finds ``package://NAME/rest``, whether or not the
+    package's folder has that name, and paths of another machine. The same without percent escapes,
+    and finally without regard to upper and lower case.
+    """
+    plain = re.sub(r"^[A-Za-z][A-Za-z0-9+.-]+:(//)?", "", name.replace("\\", "/"))
+    plain = re.sub(r"^/(?=[A-Za-z]:/)", "", plain)  # file:///C:/...
+    spellings = tuple(dict.fromkeys((name, plain, unquote(plain))))
+    near: list[tuple[Path, str]] = []
+    for text in spellings:
+        last = os.path.basename(text)
+        near += [(folder, each) for each in (text, last) for folder in folders]
+        parts = [p for p in os.path.normpath(text).split(os.sep) if p not in ("", ".", "..")]
+        for k in range(max(len(parts) - _TAILS, 0), len(parts)):
+            above = model.parents if len(parts) - k > 1 else model.parents[:_NEAR]
+            near += [(folder, os.path.join(*parts[k:])) for folder in above]
+    yield from (folder / text for folder, text in near)
+    for folder, text in near:
+        if (spelled := _spelled(folder, text, listings)) is not None:
+            yield spelled
+
+
+def _spelled(folder: Path, text: str, listings: dict[Path, dict[str, str]]) -> Path | None:
+    """The existing path that differs only in upper and lower case."""
+    for part in Path(text).parts:
+        if folder not in listings:
+            entries = os.listdir(folder) if os.access(folder, os.R_OK) and folder.is_dir() else ()
+            listings[folder] = {name.casefold(): name for name in entries} | {"..": ".."}
+        if part.casefold() not in listings[folder]:
+            return None
+        folder = folder / listings[folder][part.casefold()]
+    return folder

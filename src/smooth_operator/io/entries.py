@@ -9,9 +9,9 @@ import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Final, TypeVar
 
 from smooth_operator.errors import (
     ConfigError,
@@ -23,7 +23,6 @@ from smooth_operator.errors import (
 from smooth_operator.io.plain_files import MOST_DIGITS, MOST_LEVELS, read_text, too_deep
 
 _T = TypeVar("_T", bound=str)
-_Record = TypeVar("_Record")
 
 
 @dataclass(frozen=True)
@@ -212,62 +211,6 @@ def read_entries(
         raise refuse(f"can't read the {what} {path}: {error.strerror}") from error
     except DocumentError as error:
         raise refuse(f"{path} is not well-formed TOML: {error}") from error
-
-
-def record(
-    cls: type[_Record],
-    entries: Entries,
-    more: tuple[str, ...] = (),
-    *,
-    lines: bool = False,
-    **values: Any,
-) -> _Record:
-    """Makes a dataclass of a table, by the names and types of its fields.
-
-    Args:
-        cls: class of the result. A text of several lines has the metadata ``lines``.
-        entries: table of the file.
-        more: further entries that the table may have.
-        lines: accept several lines in every text.
-        **values: values of other fields.
-    """
-    hints = get_type_hints(cls)
-    columns = [f for f in fields(cls) if f.init and f.name not in values]  # type: ignore[arg-type]
-    entries.only(*(f.name for f in columns), *more)
-    for f in columns:
-        required = f.default is MISSING and f.default_factory is MISSING
-        if required or f.name in entries.names:
-            several = lines or bool(f.metadata.get("lines"))
-            values[f.name] = _value(entries, f.name, hints[f.name], lines=several)
-    return cls(**values)
-
-
-def _value(entries: Entries, name: str, hint: Any, *, lines: bool) -> Any:
-    """Reads an entry of the type of a field; an empty text is None if the type allows it."""
-    inner = get_args(hint)
-    if type(None) in inner:
-        if entries.values.get(name, "") is None:
-            return None
-        value = _value(entries, name, inner[0], lines=lines)
-        return None if value == "" else value
-    if get_origin(hint) is Literal:
-        return entries.choice(name, inner)
-    if get_origin(hint) is tuple and is_dataclass(inner[0]):
-        cls: Any = inner[0]
-        return tuple(record(cls, one) for one in entries.tables(name))
-    if get_origin(hint) is tuple:
-        texts, options = entries.texts(name), get_args(inner[0])
-        if not set(texts) <= set(options or texts):
-            raise entries.error(name, f"expected some of {', '.join(options)}")
-        return tuple(option for option in options or texts if option in texts)
-    if get_origin(hint) is not None:
-        table = entries.table(name)
-        return {key: table.number(key) for key in table.names}
-    if hint is bool:
-        return entries.flag(name, False)
-    if hint is str:
-        return entries.text(name, lines=lines)
-    return entries.whole(name) if hint is int else entries.number(name)
 
 
 def _cut(text: str, most: int) -> str:

@@ -22,21 +22,21 @@ from smooth_operator.human.correspondence import (
 )
 from smooth_operator.landmarks import WRIST
 from smooth_operator.methods.method import (
+    FUTURE,
     FrameClock,
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
     TrajectoryMethodConfig,
 )
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.published import DexPilotTargets
+from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.settings import is_off
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
-from smooth_operator.solvers.trajectory import FUTURE
 
 _RATE: Final = 100.0
 """Rate that is assumed where stamps stand still [Hz]."""

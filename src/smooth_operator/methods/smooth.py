@@ -37,13 +37,13 @@ from smooth_operator.human.landmark_filter import (
 )
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.methods.method import (
+    FUTURE,
     FrameClock,
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
     TrajectoryMethodConfig,
 )
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig, StraightFingers
 from smooth_operator.objective.smooth_terms import (
@@ -56,11 +56,11 @@ from smooth_operator.objective.smooth_terms import (
     SelfCollisionConfig,
 )
 from smooth_operator.objective.targets import CloseTargets
+from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, damped_newton, settled
 from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
-from smooth_operator.solvers.trajectory import FUTURE
 
 REFERENCE: Final = 0.01
 """Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an

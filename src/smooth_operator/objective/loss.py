@@ -25,10 +25,10 @@ from smooth_operator.hands.differential import PointKinematics, PointMotion, all
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import VectorLayout
 from smooth_operator.objective.targets import TargetPolicy
 from smooth_operator.objective.terms import (
+    FrameGoal,
     JointTerm,
     Keyvectors,
     Loss,
@@ -38,7 +38,6 @@ from smooth_operator.objective.terms import (
     RobotVectors,
     Square,
     Term,
-    TermConfig,
     Velocity,
 )
 from smooth_operator.settings import check_choice, check_numbers
@@ -66,7 +65,7 @@ class ObjectiveConfig:
         velocity_loss: ``squared``, the weight times the squared change, as in Eq. (1); or
             ``smooth_l1``, smooth-L1 of the weight times the change of each joint, as in AKO, with
             the same ``transition`` [rad].
-        terms: more terms: settings that build a term for a hand, or terms that need no hand.
+        terms: more terms, which are built for the hand.
     """
 
     targets: TargetPolicy[Any, Any] = field(default_factory=_published_targets)
@@ -76,7 +75,7 @@ class ObjectiveConfig:
     pose_centre: Literal["neutral", "zero"] = "neutral"
     velocity_weight: float = 0.1
     velocity_loss: Literal["squared", "smooth_l1"] = "squared"
-    terms: tuple[TermConfig, ...] = ()
+    terms: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
         check_choice(self, "loss", get_args(Loss))
@@ -147,7 +146,7 @@ class Objective:
 
     @cached_property
     def _own(self) -> tuple[Term, ...]:
-        return tuple(settings.build(self.hand) for settings in self.config.terms)
+        return tuple(term.build(self.hand) for term in self.config.terms)
 
     # Many poses, batch last
 

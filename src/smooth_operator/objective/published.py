@@ -16,10 +16,9 @@ from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.targets import LayoutT, TargetPolicy, Targets, base_weights
-from smooth_operator.objective.terms import JointTerm, smooth_l1, smooth_l1_slopes
+from smooth_operator.objective.terms import FrameGoal, JointTerm, smooth_l1, smooth_l1_slopes
 
 if TYPE_CHECKING:
     from smooth_operator.human.operator import OperatorProfile

@@ -16,12 +16,10 @@ from smooth_operator.hands.collision import owners
 from smooth_operator.hands.differential import PointKinematics, contracted
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
-from smooth_operator.objective.goal import FrameGoal
-from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.terms import (
+    FrameGoal,
     PointTerm,
     Quadratic,
-    RobotVectors,
     VectorSlopes,
     VectorTerm,
 )
@@ -98,10 +96,6 @@ class FingertipPositionConfig:
     def __post_init__(self) -> None:
         check_numbers(self, "fingertip_position.", positive=("width",), not_negative=("weight",))
 
-    def build(self, hand: Hand) -> FingertipPosition:
-        """The term for one hand, over the paper's keyvectors."""
-        return FingertipPosition(RobotVectors(hand, KeyvectorLayout(hand.fingers)), self)
-
 
 @dataclass(frozen=True, eq=False)
 class FingertipPosition(VectorTerm):
@@ -164,10 +158,6 @@ class DirectionLengthConfig:
             positive=("huber_width", "near"),
             not_negative=("direction", "length"),
         )
-
-    def build(self, hand: Hand) -> DirectionLength:
-        """The term for one hand, over the paper's keyvectors."""
-        return DirectionLength(RobotVectors(hand, KeyvectorLayout(hand.fingers)), self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,10 +225,6 @@ class SelfCollisionConfig:
 
     def __post_init__(self) -> None:
         check_numbers(self, "self_collision.", not_negative=("weight", "grip"))
-
-    def build(self, hand: Hand) -> SelfCollision:
-        """The term for one hand."""
-        return SelfCollision(hand, self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol, TypeAlias, TypeVar, cast
+from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeAlias, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,6 @@ from smooth_operator.hands.differential import PointMotion
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.kinematics import Vector
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.keyvectors import KeyvectorLayout, VectorLayout
 
 T = TypeVar("T", bound="Term")
@@ -36,6 +35,32 @@ each; ``smooth_l1_norm``: smooth-L1 of the weight times the length of the error.
 
 TINY_AREA: Final = 1e-12
 """Added to the square of a length, so that its root has a derivative at 0 [m^2]."""
+
+
+class FrameGoal(NamedTuple):
+    """Targets and weights of one frame.
+
+    Attributes:
+        vectors: (K, 3) keyvector targets [m].
+        weights: (K,) their weights.
+        previous: (m,) last command of the actuated joints [rad].
+        velocity_weight: lambda_vel of the frame, or (m,) of each joint; 0 where there is no last
+            command to be near to.
+        tips: (F, 3) where fingertips arrive if they move as the human's do [m]; for the term of
+            fingertip motion only.
+        motion_weights: (F,) weights of that term, in the units of a keyvector's weight.
+        rest: (m,) pose that joints are pulled to [rad]; None for the objective's own.
+        near: (F,) how nearly each fingertip is where the human's is, 0 to 1; None if not known.
+    """
+
+    vectors: Float[AnyArray, "K 3"]
+    weights: Float[AnyArray, " K"]
+    previous: Float[AnyArray, " m"]
+    velocity_weight: Float[Array, ""] | Float[Array, " m"] | float
+    tips: Float[Array, "F 3"] | None = None
+    motion_weights: Float[Array, " F"] | None = None
+    rest: Float[Array, " m"] | None = None
+    near: Float[Array, " F"] | None = None
 
 
 class Quadratic(NamedTuple):
@@ -241,13 +266,6 @@ class Velocity(SquaredJointTerm):
         weight: Any = goal.velocity_weight
         each: AnyKind = weight * (q - goal.previous) ** 2
         return each.sum(axis=-1) if jnp.ndim(weight) else super().cost(q, goal)
-
-
-class TermConfig(Protocol):
-    """Settings of a term, which build it for a hand; a ``Term`` is its own."""
-
-    def build(self, hand: Hand) -> Term:
-        """The term for one hand."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,8 @@ from smooth_operator.baselines.slsqp import (
 )
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind, array_namespace
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.normals import counter_normal_matrix
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise

@@ -30,9 +30,9 @@ from smooth_operator.lab.benchmark.quality import Watch
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.targets import Targets
+from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.solvers.newton import newton_minimise
 from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise

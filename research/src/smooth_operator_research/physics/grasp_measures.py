@@ -476,7 +476,7 @@ class PinchHold(GraspMeasure):
         "the human holds, and let go within 150 ms of the human's opening?"
     )
     page: Final = "docs/physics-measures.md#pinch-and-hold"
-    figures: Final = grasp_figures(
+    figures = grasp_figures(
         "pinches", "thumb and finger", GRASP_OBJECTS,
         Figure("overlap_mm", "mm", "", "How far the pads would be inside each other at the "
                "command of the tightest moment, without an object; negative: how far apart.",
@@ -548,7 +548,7 @@ class PowerGrasp(GraspMeasure):
         "human holds, and let go within 150 ms of the human's opening?"
     )
     page: Final = "docs/physics-measures.md#whole-hand-grasp"
-    figures: Final = grasp_figures(
+    figures = grasp_figures(
         "closings", "the hand", POWER_GRASP_OBJECTS,
         Figure("force_n", "N", "", "Force of the grasp while the object is held.", short="force"),
     )  # fmt: skip

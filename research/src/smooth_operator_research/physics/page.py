@@ -261,10 +261,7 @@ def summary_rows(outcome: MeasureOutcome) -> list[dict[str, Any]]:
     """Each figure of each method on each hand in each condition, with its 95 % interval."""
     return [
         {
-            "measure": outcome.measure.name,
-            "hand": panel[0],
-            "side": panel[1],
-            "condition": panel[2],
+            **_where(outcome, panel),
             "method": line.method,
             "figure": figure.name,
             "unit": figure.unit,
@@ -281,10 +278,7 @@ def difference_rows(outcome: MeasureOutcome) -> list[dict[str, Any]]:
     results = outcome.results
     return [
         {
-            "measure": outcome.measure.name,
-            "hand": panel[0],
-            "side": panel[1],
-            "condition": panel[2],
+            **_where(outcome, panel),
             "method": method,
             "less": against,
             "figure": figure,
@@ -296,6 +290,11 @@ def difference_rows(outcome: MeasureOutcome) -> list[dict[str, Any]]:
         if results.methods.index(method) < k
         for figure, summary in own.items()
     ]
+
+
+def _where(outcome: MeasureOutcome, panel: Sequence[str]) -> dict[str, str]:
+    names = ("measure", "hand", "side", "condition")
+    return dict(zip(names, (outcome.measure.name, *panel), strict=True))
 
 
 def _facts(figure: Any) -> dict[str, Any]:

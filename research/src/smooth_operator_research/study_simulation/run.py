@@ -251,14 +251,20 @@ def _code() -> str:
     )
 
 
+def _place(block: Block) -> dict[str, Any]:
+    return {
+        "operator": PREFIX + block.operator,
+        "task": block.task.name,
+        "retargeter": block.condition.name,
+        "block": block.number,
+    }
+
+
 def _rows(chunk: Chunk, trials: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     block = chunk.block
     return [
         {
-            "operator": PREFIX + block.operator,
-            "task": block.task.name,
-            "retargeter": block.condition.name,
-            "block": block.number,
+            **_place(block),
             "trial_global": block.trial_global(trial["trial_in_block"]),
             # The time of a failure is not the time that the task takes.
             "time_s": trial["duration_s"] if trial["score"] > 0 else None,
@@ -270,13 +276,7 @@ def _rows(chunk: Chunk, trials: Sequence[dict[str, Any]]) -> list[dict[str, Any]
 
 def _write(settings: SimulationSettings, folder: Path, rows: Sequence[dict[str, Any]]) -> None:
     request = [
-        {
-            "operator": PREFIX + block.operator,
-            "task": block.task.name,
-            "retargeter": block.condition.name,
-            "block": block.number,
-            "point": point,
-        }
+        {**_place(block), "point": point}
         for block in settings.plan.schedule()
         for point in block.questionnaires.values()
     ]

@@ -37,8 +37,8 @@ from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.methods.frame import align_frame
 from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.objective.goal import FrameGoal
 from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 WINDOW: Final = 2048

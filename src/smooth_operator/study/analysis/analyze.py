@@ -186,10 +186,10 @@ def analyze_study(
 
 
 def _analyze_scope(analysis: Analysis, scope: str) -> None:
-    trials, filled = (
-        table if table is None or scope == POOLED else table[table.task == scope]
-        for table in (analysis.data.trials, analysis.data.questionnaires)
-    )
+    trials, filled = analysis.data.trials, analysis.data.questionnaires
+    if scope != POOLED:
+        trials = trials[trials.task == scope]
+        filled = None if filled is None else filled[filled.task == scope]
     notes = {}
     if untimed := int((trials.success & trials.time.isna()).sum()):
         notes["time"] = f"{untimed} successful trial(s) without a time are left out"

@@ -139,8 +139,11 @@ def keep_rows(frame: Frame, rows: Bool[np.ndarray, " n"]) -> Frame:
     """Selects rows of a frame; names that no longer occur are dropped."""
     names = (frame.retargeters, frame.tasks, frame.operators)
     codes = (frame.retargeter, frame.task, frame.group)
-    columns = (np.array(one)[code[rows]] for one, code in zip(names, codes, strict=True))
-    return make_frame(frame.outcome[rows], *columns, frame.index[rows], frame.baseline)
+    retargeter, task, operator = (
+        np.array(one)[code[rows]] for one, code in zip(names, codes, strict=True)
+    )
+    index = frame.index[rows]
+    return make_frame(frame.outcome[rows], retargeter, task, operator, index, frame.baseline)
 
 
 def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
@@ -203,9 +206,9 @@ def frame_of(rows: pd.DataFrame, scope: str, baseline: str, index: Index = "glob
     """
     rows = rows if scope == POOLED else rows[rows.task == scope]
     number = next(column for column in _INDICES[index] if column in rows)
-    return make_frame(
-        *(rows[c].to_numpy() for c in ("value", "retargeter", "task", "operator", number)), baseline
-    )
+    names = ("value", "retargeter", "task", "operator", number)
+    value, retargeter, task, operator, count = (rows[name].to_numpy() for name in names)
+    return make_frame(value, retargeter, task, operator, count, baseline)
 
 
 def outcome_frames(data: StudyData, scope: str, baseline: str) -> dict[Outcome, Frame]:

@@ -216,7 +216,7 @@ def _correctable(design: Float[np.ndarray, "n p"], groups: Int[np.ndarray, " n"]
     """
     basis, _ = np.linalg.qr(design)
     blocks = (basis[groups == k] for k in range(int(groups.max()) + 1))
-    return max(np.linalg.norm(block, 2) ** 2 for block in blocks) < _ALONE
+    return bool(max(np.linalg.norm(block, 2) ** 2 for block in blocks) < _ALONE)
 
 
 _ANY: Final = 1e-7

@@ -191,7 +191,9 @@ def make_trials(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
     table.unique(("operator", "task", "trial_global"))
     table.raise_if_any()
     trials, notes = trials_table(columns), []
-    untimed = [table.rows[i][0] for i in np.flatnonzero(trials.success & trials.time.isna())]
+    untimed = [
+        table.rows[i][0] for i in np.flatnonzero(trials.success & trials.time.isna()).tolist()
+    ]
     if untimed:
         shown = ", ".join(str(number) for number in untimed[:8])
         shown += f" and {len(untimed) - 8} more" if len(untimed) > 8 else ""
@@ -565,8 +567,10 @@ def _strange_names(data: StudyData, tables: Mapping[str, Checked]) -> tuple[str,
     """Notes on names in other tables that no trial has, which may be typing errors."""
     notes = []
     for kind, table in zip(KEYS[1:], (data.questionnaires, data.metrics), strict=True):
-        for column in () if table is None else ("operator", "task", "retargeter"):
-            strange = sorted({*table.get(column, ())} - {*data.trials[column]})
+        for column in ("operator", "task", "retargeter"):
+            if table is None or column not in table:
+                continue
+            strange = sorted({*table[column]} - {*data.trials[column]})
             if strange:
                 more = f" and {len(strange) - 5} more" if len(strange) > 5 else ""
                 notes.append(

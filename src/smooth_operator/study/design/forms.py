@@ -11,7 +11,8 @@ from importlib.resources import files
 from typing import Any, Final, Literal, TypeAlias, get_args
 
 from smooth_operator.errors import StudyError
-from smooth_operator.io.entries import Entries, record
+from smooth_operator.io.entries import Entries
+from smooth_operator.io.records import record
 from smooth_operator.simulation.tasks.task import check_name, distinct, whole
 
 When: TypeAlias = Literal["before", "after"]

@@ -11,7 +11,8 @@ from typing import Any, Final
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import StudyError, require
 from smooth_operator.formats.toml_writer import toml_key, toml_value
-from smooth_operator.io.entries import Entries, read_entries, record
+from smooth_operator.io.entries import Entries, read_entries
+from smooth_operator.io.records import record
 from smooth_operator.reporting.report_page import templates
 from smooth_operator.study.design.forms import KINDS
 from smooth_operator.study.design.plan import (

@@ -15,7 +15,8 @@ from datetime import datetime
 from typing import Any, ClassVar, Final, TypeAlias
 
 from smooth_operator.errors import StudyError
-from smooth_operator.io.entries import Entries, record
+from smooth_operator.io.entries import Entries
+from smooth_operator.io.records import record
 from smooth_operator.study.design.protocol import Point
 from smooth_operator.study.store.nasa_tlx import check_ratings, raw_workload
 

@@ -188,7 +188,7 @@ class StudyStore:
                     self._check_file()
                     connection.execute("COMMIT")
                 except BaseException:
-                    if connection.in_transaction:
+                    if self._connection.in_transaction:
                         connection.execute("ROLLBACK")
                     raise
             except (sqlite3.Error, OSError) as error:

@@ -25,6 +25,7 @@ from jaxtyping import Bool, Float, Int
 from smooth_operator.errors import MissingExtraError
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BONES, LANDMARKS
+from smooth_operator.landmarks import WRIST as WRIST_POINT
 from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.types import HandFrame
 
@@ -247,8 +248,8 @@ class FoxgloveMessages:
             return
         transform = self._transform
         if transform is None:
-            wrist_known = frame.valid[0]
-            place = _OFFSET - frame.landmarks[0] if wrist_known else _OFFSET
+            wrist_known = frame.valid[WRIST_POINT]
+            place = _OFFSET - frame.landmarks[WRIST_POINT] if wrist_known else _OFFSET
             transform = _frame_transform(place)
             self._transform = transform if wrist_known else None
         _set_time(transform.transforms[0].timestamp, at)

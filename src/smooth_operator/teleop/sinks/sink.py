@@ -19,12 +19,12 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.arms.arm import CarriedHand
 from smooth_operator.teleop.sinks.tick import HandState, Tick
 from smooth_operator.teleop.sources.live import Clock
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
+    from smooth_operator.simulation.arms.arm import CarriedHand
     from smooth_operator.simulation.live import LiveSimulation
 
 
