@@ -1,7 +1,5 @@
 """Registries of parts: what they list, load and refuse. An installed plugin: test_plugin.py."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 from metrics_cases import make_trace
 
+from smooth_operator import HandRecording, read_recording
 from smooth_operator.cli.console import print_metrics
 from smooth_operator.errors import (
     ConfigError,
@@ -22,7 +21,6 @@ from smooth_operator.errors import (
     UnknownNameError,
     did_you_mean,
 )
-from smooth_operator.formats.readers import read_recording
 from smooth_operator.formats.registry import Reader
 from smooth_operator.hands.registry import HANDS, MODELS, hand_names, known_hands, load_hand
 from smooth_operator.lab.benchmark import cells
@@ -52,7 +50,6 @@ from smooth_operator.metrics.table import REGISTRY as METRIC_REGISTRY
 from smooth_operator.metrics.table import add_metrics, plugin_metrics
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.types import HandRecording
 
 OWN = SbrConfig(settle_rounds=3)
 TWO = {"fast": OWN, "slow": SbrConfig(settle_rounds=30)}
@@ -196,7 +193,7 @@ def read_rows(path: Path, rate: float | None, side: Any, layout: str | None) -> 
 
 
 ROWS = Reader("a .rows file", read_rows, suffixes=(".rows",))
-WRONG = Reader("a .wrong file", lambda *given: "hands", suffixes=(".wrong",))  # type: ignore
+WRONG = Reader("a .wrong file", lambda *given: "hands", suffixes=(".wrong",))
 
 
 def test_a_plugins_reader_recognises_its_files(broken, monkeypatch, tmp_path, capsys):
