@@ -93,7 +93,7 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(
         else:
             raise AssertionError("the hand on the page does not come back to where it was")
         page.get_by_label("shape", exact=True).uncheck()
-        eventually(lambda: not any(node.visible for node in served._looks[0].first.nodes.values()))
+        eventually(lambda: not any(node.visible for node in served._robot.shown.first.nodes.values()))
         settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.01)
         assert problems == []
         page.close()
