@@ -90,7 +90,8 @@ def test_a_slider_moves_its_joint_and_the_hand_on_the_page(chromium, name, side)
         else:
             raise AssertionError("the hand on the page does not come back to where it was")
         page.get_by_label("shape", exact=True).uncheck()
-        eventually(lambda: not any(node.visible for node in served._looks[0].first.nodes.values()))
+        nodes = served._robot.shown.first.nodes.values()
+        eventually(lambda nodes=nodes: not any(node.visible for node in nodes))
         settled(page, SHOWN, HEIGHT, lambda p: changed(p, rest) > 0.01)
         assert problems == []
         page.close()
