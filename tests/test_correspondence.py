@@ -49,9 +49,9 @@ def follow(
         tips = jnp.asarray(points[list(TIPS)])
         steps = jnp.asarray(np.nan_to_num(points - last)[list(TIPS)])
         arguments = (jnp.asarray(points), tips, steps, steps, DT, jnp.bool_(i in restarts))
-        state, found = step(state, *arguments)
+        state, _ = step(state, *arguments)
         lengths.append(np.asarray(state.lengths))
-        places.append(np.asarray(found.tips))
+        places.append(np.asarray(state.places))
         last = points
     return lengths, np.stack(places)
 

@@ -52,21 +52,6 @@ Progress: TypeAlias = Callable[[Iterable[int]], Iterable[int]]
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
-    """Commands for the frames of ``Tracks``.
-
-    Attributes:
-        q: (S, m) commands of the actuated joints [rad], as the program gave them.
-        status: (S,) ``Status`` values.
-        loss: (S,) tracking losses.
-    """
-
-    q: Float[np.ndarray, "S m"]
-    status: np.ndarray
-    loss: Float[np.ndarray, " S"]
-
-
-@dataclass(frozen=True, eq=False)
 class Tracks:
     """Recordings as the program takes them: the frames of all, one recording after the other.
 
@@ -141,11 +126,6 @@ def progressing(total: int, track: Progress | None) -> Callable[[int], None]:
     return advance
 
 
-def default_lanes() -> int:
-    """Lanes that suit JAX's default device."""
-    return LANES if jax.default_backend() == "cpu" else LANES_GPU
-
-
 class LaneProgram:
     """The program of one method and hand for a number of lanes; it compiles when first called.
 
@@ -211,10 +191,13 @@ class LaneProgram:
             graphs=True,
         )
 
-    def run(self, initial: RetargetState, tracks: Tracks, track: Progress | None = None) -> Answers:
-        """Every recording, each from the same state; ``track`` wraps the iteration over all frames.
-        While the device works on a block, a thread lays out the inputs of the next, and puts the
-        results of the last in their places."""
+    def run(
+        self, initial: RetargetState, tracks: Tracks, track: Progress | None = None
+    ) -> tuple[Float[np.ndarray, "S m"], np.ndarray, Float[np.ndarray, " S"]]:
+        """Commands of the actuated joints [rad], as the program gives them, ``Status`` values and
+        tracking losses of every recording, each from the same state; ``track`` wraps the iteration
+        over all frames. While the device works on a block, a thread lays out the inputs of the next
+        and puts the results of the last in their places."""
         frames = _frames_of_lanes(tracks, self.lanes)
         total = len(tracks.ticks)
         advance = progressing(total, track)
@@ -241,7 +224,7 @@ class LaneProgram:
                     advance(stored.pop(0).result())
             for each in stored:
                 advance(each.result())
-        return Answers(q[:-1], status[:-1], loss[:-1])
+        return q[:-1], status[:-1], loss[:-1]
 
     def run_arrays(
         self,
@@ -264,12 +247,11 @@ class LaneProgram:
         ticks = np.broadcast_to(ticks_of(stamps), (count, length)).reshape(-1)
         points = prepared(np.asarray(landmarks).reshape(-1, NUM_LANDMARKS, 3))
         all_valid = np.ones((len(ticks), NUM_LANDMARKS), bool)
-        answers = self.run(initial, Tracks(points, all_valid, ticks, [length] * count))
+        q, status, loss = self.run(initial, Tracks(points, all_valid, ticks, [length] * count))
         low, high = limits.T.astype(np.float32)
-        q = np.clip(answers.q, low, high, out=answers.q).reshape(count, length, len(low))
-        loss = np.where(answers.status == Status.OK, answers.loss, np.float32(np.nan))
-        shape = count, length
-        return BatchArrays(q, answers.status.reshape(shape), loss.reshape(shape))
+        q = np.clip(q, low, high, out=q).reshape(count, length, len(low))
+        loss = np.where(status == Status.OK, loss, np.float32(np.nan))
+        return BatchArrays(q, status.reshape(count, length), loss.reshape(count, length))
 
     def _everywhere(self, leaf: Any) -> jax.Array:
         one = jnp.asarray(leaf)
@@ -309,12 +291,12 @@ def side_by_side(
 ) -> Batch:
     """Recordings in the lanes of a program; ``landmarks`` gives them in its form."""
     tracks = Tracks.of(recordings, landmarks)
-    answers = program.run(initial, tracks, track)
-    q = np.clip(answers.q.astype(float), *hand.limits.T)
-    loss = np.where(answers.status == Status.OK, answers.loss.astype(float), np.nan)
+    q, statuses, loss = program.run(initial, tracks, track)
+    q = np.clip(q.astype(float), *hand.limits.T)
+    loss = np.where(statuses == Status.OK, loss.astype(float), np.nan)
     batch = []
     for recording, part in zip(recordings, tracks.slices, strict=True):
-        none, status = np.full(len(recording), np.nan), answers.status[part]
+        none, status = np.full(len(recording), np.nan), statuses[part]
         positions = hand.full_configuration(q[part])
         commands = CommandTrajectory(positions, hand.joint_names, recording.stamps, none, status)
         batch.append((commands, loss[part]))
@@ -377,7 +359,7 @@ def lane_program(
     method: Method, config: MethodConfig, lanes: int | None, cached: bool = True
 ) -> LaneProgram:
     """The program of a method, kept a while; None for the number of lanes that suits the device."""
-    count = lanes or default_lanes()
+    count = lanes or (LANES if jax.default_backend() == "cpu" else LANES_GPU)
     key = (id(method), config.alignment, count, cached)  # a kept program keeps its method
     with _lock:
         program = _programs.get(key) or LaneProgram(method, config, count, cached)

@@ -184,7 +184,6 @@ def build_tree(
 
     joints: list[Joint] = []
     frames: dict[int, tuple[int, np.ndarray, np.ndarray]] = {palm: (-1, np.eye(3), np.zeros(3))}
-    by_id: dict[int, int] = {}
 
     def frame(body: int) -> tuple[int, np.ndarray, np.ndarray]:
         """(last joint above, rotation, translation) of a body's frame in that joint's frame."""
@@ -221,7 +220,7 @@ def build_tree(
                     slide,
                 )
             )
-            parent = by_id[j] = len(joints) - 1
+            parent = len(joints) - 1
             rotation, translation = to_axis.T, -to_axis.T @ anchor
             if slide and zero:
                 translation = translation - np.array([0, 0, zero])

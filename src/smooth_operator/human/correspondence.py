@@ -98,18 +98,6 @@ class CorrespondenceState(NamedTuple):
     places: Float[Array, "F 3"]
 
 
-class Places(NamedTuple):
-    """Places of the robot's fingertips in a frame.
-
-    Attributes:
-        tips: (F, 3) in the palm frame [m].
-        steps: (F, 3) by which they should move in this frame, in the human's direction [m].
-    """
-
-    tips: Float[Array, "F 3"]
-    steps: Float[Array, "F 3"]
-
-
 @dataclass(frozen=True, eq=False)
 class Correspondence:
     """The correspondence for one hand.
@@ -191,8 +179,9 @@ class Correspondence:
         measured: Float[Array, "F 3"],
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
-    ) -> tuple[CorrespondenceState, Places]:
-        """One frame; traceable.
+    ) -> tuple[CorrespondenceState, Float[Array, "F 3"]]:
+        """The state after a frame, and (F, 3) steps of the fingertips' places in it [m], in the
+        human's direction; traceable.
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
@@ -219,7 +208,7 @@ class Correspondence:
         places = last + _shortened(places - last, most)
         steps = steps + (1 - nearest)[:, None] * (self._turned(steps) - steps)
         moves = _shortened(gain[:, None] * steps, most)
-        return operator._replace(places=places), Places(places, moves)
+        return operator._replace(places=places), moves
 
     def _measured(
         self,

@@ -227,11 +227,11 @@ class Sbr(Method):
         at = np.array(tips_of(self.hand.fingers))
         tips = aligned[at]
         steps = jnp.where(clock.restart, 0.0, tips - before.tips)
-        fingers, places = self.correspondence.step(
+        fingers, _ = self.correspondence.step(
             before.fingers, aligned, tips, steps, steps, clock.dt, clock.restart
         )
         wrist = jnp.asarray(self.hand.wrist, aligned.dtype)
-        placed = aligned.at[at].set(places.tips).at[WRIST].set(wrist)
+        placed = aligned.at[at].set(fingers.places).at[WRIST].set(wrist)
         return placed, OperatorState(fingers, tips, now, clock.period)
 
 

@@ -353,12 +353,12 @@ class Smooth(Method):
         goal_points, operator, speeds = points, state.operator, moves
         if operator:  # a tuple of arrays; empty without a correspondence
             measured_steps = filtered.step[at] - filtered.step[wrist]
-            operator, targets = self.correspondence.step(
+            operator, moves = self.correspondence.step(
                 operator, aligned, points[at], moves, measured_steps, clock.dt, clock.restart
             )
             origin = jnp.asarray(self.hand.wrist, points.dtype)
-            moves, places = targets.steps, targets.tips - origin
-            corners = jnp.concatenate([targets.tips, origin[None]])
+            places = operator.places - origin
+            corners = jnp.concatenate([operator.places, origin[None]])
             goal_points = points.at[np.array([*at, wrist])].set(corners)
         goal, policy = self._goal(state, goal_points, speeds, clock)
         places = places + jnp.asarray(self.hand.wrist, points.dtype)
