@@ -14,7 +14,7 @@ check: ## what CI runs: install, tests, lint, types
 	bash .ci/run
 
 test: ## the tests alone, in the existing .venv
-	$(PYTHON) -m pytest -n 2 --dist loadfile
+	$(PYTHON) -m pytest -n 3 --dist loadfile
 
 lint: ## lint, format and types alone
 	$(PYTHON) -m ruff check

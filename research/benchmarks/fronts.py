@@ -54,7 +54,6 @@ STILLNESS: Final[Mapping[str, Sequence[float]]] = {
     "objective.velocity_weight": (0.0, 0.27, 1.0, 3.0, 10.0),
     "motion_weight": (475.0, 950.0, 1900.0, 3800.0),
     "motion_speed": (0.05, 0.1, 0.3),
-    "pinch_damping": (0.0, 30.0, 100.0, 300.0),
 }
 """Setting -> values that trade motion for flatness."""
 
