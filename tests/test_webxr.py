@@ -24,7 +24,7 @@ from smooth_operator.landmarks import BONES, FINGER_COLORS, FROM_WEBXR_25, METAC
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
 from smooth_operator.teleop.sources.webxr import WebXr
-from smooth_operator.teleop.sources.webxr import source as webxr_source
+from smooth_operator.teleop.sources.webxr import source as xr_source
 from smooth_operator.teleop.sources.webxr.link import (
     HEADER,
     IN_ALL,
@@ -480,7 +480,7 @@ def test_a_plain_http_browser_and_noise_do_not_disturb(host, capfd):
 
 def test_a_flood_of_half_open_connections_is_refused_and_the_link_lives(cache, monkeypatch):
     """Connections that never finish TLS cost memory each: beyond a few they are closed unread."""
-    monkeypatch.setattr(webxr_source, "_HANDSHAKE_S", 1.0)
+    monkeypatch.setattr(xr_source, "_HANDSHAKE_S", 1.0)
     started = Host()
     port = int(started.address.rsplit(":", 1)[1])
     flood: list[socket.socket] = []
@@ -488,9 +488,7 @@ def test_a_flood_of_half_open_connections_is_refused_and_the_link_lives(cache, m
         link, session = started.welcome()
         flood += [socket.create_connection(("127.0.0.1", port), timeout=5) for _ in range(150)]
         # at most: on a busy machine the first of them may be over their second already
-        eventually(
-            lambda: sum(not is_closed(raw, 0.0) for raw in flood) <= webxr_source.MOST_WAITING
-        )
+        eventually(lambda: sum(not is_closed(raw, 0.0) for raw in flood) <= xr_source.MOST_WAITING)
         waiting = [raw for raw in flood if not is_closed(raw, 0.0)]
         # the paired headset goes on meanwhile
         link.send(message(joints(-1), joints(), stamp=3.5))
@@ -509,7 +507,7 @@ def test_a_flood_of_half_open_connections_is_refused_and_the_link_lives(cache, m
 
 def test_half_open_connections_lock_no_address_out(cache, monkeypatch):
     """The oldest of them make room for one that goes on, long before their time is over."""
-    monkeypatch.setattr(webxr_source, "_HANDSHAKE_S", 120.0)
+    monkeypatch.setattr(xr_source, "_HANDSHAKE_S", 120.0)
     started = Host()
     port = int(started.address.rsplit(":", 1)[1])
     flood: list[socket.socket] = []
@@ -519,7 +517,7 @@ def test_half_open_connections_lock_no_address_out(cache, monkeypatch):
             time.sleep(0.05)
         links = [started.pair() for _ in range(3)]
         assert json.loads(links[-1].recv(5))["type"] == "welcome"
-        assert sum(not is_closed(raw, 0.0) for raw in flood) <= webxr_source.MOST_WAITING
+        assert sum(not is_closed(raw, 0.0) for raw in flood) <= xr_source.MOST_WAITING
         for link in links:
             link.close()
     finally:
