@@ -65,9 +65,9 @@ FLOORS = {
 }  # fmt: skip
 """Mean cosine of the thumb-to-tip vectors that every hand exceeds; what was measured is 0.02 to
 0.05 higher. GeoRT's is of networks that were not trained, but for the hand that has them."""
-LOWER = {("shadow_dexee", "ako"): 0.75}
-"""Exceptions. AKO weighs the direction of the last phalanges most, and DEX-EE's thumb, which stands
-opposite to the fingers, can't have a human thumb's."""
+LOWER = {("shadow_dexee", "ako"): 0.75, ("shadow_dexee", "smooth"): 0.65}
+"""Exceptions. AKO weighs the direction of the last phalanges most, ``smooth`` that of the thumb
+itself, and DEX-EE's thumb, which stands opposite to the fingers, can't have a human thumb's."""
 TRAINED = 0.85
 """The floor of GeoRT with its own networks."""
 

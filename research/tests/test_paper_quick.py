@@ -27,8 +27,8 @@ def _check_tables_of_the_page(folder: Path) -> None:
     page = (ROOT / "research" / "docs" / "paper.md").read_text(encoding="utf-8")
     blocks = {found[1]: found[2] for found in docs_tables.BLOCK.finditer(page)}
     assert len(blocks) >= 12
-    loose = docs_tables.BLOCK.sub("", page)
-    assert not re.search(r"^\|", loose, re.MULTILINE)  # none is written by hand
+    loose = docs_tables.BLOCK.sub("", page).partition("## Departures from the paper")[0]
+    assert not re.search(r"^\|", loose, re.MULTILINE)  # none with figures is written by hand
     results = docs_tables.read_results(folder)
     assert set(results) == EXPERIMENTS
     for name, text in blocks.items():
