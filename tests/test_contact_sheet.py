@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smooth_operator import load_hand
-from smooth_operator.cli.page import ModelShape
+from smooth_operator.cli.hand_shape import ModelShape
 from smooth_operator.lab.benchmark.contact_sheet import (
     CELL,
     HandPicture,

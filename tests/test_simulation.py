@@ -397,7 +397,7 @@ def test_the_hands_turn_to_the_scene_and_back(simulation, page):
     )
     state = {"positions": straight, "simulated": bent, "human": None, "latched": ()}
     scene.draw({"right": state})
-    np.testing.assert_allclose(view._robot.first.data.qpos, hand.qpos(bent))
+    np.testing.assert_allclose(view.robot.shown.first.data.qpos, hand.qpos(bent))
     simulation.change_task("none")
     scene.draw_scenery(looked(simulation, ("right",), seen["number"]))
     assert not view.scenery.there
@@ -406,7 +406,7 @@ def test_the_hands_turn_to_the_scene_and_back(simulation, page):
     np.testing.assert_allclose(view.row.roots["robot"].wxyz, before)
     np.testing.assert_allclose(scene.aiming.half, size)
     scene.draw({"right": state})
-    np.testing.assert_allclose(view._robot.first.data.qpos, hand.qpos(straight))
+    np.testing.assert_allclose(view.robot.shown.first.data.qpos, hand.qpos(straight))
     assert not [name for name in server.scene._handle_from_node_name if "part_" in name]
 
 

@@ -104,7 +104,7 @@ def test_the_price_is_that_of_the_depths():
     expected = 7.0 * (inside**2).sum(axis=-1) / (2 * 0.02)
     assert (expected > 0).sum() > 5
     with float64():
-        term, no_joints = config.build(hand), jnp.zeros((len(pairs.names), 0, 3))
+        term, no_joints = SelfCollision(hand, config), jnp.zeros((len(pairs.names), 0, 3))
         price = jax.jit(lambda one: term.expand(one, no_joints, NO_GOAL).cost)
         found = [price(jnp.asarray(one)) for one in ends]
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
@@ -126,7 +126,7 @@ def test_thumb_and_finger_whose_tips_are_there_may_be_deeper_by_the_grip():
     expected = 7.0 * (np.maximum(depth - grip, 0.0) ** 2).sum(axis=-1) / (2 * 0.02)
     with float64():
         goal = NO_GOAL._replace(near=jnp.array([near.get(name, 0.0) for name in hand.fingers]))
-        term, no_joints = config.build(hand), jnp.zeros((len(pairs.names), 0, 3))
+        term, no_joints = SelfCollision(hand, config), jnp.zeros((len(pairs.names), 0, 3))
         price = jax.jit(lambda one: term.expand(one, no_joints, goal).cost)
         found = [price(jnp.asarray(one)) for one in ends[closed]]
     np.testing.assert_allclose(found, expected[closed], rtol=1e-6, atol=1e-9)

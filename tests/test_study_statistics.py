@@ -145,7 +145,6 @@ def test_gee_is_what_whole_matrices_say():
         corrected += np.outer(fixed, fixed)
     np.testing.assert_allclose(fit.robust, inverse @ plain @ inverse, rtol=1e-10)
     np.testing.assert_allclose(fit.mancl_derouen, inverse @ corrected @ inverse, rtol=1e-10)
-    np.testing.assert_allclose(fit.naive, fit.phi * inverse, rtol=1e-10)
 
 
 def test_separation_is_found_and_overlap_is_not_called_so():

@@ -28,7 +28,7 @@ import numpy as np
 from looks import panel_of, run
 from PIL import Image, ImageDraw, ImageFont
 
-from smooth_operator.cli.page import ModelShape
+from smooth_operator.cli.hand_shape import ModelShape
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.contact_sheet import (
     POSES,

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.cli.bench import comma_words
-from smooth_operator.cli.page import ModelShape
+from smooth_operator.cli.hand_shape import ModelShape
 from smooth_operator.lab.benchmark import (
     Finished,
     Row,

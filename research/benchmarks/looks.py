@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.cli.page import ModelShape
+from smooth_operator.cli.hand_shape import ModelShape
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.contact_sheet import contact_sheet
 from smooth_operator.lab.benchmark.figures import Panel, Run

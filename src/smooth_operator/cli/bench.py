@@ -219,7 +219,7 @@ def bench(options: Bench) -> None:
         write_json(options.output / RESULTS, rows, indent=1)
         written = [RESULTS]
         if options.sheet:
-            from smooth_operator.cli.page import ModelShape
+            from smooth_operator.cli.hand_shape import ModelShape
             from smooth_operator.lab.benchmark.contact_sheet import write_sheets
 
             with progress.waiting("drawing the hands"):
@@ -227,7 +227,7 @@ def bench(options: Bench) -> None:
                     path.name for path in write_sheets(finished, options.output, ModelShape)
                 ]
         elif not options.no_report:
-            from smooth_operator.cli.page import ModelShape
+            from smooth_operator.cli.hand_shape import ModelShape
             from smooth_operator.lab.benchmark.page import write_report
 
             with progress.waiting("drawing the report"):

@@ -1,19 +1,11 @@
-"""The model and the shapes that a robot hand is drawn on."""
+"""The model that a robot hand is drawn on."""
 
 from __future__ import annotations
-
-from typing import Final
-
-import numpy as np
-from jaxtyping import Float
 
 from smooth_operator.cli.common_options import Meshes
 from smooth_operator.errors import HandModelError
 from smooth_operator.hand_files.vendor_model import hand_with_meshes
 from smooth_operator.hands.hand import Hand
-from smooth_operator.lab.benchmark.figures import view_basis
-from smooth_operator.reporting.hand_surface import PALM_COLOR, Surface
-from smooth_operator.teleop.pages.hand_view import HandView, coarser, finger_colors
 from smooth_operator.terminal import print_note
 
 
@@ -35,41 +27,3 @@ def hand_to_draw(hand: Hand, options: Meshes) -> Hand | None:
             raise
         print_note(f"simple shapes are drawn: {error}")
         return None
-
-
-_FACES: Final = 4000  # triangles of a body in a picture of a hand
-_FOREARM: Final = 0.03  # what is drawn below the wrist [m]
-
-
-class ModelShape:
-    """A robot hand as its model has it.
-
-    Args:
-        hand: the robot hand.
-    """
-
-    def __init__(self, hand: Hand) -> None:
-        drawn = hand_to_draw(hand, Meshes()) or hand
-        self._view = HandView(drawn, simple=drawn is hand)
-        self.view = view_basis(drawn)
-        self.wrist: Float[np.ndarray, "3"] = np.asarray(drawn.wrist, float)
-        order = [hand.joint_names.index(name) for name in drawn.actuated_names]
-        self._actuated = np.array(order, int)
-        meshes = self._view.without_forearm(_FOREARM, self.view[1])
-        self._meshes = {body: coarser(mesh, _FACES) for body, mesh in meshes.items()}
-
-    def surface(self, joints: Float[np.ndarray, " n"]) -> Surface:
-        """The triangles in a pose."""
-        poses = self._view.bodies(np.asarray(joints, float)[self._actuated])
-        colors = finger_colors(len(self._view.hand.fingers))
-        triangles, shades = [], []
-        for body, mesh in self._meshes.items():
-            rotation, position = poses[body]
-            owner = self._view.finger_of_body[body]
-            corners = (mesh.vertices @ rotation.T + position)[mesh.faces]
-            triangles.append(corners)
-            color = PALM_COLOR if owner < 0 else colors[owner]
-            shades.append(np.tile(np.array(color, np.uint8), (len(corners), 1)))
-        if not triangles:
-            return Surface(np.empty((0, 3, 3)), np.empty((0, 3), np.uint8))
-        return Surface(np.concatenate(triangles), np.concatenate(shades))
