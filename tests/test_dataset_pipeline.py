@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from two_hands import LAYOUT, PAIRS, save_pair
 
-from smooth_operator import Retargeter, poses
+from smooth_operator import Retargeter, load_hand, poses
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.lab.datasets import pipeline
@@ -623,3 +623,16 @@ def test_the_busy_share_is_what_nvidia_smi_says(tmp_path, monkeypatch):
     with use.measured():
         pass
     assert use.busy is None
+
+
+def test_keys_of_clips_do_not_depend_on_where_the_hand_stands(tmp_path, monkeypatch):
+    hand = load_hand("mimic_p050")
+    copy = Path(shutil.copy(hand.spec.model, tmp_path))
+    elsewhere = replace(hand, spec=replace(hand.spec, model=copy))
+    digests = []
+    for one in (hand, elsewhere):
+        monkeypatch.setattr(RetargetRequest, "load_hand", lambda self, side, one=one: one)
+        digests.append(Recipe(RECIPE.request).digest)
+    copy.write_bytes(copy.read_bytes() + b"\n")
+    digests.append(Recipe(RECIPE.request).digest)
+    assert digests[0] == digests[1] != digests[2]

@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -109,8 +110,10 @@ class Recipe:
 
     @functools.cached_property
     def digest(self) -> str:
-        """Digest of it, with the version of this program and both hands' descriptions."""
-        specs = [self.request.load_hand(side).spec for side in SIDES]
+        """Digest of it, with the version of this program and both hands' descriptions and models,
+        wherever these stand on a machine."""
+        hands = [self.request.load_hand(side).spec for side in SIDES]
+        specs = [(replace(spec, model=Path(spec.model.name)), digest(spec.model)) for spec in hands]
         mano = self.reading.mano
         models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
         parts = [package_version(), self.request, self.frame, self.side, specs]
