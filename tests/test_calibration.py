@@ -23,7 +23,7 @@ from smooth_operator.calibration.segments import Prompt, measure_features, poses
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.hands.hand import Hand, knuckle_joints, straight_pose
+from smooth_operator.hands.hand import Hand, knuckle_joints
 from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.human.operator import COMPONENTS, tip_frames
@@ -224,7 +224,7 @@ def test_a_recording_without_whole_hands_is_refused(exact, hand):
 @pytest.mark.parametrize("name", ["mimic_p050", "allegro_hand", "leap_hand"])
 def test_a_straight_pose_reaches_as_far_as_any(name):
     robot = load_hand(name)
-    straight = straight_pose(robot)
+    straight = robot.straight_pose
     low, high = robot.limits.T
     assert ((straight.q >= low) & (straight.q <= high)).all()
     q = np.random.default_rng(0).uniform(low, high, (4000, len(low)))
@@ -244,7 +244,7 @@ def test_joints_behind_the_knuckle_do_not_lengthen_a_finger(name):
     robot = load_hand(name)
     assert knuckle_joints(robot).any()
     points = robot.landmark_positions(np.clip(0.0, *robot.limits.T))
-    for finger, reach in list(zip(robot.fingers, straight_pose(robot).reach, strict=True))[1:]:
+    for finger, reach in list(zip(robot.fingers, robot.straight_pose.reach, strict=True))[1:]:
         own = [robot.tree.names.index(f"{finger}_{part}") for part in ("mcp", "pip", "dip", "tip")]
         bones = np.linalg.norm(np.diff(points[own], axis=0), axis=-1).sum()
         assert 0.95 * bones < reach < 1.03 * bones

@@ -17,31 +17,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from looks import COLUMNS, figures
 
 from smooth_operator.formats.setting_paths import with_settings
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
-from smooth_operator.lab.tuning.search_plan import figure
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.reporting.drawing import INK, styled, write_figure
 from smooth_operator.types import HandRecording
 
-METRICS: Final = {
-    "extension": "finger_extension_error",
-    "fingers °": "finger_direction_error_deg",
-    "thumb °": "thumb_direction_error_deg",
-    "curl °": "curl_error_deg",
-    "thumb cosine": "cosine_similarity",
-    "motion": "motion_preservation",
-    "vel. corr.": "velocity_correlation",
-    "jumps": "jumps_per_1000",
-    "gap mm": "pinch_gap_excess_mm",
-    "flatness m²": "flatness",
-}
-"""Heading -> metric."""
 PLACES: Final[Mapping[str, Sequence[float]]] = {
     "correspondence.share": (0.0, 0.4, 0.7, 0.85, 1.0),
     "correspondence.thumb_follows": (0.0, 0.1, 0.3, 1.0),
@@ -61,15 +47,15 @@ STILLNESS: Final[Mapping[str, Sequence[float]]] = {
 def row(
     hand: str, settings: Mapping[str, Any], recordings: Iterable[HandRecording], preset: str = ""
 ) -> list[float]:
-    """Means of the metrics over the recordings, for a preset of ``smooth`` with some settings."""
+    """Means of the columns of ``looks.py`` over the recordings, for a preset of ``smooth`` with
+    some settings."""
     config = with_settings(method_config("smooth", preset or None), settings)
     retargeter = Retargeter(load_hand(hand), config=config)
-    rows = []
-    for recording in recordings:
-        commands, _ = retargeter.run(recording)
-        result = evaluate(assemble_trace(recording, commands, retargeter.hand, reach_samples=0))
-        values = (figure(result, metric) for metric in METRICS.values())
-        rows.append([np.nan if value is None else value for value in values])
+    traces = (
+        assemble_trace(one, retargeter.run(one)[0], retargeter.hand, reach_samples=0)
+        for one in recordings
+    )
+    rows = [figures(trace) for trace in traces]
     return [float(x) for x in np.ma.masked_invalid(rows).mean(axis=0).filled(np.nan)]
 
 
@@ -78,8 +64,8 @@ def front(
 ) -> dict[str, np.ndarray]:
     """Setting -> (V, M) metrics by value, printed as a table."""
     print(f"\n## {hand}, {len(recordings)} recordings\n")
-    print("| setting | value | " + " | ".join(METRICS) + " |")
-    print("|---|---:|" + "---:|" * len(METRICS))
+    print("| setting | value | " + " | ".join(COLUMNS.values()) + " |")
+    print("|---|---:|" + "---:|" * len(COLUMNS))
     curves = {}
     for name, values in sweep.items():
         curves[name] = np.array([row(hand, {name: value}, recordings) for value in values])
@@ -93,7 +79,7 @@ def draw_front(
     x: str, y: str, factor: float = 1.0,
 ) -> None:  # fmt: skip
     """One curve a setting, each point with its value; the axes are two of the metrics."""
-    columns = [list(METRICS).index(name) for name in (x, y)]
+    columns = [list(COLUMNS.values()).index(name) for name in (x, y)]
     for name, means in curves.items():
         points = means[:, columns] * (factor, 1.0)
         ax.plot(*points.T, marker="o", ms=4, label=name.rpartition(".")[2])
@@ -129,17 +115,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with styled():
         drawn = Figure(figsize=(12.0, 3.8), layout="constrained")
         one, two, three = drawn.subplots(1, 3)
-        draw_front(one, places, PLACES, "extension", "thumb cosine")
+        draw_front(one, places, PLACES, "extension", "thumb cos")
         one.axvline(0.04, color=INK, lw=0.5, ls=":")
         one.axhline(0.97, color=INK, lw=0.5, ls=":")
         one.set(xlabel="extension error", ylabel="thumb cosine", title=options.hand)
         values = dict.fromkeys(hands, share["correspondence.share"])
-        draw_front(two, hands, values, "extension", "thumb cosine")
-        columns = [list(METRICS).index(name) for name in ("extension", "thumb cosine")]
+        draw_front(two, hands, values, "extension", "thumb cos")
+        columns = [list(COLUMNS.values()).index(name) for name in ("extension", "thumb cos")]
         for line, means in zip(two.get_lines(), precise.values(), strict=True):
             two.plot(*means[columns], "s", ms=6, color=line.get_color())
         two.set(xlabel="extension error", ylabel="thumb cosine", title="by share; square: precise")
-        draw_front(three, stillness, STILLNESS, "flatness m²", "motion", 1e6)
+        draw_front(three, stillness, STILLNESS, "flatness", "motion", 1e6)
         three.axvline(1.5, color=INK, lw=0.5, ls=":")
         three.axhline(0.92, color=INK, lw=0.5, ls=":")
         three.set(xlabel="flatness [1e-6 m²]", ylabel="motion preservation", title="glove 0-499")

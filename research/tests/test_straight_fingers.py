@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from smooth_operator import HandRecording, Retargeter, load_hand, method_config
-from smooth_operator.hands.hand import straight_pose
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import TIPS
 from smooth_operator.objective.rest_pose import StraightFingers
@@ -56,7 +55,7 @@ def test_both_joints_beyond_the_knuckle_count():
     assert names == [(finger, str(joint)) for finger, joint in (
         ("index", 2), ("index", 3), ("middle", 6), ("middle", 7), ("ring", 10), ("ring", 11)
     )]  # fmt: skip
-    tips = hand.tips(hand.full_configuration(straight_pose(hand).q)) - hand.wrist
+    tips = hand.tips(hand.full_configuration(hand.straight_pose.q)) - hand.wrist
     tips[1] = fingers.centres[0] + [0.0, 0.0, 0.1]  # a bent index finger
     low = np.asarray(fingers.limits(hand.limits, tips))[:, 0]
     joints = [joint for _, joint, *_ in fingers.bends]

@@ -17,7 +17,7 @@ from smooth_operator.calibration.segments import (
     poses,
 )
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.hands.hand import Hand, StraightPose, straight_pose
+from smooth_operator.hands.hand import Hand, StraightPose
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
 from smooth_operator.human.flat_hand import human_palm_axes, open_rays
 from smooth_operator.human.operator import (
@@ -127,7 +127,7 @@ def calibrate(
         apart = frames[:, TIPS[i]] - frames[:, TIPS[0]]
         after = apart + shift[:, 1] - shift[:, 0]
         gaps[finger] = np.linalg.norm(np.stack([apart, after], axis=1), axis=-1)
-    straight = straight_pose(hand)
+    straight = hand.straight_pose
     rotation, angle = _palm_rotation(points, hand, segments)
     project = _project(gaps, scale, 1 if "tips" in apply else 0)
     operator = OperatorProfile(

@@ -121,6 +121,27 @@ class Hand:
         return self._fixed(LANDMARKS[WRIST])
 
     @cached_property
+    def straight_pose(self) -> StraightPose:
+        """The pose in which all fingers reach furthest from their bases, nearest to neutral.
+
+        ``_ROUNDS`` coordinate searches over the joints' ranges. A joint that does not extend the
+        reach, such as a spread, or moves a knuckle (``knuckle_joints``) stays at neutral.
+        """
+        q = self.neutral.copy()
+        extending = np.flatnonzero(~knuckle_joints(self))
+        for _ in range(_ROUNDS):
+            for joint in extending:
+                low, high = self.limits[joint]
+                trial = np.tile(q, (_STEPS + 1, 1))
+                trial[1:, joint] = np.linspace(low, high, _STEPS)
+                total = np.linalg.norm(finger_rays(self, trial), axis=-1).sum(axis=-1)
+                best = int(np.argmax(total))
+                if total[best] > total[0] + _GAIN:
+                    q = trial[best]
+        directions = finger_rays(self, q)
+        return StraightPose(q, np.linalg.norm(directions, axis=-1), directions)
+
+    @cached_property
     def align_indices(self) -> tuple[int, ...]:
         """Human landmarks that the alignment uses."""
         return tuple(
@@ -417,26 +438,6 @@ class StraightPose(NamedTuple):
     q: Float[np.ndarray, " m"]
     reach: Float[np.ndarray, " F"]
     rays: Float[np.ndarray, "F 3"]
-
-
-def straight_pose(hand: Hand) -> StraightPose:
-    """The pose in which all fingers reach furthest from their bases, nearest to neutral.
-
-    A coordinate search over the joints' ranges, repeated ``_ROUNDS`` times. A joint that does not
-    extend the reach, such as a spread, or moves a knuckle (``knuckle_joints``) stays at neutral.
-    """
-    q = hand.neutral.copy()
-    extending = np.flatnonzero(~knuckle_joints(hand))
-    for _ in range(_ROUNDS):
-        for joint in extending:
-            trial = np.tile(q, (_STEPS + 1, 1))
-            trial[1:, joint] = np.linspace(hand.limits[joint, 0], hand.limits[joint, 1], _STEPS)
-            total = np.linalg.norm(finger_rays(hand, trial), axis=-1).sum(axis=-1)
-            best = int(np.argmax(total))
-            if total[best] > total[0] + _GAIN:
-                q = trial[best]
-    directions = finger_rays(hand, q)
-    return StraightPose(q, np.linalg.norm(directions, axis=-1), directions)
 
 
 def knuckle_joints(hand: Hand) -> Bool[np.ndarray, " m"]:

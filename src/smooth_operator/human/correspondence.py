@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.hand import Hand, straight_pose
+from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.settings import check_numbers, is_off
 
@@ -134,7 +134,7 @@ class Correspondence:
         that of many hands does not begin at its base landmark: its length is the sum of its bones,
         mean over random poses. An operator with the robot's own landmarks is then followed.
         """
-        straight = straight_pose(self.hand)
+        straight = self.hand.straight_pose
         names, points = self.hand.tree.names, self.hand.landmark_positions(straight.q)
         rows = [names.index(LANDMARKS[chain[0]]) for chain in self._chains]
         lengths = straight.reach.astype(np.float32)

@@ -72,6 +72,6 @@ def open_rays(hand: Hand) -> Float[np.ndarray, "F 3"]:
     """(F, 3) vectors from base to tip of the open hand, palm frame [m].
 
     Its joints are at zero, or as near as their limits allow: there makers put the open hand. At the
-    neutral pose, and so at ``straight_pose``, many hands have bent knuckles.
+    neutral pose, and so at ``Hand.straight_pose``, many hands have bent knuckles.
     """
     return finger_rays(hand, np.clip(0.0, *hand.limits.T))

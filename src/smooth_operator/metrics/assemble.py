@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.hands.hand import Hand, straight_pose
+from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.human.alignment import AlignmentConfig
@@ -76,7 +76,7 @@ def assemble_trace(
         penetration=penetration_depths(hand, q),
         robot_landmarks=landmarks,
         palm_landmarks=hand.align_indices,
-        straight_lengths=straight_pose(hand).reach,
+        straight_lengths=hand.straight_pose.reach,
     )
 
 

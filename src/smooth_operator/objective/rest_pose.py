@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.hands.differential import PointKinematics, PointMotion, all_joints, contracted
-from smooth_operator.hands.hand import Hand, straight_pose
+from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
 from smooth_operator.objective.terms import TINY_AREA
 from smooth_operator.settings import check_numbers, is_off
@@ -187,7 +187,7 @@ class StraightFingers:
     def __init__(self, hand: Hand) -> None:
         self.bends: list[tuple[int, int, float, float]] = []
         centres, swept = [], []
-        straight = straight_pose(hand).q
+        straight = hand.straight_pose.q
         for joint, (low, high) in enumerate(hand.limits):
             q = np.tile(straight, (_POSES, 1))
             q[:, joint] = np.linspace(low, high, _POSES)

@@ -41,7 +41,7 @@ def read_results(folder: Path) -> dict[str, Any]:
 def _table(
     results: Results, experiment: str, title: str, columns: Sequence[str] = (), heading: str = "{}"
 ) -> Table:
-    """One of an experiment's tables, or some of its columns, headed anew after the first."""
+    """An experiment's table, or some of its columns; other headings after the first."""
     own = next(t for t in results[experiment]["tables"] if t["title"].startswith(title))
     at = [own["headers"].index(name) for name in columns or own["headers"]]
     first, *others = (own["headers"][i] for i in at)

@@ -314,7 +314,7 @@ def finger_of_body(hand: Hand) -> Int[np.ndarray, " nbody"]:
 
 
 def _chain(model: mujoco.MjModel, body: int) -> set[int]:
-    """A body and those between it and the world, which is nobody's finger."""
+    """The body and its ancestors up to the world, which belongs to no finger."""
     chain = {0}
     while body:
         chain.add(body)

@@ -571,7 +571,7 @@ class _Entry:
         return self.state == "failed"
 
     def _shut(self) -> None:
-        """Close it, once nobody is inside."""
+        """Close it, once no call is inside."""
         with self._moving:
             with self._change:
                 self._change.wait_for(lambda: self._inside == 0, _LEAVE_S)
