@@ -1,6 +1,5 @@
 """Recordings side by side: what `run` gives for each, whatever else is in the batch."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
@@ -25,7 +24,6 @@ from smooth_operator.methods.program import ticks_of
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.smooth import SmoothConfig
 from smooth_operator.objective.smooth_terms import SelfCollisionConfig
-from smooth_operator.solvers.newton import settled
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording, Side, Status
@@ -159,30 +157,6 @@ def test_whole_recordings_in_a_batch_are_each_alone():
     recordings = damaged()
     batch = whole.batch(recordings)
     assert [bits(whole.run(recording)) for recording in recordings] == list(map(bits, batch))
-
-
-def test_no_lane_draws_samples_for_a_lane_that_needs_none():
-    turns: list[int] = []
-
-    def sampled(round: Any, q: Any) -> Any:
-        jax.debug.callback(lambda: turns.append(1))
-        return q + 1
-
-    def one(q: Any, rounds: Any) -> Any:
-        descended = lambda q, free: (q * 0.5, jnp.abs(q).sum())  # noqa: E731
-        return settled(sampled, descended, q, rounds, jnp.bool_(False))[0]
-
-    many: Callable[..., Any] = jax.jit(jax.vmap(one))
-    q, rounds = np.ones((3, 2), np.float32), np.array([0, 0, 0], np.int32)
-    many(q, rounds)
-    jax.effects_barrier()
-    assert turns == []
-    rounds[1] = 2
-    found = np.asarray(many(q, rounds))
-    jax.effects_barrier()
-    assert turns
-    np.testing.assert_array_equal(found[[0, 2]], 0.5)
-    np.testing.assert_array_equal(found[1], jax.jit(one)(q[1], rounds[1]))
 
 
 class Counting(Method):

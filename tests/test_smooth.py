@@ -258,7 +258,7 @@ def test_a_pinch_closes(smooth, hand):
 
 @pytest.mark.parametrize(
     "bad",
-    [{"settle_rounds": 0}, {"motion_weight": -1.0}, {"joint_speed": 0.0}, {"gap": -1.0}],
+    [{"motion_weight": -1.0}, {"joint_speed": 0.0}, {"gap": -1.0}],
     ids=lambda bad: next(iter(bad)),
 )
 def test_settings_are_checked(bad):

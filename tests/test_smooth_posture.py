@@ -94,7 +94,7 @@ def test_a_finger_in_a_wrong_basin_finds_back(operator):
     target = hand.tips(before.command.positions[None])
     assert np.linalg.norm(tips[0] - target[0], axis=-1).max() > 0.05
     assert np.linalg.norm(tips[-1] - target[0], axis=-1).max() < 0.005
-    assert np.abs(np.diff(positions, axis=0)).max() < 0.25  # it moves over, and does not jump
+    assert np.abs(np.diff(positions, axis=0)).max() < 0.44  # no faster than joints may
 
 
 def test_a_gap_measures_the_operator_again(hand, smooth, operator, answer):

@@ -1,11 +1,9 @@
 """A finger that was straight follows the human's when that bends."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from smooth_operator import HandRecording, Retargeter, load_hand, method_config
+from smooth_operator import HandRecording, Retargeter, load_hand
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import TIPS
 from smooth_operator.objective.rest_pose import StraightFingers
@@ -70,9 +68,7 @@ def test_a_finger_stretched_too_far_is_not_left_straight():
     demonstration = load_demonstration("screwdriver", "mimic_p050")
     hand, source = demonstration.robot, DemonstrationLandmarks(demonstration)
     operator = draw_perturbation(6).operator
-    retargeter = Retargeter(
-        hand, config=replace(method_config("smooth", "precise"), settle_rounds=2)
-    )
+    retargeter = Retargeter(hand, method="smooth", preset="precise")
     stamps = np.arange(0.0, 0.8, 0.02)
     shown = np.stack([operator(source.at(stamp)) for stamp in stamps])
     recording = HandRecording(shown, stamps, hand.spec.side)

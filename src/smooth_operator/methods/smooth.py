@@ -16,10 +16,11 @@ from typing import Any, Final, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt32
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.pose_table import PoseTable
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.correspondence import (
     Correspondence,
@@ -58,20 +59,19 @@ from smooth_operator.objective.smooth_terms import (
 from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.settings import check_numbers, is_off
-from smooth_operator.solvers.newton import NewtonConfig, damped_newton, settled
-from smooth_operator.solvers.random_words import frame_key, seed_words
-from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
+from smooth_operator.solvers.newton import NewtonConfig, damped_newton
 
 REFERENCE: Final = 0.01
 """Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an
 error is worked off in the same time at any rate."""
 
 ASTRAY: Final = 0.4
-"""A long finger is astray whose tip is further from its place than this, in finger lengths."""
-SEARCH_AFTER: Final = 0.06
-"""Time for which a finger is astray before another basin is searched, and between searches [s]."""
-CROSSING_SPEED: Final = 6.0
-"""Joint speed at which the command moves over to a pose in another basin [rad/s]."""
+"""A finger is astray whose tip is further from its place than that of the table's nearest pose by
+more than this share of the finger's length: then the last answer no longer counts."""
+RESTING: Final = 0.01
+"""Speed of a place at which its finger counts as half at rest [m/s]."""
+HELD: Final = 0.1
+"""Share of the motion weight of a finger at rest far from its place."""
 
 
 @dataclass(frozen=True)
@@ -96,13 +96,10 @@ class SmoothConfig(ObjectiveMethodConfig):
         tracker_noise: removal of the noise that the palm shows.
         landmarks: filter of the human landmarks.
         joint_speed: largest speed of a joint, over the usual time between frames [rad/s].
-        sampling: hyper-parameters of Algorithm 1, which finds the basin of the first frame, and of
-            the first after a gap.
-        settle_rounds: number of solutions of such a frame, each from the last answer.
-        settle_sigma: initial standard deviation of the sampler then [rad].
-        polish: Newton steps of a frame, at most.
+        polish: Newton steps of a descent, at most. Most frames need two to four; where fingers
+            touch and close fast, those that stop early end far from each other.
         rate_hz: rate that is assumed where stamps stand still.
-        gap: after a longer gap in the stamps [s] the basin is searched for again.
+        gap: after a longer gap in the stamps [s] the last answer no longer counts.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -128,25 +125,19 @@ class SmoothConfig(ObjectiveMethodConfig):
         )
     )
     joint_speed: float = 26.0
-    sampling: SamplingConfig = field(
-        default_factory=lambda: SamplingConfig(samples=256, elites=24, cycles=5, draws="quasi")
-    )
-    settle_rounds: int = 10
-    settle_sigma: float = 0.4
     polish: NewtonConfig = field(
         default_factory=lambda: NewtonConfig(
-            iterations=6, damping=(0.0, 1.0, 30.0, 1000.0, 30000.0)
+            iterations=50,
+            damping=(0.0, 0.3, 1.0, 5.0, 30.0, 200.0, 1000.0, 6000.0, 30000.0),
         )
     )
     rate_hz: float = 100.0
     gap: float = 0.25
 
     def __post_init__(self) -> None:
-        if self.settle_rounds < 1:
-            raise ConfigError(f"settle_rounds must be 1 or more, not {self.settle_rounds}")
         check_numbers(
             self,
-            positive=("joint_speed", "settle_sigma", "rate_hz", "gap"),
+            positive=("joint_speed", "rate_hz", "gap"),
             not_negative=("motion_weight", "motion_speed", "pinch_damping"),
         )
 
@@ -174,10 +165,7 @@ class SmoothState(NamedTuple):
         targets: state of the target policy.
         ticks: time of the last frame, in microseconds modulo 2^32.
         period: usual time between frames [s].
-        seed: two words, constant.
         frames: frames answered so far.
-        astray: for how long a finger has been far from its place [s].
-        offset: (m,) command minus answer, on the way to a pose in another basin [rad].
     """
 
     q: Float[Array, " m"]
@@ -188,10 +176,16 @@ class SmoothState(NamedTuple):
     targets: Any
     ticks: UInt32[Array, ""]
     period: Float[Array, ""]
-    seed: UInt32[Array, "2"]
     frames: UInt32[Array, ""]
-    astray: Float[Array, ""]
-    offset: Float[Array, " m"]
+
+
+class _Descents(NamedTuple):
+    """Descents in this frame so far, the best pose (m,), its cost, and True for one more."""
+
+    done: Int[Array, ""]
+    pose: Float[Array, " m"]
+    cost: Float[Array, ""]
+    again: Bool[Array, ""]
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,14 +196,10 @@ class Smooth(Method):
     config: SmoothConfig
 
     @cached_property
-    def eq_1(self) -> Objective:
-        """Eq. (1) alone, by which Algorithm 1 finds the basin."""
-        return Objective(self.hand, self.config.objective)
-
-    @cached_property
     def objective(self) -> Objective:
         """The terms that are minimised: those of Eq. (1), and four more."""
-        config, vectors = self.config, self.eq_1.keyvectors.vectors
+        config = self.config
+        vectors = Objective(self.hand, config.objective).keyvectors.vectors
         return Objective(
             self.hand,
             config.objective,
@@ -237,6 +227,11 @@ class Smooth(Method):
         return RestPose(self.hand, self.config.rest_pose)
 
     @cached_property
+    def pose_table(self) -> PoseTable:
+        """Poses to start from without the last answer."""
+        return PoseTable(self.hand, self.rest_pose.moves)
+
+    @cached_property
     def straight_fingers(self) -> StraightFingers:
         """The fingers that a joint bends past straight."""
         return StraightFingers(self.hand)
@@ -255,7 +250,8 @@ class Smooth(Method):
         return (*PALM, *turning, *(self.correspondence.landmarks if corresponds else ()))
 
     def init(self, seed: int) -> SmoothState:
-        """Neutral pose."""
+        """Neutral pose; nothing is random."""
+        del seed
         put = jax.device_put  # compiles nothing
         neutral = put(self.hand.neutral.astype(np.float32))
         return SmoothState(
@@ -267,10 +263,7 @@ class Smooth(Method):
             self.config.objective.targets.init(self.objective.layout),
             put(np.uint32(0)),
             put(np.float32(1 / self.config.rate_hz)),
-            put(seed_words(seed)),
             put(np.uint32(0)),
-            put(np.float32(0)),
-            put(np.zeros_like(self.hand.neutral, np.float32)),
         )
 
     def latched(self, state: SmoothState) -> Bool[Array, " P"] | None:
@@ -307,30 +300,13 @@ class Smooth(Method):
                 rest=jnp.where(clock.restart, neutral, pose),
                 near=jnp.where(clock.restart, 0.0, near),
             )
-        astray = self._astray(state, clock, tips, places)
-        searches = astray > SEARCH_AFTER
-        solved, crosses = self._solve(state, goal, clock, searches)
-        astray = jnp.where(searches, 0.0, astray)
-        offset = jnp.where(crosses, state.q - solved, state.offset)
-        state = self._commanded(state._replace(astray=astray, offset=offset), clock, solved)
+            if state.operator and goal.motion_weights is not None:
+                resting = 1 / (1 + (moves * moves).sum(-1) / (RESTING * clock.dt) ** 2)
+                holds = 1 - (1 - HELD) * resting * (1 - near)
+                goal = goal._replace(motion_weights=holds * goal.motion_weights)
+        solved = self._solve(state.solved, goal, places, clock.restart)
+        state = self._commanded(state, clock, solved)
         return state, MethodOutput(state.q, self.objective.tracking_at(state.q, goal))
-
-    def _astray(
-        self,
-        state: SmoothState,
-        clock: FrameClock,
-        tips: Float[Array, "F 3"],
-        places: Float[Array, "F 3"],
-    ) -> Float[Array, ""]:
-        """For how long a long finger has been far from its place [s]; 0 without a correspondence,
-        whose places are within reach."""
-        if not state.operator:
-            return jnp.zeros_like(state.astray)
-        off = tips - places
-        most = jnp.asarray(ASTRAY * self.correspondence.lengths, tips.dtype)
-        far = ((off * off).sum(-1) > most**2) & np.array([f != "thumb" for f in self.hand.fingers])
-        lasts = far.any() & ~clock.restart
-        return jnp.where(lasts, state.astray + clock.dt, 0.0)
 
     def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
@@ -373,11 +349,8 @@ class Smooth(Method):
         # after a lost frame no further than else
         most = self.config.joint_speed * jnp.minimum(clock.dt, clock.period)
         most = jnp.where(clock.first, jnp.inf, most)
-        shorter = jnp.maximum(jnp.abs(state.offset) - CROSSING_SPEED * clock.dt, 0.0)
-        offset = jnp.where(clock.restart, 0.0, jnp.sign(state.offset) * shorter)
-        q = jnp.clip(jnp.clip(solved + offset, state.q - most, state.q + most), low, high)
-        frames = state.frames + jnp.uint32(1)
-        return state._replace(q=q, solved=solved, frames=frames, offset=offset)
+        q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
+        return state._replace(q=q, solved=solved, frames=state.frames + jnp.uint32(1))
 
     def _goal(
         self,
@@ -408,43 +381,49 @@ class Smooth(Method):
         return goal._replace(motion_weights=motion), policy_state
 
     def _solve(
-        self, state: SmoothState, goal: FrameGoal, clock: FrameClock, searches: Bool[Array, ""]
-    ) -> tuple[Float[Array, " m"], Bool[Array, ""]]:
-        """The solver's answer, and True if it is in another basin than the last one."""
-        config, fingers = self.config, len(self.hand.fingers)
-        limits = self.straight_fingers.limits(self.hand.limits, goal.vectors[:fingers])
-        neutral = jnp.asarray(self.hand.neutral, state.solved.dtype)
+        self,
+        last: Float[Array, " m"],
+        goal: FrameGoal,
+        places: Float[Array, "F 3"],
+        restart: Bool[Array, ""],
+    ) -> Float[Array, " m"]:
+        """(m,) the solver's answer.
 
-        def sampled(round: Array, q: Array) -> Array:
-            return sample_minimise(
-                lambda candidates: self.eq_1(candidates, goal._replace(velocity_weight=0.0)),
-                jnp.where(searches, neutral, q),
-                self.hand.limits,
-                frame_key(state.seed, state.frames + round.astype(jnp.uint32)),
-                config.sampling,
-                config.settle_sigma,
-            )
+        A descent from the last answer. Where a finger then is astray, and where there is no last
+        answer, two descents without its terms: from where the first one ended, and from the table's
+        pose. The lower cost counts.
+        """
+        limits = self.straight_fingers.limits(self.hand.limits, goal.vectors[: len(places)])
+        lengths = jnp.asarray(self.correspondence.lengths, last.dtype)
+        corresponds = not is_off(self.config.correspondence.share)  # its places are within reach
+        table, possible = self.pose_table.nearest(places)
 
-        def descended(q: Array, free: Array) -> tuple[Array, Array]:
-            held = goal
-            # a search compares poses without regard to the last answer
-            if state.operator and goal.motion_weights is not None:
-                keep = jnp.where(free, 0.0, 1.0)
-                held = goal._replace(
-                    velocity_weight=keep * goal.velocity_weight,
-                    motion_weights=keep * goal.motion_weights,
-                )
-            return damped_newton(
+        def descent(before: _Descents) -> _Descents:
+            holds = jnp.where(before.done == 0, 1.0, 0.0)
+            held = goal._replace(velocity_weight=holds * goal.velocity_weight)
+            if goal.motion_weights is not None:
+                held = held._replace(motion_weights=holds * goal.motion_weights)
+            begin = jnp.where(before.done == 2, table, before.pose)
+            pose, cost = damped_newton(
                 lambda one: self.objective.value_grad_hess(one, held),
                 lambda few: self.objective.values(few, held),
-                q,
+                jnp.clip(begin, limits[:, 0], limits[:, 1]),
                 limits,
-                config.polish,
+                self.config.polish,
+            )
+            worse = (before.done == 2) & (cost >= before.cost)
+            off = self.motion.tips(pose) - places
+            excess = jnp.sqrt((off * off).sum(-1)) - possible
+            astray = restart | (corresponds & (excess > ASTRAY * lengths).any())
+            return _Descents(
+                before.done + 1,
+                jnp.where(worse, before.pose, pose),
+                jnp.where(worse, before.cost, cost),
+                (before.done == 1) | ((before.done == 0) & astray),
             )
 
-        rounds = jnp.where(clock.restart, config.settle_rounds, jnp.where(searches, 2, 0))
-        first = jnp.clip(state.solved, limits[:, 0], limits[:, 1])
-        return settled(sampled, descended, first, rounds, searches)
+        begin = _Descents(jnp.int32(0), last, jnp.float32(jnp.inf), jnp.bool_(True))
+        return lax.while_loop(lambda now: now.again, descent, begin).pose
 
 
 SMOOTH_TELEOP: Final = SmoothConfig()

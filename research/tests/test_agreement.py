@@ -1,0 +1,33 @@
+"""Runs of the default method that see the same last second agree, on real recordings."""
+
+from pathlib import Path
+
+import pytest
+
+from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
+
+MOST = {"mimic_p050": (3.0, 0.0), "allegro_hand": (20.0, 0.01), "wuji_hand": (15.0, 0.05)}
+"""Hand -> largest distance [mm] more than a second after a fault, and share of frames over 3 mm."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mimic_p050",
+        *(
+            pytest.param(name, marks=pytest.mark.weekly)
+            for name in ("shadow_hand", "orca_v2", "allegro_hand", "leap_hand", "wuji_hand")
+        ),
+    ],
+)
+def test_fast_fists_of_a_camera(name, shared, monkeypatch):
+    """Fists that close within four frames, seen by a tracker with 4 mm of noise."""
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+    import looks
+
+    recording = shared / "recordings" / "wilor_workspace_21x3.npz"
+    source = load_sources([parse_request(f"{recording}@30hz,camera,1100:1700")])[0]
+    largest, share = MOST.get(name, (4.0, 0.01))
+    for fault, (most, over) in looks.fault_rows("smooth", name, source.recording).items():
+        assert most <= largest, fault
+        assert over <= share, fault
