@@ -33,6 +33,7 @@ PLACES: Final[Mapping[str, Sequence[float]]] = {
     "correspondence.thumb_follows": (0.0, 0.1, 0.3, 1.0),
     "objective.targets.w_thumb": (4.0, 8.0, 20.0),
     "pinch_damping": (0.0, 30.0, 100.0, 300.0),
+    "direction_length.direction": (1.0, 1.5, 1.9, 3.0, 6.0),
 }
 """Setting -> values that trade posture for directions of the thumb."""
 STILLNESS: Final[Mapping[str, Sequence[float]]] = {

@@ -116,7 +116,9 @@ class SmoothConfig(ObjectiveMethodConfig):
     self_collision: SelfCollisionConfig = field(
         default_factory=lambda: SelfCollisionConfig(weight=12000.0, grip=0.001)
     )
-    direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
+    direction_length: DirectionLengthConfig = field(
+        default_factory=lambda: DirectionLengthConfig(direction=1.9)
+    )
     correspondence: CorrespondenceConfig = field(default_factory=CorrespondenceConfig)
     tracker_noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(acceleration=0.003))
     landmarks: LandmarkFilterConfig = field(
@@ -438,6 +440,7 @@ SMOOTH_PRECISE: Final = replace(
     ),
     motion_weight=1300.0,
     pinch_damping=0.0,
+    direction_length=DirectionLengthConfig(),
     self_collision=SelfCollisionConfig(),
 )
 """For the paper's metrics: the human's fingertips as the palms are aligned, and of them first the

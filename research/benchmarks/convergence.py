@@ -1,0 +1,101 @@
+"""How many starts about an answer of the default method end in one minimum, by Newton settings.
+
+    python research/benchmarks/convergence.py RECORDING --frames 1449 1517 1590
+        [--hand allegro_hand] [--starts 60]
+
+The recording is named as for ``smooth-operator bench``. The method runs up to each frame; then the
+frame's objective is descended from random starts with a standard deviation of 0.3 rad.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
+from smooth_operator.methods.frame import align_frame
+from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.program import tick_of
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.smooth import Smooth
+from smooth_operator.solvers.newton import STILL, NewtonConfig, damped_newton
+
+FIVE: Final = (0.0, 1.0, 30.0, 1000.0, 30000.0)
+NINE: Final = (0.0, 0.3, 1.0, 5.0, 30.0, 200.0, 1000.0, 6000.0, 30000.0)
+MANY: Final = (0.0, *np.logspace(-1, 5, 13).tolist())
+SETTINGS: Final = (
+    (NewtonConfig(6, FIVE), STILL),
+    (NewtonConfig(50, FIVE), STILL),
+    (NewtonConfig(50, NINE), STILL),
+    (NewtonConfig(200, MANY), 1e-5),
+)
+"""Dampings and iterations, and the step that ends a descent [rad]."""
+SPREAD: Final = 0.3
+SAME: Final = 0.05  # largest difference of a joint between ends in one minimum [rad]
+
+
+def descent(method: Smooth, newton: NewtonConfig, still: float) -> Callable[..., Any]:
+    """A compiled function of a start, state, landmarks, validity and ticks, to the end and cost."""
+
+    def run(start: Any, state: Any, landmarks: Any, valid: Any, ticks: Any) -> Any:
+        aligned = align_frame(method, method.config.alignment, landmarks, valid).aligned
+        _, _, goal, moves, places = method._observed(state, aligned, ticks)
+        tips, near, pose = method.rest_pose(state.solved, aligned, places, moves)
+        goal = goal._replace(tips=tips + moves, rest=pose, near=near)
+        limits = method.straight_fingers.limits(method.hand.limits, goal.vectors[: len(places)])
+        return damped_newton(
+            lambda one: method.objective.value_grad_hess(one, goal),
+            lambda few: method.objective.values(few, goal),
+            jnp.clip(start, limits[:, 0], limits[:, 1]),
+            limits,
+            newton,
+            still,
+        )
+
+    return jax.jit(run)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Prints a table: settings by frame, starts that end in the best minimum."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("recording")
+    parser.add_argument("--frames", type=int, nargs="+", required=True)
+    parser.add_argument("--hand", default="allegro_hand")
+    parser.add_argument("--starts", type=int, default=60)
+    options = parser.parse_args(arguments)
+    recording = load_sources([parse_request(options.recording)])[0].recording
+    assert recording is not None  # a recording that can't be read is an error before
+    hand = load_hand(options.hand)
+    method = method_config("smooth").build(hand)
+    assert isinstance(method, Smooth)
+    runs = [descent(method, *settings) for settings in SETTINGS]
+    retargeter, rng = Retargeter(hand), np.random.default_rng(0)
+    state, rows = retargeter.init(), []
+    for number, frame in enumerate(recording[: max(options.frames) + 1]):
+        before = state.method
+        state, result = retargeter.step(state, frame)
+        if number not in options.frames:
+            continue
+        noise = rng.normal(0.0, SPREAD, (options.starts, len(hand.limits)))
+        starts = np.clip(result.command.positions + noise, *hand.limits.T).astype(np.float32)
+        given = (before, np.float32(frame.landmarks), frame.valid, tick_of(frame.stamp or 0.0))
+        ends = [[run(start, *given) for start in starts] for run in runs]
+        poses = np.array([[np.asarray(q) for q, _ in one] for one in ends])
+        costs = np.array([[float(cost) for _, cost in one] for one in ends])
+        best = poses[np.unravel_index(costs.argmin(), costs.shape)]
+        rows.append((np.abs(poses - best).max(axis=-1) < SAME).sum(axis=1))
+    print("| dampings | iterations | " + " | ".join(map(str, sorted(options.frames))) + " |")
+    print("|---:|---:|" + "---:|" * len(rows))
+    for (newton, _), *ended in zip(SETTINGS, *rows, strict=True):
+        counts = " | ".join(map(str, ended))
+        print(f"| {len(newton.damping)} | {newton.iterations} | {counts} |")
+
+
+if __name__ == "__main__":
+    main()
