@@ -38,7 +38,7 @@ from smooth_operator import (
 HANDS = ("mimic_p050", "leap_hand")
 PRESETS = {
     "sbr": ("realtime", "paper"),
-    "smooth": ("teleop", "precise", "grasp"),
+    "smooth": ("teleop", "precise"),
     "joint_angle": ("default",),
     "keyvector": ("default", "vector", "position", "slsqp", "published"),
     "hybrid": ("default", "slsqp", "published"),

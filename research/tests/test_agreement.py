@@ -6,7 +6,7 @@ import pytest
 
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 
-MOST = {"mimic_p050": (3.0, 0.0), "allegro_hand": (20.0, 0.01), "wuji_hand": (15.0, 0.05)}
+MOST = {"mimic_p050": (3.0, 0.0), "allegro_hand": (20.0, 0.02), "wuji_hand": (15.0, 0.05)}
 """Hand -> largest distance [mm] more than a second after a fault, and share of frames over 3 mm."""
 
 
@@ -27,7 +27,7 @@ def test_fast_fists_of_a_camera(name, shared, monkeypatch):
 
     recording = shared / "recordings" / "wilor_workspace_21x3.npz"
     source = load_sources([parse_request(f"{recording}@30hz,camera,1100:1700")])[0]
-    largest, share = MOST.get(name, (4.0, 0.01))
+    largest, share = MOST.get(name, (6.0, 0.01))
     for fault, (most, over) in looks.fault_rows("smooth", name, source.recording).items():
         assert most <= largest, fault
         assert over <= share, fault

@@ -118,7 +118,7 @@ Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't
     the summary (docs/how-to/teleoperate.md)."""
 
     methods: Annotated[tuple[str, ...], arg(metavar="METHOD[:PRESET] ...")] = ()
-    """Further methods (sbr smooth:grasp) compiled before the loop starts, as --method is then: a
+    """Further methods (sbr smooth:precise) compiled before the loop starts, as --method is then: a
     switch then takes no time. Else the loop shows the hand and holds the robot while a method
     is compiled (docs/how-to/teleoperate.md)."""
 

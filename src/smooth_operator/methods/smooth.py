@@ -446,10 +446,6 @@ SMOOTH_PRECISE: Final = replace(
 """For the paper's metrics: the human's fingertips as the palms are aligned, and of them first the
 directions from the thumb. Fingers of other lengths than the human's stay bent in an open hand."""
 
-SMOOTH_GRASP: Final = replace(SMOOTH_TELEOP, pinch_damping=1000.0)
-"""For a live loop that handles objects: fingers that pinch hardly follow a slow motion of the
-human's, so that they do not roll out what they hold (docs/explanation/smooth.md)."""
-
 SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
     SMOOTH_PRECISE,
     replace(FUTURE, acceleration_weight=3e-8, motion_weight=0.35, motion_speed=0.15),
@@ -461,6 +457,5 @@ SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
 SMOOTH: Final = {
     "teleop": SMOOTH_TELEOP,
     "precise": SMOOTH_PRECISE,
-    "grasp": SMOOTH_GRASP,
     "offline": SMOOTH_OFFLINE,
 }

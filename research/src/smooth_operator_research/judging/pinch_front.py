@@ -2,9 +2,9 @@
 
     python -m smooth_operator_research.judging.pinch_front --data RECORDINGS
 
-Each row is a value of ``pinch_damping``, 100 that of the preset ``teleop`` and 1000 that of
-``grasp``, or another method. Columns are the measure *pinch and hold* and how far the hand follows
-the human, on each recording. Both presets were chosen on these recordings.
+Each row is a value of ``pinch_damping``, 100 that of the default, or another method. Columns are
+the measure *pinch and hold* and how far the hand follows the human, on each recording. The
+default's value was chosen on these recordings.
 """
 
 from __future__ import annotations
