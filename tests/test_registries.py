@@ -85,7 +85,7 @@ def test_help_imports_no_numerical_library():
 def test_the_summary_of_a_method_lists_its_presets():
     for name, entry in METHODS.built_in.items():
         listed = re.split(r",? or |, ", entry.summary)
-        named = [re.sub(r" for recordings$", "", each) for each in listed]
+        named = [each.removesuffix(" for recordings") for each in listed]
         assert [each for each in named if "file of a model" not in each] == list(PRESETS[name])
 
 

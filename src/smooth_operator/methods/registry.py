@@ -22,7 +22,7 @@ METHODS: Final = Registry(
         ),
         "smooth": Entry(
             "smooth_operator.methods.smooth:SMOOTH",
-            "teleop, precise, or offline",
+            "teleop, precise, or offline for recordings",
         ),
         "joint_angle": Entry(f"{_BASELINES}.joint_angle:JOINT_ANGLE_PRESETS", "default"),
         "keyvector": Entry(
