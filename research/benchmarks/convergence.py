@@ -23,16 +23,15 @@ from smooth_operator.methods.frame import align_frame
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.program import tick_of
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.smooth import Smooth
+from smooth_operator.methods.smooth import Smooth, SmoothConfig
 from smooth_operator.solvers.newton import STILL, NewtonConfig, damped_newton
 
 FIVE: Final = (0.0, 1.0, 30.0, 1000.0, 30000.0)
-NINE: Final = (0.0, 0.3, 1.0, 5.0, 30.0, 200.0, 1000.0, 6000.0, 30000.0)
 MANY: Final = (0.0, *np.logspace(-1, 5, 13).tolist())
 SETTINGS: Final = (
     (NewtonConfig(6, FIVE), STILL),
     (NewtonConfig(50, FIVE), STILL),
-    (NewtonConfig(50, NINE), STILL),
+    (SmoothConfig().polish, STILL),
     (NewtonConfig(200, MANY), 1e-5),
 )
 """Dampings and iterations, and the step that ends a descent [rad]."""
@@ -84,8 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             continue
         noise = rng.normal(0.0, SPREAD, (options.starts, len(hand.limits)))
         starts = np.clip(result.command.positions + noise, *hand.limits.T).astype(np.float32)
-        given = (before, np.float32(frame.landmarks), frame.valid, tick_of(frame.stamp or 0.0))
-        ends = [[run(start, *given) for start in starts] for run in runs]
+        inputs = (before, np.float32(frame.landmarks), frame.valid, tick_of(frame.stamp or 0.0))
+        ends = [[run(start, *inputs) for start in starts] for run in runs]
         poses = np.array([[np.asarray(q) for q, _ in one] for one in ends])
         costs = np.array([[float(cost) for _, cost in one] for one in ends])
         best = poses[np.unravel_index(costs.argmin(), costs.shape)]
