@@ -389,7 +389,7 @@ def test_without_a_wrist_there_is_no_command():
     [
         ({"scale": 0.0}, "scale must be positive"),
         ({"velocity": -1.0}, "velocity must be positive"),
-        ({"yaw": math.nan}, "yaw must be an angle"),
+        ({"yaw": math.nan}, r"yaw must be -1e\+09 to 1e\+09"),
         ({"low": (0.0, 0.0, 2.0)}, "low below high"),
         ({"home": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)}, "unit quaternion"),
     ],

@@ -257,7 +257,7 @@ def test_messages_that_cannot_be_read_are_left_out(session):
         ({"joints": JOINTS, "offsets": {"indx": 2}}, "'indx' is none of"),
         ({"joints": JOINTS, "ends": {"index_mcp": [0, 1]}}, "signs and offsets"),
         ({"left_joints": JOINTS}, "side=both"),
-        ({"hold_s": -1.0}, "hold_s must not be negative"),
+        ({"hold_s": -1.0}, r"hold_s must be 0 to 1e\+09, not -1"),
     ],
 )
 def test_a_wrong_setting_is_refused(plugin, settings, message):

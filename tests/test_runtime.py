@@ -1,8 +1,11 @@
 """Policies, limits and one hand's steps, on a clock that the test turns; no sleeping."""
 
+import dataclasses
 import itertools
+import math
 import warnings
 from dataclasses import replace
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -13,6 +16,8 @@ from smooth_operator.io.anatomy import FEWEST_FRAMES
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.methods.frame import RetargetState
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.components import SINKS, SOURCES, build_component
+from smooth_operator.teleop.hardware.guard import GuardSettings
 from smooth_operator.teleop.runtime import statistics as run_statistics
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.pipeline import (
@@ -23,7 +28,12 @@ from smooth_operator.teleop.runtime.pipeline import (
     finger_curl,
     implausible,
 )
-from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
+from smooth_operator.teleop.runtime.settings import (
+    LimitsConfig,
+    LoopConfig,
+    SafetyConfig,
+    WristConfig,
+)
 from smooth_operator.teleop.runtime.statistics import LoopStatistics, TrackerDelay, percentiles
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival
@@ -81,11 +91,28 @@ def test_a_margin_that_leaves_nothing_is_refused(hand):
         lambda: SafetyConfig(blend_s=-1),
         lambda: LimitsConfig(velocity=0),
         lambda: LoopConfig(rate=0.1),
+        lambda: WristConfig(high=(math.inf, 1.0, 1.0)),
     ],
 )
 def test_impossible_settings_are_refused(make):
     with pytest.raises(ConfigError):
         make()
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 1e300])
+def test_a_setting_is_a_finite_number(value):
+    """Infinity as "no limit" made every command NaN."""
+    for kind in (SafetyConfig, LimitsConfig, WristConfig, LoopConfig, GuardSettings):
+        for field in dataclasses.fields(kind):
+            if isinstance(field.default, float):
+                with pytest.raises(ConfigError, match=field.name):
+                    kind(**{field.name: value})
+    for parts in (SOURCES, SINKS):
+        for word in parts:
+            hints = get_type_hints(parts.load(word))
+            for name in (name for name, hint in hints.items() if float in (hint, *get_args(hint))):
+                with pytest.raises(ConfigError, match=name):
+                    build_component(parts, f"{word}:{name}={value}")
 
 
 def arrived(frame: HandFrame, at: float, session: int = 0, **changes: object) -> Arrival:

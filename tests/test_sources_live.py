@@ -161,7 +161,7 @@ def test_a_class_of_ones_own_is_named_by_its_module():
         ("part:x,sped=2", UnknownNameError, "Did you mean 'speed'?"),
         ("part:x,2", UnknownNameError, "'2'"),
         ("part:x,where=y", ConfigError, "'where' twice"),
-        ("part:x,speed=fast", ConfigError, "speed must be a number, not 'fast'"),
+        ("part:x,speed=fast", ConfigError, "speed must be a number up to 1e+09, not 'fast'"),
         ("part:x,loop=perhaps", ConfigError, "true or false"),
         ("part:x,many=1.5", ConfigError, "a whole number"),
         ("part:x,side=both", ConfigError, "right or left"),

@@ -18,6 +18,7 @@ from lerobot_robot_smooth_hand.hand_port import FACTORS, HandPort
 from lerobot_robot_smooth_hand.wrist_port import KINDS
 from smooth_operator.errors import require
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.settings import check_numbers
 from smooth_operator.signals import ended_by_signals
 from smooth_operator.teleop.arm.settings import read_arm
 from smooth_operator.teleop.components import build_sink
@@ -196,6 +197,7 @@ def _hand_ports(config: SmoothHandConfig, arms: dict[Side, ArmOfHand]) -> list[H
         value = getattr(config, name)
         if value not in known:
             raise ValueError(f"{name} must be one of {', '.join(known)}, not {value!r}")
+    check_numbers(config, positive=("velocity", "acceleration"), not_negative=("stale_s",))
     if not config.sinks:
         raise ValueError("sinks: name at least one, such as mujoco")
     sides = ("right", "left") if config.side == "both" else (config.side,)

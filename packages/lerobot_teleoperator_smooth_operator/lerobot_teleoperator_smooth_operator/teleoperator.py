@@ -16,6 +16,7 @@ from lerobot_teleoperator_smooth_operator.config_smooth_operator import SmoothOp
 from lerobot_teleoperator_smooth_operator.following import Follower, PoseFollower, rotation_6d
 from lerobot_teleoperator_smooth_operator.joint_keys import JointKey, check_names, joint_keys
 from lerobot_teleoperator_smooth_operator.subscription import Feed, InProcess, Subscription
+from smooth_operator.settings import check_numbers
 
 logger = logging.getLogger(__name__)
 
@@ -338,9 +339,7 @@ def _hands(config: SmoothOperatorConfig) -> list[_HandActions]:
         raise ValueError(f"side must be right, left or both, not {config.side!r}")
     if config.wrist not in _POSE_KEYS:
         raise ValueError(f"wrist must be one of {', '.join(_POSE_KEYS)}, not {config.wrist!r}")
-    for name in ("timeout_s", "hold_s"):
-        if not getattr(config, name) >= 0.0:
-            raise ValueError(f"{name} must not be negative, not {getattr(config, name)}")
+    check_numbers(config, not_negative=("timeout_s", "hold_s"))
     left = config.left_joints or config.joints
     named = {**config.joints, **{f"{name} (left)": key for name, key in left.items()}}
     about: dict[str, Mapping[str, object]] = {

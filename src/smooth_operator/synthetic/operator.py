@@ -10,6 +10,7 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.poses import WRIST_AXES, axes, to_ours
+from smooth_operator.settings import check_range
 from smooth_operator.synthetic.gestures import GESTURES, Programme
 from smooth_operator.synthetic.hand_anatomy import (
     JOINTS,
@@ -24,7 +25,6 @@ from smooth_operator.synthetic.tracker import (
     TrackerModel,
     TrackerStream,
     WristMotion,
-    check_range,
     check_seed,
 )
 from smooth_operator.types import HandFrame, HandRecording, Side, as_side

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 from dataclasses import dataclass
 
@@ -12,6 +11,7 @@ from jaxtyping import Bool, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.poses import from_rotation_vectors
+from smooth_operator.settings import LARGEST, check_range
 
 _POINTS = NUM_LANDMARKS + 4  # the metacarpal bases are measured too
 
@@ -51,12 +51,12 @@ class TrackerModel:
 
     def __post_init__(self) -> None:
         check_range("tracker noise", self.noise, 0.0, 0.05, "m")
-        check_range("tracker noise_time", self.noise_time, 0.0, math.inf, "s")
+        check_range("tracker noise_time", self.noise_time, 0.0, LARGEST, "s")
         check_range("tracker rate_jitter", self.rate_jitter, 0.0, 0.45)
         check_range("tracker frame_loss", self.frame_loss, 0.0, 0.9)
-        check_range("tracker frame_loss_burst", self.frame_loss_burst, 0.0, math.inf, "s")
+        check_range("tracker frame_loss_burst", self.frame_loss_burst, 0.0, LARGEST, "s")
         check_range("tracker landmark_loss", self.landmark_loss, 0.0, 0.9)
-        check_range("tracker landmark_loss_burst", self.landmark_loss_burst, 0.0, math.inf, "s")
+        check_range("tracker landmark_loss_burst", self.landmark_loss_burst, 0.0, LARGEST, "s")
         check_seed("tracker seed", self.seed)
 
 
@@ -149,22 +149,6 @@ class _Bursts:
                 lost[k] = self._lost
                 self._lost = np.where(self._lost, draws[k] >= self._recover, draws[k] < self._lose)
         return lost
-
-
-def check_range(name: str, value: float, least: float, most: float, unit: str = "") -> None:
-    """Refuse a number outside ``least`` to ``most``, or NaN.
-
-    Raises:
-        ConfigError: the number is refused; names the setting, its range and the number.
-    """
-    if not least <= value <= most:
-        unit = f" {unit}" if unit else ""
-        bounds = (
-            f"{least:g} to {most:g}" if math.isfinite(most) else f"finite and from {least:g} on"
-        )
-        raise ConfigError(f"{name} must be {bounds}{unit}, not {value!r}")
-    if not math.isfinite(value):
-        raise ConfigError(f"{name} must be finite, not {value!r}")
 
 
 def check_seed(name: str, value: int) -> None:

@@ -23,6 +23,7 @@ from typing import (
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.plugins import Entry, Registry
+from smooth_operator.settings import LARGEST
 
 if TYPE_CHECKING:
     from smooth_operator.teleop.sinks.sink import Sink
@@ -135,6 +136,8 @@ def _as(text: str, hint: Any) -> Any:
         if text.lower() not in (*_TRUE, *_FALSE):
             raise ValueError(text)
         return text.lower() in _TRUE
+    if hint is float and not abs(float(text)) <= LARGEST:
+        raise ValueError(text)
     if hint in (int, float, str, Path):
         return hint(text)
     raise ValueError(text)
@@ -143,7 +146,12 @@ def _as(text: str, hint: Any) -> Any:
 def _named(hint: Any) -> str:
     if get_origin(hint) is Literal:
         return " or ".join(map(str, get_args(hint)))
-    names = {int: "a whole number", float: "a number", bool: "true or false", Path: "a path"}
+    names = {
+        int: "a whole number",
+        float: f"a number up to {LARGEST:g}",
+        bool: "true or false",
+        Path: "a path",
+    }
     return names.get(hint, "a text")
 
 

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.settings import check_numbers
 from smooth_operator.simulation.arms.arm import (
     BASE,
     FLANGE,
@@ -74,6 +75,10 @@ class ClearanceConfig:
     wall: float = 0.02
     horizon: float = 0.3
     approach: float = 4.0
+
+    def __post_init__(self) -> None:
+        distances = ("parts", "table", "fingers", "wall", "horizon")
+        check_numbers(self, "arm: ", positive=("approach",), not_negative=distances)
 
 
 class Clearance(mink.Limit):
@@ -348,13 +353,13 @@ class ArmControlConfig:
     clearance: ClearanceConfig = field(default_factory=ClearanceConfig)
 
     def __post_init__(self) -> None:
-        positive = (
-            "speed", "turn", "acceleration", "turn_acceleration", "joint_speed", "orientation",
-            "singular",
+        check_numbers(
+            self,
+            "arm: ",
+            positive=("speed", "turn", "acceleration", "turn_acceleration", "joint_speed",
+                      "orientation", "singular"),
+            not_negative=("margin", "posture", "damping"),
         )  # fmt: skip
-        for name in positive:
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"arm: {name} must be positive, not {getattr(self, name)}")
         if not 0 < self.velocity_share <= 1:
             raise ConfigError(
                 f"arm: velocity_share must be above 0 and up to 1, not {self.velocity_share}"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.settings import LARGEST, check_numbers, check_range
 
 
 @dataclass(frozen=True)
@@ -35,12 +36,12 @@ class SafetyConfig:
     watchdog_s: float = 0.2
 
     def __post_init__(self) -> None:
-        for name in ("stale_s", "ease_velocity", "watchdog_s"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"safety: {name} must be positive, not {getattr(self, name)}")
-        for name in ("blend_s", "restart_s"):
-            if not getattr(self, name) >= 0:
-                raise ConfigError(f"safety: {name} must not be negative, not {getattr(self, name)}")
+        check_numbers(
+            self,
+            "safety: ",
+            positive=("stale_s", "lost_s", "ease_velocity", "watchdog_s"),
+            not_negative=("blend_s", "restart_s"),
+        )
         if not self.lost_s >= self.stale_s:
             raise ConfigError(
                 f"safety: lost_s must not be below stale_s, not {self.lost_s} < {self.stale_s}"
@@ -62,11 +63,9 @@ class LimitsConfig:
     margin: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (self.velocity > 0 and self.acceleration > 0 and self.margin >= 0):
-            raise ConfigError(
-                "limits: velocity and acceleration must be positive and margin not negative, not "
-                f"{self.velocity}, {self.acceleration} and {self.margin}"
-            )
+        check_numbers(
+            self, "limits: ", positive=("velocity", "acceleration"), not_negative=("margin",)
+        )
 
 
 @dataclass(frozen=True)
@@ -99,11 +98,15 @@ class WristConfig:
     home: tuple[float, float, float, float, float, float, float] = (0.4, 0, 0.4, 1, 0, 0, 0)
 
     def __post_init__(self) -> None:
-        for name in ("scale", "velocity", "acceleration", "turn_velocity", "turn_acceleration"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ConfigError(f"wrist: {name} must be positive, not {getattr(self, name)}")
-        if not math.isfinite(self.yaw):
-            raise ConfigError(f"wrist: yaw must be an angle in radians, not {self.yaw}")
+        check_numbers(
+            self,
+            "wrist: ",
+            positive=("scale", "velocity", "acceleration", "turn_velocity", "turn_acceleration"),
+            finite=("yaw",),
+        )
+        for corner in (self.low, self.high):
+            for value in corner:
+                check_range("wrist: x, y and z of low and high", value, -LARGEST, LARGEST, "m")
         corners = len(self.low) == len(self.high) == 3
         if not (corners and all(map(operator.lt, self.low, self.high))):
             raise ConfigError(
@@ -134,8 +137,7 @@ class LoopConfig:
     wrist: WristConfig = WristConfig()
 
     def __post_init__(self) -> None:
-        if not 1.0 <= self.rate <= 1000.0:
-            raise ConfigError(f"rate must be between 1 and 1000 Hz, not {self.rate}")
+        check_range("rate", self.rate, 1.0, 1000.0, "Hz")
 
     @property
     def period(self) -> float:

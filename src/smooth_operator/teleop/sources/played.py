@@ -16,7 +16,7 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.synthetic.gestures import GESTURES
 from smooth_operator.synthetic.operator import SyntheticOperator
-from smooth_operator.synthetic.tracker import TrackerModel, WristMotion, check_range
+from smooth_operator.synthetic.tracker import TrackerModel, WristMotion
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource, on_time
 from smooth_operator.teleop.sources.stream import Hands, sides_of
 from smooth_operator.types import HandFrame, HandRecording, Side

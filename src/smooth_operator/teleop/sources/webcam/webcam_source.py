@@ -15,6 +15,7 @@ import numpy as np
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.checks import check_recording
 from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.settings import check_numbers
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.teleop.sources.webcam.camera import Camera, VideoFile
 from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig, PictureTracker
@@ -60,9 +61,7 @@ class Webcam(_Pictures):
         super().__post_init__()
         if isinstance(self.camera, int) and self.camera < 0:
             raise ConfigError(f"camera must not be negative, but is {self.camera}")
-        for name in ("width", "height", "rate"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{name} must be positive, not {getattr(self, name)}")
+        check_numbers(self, positive=("width", "height", "rate"))
 
     @property
     def label(self) -> str:

@@ -27,7 +27,7 @@ from urllib.parse import urlsplit
 from smooth_operator.errors import MissingExtraError, SourceError
 from smooth_operator.landmarks import FINGER_COLORS
 from smooth_operator.own_files import OFF, SWITCH, make_private, read_own_file, user_cache
-from smooth_operator.synthetic.tracker import check_range
+from smooth_operator.settings import check_range
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.teleop.sources.webxr.link import (
     MAX_BYTES,
