@@ -1,7 +1,8 @@
 """A simulated LinkerHand L10 or L20 on a CAN bus: frames of a property byte and up to seven values.
 
-Written from the published frame list; it shares no code with the driver. The bus is python-can's
-virtual one, which carries frames between two bus objects of one process.
+Written from the published frame list; it shares no code with the driver. The identifiers are those
+of the maker's SDK, whose enumeration of sides has LEFT = 0x28 and RIGHT = 0x27. The bus is
+python-can's virtual one, which carries frames between two bus objects of one process.
 """
 
 import threading
@@ -19,13 +20,16 @@ LAYOUT: Final = {
 """Property byte -> motors of its values; None is a value without motor."""
 
 
+IDENTIFIERS: Final = {"left": 0x28, "right": 0x27}
+
+
 class LinkerHand:
     """The hand on the bus: it takes position frames and answers each with where the motors are."""
 
-    def __init__(self, channel: str, model: str, identifier: int = 0x28) -> None:
+    def __init__(self, channel: str, model: str, side: str = "right") -> None:
         import can
 
-        self.model, self.identifier = model, identifier
+        self.model, self.identifier = model, IDENTIFIERS[side]
         self.layout = LAYOUT[model]
         motors = 10 if model == "l10" else 16
         self.servos = Servos([255.0] * motors, speed=2500.0, lower=0.0, upper=255.0)

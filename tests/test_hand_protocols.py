@@ -113,7 +113,7 @@ def test_linker_frames(monkeypatch):
     import can
 
     wire = channel()
-    hand = LinkerHand(wire, "l20", identifier=0x27)
+    hand = LinkerHand(wire, "l20", side="left")
     spy = can.Bus(interface="virtual", channel=wire)
     device = LinkerDevice(table("linker_l20_left", speed=120), f"virtual:{wire}", "l20")
     try:
@@ -121,7 +121,7 @@ def test_linker_frames(monkeypatch):
         device.write(np.arange(16) * 10.0)
         seen = []
         while (frame := spy.recv(timeout=0.05)) is not None:
-            assert frame.arbitration_id == 0x27
+            assert frame.arbitration_id == 0x28
             seen.append(bytes(frame.data).hex())
         for expected in ("010 00a141e28", "02323c46505a", "036400000000", "046e78828c96"):
             assert expected.replace(" ", "") in seen
@@ -138,8 +138,30 @@ def test_linker_frames(monkeypatch):
         hand.close()
     monkeypatch.setattr("smooth_operator.teleop.hardware.drivers.linker._TIMEOUT", 0.1)
     right = LinkerDevice(table("linker_l20_right"), f"virtual:{wire}", "l20")
-    with pytest.raises(SinkError, match="not a left hand, whose identifier is 0x27"):
+    with pytest.raises(SinkError, match="not a left hand, whose identifier is 0x28"):
         right.open()
+
+
+@pytest.mark.parametrize(("side", "identifier"), [("left", 0x28), ("right", 0x27)])
+@pytest.mark.parametrize("model", ["l10", "l20"])
+def test_linker_identifiers_are_those_of_the_makers_sdk(model, side, identifier):
+    """The maker's enumeration of sides: LEFT = 0x28, RIGHT = 0x27."""
+    needs("linker-l20")
+    import can
+
+    wire = channel()
+    hand = LinkerHand(wire, model, side)
+    spy = can.Bus(interface="virtual", channel=wire)
+    device = LinkerDevice(table(f"linker_{model}_{side}"), f"virtual:{wire}", model)
+    try:
+        device.open()
+        frame = spy.recv(timeout=1.0)
+        assert frame is not None
+        assert frame.arbitration_id == identifier
+    finally:
+        device.close()
+        spy.shutdown()
+        hand.close()
 
 
 def test_linker_answers_from_before_a_command_are_not_taken_for_answers_to_it(monkeypatch):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from numbers import Real
 from typing import Final
 
 from smooth_operator.errors import ConfigError
@@ -48,7 +47,7 @@ def check_range(name: str, value: object, low: float, high: float, unit: str = "
     Raises:
         ConfigError: the number is refused; names the setting, its range and the number.
     """
-    if isinstance(value, Real) and not low <= value <= high:
+    if isinstance(value, int | float) and not low <= value <= high:
         unit = f" {unit}" if unit else ""
         raise ConfigError(f"{name} must be {low:g} to {high:g}{unit}, not {value}")
 
@@ -77,7 +76,7 @@ def check_numbers(
     """
     for name in positive:
         value = getattr(config, name)
-        if isinstance(value, Real) and not 0 < value <= LARGEST:
+        if isinstance(value, int | float) and not 0 < value <= LARGEST:
             raise ConfigError(
                 f"{prefix}{name} must be positive and at most {LARGEST:g}, not {value}"
             )

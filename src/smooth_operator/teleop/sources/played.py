@@ -14,6 +14,7 @@ import numpy as np
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.io.anatomy import layout_order
+from smooth_operator.settings import check_range
 from smooth_operator.synthetic.gestures import GESTURES
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.synthetic.tracker import TrackerModel, WristMotion

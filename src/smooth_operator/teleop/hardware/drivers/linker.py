@@ -1,7 +1,7 @@
 """Driver of the LinkerHand L10 and L20 on a CAN bus.
 
-Facts of the protocol, from the maker's SDK as published: frames with an 11-bit identifier, 0x28 for
-a right hand and 0x27 for a left one, at 1 Mbit/s. The first byte says what the frame is about, the
+Facts of the protocol, from the maker's SDK as published: frames with an 11-bit identifier, 0x27 for
+a right hand and 0x28 for a left one, at 1 Mbit/s. The first byte says what the frame is about, the
 others are one value from 0 to 255 per motor; most motors are open at 255. A frame of positions sets
 them, and the hand answers with where the motors are; without values it only answers. L10: six
 motors in 0x01, four in 0x04; speed 0x05 and 0x06, torque 0x02 and 0x03, temperatures 0x33 and 0x34,
@@ -66,7 +66,10 @@ MODELS: Final = {
 """Name of a model -> its frames."""
 
 _FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
-_IDENTIFIERS: Final = {"right": 0x28, "left": 0x27}
+_IDENTIFIERS: Final = {"right": 0x27, "left": 0x28}
+"""Identifier of the frames by the hand's side, as the maker's code chooses it: its C++ header
+(enumeration of sides), its Python SDK (constructor) and its package ``linkerbot-py``. One name of a
+variable in the maker's file of the L20 says the opposite."""
 _SPEED: Final = 250
 """Speed unless the table says another one: not 255, which a hand may have after a restart, so that
 one is noticed."""
