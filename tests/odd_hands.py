@@ -194,6 +194,105 @@ def pincer_with_a_wide_thumb() -> Drawing:
     return drawing
 
 
+def _four_fingers(
+    drawing: Drawing, *, apart: float = 0.02, limits: tuple[float, float] = (-0.1, 1.6)
+) -> None:
+    """A thumb and four fingers of two joints, the last of which follows the first."""
+    out = np.array([0.8, 0.0, 0.6])
+    drawing.finger(
+        "t",
+        np.array([0.03, -0.012, 0.02]),
+        [(0 * X, -Z, (-0.2, 1.6)), (0.016 * out, -Y, limits), (0.035 * out, -Y, limits)],
+        0.03 * out,
+        follow={2: (1, 0.8)},
+    )
+    for k, name in enumerate("abcd"):
+        drawing.finger(
+            name,
+            np.array([(1.5 - k) * apart, 0.0, 0.09]),
+            [(0 * X, X, limits), (0.042 * Z, X, limits)],
+            0.036 * Z,
+            follow={1: (0, 0.9)},
+        )
+
+
+def _bar(drawing: Drawing, name: str, parent: str, place: Vector, steps: list[Step]) -> None:
+    """A chain that is no finger."""
+    drawing.finger(f"bar_{name}", place, steps, 0.014 * Z, parent=parent)
+    drawing.tips.pop()
+    drawing.parts[-len(steps) :] = [
+        replace(part, joint=f"bar_{name}{k}_j")
+        for k, part in enumerate(drawing.parts[-len(steps) :])
+    ]
+
+
+def fingers_of_sliders_and_rods() -> Drawing:
+    """A cylinder and a rod move each finger, a rod its last link; pins have no real limits."""
+    drawing = Drawing("handplate", [palm("handplate")])
+    full = (-3.14159, 3.14159)
+    _four_fingers(drawing, limits=full)
+    for k, name in enumerate("abcd"):
+        place = np.array([(1.5 - k) * 0.02, 0.008, 0.06])
+        _bar(
+            drawing,
+            f"{name}s",
+            drawing.palm,
+            place,
+            [(0 * X, Z, (0.0, 0.019)), (0.012 * Z, X, full)],
+        )
+        _bar(
+            drawing,
+            f"{name}r",
+            drawing.palm,
+            place + np.array([0, -0.002, 0.03]),
+            [(0 * X, X, full)],
+        )
+        cylinder = next(p for p in drawing.parts if p.name == f"bar_{name}s0")
+        drawing.parts[drawing.parts.index(cylinder)] = replace(cylinder, slide=True)
+    _bar(drawing, "tr", "t1", np.array([0.006, 0.0, 0.01]), [(0 * X, -Y, full)])
+    return drawing
+
+
+def behind_a_wrist_with_a_bar() -> Drawing:
+    """Fingers close together behind a wrist of two joints, and a bar of the wrist's drive."""
+    base = Part("forearm", None, np.zeros(3), end=0.05 * Z, radius=0.02)
+    pitch = Part("wrist0", "forearm", 0.08 * Z, axis=X, joint="arm0_j", limits=(-0.6, 0.6))
+    plate = palm("plate", parent="wrist0")
+    plate = replace(plate, position=0.03 * Z, axis=Y, joint="arm1_j", limits=(-0.5, 0.5))
+    drawing = Drawing("plate", [base, pitch, plate])
+    _four_fingers(drawing, apart=0.015)
+    _bar(drawing, "w", "forearm", 0.08 * Z, [(0 * X, Y, (-0.5, 0.7))])
+    return drawing
+
+
+def four_bar_gripper() -> Drawing:
+    """Two fingers of one motor, each with an inner bar that follows it."""
+    drawing = Drawing("gripper", [palm("gripper", 0.7)])
+    for name, sign in (("t", 1.0), ("a", -1.0)):
+        drawing.finger(
+            name,
+            np.array([0.03 * sign, 0.0, 0.06]),
+            [(0 * X, -sign * Y, (-0.1, 0.8)), (0.04 * Z + 0.02 * sign * X, sign * Y, (-0.1, 0.8))],
+            0.04 * Z,
+            follow={1: (0, 1.0)},
+        )
+        _bar(drawing, name, "gripper", np.array([0.012 * sign, 0.0, 0.066]),
+             [(0 * X, -sign * Y, (-0.1, 0.8))])  # fmt: skip
+    led = {"a0_j": 1.0, "a1_j": 1.0, "bar_t0_j": 1.0, "bar_a0_j": 1.0}
+    drawing.parts = [
+        replace(p, mimic=("t0_j", led[p.joint], 0.0)) if p.joint in led else p
+        for p in drawing.parts
+    ]
+    bars = [p.name for p in drawing.parts if p.name.startswith("bar")]
+    drawing.parts = [
+        replace(p, end=0.05 * Z + 0.02 * (1 if p.position[0] > 0 else -1) * X)
+        if p.name in bars
+        else p
+        for p in drawing.parts
+    ]
+    return drawing
+
+
 def tendon_text(model: Model, text: str) -> str:
     """The MJCF with its equalities as tendons of one actuator each, and a motor on all the rest."""
     led = {p.mimic[0]: (p.joint, p.mimic[1]) for p in model.parts if p.mimic}

@@ -7,12 +7,13 @@ import mujoco
 import numpy as np
 import odd_hands
 import pytest
-from discovery_hands import Model, Part, mjcf, urdf
+from discovery_hands import Model, Part, make_hand, mjcf, urdf
 
+from smooth_operator.errors import HandModelError
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
 from smooth_operator.lab.discovery import Discovery, discover
-from smooth_operator.lab.discovery.landmarks import SURE, UNSURE
+from smooth_operator.lab.discovery.landmarks import SURE, UNSURE, Overrules
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -52,8 +53,10 @@ def check(found: Discovery, model: Model) -> None:
     assert [f.tip_body for f in found.fingers] == [body for body, _ in model.truth.tips]
     assert tip_errors(found, model).max() < 3e-3
     hand = load_hand_spec(found.spec)
-    assert set(hand.joint_names) == {
-        p.joint for p in model.parts if p.joint and not p.joint.startswith("arm")
+    moved = {j for f in found.fingers for j in f.joints}
+    assert moved <= set(hand.joint_names)
+    assert moved == {
+        p.joint for p in model.parts if p.joint and not p.joint.startswith(("arm", "bar"))
     }
     assert np.isfinite(hand.landmark_positions(hand.neutral)).all()
 
@@ -123,3 +126,84 @@ def test_a_hand_of_tendons_on_an_arm(tmp_path, side):
     assert all(c.confidence < SURE for c in found.coupled)  # how they share is not in the file
     hand = load_hand_spec(found.spec)
     assert len(hand.actuated) == 4 + 4 * 3
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(
+    "draw",
+    [
+        odd_hands.fingers_of_sliders_and_rods,
+        odd_hands.behind_a_wrist_with_a_bar,
+        odd_hands.four_bar_gripper,
+    ],
+)
+def test_bars_of_a_linkage_are_no_fingers_and_cost_none(tmp_path, draw, seed, side):
+    """Every finger is found, no bar is one, and a note names what was left out."""
+    model = draw().model(side, seed)
+    gripper = draw is odd_hands.four_bar_gripper
+    found = found_in(tmp_path, urdf(model.parts), **{"side": side} if gripper else {})
+    tips = [f.tip_body for f in found.fingers]
+    if gripper:  # either of its two fingers may be the thumb
+        assert sorted(tips) == sorted(body for body, _ in model.truth.tips)
+    else:
+        check(found, model)
+    joints = {p.joint for p in model.parts if p.joint.startswith("bar")}
+    assert not joints & {joint for finger in found.fingers for joint in finger.joints}
+    ends = [p.name for p in model.parts if p.name.startswith("bar")]
+    ends = [name for name in ends if not any(p.parent == name for p in model.parts)]
+    (note,) = (n for n in found.notes if n.startswith("left out: "))
+    assert all(repr(name) in note for name in ends)
+    assert sure(found, "palm") < SURE
+
+
+def test_a_chain_that_was_left_out_is_a_finger_if_it_is_named(tmp_path):
+    model = odd_hands.four_bar_gripper().model("right", 0)
+    path = tmp_path / "model.urdf"
+    path.write_text(urdf(model.parts))
+    named = discover(path, overrules=Overrules(thumb="t0", fingers=(("pinky", "bar_t0"),)))
+    assert [f.tip_body for f in named.fingers if f.name == "pinky"] == ["bar_t0"]
+
+
+def test_a_piece_of_a_finger_is_no_hand(tmp_path):
+    """A palm with too many chains is refused with their names, whatever branches inside one."""
+    drawing = odd_hands.curled_at_zero()
+    for k in range(2):  # two more fingers
+        finger = [p for p in drawing.parts if p.name.startswith("Klein")]
+        drawing.parts += [
+            replace(
+                p,
+                name=f"more{k}{p.name}",
+                joint=f"more{k}{p.joint}",
+                parent=p.parent if p.parent == drawing.palm else f"more{k}{p.parent}",
+                position=p.position - 0.02 * (k + 1) * odd_hands.X * (p.parent == drawing.palm),
+            )
+            for p in finger
+            if not p.name.startswith("more")
+        ]
+    fork = next(p for p in drawing.parts if p.name == "Daumen2")
+    for k, x in enumerate((0.01, -0.01)):
+        drawing.parts.append(
+            Part(f"fork{k}", fork.name, np.array([x, 0.0, 0.02]), axis=odd_hands.X,
+                 joint=f"fork{k}_j", limits=(-0.5, 0.5), end=np.array([0.0, 0.0, 0.02]))
+        )  # fmt: skip
+    with pytest.raises(HandModelError, match=r"Zeige3.*more than the fingers of a hand"):
+        found_in(tmp_path, urdf(drawing.model("right", 0).parts))
+
+
+def test_a_finger_whose_joints_lack_limits_is_not_lost(tmp_path):
+    model = make_hand(3)
+    lost = model.truth.tips[-1][0]
+    names, parts = {lost}, {p.name: p for p in model.parts}
+    while (above := parts[lost].parent) != model.truth.palm:
+        names.add(lost := above)
+    text = urdf(model.parts)
+    for name in names:
+        text = text.replace(f'name="{parts[name].joint}" type="revolute"',
+                            f'name="{parts[name].joint}" type="continuous"')  # fmt: skip
+    with pytest.raises(HandModelError, match=r"turns without limits.*--palm palm"):
+        found_in(tmp_path, text)
+    (tmp_path / "model.urdf").write_text(text)
+    found = discover(tmp_path / "model.urdf", overrules=Overrules(palm="palm"))
+    assert len(found.fingers) == 4
+    assert any("turns without limits" in note for note in found.notes)

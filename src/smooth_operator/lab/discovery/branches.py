@@ -5,7 +5,7 @@ A fingertip is a site or tip link where there is one, else the far end of the la
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -22,6 +22,9 @@ _SPREAD: Final = 3.0  # between finger bases, in finger lengths; a palm is small
 _UNLIKE: Final = 6.0  # longest over shortest finger
 _SHARED: Final = 2  # joints of the palm itself that two fingers may have in common
 _STRAY: Final = 0.4  # of the median length, below which a single joint is no finger (a switch)
+_BESIDE: Final = 0.08  # of the length, between the planes in which two parallel fingers bend
+_REACHES: Final = 0.5  # of the length, from the end of a bar to the finger that it moves
+_FINGER_SIZE: Final = 0.5  # of the median length, from which a chain of two joints may be a finger
 
 
 @dataclass(frozen=True)
@@ -53,12 +56,27 @@ class Chain:
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """A chain that was not taken for a finger.
+
+    Attributes:
+        last: its last moving body.
+        why: the reason.
+        doubtful: True if it has the joints and the length of a finger.
+    """
+
+    last: int
+    why: str
+    doubtful: bool = False
+
+
+@dataclass(frozen=True)
 class HandTree:
     """A palm and its fingers, in no order; ``left_out`` are chains that are none."""
 
     palm: int
     chains: tuple[Chain, ...]
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
 
 
 class Branches:
@@ -66,10 +84,12 @@ class Branches:
 
     Args:
         skeleton: the model.
+        fingers: bodies or joints of chains that are fingers, whatever they look like.
     """
 
-    def __init__(self, skeleton: Skeleton) -> None:
+    def __init__(self, skeleton: Skeleton, fingers: tuple[str, ...] = ()) -> None:
         self._skeleton = skeleton
+        self._fingers = fingers
         self._rest = skeleton.place(skeleton.reference)
         self.reasons: list[str] = []
         """Why a branching body was not taken for a palm."""
@@ -99,11 +119,8 @@ class Branches:
             )
         return tuple(hands)
 
-    def at(self, palm: str, fingers: tuple[str, ...] = ()) -> HandTree:
-        """The hand of a palm that is given.
-
-        Args:
-            fingers: bodies or joints of fingers, to choose from more than five.
+    def at(self, palm: str) -> HandTree:
+        """The hand of a palm that is given. Of more than five chains, those of the given fingers.
 
         Raises:
             UnknownNameError: no such body.
@@ -116,10 +133,8 @@ class Branches:
         body = names.index(palm)
         below = tuple(leaf for leaf in self.leaves if body in (0, *self._skeleton.path(leaf)[:-1]))
         hand = self._hand(body, below)
-        if fingers and len(hand.chains) > 5:
-            chains = tuple(
-                c for c in hand.chains if any(holds(self._skeleton, c, w) for w in fingers)
-            )
+        if self._fingers and len(hand.chains) > 5:
+            chains = tuple(chain for chain in hand.chains if self._given(chain))
             hand = HandTree(body, chains, hand.left_out)
         if not 2 <= len(hand.chains) <= 5:
             raise HandModelError(
@@ -143,40 +158,101 @@ class Branches:
         hand = self._hand(palm, leaves)
         fault = self._fault(hand)
         if fault is None:
-            deeper = tuple(chain.last for chain in hand.chains)
-            # without what is left out, the fingers may branch further down
-            return self._below(deeper) if len(deeper) < len(leaves) and hand.left_out else [hand]
+            return self._inner(hand)
         groups: dict[int, list[int]] = {}
         for leaf, path in zip(leaves, paths, strict=True):
             groups.setdefault(path[depth], []).append(leaf)
-        hands = [hand for group in groups.values() for hand in self._below(tuple(group))]
-        if not hands:
+        hands = [found for group in groups.values() for found in self._below(tuple(group))]
+        beside = [self._beside(found, hand, hands) for found in hands]
+        if not hands or any(len(b) >= len(h.chains) for b, h in zip(beside, hands, strict=True)):
+            # A hand beside as many chains is a piece of one finger of a hand with too many.
             self.reasons.append(f"from {self._skeleton.body_name(palm)!r} branch {fault}")
-        return hands
+            return []
+        return [
+            replace(found, left_out=(*found.left_out, *outside))
+            for found, outside in zip(hands, beside, strict=True)
+        ]
+
+    def _inner(self, hand: HandTree) -> list[HandTree]:
+        """The hand, or where its fingers branch further down (behind a wrist), the one there.
+
+        A chain that was left out here may be a finger of the inner palm, so it is judged again.
+        """
+        paths = [self._skeleton.path(chain.last) for chain in hand.chains]
+        inner = next((b for b in reversed(paths[0]) if all(b in p for p in paths)), 0)
+        if inner in (0, hand.palm):
+            return [hand]
+        below = tuple(leaf for leaf in self.leaves if inner in self._skeleton.path(leaf)[:-1])
+        outside = tuple(out for out in hand.left_out if out.last not in below)
+        return [replace(h, left_out=(*outside, *h.left_out)) for h in self._below(below)]
+
+    def _beside(self, hand: HandTree, around: HandTree, hands: list[HandTree]) -> list[LeftOut]:
+        """Chains beside a hand that look like fingers and belong to no hand.
+
+        Args:
+            around: all chains of a body above the palm.
+            hands: all hands among these chains.
+        """
+        taken = {chain.last for one in hands for chain in one.chains}
+        taken |= {out.last for one in hands for out in one.left_out}
+        near = _SPREAD * float(np.median([c.length for c in hand.chains]))
+        bases = np.array([c.base for c in hand.chains])
+        above, palm = (self._skeleton.body_name(tree.palm) for tree in (around, hand))
+        return [
+            LeftOut(c.last, f"{self._name(c)} hangs from {above!r} and not from the palm {palm!r}")
+            for c in around.chains
+            if c.last not in taken and _LENGTHS[0] <= c.length <= _LENGTHS[1]
+            if np.linalg.norm(bases - c.base, axis=1).min() < near + c.length
+        ]
 
     def _hand(self, palm: int, leaves: tuple[int, ...]) -> HandTree:
         chains = [self._chain(palm, leaf, 0) for leaf in leaves]
-        out, left_out = [], []
-        for chain in chains:
-            if self._skeleton.bounded[list(chain.joints)].any():
-                out.append(chain)
-            elif any(self._skeleton.joint_names[j] in self._skeleton.pinned for j in chain.joints):
-                left_out.append(f"{self._name(chain)} can't move: lower = upper in the file")
-            else:
-                left_out.append(f"{self._name(chain)} turns without limits")
-        out.sort(key=lambda c: (len(c.joints), c.length), reverse=True)
+        # Joints that most chains share are a wrist, whose links are no part of a finger's length.
+        starts = [tuple(c.joints[:k]) for c in chains for k in range(1, len(c.joints))]
+        wrist = max(
+            (start for start in starts if starts.count(start) > len(chains) / 2),
+            key=len,
+            default=(),
+        )
+        behind = len(wrist)
+        chains = [
+            replace(c, length=self._chain(palm, c.last, behind).length)
+            if c.joints[:behind] == wrist
+            else c
+            for c in chains
+        ]
         branch: list[Chain] = []
-        for chain in out:
-            rival = next((k for k in branch if not self._apart(chain, k)), None)
-            if rival is None:
+        left_out: list[LeftOut] = []
+        # A chain that ends in a free joint may be a bar, so it comes after the fingers.
+        chains.sort(
+            key=lambda c: (not self._skeleton.turns_freely(c.joints[-1]), len(c.joints), c.length),
+            reverse=True,
+        )
+        fixed: list[Chain] = []
+        for chain in chains:
+            rival = next((k for k in branch if self._is_bar(chain, k)), None)
+            if self._given(chain):
+                branch.append(chain)
+            elif rival is not None:
+                why = f"{self._name(chain)} is a bar of {self._name(rival)}"
+                left_out.append(LeftOut(chain.last, why))
+            elif self._skeleton.bounded[list(chain.joints)].any():
                 branch.append(chain)
             else:
-                left_out.append(f"{self._name(chain)} is a bar of {self._name(rival)}")
+                fixed.append(chain)
         median = float(np.median([c.length for c in branch])) if branch else 0.0
         strays = [c for c in branch if len(c.joints) == 1 and c.length < _STRAY * median]
         if len(branch) - len(strays) >= 2:
-            left_out += [f"{self._name(c)} is too short for a finger" for c in strays]
+            strays = [c for c in strays if not self._given(c)]
+            left_out += [
+                LeftOut(c.last, f"{self._name(c)} is too short for a finger") for c in strays
+            ]
             branch = [c for c in branch if c not in strays]
+        for chain in fixed:
+            pinned = [self._skeleton.joint_names[j] in self._skeleton.pinned for j in chain.joints]
+            why = "can't move: lower = upper in the file" if any(pinned) else "turns without limits"
+            like = len(chain.joints) > 1 and chain.length > _FINGER_SIZE * median > 0
+            left_out.append(LeftOut(chain.last, f"{self._name(chain)} {why}", like))
         branch = [
             self._chain(
                 palm,
@@ -188,27 +264,66 @@ class Branches:
         branch.sort(key=lambda c: c.joints)
         return HandTree(palm, tuple(branch), tuple(left_out))
 
-    def _apart(self, chain: Chain, other: Chain) -> bool:
-        """True if two chains are two fingers, not one finger and a bar of its linkage."""
-        shared = _common(chain, other)
-        if not shared:
-            return True
-        mine, theirs = chain.joints[shared:], other.joints[shared:]
-        if shared > _SHARED:  # an arm with two fingers: the palm is further down
-            return True
-        if len(mine) < 2 or len(theirs) < 2:
-            return False
+    def _is_bar(self, chain: Chain, finger: Chain) -> bool:
+        """True if a chain is a bar of a finger's linkage, not a finger of its own.
+
+        The chains' lengths are without a wrist.
+        """
+        shared = _common(chain, finger)
+        mine, theirs = chain.joints[shared:], finger.joints[shared:]
+        bar = self._chain(chain.palm, chain.last, shared)
+        other = self._chain(finger.palm, finger.last, shared)
         axis, their_axis = self._rest.axes[mine[-1]], self._rest.axes[theirs[-1]]
         offset = self._rest.anchors[mine[-1]] - self._rest.anchors[theirs[-1]]
-        in_one_plane = abs(offset @ axis) < 0.08 * max(chain.length, other.length)
-        return not (abs(axis @ their_axis) > 0.95 and in_one_plane)
+        parallel = abs(axis @ their_axis) > 0.95
+        if parallel and abs(offset @ axis) >= _BESIDE * max(chain.length, finger.length):
+            return False
+        if self._gap(bar, other) > _REACHES * finger.length:
+            return False
+        if parallel and self._moved_by(bar, other):
+            return True
+        if not 0 < shared <= _SHARED:  # an arm with two fingers: the palm is further down
+            return False
+        return parallel or min(len(mine), len(theirs)) < 2
+
+    def _moved_by(self, bar: Chain, finger: Chain) -> bool:
+        """True if nothing drives a chain but the finger, or the joint that drives the finger."""
+        skeleton, own = self._skeleton, bar.own
+        if all(skeleton.leaders.get(j, (j,))[0] not in own for j in own):
+            return len(own) < len(finger.own)
+        return not self._driven(bar) and self._driven(finger)
+
+    def _driven(self, chain: Chain) -> bool:
+        """True if a chain has a hinge with limits, or one that follows another of its joints."""
+        leaders = self._skeleton.leaders
+        return any(
+            leaders[j][0] in chain.joints
+            if j in leaders
+            else self._skeleton.turns[j] and not self._skeleton.turns_freely(j)
+            for j in chain.own
+        )
+
+    def _gap(self, bar: Chain, finger: Chain) -> float:
+        """Distance from the far end of a bar to the joints and links of a finger [m]."""
+        skeleton, at = self._skeleton, self._rest
+        end = far_point(skeleton, at, bar.last, at.anchors[bar.joints[-1]])
+        points = np.array([at.anchors[j] for j in finger.own])
+        points = np.vstack([points, far_point(skeleton, at, finger.last, points[-1])])
+        starts, steps = points[:-1], np.diff(points, axis=0)
+        squares = np.maximum((steps**2).sum(axis=1), 1e-12)
+        share = np.clip(((end - starts) * steps).sum(axis=1) / squares, 0, 1)
+        return float(np.linalg.norm(starts + share[:, None] * steps - end, axis=1).min())
+
+    def _given(self, chain: Chain) -> bool:
+        return any(holds(self._skeleton, chain, name) for name in self._fingers)
 
     def _fault(self, hand: HandTree) -> str | None:
         """Reason why this is no hand; None if it may be one."""
         chains = hand.chains
         names = ", ".join(self._name(c) for c in chains[:6]) + (", …" if len(chains) > 6 else "")
         wheels, pinned = (
-            sum(text in why for why in hand.left_out) for text in ("without limits", "can't move")
+            sum(text in out.why for out in hand.left_out)
+            for text in ("without limits", "can't move")
         )
         if len(chains) < 2:
             return (

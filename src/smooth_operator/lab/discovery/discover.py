@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -104,13 +104,20 @@ def discover(
     side = None if side is None else as_side(side)
     overrules = overrules or Overrules()
     skeleton, notes = read_skeleton(path)
-    branches = Branches(skeleton)
+    branches = Branches(skeleton, tuple(where for _, where in overrules.fingers))
     if overrules.palm is not None:
-        places = tuple(where for _, where in overrules.fingers)
-        trees: tuple[HandTree, ...] = (branches.at(overrules.palm, places),)
+        trees: tuple[HandTree, ...] = (branches.at(overrules.palm),)
     else:
         trees = branches.find()
     analysis = _choose(skeleton, trees, side, overrules, path)
+    lost = [out for out in analysis.tree.left_out if out.doubtful]
+    if lost and overrules.palm is None:
+        palm = skeleton.body_name(analysis.tree.palm)
+        raise HandModelError(
+            f"{'; '.join(out.why for out in lost)}, but hangs from the palm {palm!r} as a finger "
+            "does: give its joints limits in the file, or if it is no finger, name the palm: "
+            f"--palm {palm}"
+        )
     return _described(analysis, path, name, overrules, notes, len(trees))
 
 
@@ -245,7 +252,7 @@ def _described(
             "edit [neutral] in the spec file",
         ),
     )
-    notes = (*notes, *coupling_notes(coupled), *tree.left_out)
+    notes = (*notes, *coupling_notes(coupled), *_chain_notes(skeleton, tree))
     return Discovery(spec, findings, descriptions, coupled, notes)
 
 
@@ -411,6 +418,26 @@ def find_couplings(
     )
 
 
+def _chain_notes(skeleton: Skeleton, tree: HandTree) -> Iterator[str]:
+    """Notes about chains that are no fingers, and about fingers whose limits say nothing."""
+    if tree.left_out:
+        yield (
+            f"left out: {'; '.join(out.why for out in tree.left_out)}. If one of them is a "
+            "finger, add --finger NAME=BODY with its body. Joints that move no finger stay at "
+            "neutral"
+        )
+    names = [
+        skeleton.joint_names[j]
+        for j in dict.fromkeys(j for chain in tree.chains for j in chain.joints)
+        if skeleton.bounded[j] and skeleton.turns_freely(j)
+    ]
+    if names:
+        yield (
+            f"joints of fingers can make a full turn in the file: {', '.join(names)}; give them "
+            "the limits of the real hand there"
+        )
+
+
 def coupling_notes(couplings: tuple[FoundCoupling, ...]) -> tuple[str, ...]:
     """Warnings: couplings that are not as the file has them."""
     return tuple(
@@ -470,8 +497,8 @@ def _palm_finding(
     if hands > 1:
         palm_why.append(f"one of {hands} hands in the file, chosen by side")
     if tree.left_out:
-        palm_why.append("left out: " + "; ".join(tree.left_out))
-        palm_sure -= 0.15
+        palm_why.append("left out: " + "; ".join(out.why for out in tree.left_out))
+        palm_sure -= 0.2
     if overrules.palm is not None:
         palm_sure, palm_why = 1.0, ["given"]
     value = skeleton.body_name(tree.palm)

@@ -30,6 +30,7 @@ _FINGER_WORDS: Final[dict[str, tuple[str, ...]]] = {
     "ring": ("ring", "rf"),
     "pinky": ("pinky", "little", "lf", "pinkie", "small", "pf"),
 }
+_FULL_TURN: Final = 2 * np.pi - 0.01  # [rad]: files give such limits to joints that nothing drives
 _PARTS: Final = "(j|a|tip|base|hub|knuckle|proximal|middle|medial|distal|metacarpal)"
 _WRIST_WORDS: Final = ("wrist",)
 _SIDE_WORDS: Final[dict[Side, tuple[str, ...]]] = {
@@ -177,6 +178,11 @@ class Skeleton:
         """(n,) whether a joint has finite limits."""
         bounded: np.ndarray = self.moves & np.isfinite(self.limits).all(axis=1)
         return bounded
+
+    def turns_freely(self, joint: int) -> bool:
+        """True if a joint follows no other and can make a full turn, as pins of a linkage do."""
+        span = float(np.ptp(self.limits[joint]))
+        return span >= _FULL_TURN and joint not in self.leaders
 
     @cached_property
     def leaders(self) -> Mapping[int, tuple[int, float, float]]:
