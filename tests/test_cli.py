@@ -144,7 +144,7 @@ def test_an_array_without_a_side_is_taken_for_a_right_hand_and_a_note_says_so(ru
     arguments = ("--rate", 100, *TINY, "--output", tmp_path / "out.npz", "--quiet")
     status, out, err = run("retarget", tmp_path / "plain.npy", *arguments, "--json")
     assert status == 0
-    assert "taken for a right one" in err
+    assert "assuming right" in err
     assert json.loads(out)["frames"] == 5
 
 

@@ -1,6 +1,7 @@
 """Recordings and commands through every format and back: nothing is lost or overwritten."""
 
 import json
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,6 +21,7 @@ from smooth_operator.episode_files.lerobot import write_dataset
 from smooth_operator.episode_files.lerobot.tables import column_statistics, joint_statistics
 from smooth_operator.errors import ConfigError, MissingExtraError, OutputError, RecordingError
 from smooth_operator.extras import install_command
+from smooth_operator.formats.checks import reading_notes
 from smooth_operator.formats.episode import Episode
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
@@ -198,7 +200,6 @@ def test_commands_for_some_frames(tmp_path, to):
 def test_commands_on_a_clock_of_their_own(tmp_path, to):
     value = episode()
     stamps = value.commands.stamps.copy()
-    stamps[10:12] = stamps[9]  # a loop faster than the tracker answers a frame more than once
     stamps[20:] += 0.001
     value = replace(value, commands=replace(value.commands, stamps=stamps))
     path = write(tmp_path, value, to)
@@ -226,14 +227,80 @@ def test_held_commands_of_a_live_loop_are_no_rows_of_a_dataset(tmp_path):
     assert back.answered().tolist() == kept.tolist()
 
 
+def bad_commands(kind):
+    """Arrays of the file of a retargeting that no robot could follow."""
+    value = episode().commands
+    positions, stamps = value.joint_positions.copy(), value.stamps.copy()
+    status = np.full(len(stamps), int(Status.OK), np.int8)
+    if kind in ("nan", "inf", "1e15"):
+        positions[5, 1] = float(kind)
+    elif kind == "huge and held":
+        positions[5, 1], status[5] = 1e15, int(Status.INVALID_LANDMARKS)
+    elif kind == "span":
+        stamps[-1] += 1e10
+    else:
+        stamps[6] = {"twice": stamps[5], "back": stamps[2]}[kind]
+    return value, {"joint_positions": positions, "stamps": stamps, "status": status}
+
+
+@pytest.mark.parametrize("to", ["npz", "mcap", "hdf5", "lerobot"])
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("nan", r"command 5 has 'middle' at nan rad \(1 of 40"),
+        ("inf", "command 5 has 'middle' at inf rad"),
+        ("1e15", "command 5 has 'middle' at 1e[+]15 rad"),
+        ("huge and held", "command 5 has 'middle' at 1e[+]15 rad"),
+        ("twice", "commands 5 and 6 have the same stamp"),
+        ("back", "the stamps go backwards at command 6"),
+        ("span", "1e[+]10 s, at most 1e[+]09 s"),
+    ],
+)
+def test_commands_that_no_robot_could_follow_become_no_file(tmp_path, run, kind, said, to):
+    value, changes = bad_commands(kind)
+    names = {"stamps": "timestamps"}
+    path = tmp_path / "bad.npz"
+    np.savez(
+        path,
+        joint_names=np.array(value.joint_names),
+        latency_ms=value.latency_ms,
+        **{names.get(name, name): values for name, values in changes.items()},
+    )
+    status, err = run(path, "--to", to, "--output", tmp_path / "out")
+    assert status == 2
+    assert re.search(rf"bad\.npz: .*{said}", err), err
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(RecordingError, match=said):
+        Episode(commands=replace(value, **changes))
+
+
+@pytest.mark.parametrize("to", ["mcap", "hdf5"])
+def test_files_of_others_with_such_commands_are_refused(tmp_path, to, monkeypatch):
+    value, changes = bad_commands("1e15")
+    with monkeypatch.context() as patch:
+        patch.setattr("smooth_operator.formats.episode.check_commands", lambda *_: None)
+        path = write(tmp_path, Episode(commands=replace(value, **changes)), to)
+    with pytest.raises(RecordingError, match=f"{path.name}: command 5 has 'middle'"):
+        read_episode(path)
+
+
+def test_a_command_that_answers_no_frame_may_be_unknown(tmp_path):
+    value = episode().commands
+    positions, status = value.joint_positions.copy(), np.array(value.status)
+    positions[5], status[5] = np.nan, int(Status.INVALID_LANDMARKS)
+    commands = replace(value, joint_positions=positions, status=status)
+    path = write(tmp_path, Episode(commands=commands), "mcap")
+    assert np.isnan(read_episode(path).commands.joint_positions[5]).all()
+
+
 def test_infinities_in_a_log_are_said(tmp_path, run):
     value = episode()
-    value.commands.joint_positions[4, 1] = np.inf
+    value.commands.latency_ms[4] = np.inf
     write_episode(tmp_path / "a.h5", value)
     assert_same(value, read_episode(tmp_path / "a.h5"))
     status, err = run(tmp_path / "a.h5", "--output", tmp_path / "a.mcap", "--quiet")
     assert status == 0
-    assert "1 infinite values of joint_positions become NaN" in err
+    assert "1 infinite values of latency_ms become NaN" in err
 
 
 def test_npz_is_what_the_other_commands_read(tmp_path):
@@ -253,12 +320,13 @@ def test_npz_is_what_the_other_commands_read(tmp_path):
 def test_arrays_of_other_forms_beside_landmarks_are_left_alone(tmp_path):
     points = hand(side="left").landmarks
     path = tmp_path / "a.npz"
-    odd = {"valid": np.ones(FRAMES), "orientations": np.ones((FRAMES, 21, 3, 3))}
+    odd = {"metacarpals": np.ones((FRAMES, 3, 3)), "orientations": np.ones((FRAMES, 21, 3, 3))}
     np.savez(path, landmarks=points, timestamps=hand().stamps, side="left", **odd)
     back = read_recording(path)
     assert back.orientations is None
-    assert back.valid[0].all()
-    assert back.meta["ignored"] == ["valid", "orientations"]
+    assert back.metacarpals is None
+    (note,) = reading_notes(back, "a.npz")
+    assert "not read: metacarpals, orientations" in note
 
 
 @pytest.mark.parametrize("stamps", [(0.0, 0.1, 0.1), (0.2, 0.3, 0.1)])
@@ -312,7 +380,7 @@ def test_hdf5_of_others_needs_the_documented_arrays_only(tmp_path):
     with pytest.raises(RecordingError, match="by its shape this is a right hand"):
         read_recording(path, rate=50.0, side="left")
     found = read_episode(path, rate=50.0)
-    assert "does not say which hand it is" in found.notes[0]
+    assert "does not state the side" in found.notes[0]
     with h5py.File(path, "r+") as file:
         file["hand/landmarks"][...] *= 1000.0
     with pytest.raises(RecordingError, match="millimetres"):
@@ -441,7 +509,7 @@ def test_dataset_whose_extra_metadata_another_tool_dropped(tmp_path):
     file = root / "meta/episodes/chunk-000/file-000.parquet"
     pq.write_table(pq.read_table(file).drop_columns(["smooth_operator"]), file)
     rewrite(root / "data/chunk-000/file-000.parquet", lambda t: t.drop_columns(["left_hand"]))
-    assert "does not say of episode 0 which hand" in read_episode(root).notes[0]
+    assert "episode 0, does not state the side" in read_episode(root).notes[0]
 
 
 def test_a_dataset_of_another_tool_is_checked_as_other_files_are(tmp_path):
@@ -795,12 +863,12 @@ def test_damaged_hdf5(tmp_path):
         ("hand/landmarks", np.zeros((40, 20, 3)), r"shape \(any, 21, 3\), not \(40, 20, 3\)"),
         ("hand/landmarks", None, "lacks the array /hand/landmarks"),
         ("hand/stamps", np.zeros(3), r"shape \(40\), not \(3,\)"),
-        ("hand/stamps", np.zeros(40), "have the same stamp"),
+        ("hand/stamps", np.zeros(40), "these are no times"),
         ("hand/valid", np.zeros((40, 21)), "must hold true or false"),
         ("commands/joint_names", ["a"], "joint_names must have shape"),
         ("commands/joint_names", ["a", "a", "b"], "a joint name comes twice"),
         ("commands/status", np.full(40, 77), "status .77. is not one of"),
-        ("commands/stamps", np.full(40, np.nan), "must be finite"),
+        ("commands/stamps", np.full(40, np.nan), "command 0 is nan"),
         ("commands/latency_ms", ["x"] * 40, "must hold numbers"),
         ("configuration", "{", "is not JSON"),
         ("configuration", "[]", "must be a JSON object"),

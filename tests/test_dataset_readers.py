@@ -191,7 +191,7 @@ def test_landmarks_of_both_hands_with_all_that_may_be_there(tmp_path):
     seen[5] = False
     more: dict[str, Any] = {"world": "lab", "task": "pour", "video": "elsewhere/take.mp4"}
     more |= {"confidence_left": sure, "valid_right": seen, "T_world_object_cup": cup}
-    files.landmarks_file(path, T_world_camera=np.tile([0, 0, 2, 2.0, 0, 0, 0], (COUNT, 1)), **more)
+    files.landmarks_file(path, T_world_camera=np.tile([0, 0, 2, 1.02, 0, 0, 0], (COUNT, 1)), **more)
     found = clip_of(path, ReadingOptions())
     check_world(found, 1e-9, "lab")
     assert (found.task, found.video) == ("pour", tmp_path / "take.mp4")
@@ -227,7 +227,13 @@ def test_landmarks_may_be_nodes_of_a_headset_without_stamps(tmp_path):
         ({"left": np.zeros((COUNT, 16, 3))}, r"'left' must have shape \(30, 21, 3\)"),
         ({"left": np.zeros((9, 21, 3))}, r"'left' must have shape \(30, 21, 3\).*not \(9, 21, 3\)"),
         ({"T_world_wrist_left": np.zeros((COUNT, 6))}, r"T_world_wrist_left.*\(30, 7\)"),
-        ({"valid_left": np.ones((COUNT, 21))}, "valid_left' must hold true or false"),
+        ({"valid_left": np.full((COUNT, 21), 0.4)}, r"'valid_left' must be true or false.*0\.4"),
+        ({"valid_left": np.ones((COUNT, 7))}, r"'valid_left' must have shape \(30,\).*\(30, 21\)"),
+        ({"T_world_wrist_left": np.tile([0, 0, 1, 30, 20, 90, 1], (COUNT, 1))}, "of length 97"),
+        ({"T_world_object_cup": np.full((COUNT, 4, 4), 0.5)}, "frame 0 is no rotation"),
+        ({"confidence_right": np.full(COUNT, 5.0)}, r"reach 5; .*percent \(divide by 100\)"),
+        ({"confidence_right": np.full(COUNT, 130)}, r"reach 130; .*bytes \(divide by 255\)"),
+        ({"confidence_right": np.arange(COUNT) % 3}, "reach 2; .*levels"),
         ({"confidence_right": np.array(["x"] * COUNT)}, "confidence_right' must hold real numbers"),
         ({"timestamps": np.zeros(4)}, r"'timestamps' must have shape \(30,\)"),
         ({"right": files.hand("right").points * 1000, "left": None}, "right hand: .*millimetres"),

@@ -599,7 +599,7 @@ def test_the_command_stops_resumes_and_ends_the_same(run, operator, tmp_path, mo
     whole, halted = tmp_path / "new" / "whole", tmp_path / "halted"
     status, err = run(*start, whole)
     assert status == 0, err
-    assert "taken for a right one" in err
+    assert "assuming right" in err
     assert "no pinch was recorded" in err
     assert "3/3 epochs" in err
     assert "validation: direction" in err

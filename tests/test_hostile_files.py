@@ -284,7 +284,7 @@ def test_commands_without_a_time_are_refused(tmp_path, stamp):
     path = tmp_path / "out.npz"
     with np.load(io.BytesIO(encode_commands(commands))) as file:
         np.savez(path, **{**file, "timestamps": stamps})
-    with pytest.raises(RecordingError, match="must be finite numbers"):
+    with pytest.raises(RecordingError, match=r"the stamp of command 3 is -?(nan|inf)"):
         read_commands(path)
 
 

@@ -11,13 +11,15 @@ from made_hands import hand_points
 
 from smooth_operator import HandRecording, read_recording
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.formats.checks import check_units, frame_slice
+from smooth_operator.formats.checks import check_units, frame_slice, reading_notes
 from smooth_operator.landmarks import (
     FROM_MANUS_25,
     FROM_OPENXR_26,
+    LAYOUTS,
     METACARPALS_MANUS_25,
     NODE_LAYOUTS,
 )
+from smooth_operator.poses import matrices
 
 FRAMES = 12
 
@@ -190,7 +192,7 @@ def test_npz_of_landmarks(tmp_path, key):
         tmp_path / "a.npz",
         {
             key: hand() * (-1, 1, 1),
-            "confidence": np.ones(FRAMES),
+            "temperature": np.ones(FRAMES),
             "stamps": stamps,
             "side": np.array("Left"),
         },
@@ -200,6 +202,103 @@ def test_npz_of_landmarks(tmp_path, key):
     np.testing.assert_array_equal(recording.stamps, stamps)
     assert recording.side == "left"
     assert recording.meta == {"format": "array", "side_assumed": False}
+
+
+SEEN = np.repeat(np.arange(FRAMES) % 4 != 1, 21).reshape(FRAMES, 21)
+
+
+@pytest.mark.parametrize("nodes", [21, 25])
+@pytest.mark.parametrize(
+    "flags",
+    [SEEN, SEEN.astype(np.uint8), SEEN.astype(float), SEEN[:, 0], SEEN[:, :1].astype(np.int64)],
+    ids=["bool", "uint8", "float", "one a frame", "a column"],
+)
+def test_flags_of_any_type_are_read(tmp_path, flags, nodes):
+    if flags.ndim == 2 and flags.shape[1] == 21:
+        flags = np.repeat(flags[:, :1], nodes, axis=1)
+    arrays = {"landmarks": hand(nodes=nodes), "valid": flags}
+    recording = read_recording(save(tmp_path / "a.npz", arrays), rate=30.0)
+    np.testing.assert_array_equal(recording.valid, SEEN)
+    assert reading_notes(recording, "a.npz") == [
+        "a.npz does not state the side; assuming right. Use --side left otherwise"
+    ]
+
+
+def test_flags_follow_the_order_of_the_landmarks(tmp_path):
+    order = list(LAYOUTS["mano"])
+    seen = np.ones((FRAMES, 21), bool)
+    seen[:, 3] = False
+    points = np.empty_like(hand())
+    points[:, order] = hand()
+    flags = np.empty_like(seen)
+    flags[:, order] = seen
+    path = save(tmp_path / "a.npz", {"landmarks": points, "valid": flags.astype(int)})
+    np.testing.assert_array_equal(read_recording(path, rate=30.0, layout="mano").valid, seen)
+
+
+@pytest.mark.parametrize(
+    ("flags", "match"),
+    [
+        (np.full(FRAMES, 0.4), r"'valid' must be true or false, or 1 or 0, not float64 with 0\.4"),
+        (np.full((FRAMES, 21), np.nan), "must be true or false"),
+        (np.full(FRAMES, "yes"), "must be true or false, or 1 or 0, not <U3"),
+        (np.ones((FRAMES, 5)), r"must have shape \(12,\), one a frame, or \(12, 21\)"),
+    ],
+)
+def test_flags_that_are_none_are_refused(tmp_path, flags, match):
+    refused(save(tmp_path / "a.npz", {"landmarks": hand(), "valid": flags}), match, rate=30.0)
+
+
+def test_arrays_that_look_like_flags_and_are_not_read_are_told(tmp_path):
+    arrays = {"landmarks": hand(), "side": "right", "is_tracked": SEEN[:, 0]}
+    (note,) = reading_notes(read_recording(save(tmp_path / "a.npz", arrays), rate=30.0), "a.npz")
+    assert "a.npz: not read: is_tracked" in note
+
+
+@pytest.mark.parametrize("nodes", [21, 26])
+def test_the_wrist_may_be_matrices_or_either_order_of_quaternion(tmp_path, nodes):
+    poses = np.tile([0.3, -0.1, 1.0, 0.5, -0.5, 0.5, 0.5], (FRAMES, 1))
+    poses[4] = np.nan
+    four = matrices(poses)
+    four[4] = 0.0  # not known
+    xyzw = poses[:, [0, 1, 2, 4, 5, 6, 3]]
+    for name, stored, more in (
+        ("wxyz", poses, {}),
+        ("matrices", four, {}),
+        ("one hand", four[:, None], {}),
+        ("xyzw", xyzw, {"quaternion_order": "xyzw"}),
+    ):
+        arrays = {"landmarks": hand(nodes=nodes), "T_world_wrist": stored, "world": "room", **more}
+        recording = read_recording(save(tmp_path / f"{name}.npz", arrays), rate=30.0)
+        np.testing.assert_allclose(recording.T_world_wrist, poses, atol=1e-12, err_msg=name)
+        assert recording.world == "room"
+
+
+@pytest.mark.parametrize(
+    ("wrist", "match"),
+    [
+        (np.tile([0, 0, 1, 30, 20, 90, 1], (FRAMES, 1)), "frame 0 has a quaternion of length 97"),
+        (np.tile(2.0 * np.eye(4), (FRAMES, 1, 1)), "frame 0 is no rotation and position"),
+        (np.swapaxes(matrices(np.tile([1, 2, 3, 1, 0, 0, 0], (FRAMES, 1))), 1, 2), "transposed"),
+        (np.zeros((FRAMES, 6)), r"must have shape \(12, 7\)"),
+        (np.zeros((FRAMES - 1, 7)), r"must have shape \(12, 7\).*not \(11, 7\)"),
+    ],
+)
+def test_a_wrist_that_is_no_pose_is_refused(tmp_path, wrist, match):
+    arrays = {"landmarks": hand(), "T_world_wrist": wrist}
+    refused(save(tmp_path / "a.npz", arrays), match, rate=30.0)
+
+
+def test_a_hand_that_is_named_by_its_side_has_its_own_flags_and_wrist(tmp_path):
+    poses = np.tile([0.3, -0.1, 1.0, 1.0, 0.0, 0.0, 0.0], (FRAMES, 1))
+    arrays = {"left": hand() * (-1, 1, 1), "valid_left": SEEN[:, 0], "T_world_wrist_left": poses}
+    recording = read_recording(save(tmp_path / "a.npz", arrays), rate=30.0)
+    assert (recording.side, recording.meta["side_assumed"]) == ("left", False)
+    np.testing.assert_array_equal(recording.valid, SEEN)
+    np.testing.assert_array_equal(recording.T_world_wrist, poses)
+    both = save(tmp_path / "b.npz", {**arrays, "right": hand()})
+    refused(both, "both hands; say --side right", rate=30.0)
+    assert read_recording(both, rate=30.0, side="right").side == "right"
 
 
 def test_named_array_wins_over_other_cubes(tmp_path):
@@ -432,12 +531,20 @@ def stamps_with(**changes: float) -> np.ndarray:
         ((stamps_with() * 1e9).astype(np.int64), r"nanoseconds \(multiply by 1e-09\)"),
         (stamps_with() / 60.0, r"minutes \(multiply by 60\)"),
         (stamps_with() * 1e15, "no other common unit"),
+        (stamps_with(i11=2e9), "2e[+]09 s, at most 1e[+]09 s"),
+        (np.zeros(FRAMES), r"all 12 stamps are 0\.0, so these are no times; .*--rate"),
+        (np.repeat(np.arange(6) / 30.0, 2), "the hand differs in 6 of these pairs.*--rate"),
         (stamps_with()[:-1], "one stamp for each of the 12 frames"),
     ],
 )
 def test_bad_stamps(tmp_path, stamps, match):
     refused(save(tmp_path / "a.npz", {"joints": hand(), "timestamps": stamps}), match)
     refused(save(tmp_path / "b.npz", manus(timestamps=stamps)), match)
+
+
+def test_a_rate_stands_in_for_stamps_that_are_all_equal(tmp_path):
+    path = save(tmp_path / "a.npz", {"joints": hand(), "timestamps": np.full(FRAMES, 7.0)})
+    np.testing.assert_allclose(read_recording(path, rate=30.0).stamps, np.arange(FRAMES) / 30.0)
 
 
 def test_missing_folder_and_empty_files(tmp_path):

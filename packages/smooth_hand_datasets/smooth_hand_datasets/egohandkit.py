@@ -15,8 +15,9 @@ from jaxtyping import Float
 from smooth_operator.episode_files.lerobot.tables import arrow, parquet, read_table
 from smooth_operator.errors import MissingExtraError, RecordingError, brief, listed
 from smooth_operator.formats.checks import check_stamps, stamps_from_rate
+from smooth_operator.formats.hand_arrays import shares
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
-from smooth_operator.lab.datasets.readers.both_hands import checked_hands, shares, wrist_of_points
+from smooth_operator.lab.datasets.readers.both_hands import checked_hands, wrist_of_points
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.types import HandRecording, Side
@@ -89,7 +90,10 @@ class EgoHandKit:
             "egohandkit",
             (path,),
             confidence={
-                side: shares(_column(table, f"{side}_confidence", path, nulls=True))
+                side: shares(
+                    _column(table, f"{side}_confidence", path, nulls=True),
+                    f"{path}, {side}_confidence",
+                )
                 for side in checked
                 if f"{side}_confidence" in table.column_names
             },

@@ -30,8 +30,8 @@ from smooth_operator import poses
 from smooth_operator.errors import ConfigError, RecordingError, listed
 from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.formats.hand_arrays import shares
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
-from smooth_operator.lab.datasets.readers.both_hands import shares
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.poses import WORLD_AXES
 from smooth_operator.types import Side, as_side
@@ -205,7 +205,7 @@ def _parameters(part: Mapping[str, Any], where: str, side: Side) -> _Parameters:
     checked_count(rows, label)
     confidence = None
     if part.get("confidence") is not None:
-        confidence = shares(array(part["confidence"], f"{label}, confidence", (count,)))
+        confidence = shares(array(part["confidence"], f"{label}, confidence", (count,)), label)
     if part.get("valid") is not None:
         valid = array(part["valid"], f"{label}, valid", (count,), finite=True) != 0
         at = np.where(valid[:, None], at, np.nan)

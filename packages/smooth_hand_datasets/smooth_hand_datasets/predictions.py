@@ -37,13 +37,13 @@ from smooth_hand_datasets.unpickle import load_restricted, numbers
 from smooth_operator.errors import DocumentError, RecordingError, brief
 from smooth_operator.formats.arrays import Allowance, open_arrays
 from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.formats.hand_arrays import shares
 from smooth_operator.io import documents
 from smooth_operator.io.plain_files import read_text
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
 from smooth_operator.lab.datasets.readers.both_hands import (
     checked_hands,
     first_video,
-    shares,
     wrist_of_points,
 )
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
@@ -165,7 +165,7 @@ class Predictions:
         hands, sure = {}, {}
         for side, hand in collected.hands.items():
             hands[side] = _recording(hand, side, stamps, path)
-            sure[side] = shares(_rows(hand.sure, collected.frames, ()))
+            sure[side] = shares(_rows(hand.sure, collected.frames, ()), f"{path}, {side} hand")
         checked = checked_hands(hands, str(path), self.expects, each_frame=True)
         video = first_video(path.with_suffix(".mp4"), path.with_name("chest.mp4"))
         return Clip(

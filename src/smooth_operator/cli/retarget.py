@@ -334,8 +334,8 @@ def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
     assumed = sum(entry["side_assumed"] for entry in recordings)
     if assumed:
         console.print(
-            f"not said which hand: {_count(assumed, 'recording')}, taken for right ones; say "
-            "--side left if they are not",
+            f"{_count(assumed, 'recording')} do not state the side; assuming right. Use --side "
+            "left otherwise",
             soft_wrap=True,
         )
     if summary["held"]:

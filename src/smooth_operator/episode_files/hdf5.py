@@ -57,10 +57,19 @@ from smooth_operator.formats.checks import (
     check_recording,
     check_side,
     check_stamps,
+    side_note,
     stamps_from_rate,
 )
 from smooth_operator.formats.commands import translate_status
-from smooth_operator.formats.episode import BASE, ArmTrack, Episode, StateTrajectory, WristTrack
+from smooth_operator.formats.episode import (
+    BASE,
+    ArmTrack,
+    Episode,
+    StateTrajectory,
+    WristTrack,
+    check_commands,
+)
+from smooth_operator.formats.hand_arrays import own_stamps
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import LANDMARKS
@@ -227,10 +236,10 @@ def _read_hand(
     landmarks = _numbers(group, "landmarks", (None, 21, 3), path)
     count = len(landmarks)
     if "stamps" in group.arrays:
-        stamps = _numbers(group, "stamps", (count,), path)
+        stamps = own_stamps(_numbers(group, "stamps", (count,), path), rate, str(path))
     else:
         stamps = stamps_from_rate(count, rate, str(path))
-    check_stamps(stamps, str(path))
+    check_stamps(stamps, str(path), landmarks)
     check_rate(stamps, rate, str(path))
     optional: dict[str, Any] = {
         key: _numbers(group, key, (count, *shape), path) if key in group.arrays else None
@@ -270,6 +279,7 @@ def _read_commands(
         latency_ms=_numbers(group, "latency_ms", (count,), path),
         status=translate_status(status, labels, str(path)),
     )
+    check_commands(commands, str(path))
     stages: dict[str, np.ndarray] = {}
     for key in () if timed is None else timed.arrays:
         assert timed is not None
@@ -291,7 +301,7 @@ def _object(text: str | None, what: str) -> dict[str, Any]:
 def _notes(recording: HandRecording, path: Path) -> tuple[str, ...]:
     if not recording.meta["side_assumed"]:
         return ()
-    return (f"{path} does not say which hand it is: taken for a right one; else say --side left",)
+    return (side_note(str(path)),)
 
 
 def _write_wrist(group: Group, wrist: WristTrack) -> None:

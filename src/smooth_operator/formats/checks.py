@@ -8,15 +8,19 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.errors import ConfigError, RecordingError, listed
 from smooth_operator.io.anatomy import OF_A_PICTURE, PALM_RANGE_M, keeps_lengths, of_a_picture
 from smooth_operator.landmarks import WRIST, index
 from smooth_operator.settings import RATE_RANGE_HZ, check_frame_rate
 from smooth_operator.types import HandRecording, Side, as_side
+
+LONGEST_S: Final = 1e9
+"""Longest time from the first to the last stamp of a recording or of commands [s]: 32 years."""
 
 _TYPICAL_PALM_M = 0.095
 _PALM_RATIO = 2.0  # of a frame's palm to the usual one, up or down: trackers stay within 1.3
@@ -43,7 +47,7 @@ def check_recording(recording: HandRecording, where: str) -> None:
     """
     if not len(recording):
         raise RecordingError(f"{where}: the recording holds no frames")
-    check_stamps(recording.stamps, where)
+    check_stamps(recording.stamps, where, recording.landmarks)
     assert recording.valid is not None  # filled in by HandRecording
     check_units(recording.landmarks, recording.valid, where)
 
@@ -157,17 +161,26 @@ def without_outliers(recording: HandRecording) -> HandRecording:
     return replace(recording, valid=valid & ~wrong, meta=meta)
 
 
+def side_note(where: str) -> str:
+    """Note on a recording whose side is assumed."""
+    return f"{where} does not state the side; assuming right. Use --side left otherwise"
+
+
 def reading_notes(recording: HandRecording, where: str) -> list[str]:
     """Notes on assumptions and corrections made in reading a recording: sentences, maybe none."""
     notes = []
     if recording.meta.get("side_assumed"):
-        notes.append(
-            f"{where} does not say which hand it is: taken for a right one; say --side left if it "
-            "is not"
-        )
+        notes.append(side_note(where))
     damaged = recording.meta.get("damaged_lines", 0)
     if damaged:
         notes.append(f"{where}: {damaged} lines are damaged and left out")
+    ignored = recording.meta.get("ignored")
+    if ignored:
+        notes.append(
+            f"{where}: not read: {listed(ignored)}; what is read beside the landmarks are valid "
+            "(T,) or (T, 21), T_world_wrist (T, 7) or (T, 4, 4), metacarpals (T, 4, 3) and "
+            "orientations (T, 21, 4)"
+        )
     odd = recording.meta.get("implausible_frames", 0)
     if odd:
         notes.append(
@@ -178,37 +191,25 @@ def reading_notes(recording: HandRecording, where: str) -> list[str]:
     return notes
 
 
-def check_stamps(stamps: Float[np.ndarray, " T"], where: str) -> None:
-    """Refuse stamps that are not finite, not strictly increasing, or not in seconds.
+def check_stamps(
+    stamps: Float[np.ndarray, " T"],
+    where: str,
+    poses: Float[np.ndarray, "T ..."] | None = None,
+) -> None:
+    """Refuse stamps of frames that are not finite, not strictly increasing, or not in seconds.
+
+    Args:
+        stamps: (T,) stamps [s].
+        where: the file, for the message.
+        poses: the landmarks of each frame, for the advice where stamps repeat.
 
     Raises:
         RecordingError: with the file, the first offending frame, or the likely unit and factor.
     """
-    finite = np.isfinite(stamps)
-    if not finite.all():
-        first = int(np.argmin(finite))
-        raise RecordingError(
-            f"{where}: the stamp of frame {first} is {stamps[first]} ({np.sum(~finite)} of "
-            f"{len(stamps)} are not finite); every frame needs a time in seconds"
-        )
+    check_times(stamps, where, "frame", poses)
     if len(stamps) < 2:
         return
-    steps = np.diff(stamps)
-    if (steps < 0).any():
-        i = int(np.argmax(steps < 0)) + 1
-        raise RecordingError(
-            f"{where}: the stamps go backwards at frame {i}: {float(stamps[i - 1])!r} s, then "
-            f"{float(stamps[i])!r} s ({np.sum(steps < 0)} such steps). Frames are shuffled, or "
-            "recordings were joined; sort the frames by time, or split the file there"
-        )
-    if (steps == 0).any():
-        i = int(np.argmax(steps == 0)) + 1
-        raise RecordingError(
-            f"{where}: frames {i - 1} and {i} have the same stamp, {float(stamps[i])!r} s "
-            f"({np.sum(steps == 0)} repeats); drop repeated frames: "
-            "keep = numpy.diff(timestamps, prepend=-numpy.inf) > 0"
-        )
-    rate = 1.0 / float(np.median(steps))
+    rate = 1.0 / float(np.median(np.diff(stamps)))
     low, high = RATE_RANGE_HZ
     if not low <= rate <= high:
         rates = {unit: rate / factor for unit, factor in _TIME_UNITS.items()}
@@ -222,6 +223,88 @@ def check_stamps(stamps: Float[np.ndarray, " T"], where: str) -> None:
             f"{where}: by its stamps the recording has {rate:.4g} frames a second, expected "
             f"{low:g} to {high:g}; stamps are in seconds, {hint}"
         )
+    check_span(stamps, where)
+
+
+def check_times(
+    stamps: Float[np.ndarray, " T"],
+    where: str,
+    what: str,
+    poses: Float[np.ndarray, "T ..."] | None = None,
+) -> None:
+    """Refuse stamps that are not finite, or do not rise.
+
+    Args:
+        stamps: (T,) stamps [s].
+        where: the file, for the message.
+        what: what has the stamps: ``frame`` or ``command``.
+        poses: the values that each stamp belongs to, for the advice where stamps repeat.
+
+    Raises:
+        RecordingError: with the first offending frame or command.
+    """
+    finite = np.isfinite(stamps)
+    if not finite.all():
+        first = int(np.argmin(finite))
+        raise RecordingError(
+            f"{where}: the stamp of {what} {first} is {stamps[first]} ({np.sum(~finite)} of "
+            f"{len(stamps)} are not finite); every {what} needs a time in seconds"
+        )
+    if len(stamps) < 2:
+        return
+    steps = np.diff(stamps)
+    if (steps < 0).any():
+        i = int(np.argmax(steps < 0)) + 1
+        raise RecordingError(
+            f"{where}: the stamps go backwards at {what} {i}: {float(stamps[i - 1])!r} s, then "
+            f"{float(stamps[i])!r} s ({np.sum(steps < 0)} such steps). Either the {what}s are "
+            f"shuffled, or recordings were joined; sort the {what}s by time, or split the file "
+            "there"
+        )
+    if (steps == 0).any():
+        raise RecordingError(f"{where}: {_repeats(stamps, steps == 0, what, poses)}")
+
+
+def check_span(stamps: Float[np.ndarray, " T"], where: str) -> None:
+    """Refuse stamps that span more than ``LONGEST_S``.
+
+    Raises:
+        RecordingError: with the span.
+    """
+    span = float(stamps[-1]) - float(stamps[0]) if len(stamps) else 0.0
+    if span > LONGEST_S:
+        raise RecordingError(
+            f"{where}: from the first stamp to the last there are {span:.3g} s, at most "
+            f"{LONGEST_S:g} s (32 years) are read; one of the stamps is damaged, or they are in "
+            "another unit than seconds"
+        )
+
+
+def _repeats(
+    stamps: np.ndarray, same: Bool[np.ndarray, " S"], what: str, poses: np.ndarray | None
+) -> str:
+    """Repeated stamps, and what to do: depends on whether they are times, and the values equal."""
+    i = int(np.argmax(same)) + 1
+    count, steps = int(same.sum()), len(same)
+    if count == steps and steps > 1:
+        return (
+            f"all {len(stamps)} stamps are {float(stamps[0])!r}, so these are no times; say how "
+            f"many {what}s a second it has, e.g. --rate 30 (in Python: rate=30)"
+        )
+    first = f"{what}s {i - 1} and {i} have the same stamp, {float(stamps[i])!r} s ({count} repeats)"
+    moved = np.zeros(steps, bool)
+    if poses is not None:
+        both = np.diff(np.asarray(poses, np.float64).reshape(len(poses), -1), axis=0)
+        moved = same & (np.abs(both) > 0).any(axis=1)  # NaN: not seen, so nothing has moved
+    if moved.sum() > count / 2:
+        return (
+            f"{first}, and the hand differs in {int(moved.sum())} of these pairs: the stamps have "
+            f"a lower rate than the {what}s, so they are not the times of the {what}s; save "
+            f"the file without them and say how many {what}s a second it has, e.g. --rate 30"
+        )
+    return (
+        f"{first}; drop the repeated {what}s: keep = numpy.diff(timestamps, prepend=-numpy.inf) > 0"
+    )
 
 
 def stamps_from_rate(count: int, rate: float | None, where: str) -> Float[np.ndarray, " T"]:

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from smooth_operator.errors import RecordingError, brief, listed
 from smooth_operator.extras import UPGRADE
+from smooth_operator.formats.checks import check_span, check_times
 from smooth_operator.types import CommandTrajectory, HandRecording, Status, unit_poses
 
 
@@ -109,6 +110,9 @@ class ArmTrack:
         return ArmTrack(self.name, self.joint_names, *parts)
 
 
+MOST_RAD: Final = 100.0
+"""Largest joint position that is read as a command [rad]: 16 turns."""
+
 BASE = "base"
 """Name of the frame of commands that name none: the robot's base."""
 
@@ -160,7 +164,7 @@ held them as whole microseconds.
 
 DERIVED_META: Final = (
     *("format", "truncated", "side_assumed", "implausible_frames", "layout"),
-    *("damaged_lines", "repeated_frames"),
+    *("damaged_lines", "repeated_frames", "ignored"),
 )
 """Entries of ``HandRecording.meta`` that every reader computes, and that no file keeps."""
 
@@ -327,7 +331,10 @@ class Episode:
 
 
 def check_commands(commands: CommandTrajectory, where: str) -> None:
-    """Refuses a trajectory whose arrays do not fit each other.
+    """Refuses a trajectory that no robot could follow, or whose arrays do not fit each other.
+
+    Its stamps must rise and span at most ``LONGEST_S``; its positions must be finite and at most
+    ``MOST_RAD``, but may be NaN where the status is not OK.
 
     Raises:
         RecordingError: with the array, what was expected and what came.
@@ -347,8 +354,9 @@ def check_commands(commands: CommandTrajectory, where: str) -> None:
             )
     if len(set(commands.joint_names)) != joints:
         raise RecordingError(f"{where}: a joint name comes twice: {listed(commands.joint_names)}")
-    if not np.isfinite(commands.stamps).all():
-        raise RecordingError(f"{where}: the stamps of the commands must be finite numbers [s]")
+    stamps = np.asarray(commands.stamps, np.float64)
+    check_times(stamps, where, "command")
+    check_span(stamps, where)
     codes = {int(status) for status in Status}
     unknown = sorted(set(np.asarray(commands.status).tolist()) - codes)
     if unknown:
@@ -357,3 +365,24 @@ def check_commands(commands: CommandTrajectory, where: str) -> None:
             f"{[f'{s.name}={int(s)}' for s in Status]}; if a newer version "
             f"wrote it, upgrade: {UPGRADE}"
         )
+    _check_positions(commands, where)
+
+
+def _check_positions(commands: CommandTrajectory, where: str) -> None:
+    """Positions are numbers of joints, but where the status says that there is no command.
+
+    Raises:
+        RecordingError: with the first command and joint that is none.
+    """
+    positions = np.asarray(commands.joint_positions, np.float64)
+    good = np.abs(positions) <= MOST_RAD  # NaN compares as False
+    unanswered = (np.asarray(commands.status) != Status.OK)[:, None]
+    bad = ~(good | (np.isnan(positions) & unanswered))
+    if not bad.any():
+        return
+    row, joint = (int(index) for index in np.argwhere(bad)[0])
+    raise RecordingError(
+        f"{where}: command {row} has {commands.joint_names[joint]!r} at {positions[row, joint]:g} "
+        f"rad ({int(bad.any(axis=1).sum())} of {len(bad)} commands have such a joint); expected "
+        f"are finite numbers up to {MOST_RAD:g} rad, or NaN with a status other than OK"
+    )

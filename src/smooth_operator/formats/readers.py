@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -20,6 +20,13 @@ from smooth_operator.formats.checks import (
     stamps_from_rate,
     without_outliers,
 )
+from smooth_operator.formats.hand_arrays import (
+    own_stamps,
+    pose_rows,
+    quaternion_order,
+    unread_flags,
+    validity,
+)
 from smooth_operator.formats.registry import file_kind, find_reader, readable
 from smooth_operator.io.anatomy import doubt, in_our_order, layout_order
 from smooth_operator.landmarks import NODE_LAYOUTS
@@ -32,7 +39,13 @@ LANDMARK_STAMPS = "landmark_timestamps"
 
 _STAMP_KEYS = (LANDMARK_STAMPS, "timestamps", "stamps")
 _SIDE_KEYS = ("chirality", "side")
-_FINGERS_OF: Final[dict[str, Side]] = {"right_fingers": "right", "left_fingers": "left"}
+_SIDE_OF: Final[dict[str, Side]] = {
+    "right_fingers": "right",
+    "left_fingers": "left",
+    "right": "right",
+    "left": "left",
+}
+"""Arrays of landmarks whose names say which hand they are."""
 
 
 def read_recording(
@@ -53,9 +66,9 @@ def read_recording(
       ``side`` or ``chirality`` where it has them. 25 nodes (MANUS, WebXR), 26 (OpenXR) and 27
       (WebXR's and two of the forearm) are mapped onto the 21; a single frame (21, 3) is a recording
       of one. 4 x 4 transforms (T, n, 4, 4), also as ``right_fingers`` and ``left_fingers``, are
-      read for their positions. With 21, ``valid``
-      (T, 21), ``metacarpals`` (T, 4, 3) [m], ``orientations`` (T, 21, 4) wxyz and
-      ``T_world_wrist`` (T, 7), with the name ``world``, are read too;
+      read for their positions. Read too are ``valid`` (T,) or (T, 21), true or false or 1 or 0,
+      ``T_world_wrist`` (T, 7) or (T, 4, 4), with the name ``world`` and ``quaternion_order`` (wxyz
+      without it), and with 21 ``metacarpals`` (T, 4, 3) [m] and ``orientations`` (T, 21, 4) wxyz;
     - the log that ``LogWriter`` writes, also when it was
       cut off;
     - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``);
@@ -165,10 +178,11 @@ def read_arrays(
         nodes, quaternions, meta = manus_nodes(arrays)
     else:
         item = _find_landmarks(arrays, side)
-        nodes, named = _frames(item), _FINGERS_OF.get(item.name)
+        nodes, named = _frames(item), _SIDE_OF.get(item.name)
         quaternions, meta = None, {"format": "array"}
-    picked, metacarpals = NODE_LAYOUTS[nodes.shape[1]]
-    if layout is not None and nodes.shape[1] == 21 and meta["format"] == "array":
+    count = nodes.shape[1]
+    picked, metacarpals = NODE_LAYOUTS[count]
+    if layout is not None and count == 21 and meta["format"] == "array":
         picked, meta["layout"] = layout_order(layout), layout
         positions = in_our_order(nodes, layout)
     else:
@@ -179,11 +193,7 @@ def read_arrays(
     # "No hand in view" is all zeros in some trackers; as positions they would close the hand.
     lost = (positions == 0.0).all(axis=(1, 2))
     valid = np.isfinite(positions).all(axis=-1) & ~lost[:, None]
-    own: dict[str, np.ndarray] = {}
-    if nodes.shape[1] == 21 and meta["format"] == "array":
-        own = _beside_landmarks(arrays, len(positions), meta)
-        for name in own.keys() & {"valid", "orientations"}:
-            own[name] = own[name][:, picked]
+    own = _beside_landmarks(arrays, named, len(positions), picked, count, meta)
     if "valid" in own:  # the file knows better than a guess from zeros
         valid = own["valid"]
     elif lost.any():
@@ -212,22 +222,46 @@ def _world(arrays: StoredArrays) -> str | None:
 
 
 def _beside_landmarks(
-    arrays: StoredArrays, count: int, meta: dict[str, Any]
+    arrays: StoredArrays,
+    side: Side | None,
+    count: int,
+    picked: Sequence[int],
+    nodes: int,
+    meta: dict[str, Any],
 ) -> dict[str, np.ndarray]:
-    """Flags, metacarpals and orientations; what has their name and another form is left alone."""
-    extra: dict[str, np.ndarray] = {}
-    for name, shape, kinds in (
-        ("valid", (count, 21), "b"),
-        ("metacarpals", (count, 4, 3), "f"),
-        ("orientations", (count, 21, 4), "f"),
-        ("T_world_wrist", (count, 7), "f"),
-    ):
-        if name in arrays:
-            if arrays[name].shape == shape and arrays[name].dtype.kind in kinds:
-                extra[name] = arrays[name].load()
+    """Flags, the wrist, metacarpals and orientations; ``meta["ignored"]`` names what is not read.
+
+    Args:
+        side: the hand whose landmarks these are, where the name of their array says so: names with
+            it at their end, as ``valid_right``, are those of this hand.
+
+    Raises:
+        RecordingError: the flags or the wrist have another form than they can be read in: without
+            them the hand would be wrong, and nobody would see it.
+    """
+    names = {
+        name: next((key for key in (f"{name}_{side}", name) if key in arrays), "")
+        for name in ("valid", "T_world_wrist", "metacarpals", "orientations")
+    }
+    own: dict[str, np.ndarray] = {}
+    ignored = unread_flags(arrays, {*names.values(), "wrist_valid"})
+    if names["valid"]:
+        own["valid"] = validity(arrays[names["valid"]], count, picked, nodes)
+    if names["T_world_wrist"]:
+        stored = arrays[names["T_world_wrist"]]
+        own["T_world_wrist"] = pose_rows(stored, count, quaternion_order(arrays))
+    for name, shape in (("metacarpals", (count, 4, 3)), ("orientations", (count, 21, 4))):
+        if names[name]:
+            stored = arrays[names[name]]
+            if nodes == 21 and stored.shape == shape and stored.dtype.kind == "f":
+                own[name] = stored.load()
             else:
-                meta.setdefault("ignored", []).append(name)
-    return extra
+                ignored.append(names[name])
+    if "orientations" in own:
+        own["orientations"] = own["orientations"][:, list(picked)]
+    if ignored:
+        meta["ignored"] = ignored
+    return own
 
 
 def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:
@@ -238,11 +272,11 @@ def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:
             label = f"array {brief(item.name)}" if item.name else "the array"
             raise RecordingError(f"{path}: {label} holds pickled objects; {PICKLE_REMEDY}")
     named = [arrays[name] for name in ("landmarks", "joints") if name in arrays]
-    hands = [name for name in _FINGERS_OF if name in arrays]
+    hands = [name for name in _SIDE_OF if name in arrays and len(arrays[name].shape) >= 3]
     if "" in arrays:
         return arrays[""]
     if not named and hands:
-        names = [name for name in hands if side in (None, _FINGERS_OF[name])] or hands
+        names = [name for name in hands if side in (None, _SIDE_OF[name])] or hands
         if len(names) > 1:
             raise RecordingError(f"{path}: it holds both hands; say --side right or --side left")
         return arrays[names[0]]
@@ -324,7 +358,7 @@ def _stamps(arrays: StoredArrays, count: int, rate: float | None) -> Float[np.nd
             f"{where}: {keys[0]!r} must have one stamp for each of the {count} frames, "
             f"not shape {stamps.shape}"
         )
-    return stamps
+    return own_stamps(stamps, rate, where)
 
 
 _NUM_NODES = 25
@@ -368,18 +402,10 @@ def manus_nodes(
             "'keypoint_ids' to say which they are; export it again with the ids"
         )
 
-    if "quaternion_order" in arrays:
-        labels = {text.strip().lower() for text in arrays["quaternion_order"].texts()}
-    else:
-        labels = {"wxyz"}
+    if "quaternion_order" not in arrays:
         assumed.append("quaternion_order")
-    if len(labels) != 1 or not labels <= _QUATERNION_COLUMNS.keys():
-        raise RecordingError(
-            f"{where}: 'quaternion_order' must be 'wxyz' or 'xyzw', not {brief(sorted(labels))}"
-        )
-
     data = item.numbers()[:, order]
-    quaternions = data[..., _QUATERNION_COLUMNS[labels.pop()]]
+    quaternions = data[..., _QUATERNION_COLUMNS[quaternion_order(arrays)]]
     norms = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     # The gloves' own are up to 1 % off unit length.
     quaternions = np.divide(

@@ -19,9 +19,17 @@ from smooth_operator.formats.checks import (
     check_recording,
     check_side,
     check_stamps,
+    side_note,
     without_outliers,
 )
-from smooth_operator.formats.episode import BASE, ArmTrack, Episode, StateTrajectory, WristTrack
+from smooth_operator.formats.episode import (
+    BASE,
+    ArmTrack,
+    Episode,
+    StateTrajectory,
+    WristTrack,
+    check_commands,
+)
 from smooth_operator.formats.readers import check_anatomy
 from smooth_operator.formats.registry import is_dataset
 from smooth_operator.io.anatomy import in_our_order, layout_order
@@ -180,10 +188,7 @@ def read_dataset_episode(
             check_recording(recording, where)
             recording = without_outliers(recording)
         if recording.meta["side_assumed"]:
-            notes = (
-                f"{dataset.path} does not say of episode {number} which hand it is: taken for a "
-                "right one; else say --side left",
-            )
+            notes = (side_note(f"{dataset.path}, episode {number},"),)
     commands: CommandTrajectory | None = None
     stages: dict[str, np.ndarray] = {}
     if "joint_positions" in dataset.info["features"]:
@@ -387,4 +392,5 @@ def _commands(
         latency_ms=numbers(table, "latency_ms", 1, file)[there, 0],
         status=codes[there].astype(np.int8),
     )
+    check_commands(commands, str(file))
     return commands, stages

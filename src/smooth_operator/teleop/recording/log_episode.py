@@ -10,7 +10,13 @@ import numpy as np
 from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.checks import check_rate, check_side, check_stamps
-from smooth_operator.formats.episode import ArmTrack, Episode, StateTrajectory, WristTrack
+from smooth_operator.formats.episode import (
+    ArmTrack,
+    Episode,
+    StateTrajectory,
+    WristTrack,
+    check_commands,
+)
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json
 from smooth_operator.teleop.recording.log import LogWriter
@@ -37,11 +43,13 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
         check_stamps(recording.stamps, str(path))
         check_rate(recording.stamps, rate, str(path))
         recording = replace(recording, name=name, meta={**_meta(log), **recording.meta})
+    if log.commands is not None:
+        check_commands(log.commands, str(path))
     notes: tuple[str, ...] = ()
     if log.truncated:
         notes = (f"{path}: the end of the log is missing; what came before is converted",)
     if log.loop is not None:
-        notes += (f"{path}: mode and events of the live loop stay behind, in the log",)
+        notes += (f"{path}: loop modes and events are not exported (they remain in the log)",)
     task = log.origin.get("task")
     return Episode(
         recording,

@@ -172,12 +172,6 @@ def wrist_of_points(points: Float[np.ndarray, "T 21 3"], side: Side) -> Float[np
     return wrist
 
 
-def shares(values: np.ndarray) -> Float[np.ndarray, " T"]:
-    """Confidences from 0 to 1: what lies outside is cut off, what is no number is NaN."""
-    result = np.asarray(values, np.float64)
-    return np.where(np.isfinite(result), np.clip(result, 0.0, 1.0), np.nan)
-
-
 def first_video(*places: Path) -> Path | None:
     """The first of some paths that is a file; None if there is none."""
     return next((path for path in places if path.is_file()), None)

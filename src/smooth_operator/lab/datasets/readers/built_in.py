@@ -11,8 +11,9 @@ array                              shape        content
 ``right``, ``left``                (T, 21, 3)   landmarks [m], NaN where missing; one of the two is
                                                 enough; also 25 (WebXR, MANUS) or 26 (OpenXR) nodes
 ``timestamps`` or ``stamps``       (T,)         times [s]; without them a rate is needed
-``valid_right``, ``valid_left``    (T, 21)      true where a landmark was seen
-``T_world_wrist_right``, ``_left`` (T, 7)       x y z [m] and quaternion w x y z, in ``world``
+``valid_right``, ``valid_left``    (T, 21)      true or 1 where a landmark was seen; also (T,)
+``T_world_wrist_right``, ``_left`` (T, 7)       x y z [m] and quaternion w x y z, in ``world``; also
+                                                (T, 4, 4), as all poses
 ``confidence_right``, ``_left``    (T,)         0 to 1
 ``T_world_camera``                 (T, 7)       the camera, x right, y down, z into the picture
 ``T_world_object_NAME``            (T, 7)       an object
@@ -41,6 +42,13 @@ from smooth_operator.episode_files.hdf5_tree import (
 from smooth_operator.errors import MissingExtraError, RecordingError
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.checks import check_rate, check_stamps, stamps_from_rate
+from smooth_operator.formats.hand_arrays import (
+    own_stamps,
+    pose_rows,
+    quaternion_order,
+    shares,
+    validity,
+)
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.formats.registry import AVP, HTS, Reader, recording_suffixes
 from smooth_operator.headsets.recordings import read_both_hands
@@ -49,11 +57,10 @@ from smooth_operator.lab.datasets.readers.both_hands import (
     checked_hands,
     first_video,
     on_common_stamps,
-    shares,
 )
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.landmarks import NODE_LAYOUTS
-from smooth_operator.types import HandRecording, Side, unit_poses
+from smooth_operator.types import HandRecording, Side
 
 
 class Files:
@@ -214,7 +221,7 @@ class Egodex:
             (path,) if video is None else (path, video),
             task=_task(top),
             confidence={
-                side: shares(np.nanmean(sure, axis=1))
+                side: shares(np.nanmean(sure, axis=1), f"{path}, {side} hand")
                 for side, hand in checked.items()
                 if (sure := _confidences(tree, side, len(hand))) is not None
             },
@@ -317,7 +324,9 @@ class LandmarksOfBothHands:
             (path,) if video is None else (path, video),
             task=task,
             confidence={
-                side: shares(_shaped(arrays, f"confidence_{side}", (count,)))
+                side: shares(
+                    _shaped(arrays, f"confidence_{side}", (count,)), f"{path}, confidence_{side}"
+                )
                 for side in checked
                 if f"confidence_{side}" in arrays
             },
@@ -325,7 +334,7 @@ class LandmarksOfBothHands:
             objects=tuple(
                 ObjectTrack(
                     name.removeprefix(_OBJECT),
-                    _shaped(arrays, name, (count, 7)),
+                    _pose(arrays, name, count),
                     _mesh(options.objects or path.parent, name.removeprefix(_OBJECT)),
                 )
                 for name in arrays
@@ -353,7 +362,7 @@ def _hand(arrays: StoredArrays, side: Side, stamps: np.ndarray, world: str) -> H
     picked, bases = NODE_LAYOUTS[nodes]
     valid: np.ndarray = np.isfinite(points[:, picked]).all(axis=-1)
     if f"valid_{side}" in arrays:
-        valid &= _shaped(arrays, f"valid_{side}", (count, 21), "b").astype(bool)
+        valid &= validity(arrays[f"valid_{side}"], count, picked, nodes)
     else:  # "no hand in view" is all zeros in some trackers
         there: np.ndarray = np.any(points[:, picked], axis=(1, 2))
         valid &= there[:, None]
@@ -367,7 +376,7 @@ def _hand(arrays: StoredArrays, side: Side, stamps: np.ndarray, world: str) -> H
         metacarpals=None if bases is None else points[:, bases],
         name=arrays.path.stem,
         meta={"format": "landmarks"},
-        T_world_wrist=_shaped(arrays, wrist, (count, 7)) if tracked else None,
+        T_world_wrist=_pose(arrays, wrist, count) if tracked else None,
         world=world if tracked else None,
     )
 
@@ -377,7 +386,7 @@ def _stamps(arrays: StoredArrays, count: int, rate: float | None) -> np.ndarray:
     name = next((key for key in ("timestamps", "stamps") if key in arrays), None)
     if name is None:
         return stamps_from_rate(count, rate, where)
-    stamps = _shaped(arrays, name, (count,))
+    stamps = own_stamps(_shaped(arrays, name, (count,)), rate, where)
     check_stamps(stamps, where)
     check_rate(stamps, rate, where)
     return stamps
@@ -386,24 +395,21 @@ def _stamps(arrays: StoredArrays, count: int, rate: float | None) -> np.ndarray:
 def _camera(arrays: StoredArrays, count: int, world: str) -> np.ndarray | None:
     if "T_world_camera" not in arrays or world == CAMERA:
         return None
-    return unit_poses(_shaped(arrays, "T_world_camera", (count, 7)))
+    return _pose(arrays, "T_world_camera", count)
 
 
-def _shaped(
-    arrays: StoredArrays, name: str, shape: tuple[int, ...], kinds: str = "fiu"
-) -> np.ndarray:
+def _pose(arrays: StoredArrays, name: str, count: int) -> np.ndarray:
+    return pose_rows(arrays[name], count, quaternion_order(arrays))
+
+
+def _shaped(arrays: StoredArrays, name: str, shape: tuple[int, ...]) -> np.ndarray:
     stored = arrays[name]
     if stored.shape != shape:
         raise RecordingError(
             f"{arrays.path}: array {name[:80]!r} must have shape {shape} to fit the hands, not "
             f"{stored.shape}"
         )
-    if stored.dtype.kind not in kinds and not stored.dtype.hasobject:
-        what = "true or false" if kinds == "b" else "real numbers"
-        raise RecordingError(
-            f"{arrays.path}: array {name[:80]!r} must hold {what}, not {stored.dtype}"
-        )
-    return stored.load() if kinds == "b" else stored.numbers()
+    return stored.numbers()
 
 
 def _text(arrays: StoredArrays, name: str) -> str | None:
