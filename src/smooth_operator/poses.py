@@ -120,13 +120,19 @@ def wrist_from_landmarks(
     """(..., 7) wrist frames of a hand without tracked orientation, from its palm's landmarks in a
     z-up, right-handed world [m]; NaN if wrist, or index, middle or pinky MCP are missing or in
     line."""
-    from smooth_operator.human.palm import palm_axes
-
-    distal, _, palmar = palm_axes(np.asarray(landmarks, np.float64), side)
-    rotation = np.stack([distal, np.cross(-palmar, distal), -palmar], axis=-1)
-    flat = np.linalg.norm(palmar, axis=-1) < 0.5  # points in line have no palm
+    points = np.asarray(landmarks, np.float64)
+    distal = _unit(points[..., 9, :] - points[..., 0, :])
+    dorsal = _unit(np.cross(distal, points[..., 5, :] - points[..., 17, :]))
+    dorsal = dorsal if side == "right" else -dorsal
+    rotation = np.stack([distal, np.cross(dorsal, distal), dorsal], axis=-1)
+    flat = np.linalg.norm(dorsal, axis=-1) < 0.5  # points in line have no palm
     rotation = np.where(flat[..., None, None], np.nan, rotation)
-    return np.concatenate([landmarks[..., 0, :], quaternions(rotation)], axis=-1)
+    return np.concatenate([points[..., 0, :], quaternions(rotation)], axis=-1)
+
+
+def _unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    unit: np.ndarray = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+    return unit
 
 
 def is_valid(poses: Float[np.ndarray, "*n 7"] | None) -> Bool[np.ndarray, "*n"]:
