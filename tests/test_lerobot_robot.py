@@ -104,6 +104,79 @@ def test_a_simulated_hand_goes_slowly_to_the_first_action_and_is_measured(robot,
         device.send_action(start)
 
 
+class PerfectSink:
+    """A sink that takes each command at once and measures it; it has no guard of its own."""
+
+    label, note, measures = "perfect", "", True
+
+    def __init__(self, hand: Hand) -> None:
+        self.hand, self.positions = hand, hand.full_configuration(hand.neutral)
+
+    def use_arms(self, arms: object) -> None:
+        pass
+
+    def open(self, hands: object, configuration: object) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def send(self, tick: Any) -> None:
+        self.positions = np.array(tick.command.positions)
+
+    def state(self, side: str) -> Any:
+        return SimpleNamespace(time=0.0, positions=self.positions)
+
+
+@pytest.fixture
+def at_30_hz(robot, monkeypatch):
+    """A robot on a sink without a guard, on a clock that each action moves by 1/30 s."""
+    hand, clock = load_hand("mimic_p050"), SimpleNamespace(now=1000.0)
+    perfect = PerfectSink(hand)
+    monkeypatch.setattr(sys.modules[f"{ROBOT}.robot"], "build_sink", lambda text: perfect)
+    ports = sys.modules[f"{ROBOT}.hand_port"]
+    monkeypatch.setattr(ports, "time", SimpleNamespace(perf_counter=lambda: clock.now))
+
+    def make(**settings: Any) -> Any:
+        device = robot(sinks=["perfect"], unit="radians", **settings)
+
+        def send(share: float, times: int = 1) -> None:
+            for _ in range(times):
+                clock.now += 1 / 30
+                device.send_action(goal(hand, share))
+
+        return SimpleNamespace(device=device, send=send, sink=perfect, clock=clock, hand=hand)
+
+    return make
+
+
+def test_a_pause_ends_in_a_slow_start_from_rest(at_30_hz):
+    """The speed of before the pause is gone: it was kept with low limits of acceleration."""
+    run = at_30_hz(acceleration=20.0)
+    run.device.connect()
+    run.send(0.2, 120)
+    run.send(1.0, 3)  # it moves
+    before = run.sink.positions
+    run.clock.now += 10.0
+    run.send(0.2)
+    assert np.abs(run.sink.positions - before).max() <= 0.5 / 30 + 1e-9
+    assert ((run.sink.positions - before) <= 1e-9).all()  # back at once, not on as before
+
+
+def test_a_quick_reconnect_starts_slowly_where_the_hand_is(at_30_hz):
+    run = at_30_hz()
+    run.device.connect()
+    run.send(0.2, 120)
+    run.device.disconnect()
+    low, high = run.hand.limits.T
+    moved = run.hand.full_configuration(low + 0.9 * (high - low))
+    run.sink.positions = moved  # by a person
+    run.clock.now += 0.2
+    run.device.connect()
+    run.send(0.2)
+    assert np.abs(run.sink.positions - moved).max() <= 0.5 / 30 + 1e-9
+
+
 def test_a_signal_is_ctrl_c_while_it_is_connected(robot):
     """After which LeRobot disconnects: the hand comes to rest."""
     before = [signal.getsignal(number) for number in ENDING]
@@ -282,6 +355,9 @@ def test_the_environment_state_is_a_column_of_its_own(robot):
         ({"currents": True}, "no driver in --robot.sinks"),
         ({"unmeasured": "guess"}, "unmeasured must be one of"),
         ({"arm": "panda"}, "an arm follows the wrist"),
+        ({"stale_s": -1.0}, "stale_s must be"),
+        ({"stale_s": float("nan")}, "stale_s must be"),
+        ({"acceleration": float("inf")}, "acceleration must be positive"),
     ],
 )
 def test_a_wrong_setting_is_refused(robot, settings, message):

@@ -119,10 +119,9 @@ class HandPort:
                 f"the {self.side} hand does not measure {', '.join(unknown)}; to observe their "
                 "command in place of it, set --robot.unmeasured=command"
             )
-        low, high = self.hand.limits.T
-        start = np.where(np.isfinite(actuated), actuated, self.hand.neutral)
-        self._limiter.q = np.clip(start, low, high)
+        self._limiter.put(np.where(np.isfinite(actuated), actuated, self.hand.neutral))
         self._target = self._limiter.q.copy()
+        self._last = -math.inf  # the first action is approached slowly, however soon it comes
         self.wrist.attach(sinks)
 
     def currents(self, sinks: Sequence[Sink]) -> tuple[str, ...]:
@@ -156,6 +155,7 @@ class HandPort:
         pause = now - self._last
         if pause > _PAUSE_S:
             self._approach_since, pause = now, 1.0 / 30.0
+            self._limiter.put(self._limiter.q)  # the hand has come to rest meanwhile
             self.wrist.approach(now)
         self._last = now
         low, high = self.hand.limits.T

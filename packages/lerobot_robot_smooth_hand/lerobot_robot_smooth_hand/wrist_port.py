@@ -81,8 +81,11 @@ class WristPort:
         self._begun = True
 
     def approach(self, now: float) -> None:
-        """Go slowly to the actions from now on [s], until one is reached."""
+        """Go slowly to the actions from now on [s], from rest, until one is reached."""
         self._slow_since = now
+        self._limiter.put(self._limiter.pose)
+        if self._arm is not None:
+            self._arm.restart(self._arm.limiter.q)
 
     def step(
         self, action: Mapping[str, float], now: float, dt: float, hand: np.ndarray

@@ -72,9 +72,13 @@ class JointLimiter:
         self._velocity, self._acceleration = velocity, acceleration
         self._start, self._end = ends[:, 0], ends[:, 1]
         self._low, self._high = self._start + margin, self._end - margin
-        self.q: Float[np.ndarray, " m"] = np.clip(start, self._low, self._high)
+        self.put(np.clip(start, self._low, self._high))
+
+    def put(self, positions: Float[np.ndarray, " m"]) -> None:
+        """Begin at these positions [rad], at rest: for a first command, and after a pause."""
+        self.q: Float[np.ndarray, " m"] = np.clip(positions, self._start, self._end)
         self.velocity: Float[np.ndarray, " m"] = np.zeros_like(self.q)
-        self._last_dt = math.inf  # at rest until now
+        self._last_dt = math.inf
 
     def step(
         self,
