@@ -10,7 +10,15 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
-from smooth_operator import Hand, HandFrame, HandRecording, Retargeter, Status, read_recording
+from smooth_operator import (
+    Hand,
+    HandFrame,
+    HandRecording,
+    Retargeter,
+    Status,
+    poses,
+    read_recording,
+)
 from smooth_operator.errors import ConfigError
 from smooth_operator.io.anatomy import FEWEST_FRAMES
 from smooth_operator.landmarks import LAYOUTS
@@ -23,6 +31,7 @@ from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.pipeline import (
     COMPILED,
     COMPILING,
+    NOT_FINITE,
     HandPipeline,
     Supervisor,
     finger_curl,
@@ -113,6 +122,26 @@ def test_a_setting_is_a_finite_number(value):
             for name in (name for name, hint in hints.items() if float in (hint, *get_args(hint))):
                 with pytest.raises(ConfigError, match=name):
                     build_component(parts, f"{word}:{name}={value}")
+
+
+@pytest.mark.parametrize("part", ["fingers", "wrist"])
+def test_a_command_that_is_not_finite_repeats_the_last_one(retargeter, motion, part):
+    """Whatever makes it so: the limiter is broken here."""
+    stage = HandPipeline(retargeter, LOOP, lambda: now)
+    ticks = []
+    for k in range(80):
+        now = k * PERIOD
+        frame = replace(motion[k], T_world_wrist=poses.IDENTITY)
+        if k == 60:
+            limiter = stage.limiter if part == "fingers" else stage.clutch.limiter
+            limiter.velocity = limiter.velocity * np.nan
+        ticks.append(stage.step(now, arrived(frame, now)))
+    every = [(t.command.positions, t.velocity, t.wrist.pose) for t in ticks]
+    assert all(np.isfinite(value).all() for tick in every for value in tick)
+    assert [k for k, tick in enumerate(ticks) if NOT_FINITE in tick.events] == [60]
+    for before, after in zip(every[59], every[60], strict=True):
+        assert (after == before).all() or before is every[59][1]
+    assert np.ptp([tick.command.positions for tick in ticks[61:]], axis=0).max() > 0.01  # goes on
 
 
 def arrived(frame: HandFrame, at: float, session: int = 0, **changes: object) -> Arrival:

@@ -318,6 +318,81 @@ def test_an_emergency_stop_does_not_wait_for_the_next_tick(retargeters):
     assert loop.pipelines["right"].mode_now is Mode.STOPPED
 
 
+def sleeping(until: threading.Event) -> None:
+    """Holds the thread up and releases the GIL, as XLA does while it compiles."""
+    until.wait(LONG_S)
+
+
+def computing(until: threading.Event) -> None:
+    """Holds the thread up and the GIL, too, but for a moment now and then, as tracing does."""
+    end = time.perf_counter() + LONG_S
+    while not until.is_set() and time.perf_counter() < end:
+        sum(range(100_000))
+
+
+LONG_S = 20.0
+"""Time for which a method is held up if no stop ends it [s]; no test waits so long."""
+
+
+@pytest.mark.parametrize("compiling", [sleeping, computing])
+@pytest.mark.parametrize("place", ["solve", "switch", "another thread"])
+def test_an_emergency_stop_does_not_wait_for_a_method_that_compiles(
+    retargeters, frames, monkeypatch, place, compiling
+):
+    """The stop ends what it does not wait for, so no clock decides: else it would come after it."""
+    busy, reached, ended_by_stop = threading.Event(), threading.Event(), []
+
+    class Telling(Keeper):
+        def send(self, tick: Tick) -> None:
+            super().send(tick)
+            if tick.mode is Mode.STOPPED:
+                reached.set()
+
+    def held_up() -> None:
+        busy.set()
+        compiling(reached)
+        ended_by_stop.append(reached.is_set())
+
+    def begin(number: int) -> None:
+        if number != 30:  # the hand moves by then
+            return
+        if place == "switch":
+            loop.controls.change(lambda hand: held_up())
+        elif place == "another thread":
+            threading.Thread(target=held_up, daemon=True).start()
+        else:
+            compile_once.append(held_up)
+
+    def press() -> None:
+        busy.wait(LONG_S)
+        loop.controls.stop()
+        while not ended_by_stop:
+            time.sleep(0.001)
+        time.sleep(0.2)
+        loop.controls.quit()
+
+    compile_once: list[Callable[[], None]] = []
+    step = Retargeter.step
+
+    def stepped(self: Retargeter, *args: Any) -> Any:
+        while compile_once:
+            compile_once.pop()()
+        return step(self, *args)
+
+    monkeypatch.setattr(Retargeter, "step", stepped)
+    sink = Telling()
+    loop = looped(retargeters, Player(frames, before=begin), sink)
+    threading.Thread(target=press, daemon=True).start()
+    loop.run(duration=2 * LONG_S)
+    assert ended_by_stop == [True]
+    modes = [tick.mode for tick in sink.ticks]
+    first = modes.index(Mode.STOPPED)
+    assert set(modes[first:]) == {Mode.STOPPED}  # also after the method has answered
+    assert [tick.number for tick in sink.ticks] == list(range(len(modes)))
+    assert np.ptp([tick.command.positions for tick in sink.ticks[-5:]], axis=0).max() == 0
+    assert sink.ticks[first].events == ("tracking -> stopped",)
+
+
 def test_a_source_is_told_which_hands_are_wanted():
     from smooth_operator.teleop.components import build_source
 
@@ -356,7 +431,7 @@ class Unfinished(Sink):
         (["--sink", f"{__name__}:Unfinished"], "it lacks close, label, open, send"),
         (["--hand", "my.urdf"], "hands add my.urdf"),
         (["--source", "synthetic:sped=2"], "Did you mean 'speed'"),
-        (["--rate", "0"], "rate must be between"),
+        (["--rate", "0"], "rate must be 1 to 1000 Hz, not"),
         (["--hand", "mimic_p05"], "Did you mean 'mimic_p050'"),
         (["--operator", "/nowhere.json"], "/nowhere.json"),
         (["--safety.stale-s", "-1"], "stale_s must be positive"),

@@ -8,6 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -23,7 +24,7 @@ from smooth_operator.teleop.sources.live import LiveSource, Mailbox
 from smooth_operator.types import Side
 
 if TYPE_CHECKING:
-    from smooth_operator.teleop.runtime.pipeline import HandPipeline
+    from smooth_operator.teleop.runtime.pipeline import Answer, HandPipeline
 
 
 class TeleopLoop:
@@ -32,6 +33,9 @@ class TeleopLoop:
     A frame is answered on arrival, so that nothing is added to its age. Without frames, commands
     leave at the loop's pace and hold or ease by the policies. The commands of a hand never exceed
     the rate (``RateLimiter``), except for the first one of an emergency stop.
+
+    An emergency stop does not wait for a method: while one holds the loop up, because it compiles
+    or takes long, another thread commands the stop.
 
     Args:
         pipelines: side -> pipeline of the hand.
@@ -71,6 +75,9 @@ class TeleopLoop:
         self._rate_limiters = {side: RateLimiter(config.period) for side in self.pipelines}
         self._changed_sides: set[Side] = set()  # hands that something was changed of
         self._stopped: set[Side] = set()  # hands whose emergency stop the sinks don't know yet
+        self._turn = threading.Lock()  # held to command, by a thread that is not the loop's
+        self._held_up = False  # True while the loop's thread leaves the commands alone
+        self._stand_ins = 0  # commands of the other thread
 
     def run(
         self,
@@ -95,7 +102,7 @@ class TeleopLoop:
             self.source.start(self.mailbox)
             try:
                 started()
-                with self._watchdog():
+                with self._watchdog(), self._stops_at_once():
                     self._loop(duration)
             finally:
                 self.source.stop()
@@ -161,7 +168,8 @@ class TeleopLoop:
         free = {side for side, hand in self.pipelines.items() if not hand.supervisor.stopped}
         for change in self.controls.drain():
             for side, pipeline in self.pipelines.items():
-                change(pipeline)
+                with self._away():
+                    change(pipeline)
                 self._changed_sides.add(side)  # informs the sinks as soon as the pace allows
         self._stopped |= {side for side in free if self.pipelines[side].supervisor.stopped}
 
@@ -185,11 +193,21 @@ class TeleopLoop:
         due = self._due(side, now)
         if now < due:
             return
-        arrival = self.mailbox.take(side)
+        pipeline, arrival = self.pipelines[side], self.mailbox.take(side)
+        answer, stand_ins = None, self._stand_ins
+        if arrival is not None and (frame := pipeline.admit(now, arrival)) is not None:
+            with self._away():
+                answer = pipeline.solve(frame)
+            if self._stand_ins != stand_ins:
+                return  # the robot was stopped meanwhile
+        self._command(side, now, due, answer)
+
+    def _command(self, side: Side, now: float, due: float, answer: Answer | None = None) -> None:
+        """Send the next command of a hand to the sinks."""
         self._changed_sides.discard(side)
         self._stopped.discard(side)
-        pace.take(now)
-        tick = self.pipelines[side].step(now, arrival)
+        self._rate_limiters[side].take(now)
+        tick = self.pipelines[side].command(now, answer)
         state = self.sinks.state(side)
         if state is not None:
             tick = replace(tick, state=state)
@@ -209,6 +227,46 @@ class TeleopLoop:
         """Pose of a hand's wrist on its arm: measured by a sink, else the last command."""
         measured, arm = self.sinks.measured_wrist(side), self.pipelines[side].arm
         return arm.pose if measured is None and arm is not None else measured
+
+    @contextlib.contextmanager
+    def _away(self) -> Iterator[None]:
+        """Time in which the loop's thread may be held up, and touches no command."""
+        self._held_up = True
+        try:
+            yield
+        finally:
+            with self._turn:
+                self._held_up = False
+
+    @contextlib.contextmanager
+    def _stops_at_once(self) -> Iterator[None]:
+        """A thread that commands an emergency stop while the loop's thread is held up."""
+        done = threading.Event()
+
+        def stand_in() -> None:
+            while (stop := self.controls.stops.get()) is not None:
+                while not (stop.taken or done.is_set()):
+                    with self._turn:
+                        if self._held_up:
+                            self._command_stop()
+                    done.wait(self.config.period)
+
+        thread = threading.Thread(target=stand_in, name="stop", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            self.controls.stops.put(None)
+            thread.join()
+
+    def _command_stop(self) -> None:
+        """Send each hand the next command of an emergency stop."""
+        now = self.mailbox.clock()
+        for side, pipeline in self.pipelines.items():
+            pipeline.supervisor.stop()
+            self._stand_ins += 1
+            self._command(side, now, now)
 
     @contextlib.contextmanager
     def _watchdog(self) -> Iterator[None]:
@@ -235,6 +293,21 @@ Change: TypeAlias = Callable[["HandPipeline"], None]
 """A change of every hand, between two of its steps."""
 
 
+class Stop:
+    """Change that stops a hand.
+
+    Attributes:
+        taken: True once the loop has carried it out.
+    """
+
+    taken = False
+
+    def __call__(self, hand: HandPipeline) -> None:
+        """Stop a hand; on the loop's thread."""
+        hand.supervisor.stop()
+        self.taken = True
+
+
 class Controls:
     """Switches of a loop; safe to use from any thread and from a signal handler.
 
@@ -242,9 +315,13 @@ class Controls:
 
     Args:
         mailbox: mailbox on which the loop waits.
+
+    Attributes:
+        stops: emergency stops, for the thread that carries them out while the loop can't.
     """
 
     def __init__(self, mailbox: Mailbox) -> None:
+        self.stops: SimpleQueue[Stop | None] = SimpleQueue()
         self._mailbox = mailbox
         self._pending: deque[Change] = deque()
         self._stops = 0  # number of stops: a release ends only the earlier ones
@@ -265,8 +342,9 @@ class Controls:
     def stop(self) -> None:
         """Emergency stop: the robot stands until a later ``release``."""
         self._stops += 1
-        # before whatever else is waiting
-        self._pending.appendleft(lambda hand: hand.supervisor.stop())
+        stop = Stop()
+        self._pending.appendleft(stop)  # before whatever else is waiting
+        self.stops.put(stop)
         self._mailbox.wake()
 
     def release(self) -> None:

@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from smooth_operator.io.anatomy import PALM_RANGE_M, Doubt, HandCheck
 from smooth_operator.landmarks import BASES, WRIST
+from smooth_operator.methods.frame import RetargetState
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.teleop.runtime.limiter import Clutch, Limiter
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
@@ -256,6 +257,24 @@ SWITCHED: Final = "another method, or other settings"
 COMPILING: Final = "the method is compiled first; the robot holds"
 COMPILED: Final = "the method is compiled"
 """Event of the first tick after a hold for the compiler."""
+NOT_FINITE: Final = "the command was not finite; the last one is repeated"
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """Answer of a method to a frame.
+
+    Attributes:
+        arrival: the frame.
+        state: state of the method after it.
+        result: result of the method.
+        stages: name of a stage -> its time [ms].
+    """
+
+    arrival: Arrival
+    state: RetargetState
+    result: Result
+    stages: dict[str, float]
 
 
 class HandPipeline:
@@ -303,6 +322,7 @@ class HandPipeline:
         self._session = SessionCheck(self.side)
         self._last: float | None = None
         self._number = 0
+        self._mode = self.supervisor.mode  # of the last tick
         self.latest: Arrival | None = None
         self._next_events: list[str] = []  # events of the next step
         if compiling:
@@ -363,45 +383,71 @@ class HandPipeline:
         return self.retargeter.fingertip_targets(self._state)
 
     def step(self, now: float, arrival: Arrival | None = None) -> Tick:
-        """The next command.
+        """The next command: ``admit``, ``solve`` and ``command`` in turn.
 
         Args:
             now: time of the step, by the clock of the arrivals [s].
             arrival: the newest frame, if one has come since the last step.
         """
-        before = self.supervisor.mode
-        events, self._next_events = self._next_events, []
-        stages: dict[str, float] = {}
-        result: Result | None = None
+        arrival = None if arrival is None else self.admit(now, arrival)
+        return self.command(now, None if arrival is None else self.solve(arrival))
+
+    def admit(self, now: float, arrival: Arrival) -> Arrival | None:
+        """The frame if the method is to answer it; None if it is refused, or moves no robot."""
         self.supervisor.update(now)  # what the operator switched since the last step
-        if arrival is not None:
-            why = implausible(arrival.frame)
-            if why is None:
-                self._delay.see(arrival)
-                why = self.supervisor.admits(arrival, now)
-            else:
-                self.supervisor.refuse(why)
-            if why is None and (doubt := self._session.doubt(arrival)) is not None:
-                why = self.supervisor.refuse(doubt.live)
-            if why is not None:
-                events.append(f"frame refused: {why}")
-                arrival = None
-            elif not self.supervisor.listens:
-                self.latest, arrival = arrival, None
-            else:
-                self.latest = arrival
-                result, stages = self._answer(arrival, now)
-                if result.status != Status.OK:
-                    events.append(f"frame not used: {result.status.reason}")
+        why = implausible(arrival.frame)
+        if why is None:
+            self._delay.see(arrival)
+            why = self.supervisor.admits(arrival, now)
+        else:
+            self.supervisor.refuse(why)
+        if why is None and (doubt := self._session.doubt(arrival)) is not None:
+            why = self.supervisor.refuse(doubt.live)
+        if why is not None:
+            self.note(f"frame refused: {why}")
+            return None
+        self.latest = arrival
+        return arrival if self.supervisor.listens else None
+
+    def solve(self, arrival: Arrival) -> Answer:
+        """Answer of the method to a frame. It may take long and changes nothing, so that another
+        thread may call ``command`` meanwhile."""
+        start = self._clock()
+        state = self.retargeter.init() if self.supervisor.starts_again else self._state
+        state, result = self.retargeter.step(state, arrival.frame)
+        stages = {
+            "tracker": self._delay.above_fastest(arrival) * 1e3,
+            "receive": (start - arrival.received) * 1e3,
+            "solve": (self._clock() - start) * 1e3,
+        }
+        return Answer(arrival, state, result, stages)
+
+    def command(self, now: float, answer: Answer | None = None) -> Tick:
+        """The next command, from the answer to a frame or without one."""
+        result, arrival = (None, None) if answer is None else (answer.result, answer.arrival)
+        stages = {} if answer is None else dict(answer.stages)
+        if answer is not None:
+            self._take(answer, now)
         mode = self.supervisor.update(now)
         guarded = self._clock()
         dt = self.config.period if self._last is None else guarded - self._last
+        before = self.limiter.q, self.clutch.limiter.pose
         q = self._follow(mode, now, dt)
-        velocity = self.limiter.velocity
         wrist = self.clutch.step(mode, guarded, dt, arrival)
-        events += self.clutch.events()
-        if mode is not before:
-            events.append(f"{before.value} -> {mode.value}")
+        if not all(
+            np.isfinite(x).all() for x in (q, self.limiter.velocity, self.clutch.limiter.pose)
+        ):
+            # Nothing is known to lead here: it is the last check before a robot.
+            self.limiter.put(before[0])
+            self.clutch.limiter.put(before[1])
+            q = self.limiter.q
+            wrist = None if wrist is None else replace(wrist, pose=before[1])
+            self.note(NOT_FINITE)
+        velocity = self.limiter.velocity
+        events, self._next_events = [*self._next_events, *self.clutch.events()], []
+        if mode is not self._mode:
+            events.append(f"{self._mode.value} -> {mode.value}")
+        self._mode = mode
         hand = self.retargeter.hand
         command = JointCommand(
             hand.full_configuration(q),
@@ -443,24 +489,17 @@ class HandPipeline:
         self._last, self._number = guarded, self._number + 1
         return tick
 
-    def _answer(self, arrival: Arrival, now: float) -> tuple[Result, dict[str, float]]:
-        """Result of the method for a frame, and the times of its stages [ms]."""
-        start = self._clock()
-        if self.supervisor.starts_again:
-            self._state = self.retargeter.init()
-        state, result = self.retargeter.step(self._state, arrival.frame)
-        solved = self._clock()
-        if result.status == Status.OK:
-            if not self.supervisor.mode.moves:
-                self._from = self.limiter.q
-            self.supervisor.usable(now)
-            self._state = state
-            self._target = result.command.positions[list(self.retargeter.hand.actuated)]
-        return result, {
-            "tracker": self._delay.above_fastest(arrival) * 1e3,
-            "receive": (start - arrival.received) * 1e3,
-            "solve": (solved - start) * 1e3,
-        }
+    def _take(self, answer: Answer, now: float) -> None:
+        """Make an answer the target, if it is one."""
+        result = answer.result
+        if result.status != Status.OK:
+            self.note(f"frame not used: {result.status.reason}")
+            return
+        if not self.supervisor.mode.moves:
+            self._from = self.limiter.q
+        self.supervisor.usable(now)
+        self._state = answer.state
+        self._target = result.command.positions[list(self.retargeter.hand.actuated)]
 
     def _follow(self, mode: Mode, now: float, dt: float) -> np.ndarray:
         """Joint positions that the limits allow in this mode since the last command."""
