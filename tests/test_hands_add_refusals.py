@@ -2,10 +2,13 @@
 
 import functools
 import json
+import os
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+import trimesh
 from discovery_hands import Model, make_hand, mjcf, urdf
 
 from smooth_operator.hands.registry import load_hand
@@ -201,6 +204,60 @@ def test_a_file_that_is_not_there_and_a_folder(run, tmp_path):
     status, _, err = run("package")
     assert status == 2
     assert "is a folder; name the model file in it: hand.urdf" in err
+
+
+@pytest.mark.parametrize("way", ["..", "down/..", "link/..", "link", "link.urdf"])
+def test_a_path_by_way_of_other_folders(run, tmp_path, monkeypatch, way):
+    """The copy holds the model and its mesh, whichever way the path goes."""
+    package, here = tmp_path / "vendor/package", tmp_path / "vendor/here/down"
+    for folder in (package / "urdf", package / "meshes", here):
+        folder.mkdir(parents=True)
+    trimesh.creation.box((0.01, 0.01, 0.01)).export(package / "meshes/part.stl")
+    (package / "urdf/hand.urdf").write_text(urdf(HAND.parts, mesh="../meshes/part.stl"))
+    (here / "link").symlink_to(package / "urdf", target_is_directory=True)
+    (package / "urdf/other.urdf").symlink_to(package / "urdf/hand.urdf")
+    monkeypatch.chdir(here)
+    path = {
+        "..": "../../package/urdf/hand.urdf",
+        "down/..": "../down/../../package/urdf/hand.urdf",
+        "link/..": "link/../urdf/hand.urdf",  # beside the folder that the link names
+        "link": "link/hand.urdf",
+        "link.urdf": "link/other.urdf",
+    }[way]
+    status, out, err = run(path, "--name", "gadget")
+    assert (status, "Traceback" in err) == (0, False), err
+    assert "Copied the model and its meshes" in out
+    assert "could not be read" not in out
+    (tmp_path / "vendor").rename(tmp_path / "gone")
+    hand = load_hand("gadget")
+    assert (hand.model.nmesh, hand.unreadable) == (1, ())
+
+
+def test_a_path_that_is_not_utf8(run, tmp_path):
+    """Only some file systems have such names."""
+    folder = os.fsencode(tmp_path) + b"/m\xff"
+    try:
+        os.mkdir(folder)
+    except OSError:
+        pytest.skip("this file system has names in UTF-8 only")
+    for name in (b"/h\xff.urdf", b"/h.urdf"):
+        Path(os.fsdecode(folder + name)).write_text(TEXT)
+        status, out, err = run(os.fsdecode(folder + name), "--name", "raw")
+        assert (status, out, "Traceback" in err) == (2, "", False), err
+        assert "is not text in UTF-8; rename the file or its folder" in err
+
+
+def test_names_that_no_file_can_have(run, tmp_path):
+    (tmp_path / "h.urdf").write_text(TEXT)
+    for name in ("x" * 300, "x" * 101):
+        status, out, err = run("h.urdf", "--name", name)
+        assert (status, out, "Traceback" in err) == (2, "", False), err
+        assert "expected at most 100" in err
+    status, _, err = run("x" * 300 + ".urdf")
+    assert (status, "no hand model at xxx" in err) == (2, True), err
+    (tmp_path / f"{'y' * 240}.urdf").write_text(TEXT)
+    assert run(f"{'y' * 240}.urdf")[0] == 0
+    assert load_hand("y" * 100).fingers[0] == "thumb"
 
 
 def bare() -> Model:

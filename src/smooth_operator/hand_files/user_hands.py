@@ -13,7 +13,7 @@ from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.loading import load_model
-from smooth_operator.hands.model_assets import read_model_files
+from smooth_operator.hands.model_assets import model_path, read_model_files
 from smooth_operator.hands.registry import HANDS, find_specs, origin, shadowing, user_hands_folder
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import check_hand_name
@@ -33,7 +33,8 @@ def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
         the file.
 
     Raises:
-        HandModelError: the name is not valid, or is that of a built-in hand or a plugin's.
+        HandModelError: the name is not valid, or is that of a built-in hand or a plugin's; or the
+            model's path is not UTF-8.
         OutputError: the file can't be written.
     """
     folder = user_hands_folder()
@@ -45,8 +46,8 @@ def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
     except OSError as error:
         raise output_error(folder, error) from error
     # A relative path would count from the new file.
-    model = spec.model.absolute()
-    if copy and not model.is_relative_to(folder.absolute()):
+    model = model_path(spec.model)
+    if copy and not model.is_relative_to(folder.resolve()):
         model = copy_model(model, model_folder(spec.name, spec.side)) or model
     write_hand_spec(replace(spec, model=model), file, comment=comment)
     return file
@@ -143,7 +144,7 @@ def copy_model(path: Path, folder: Path) -> Path | None:
         HandModelError: the file is no model.
         OutputError: the copy can't be written.
     """
-    path = path.absolute()
+    path = model_path(path)
     top = path.parents[min(_HIGHEST, len(path.parents) - 1)]
     files = [file for file in model_files(path) if file.is_relative_to(top)]
     if sum(file.stat().st_size for file in files) > MOST_BYTES:

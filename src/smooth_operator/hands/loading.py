@@ -79,7 +79,7 @@ def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
         HandModelError: if there is no such file, it is too large (``read_model_files``), or MuJoCo
             can't compile it.
     """
-    files = _model_files(path)
+    path, files = _model_files(path)
     spec = _read(path, files, mirror)
     if files is not None and _has_assets(spec):
         from smooth_operator.hands.model_meshes import compile_with_meshes
@@ -99,13 +99,14 @@ def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
     return LoadedModel(model, possible, unreadable, "; ".join(why), large)
 
 
-def _model_files(path: Path) -> ModelFiles | None:
-    """The files of a model, within bounds; None for a built-in model, which is one small file."""
+def _model_files(path: Path) -> tuple[Path, ModelFiles | None]:
+    """The path for MuJoCo, which takes ``link/..`` for nothing, and the files of a model, within
+    bounds; None for a built-in model, which is one small file."""
     if path.parent == MODELS:
-        return None
-    from smooth_operator.hands.model_assets import read_model_files
+        return path, None
+    from smooth_operator.hands.model_assets import model_path, read_model_files
 
-    return read_model_files(path)
+    return model_path(path), read_model_files(path)
 
 
 def _check_finite(model: mujoco.MjModel, path: Path) -> None:
@@ -186,7 +187,7 @@ def load_spec(path: Path, *, mirror: bool = False) -> mujoco.MjSpec:
     Raises:
         HandModelError: MuJoCo can't compile it.
     """
-    files = _model_files(path)
+    path, files = _model_files(path)
     read = partial(_read, path, files, mirror)
     spec = read()
     if files is None or not _has_assets(spec):

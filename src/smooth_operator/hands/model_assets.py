@@ -62,14 +62,31 @@ class ModelFiles:
     attaches: bool
 
 
+def model_path(path: Path) -> Path:
+    """The absolute path of a model file, without ``..``. Links to its folder are followed, as the
+    system does at a ``..``; the file keeps its own name, by which it lies beside its meshes.
+
+    Raises:
+        HandModelError: the path is not UTF-8, which MuJoCo and spec files need.
+    """
+    whole = Path(os.path.realpath(path.parent), path.name)
+    try:
+        str(whole).encode("utf-8")
+    except UnicodeEncodeError:
+        raise HandModelError(
+            f"the path {brief(str(whole))} is not text in UTF-8; rename the file or its folder"
+        ) from None
+    return whole
+
+
 def read_model_files(path: Path) -> ModelFiles:
     """Read a model file, MJCF or URDF, and find the files that it names.
 
     Raises:
-        HandModelError: it is no such file, it names a pipe or a device, or it expands to more than
-            ``MOST_ELEMENTS`` or ``MOST_NAMES``.
+        HandModelError: it is no such file, its path is not UTF-8, it names a pipe or a device, or
+            it expands to more than ``MOST_ELEMENTS`` or ``MOST_NAMES``.
     """
-    reader = _Reader(Path(os.path.abspath(path)))
+    reader = _Reader(model_path(path))
     for document in reader.pending:  # grows during the loop
         reader.read(document)
     for name in reader.names:

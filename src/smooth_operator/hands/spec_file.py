@@ -59,6 +59,8 @@ POINTS: Final[dict[str, tuple[str, ...]]] = {
 """Names of a finger's four points, base to tip: cmc, mcp, ip, tip of the thumb, else mcp, pip,
 dip, tip."""
 
+MOST_NAME: Final = 100
+"""Longest name of a hand. It is part of file names, which may have 255 characters."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 _MOST_BYTES = 1_000_000  # a spec file has 2 kB
 
@@ -83,8 +85,14 @@ def check_hand_name(name: str) -> str:
     """The name, if it is a valid name of a hand.
 
     Raises:
-        HandModelError: it has other characters than letters, digits, ``_`` and ``-``.
+        HandModelError: it has other characters than letters, digits, ``_`` and ``-``, or more than
+            ``MOST_NAME``.
     """
+    if len(name) > MOST_NAME:
+        raise HandModelError(
+            f"a hand can't be named {brief(name)}: it has {len(name)} characters; expected at "
+            f"most {MOST_NAME}"
+        )
     if not _NAME.fullmatch(name):
         raise HandModelError(
             f"a hand can't be named {brief(name)}; use letters, digits, '_' and '-', and a "

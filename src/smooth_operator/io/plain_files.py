@@ -65,6 +65,14 @@ def too_deep() -> DocumentError:
     return DocumentError(f"it has more than {MOST_LEVELS} levels of lists and tables")
 
 
+def is_folder(path: Path) -> bool:
+    """True if the folder exists; False also for a name that is not valid."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
 def is_file(path: Path) -> bool:
     """True if the file exists; False also for a name that is not valid."""
     try:

@@ -12,7 +12,9 @@ import numpy as np
 
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.loading import NO_ROOM, Coupling, shared_range
+from smooth_operator.hands.model_assets import model_path
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
+from smooth_operator.hands.spec_file import MOST_NAME
 from smooth_operator.lab.discovery.branches import Branches, Chain, HandTree, Tip, find_tip, holds
 from smooth_operator.lab.discovery.landmarks import (
     Discovery,
@@ -184,7 +186,7 @@ def _described(
     spec = HandSpec(
         name=name or _name(path),
         side=layout.side,
-        model=path.absolute(),
+        model=model_path(path),
         palm=skeleton.body_name(tree.palm),
         wrist=wrist,
         fingers=fingers,
@@ -365,12 +367,12 @@ def _align(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def _name(path: Path) -> str:
     """A name from the file's, or its folder's where the file's says nothing."""
-    for text in (path.stem, path.absolute().parent.name):
+    for text in (path.stem, path.resolve().parent.name):
         parts = [w for w in re.split(r"[^A-Za-z0-9]+", text.lower()) if w]
         name_words = [w for w in parts if w not in _GENERIC]
         if name_words:
             words = [w for w in parts if w not in _GENERIC or w == "hand"]
-            return "_".join(words)
+            return "_".join(words)[:MOST_NAME]
     return "hand"
 
 

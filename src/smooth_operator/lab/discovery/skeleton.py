@@ -21,6 +21,7 @@ from smooth_operator.errors import HandModelError, require
 from smooth_operator.hands.loading import Coupling, load_model
 from smooth_operator.hands.model_assets import read_model_files, read_model_xml
 from smooth_operator.hands.spec import Point
+from smooth_operator.io.plain_files import is_folder
 from smooth_operator.types import Side
 
 _FINGER_WORDS: Final[dict[str, tuple[str, ...]]] = {
@@ -356,7 +357,7 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
 
 
 def _parse(path: Path) -> ElementTree.Element:
-    if path.is_dir():
+    if is_folder(path):
         inside = sorted(p.name for p in path.iterdir() if p.suffix in (".urdf", ".xml"))
         raise HandModelError(
             f"{path} is a folder; name the model file in it"
