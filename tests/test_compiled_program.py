@@ -75,6 +75,20 @@ def test_it_is_traced_once_and_read_by_the_next(folder):
     assert len(list(folder.iterdir())) == 3
 
 
+def test_an_error_of_the_program_is_raised_at_once():
+    """An error of the user's own term, say, is no unknown option of XLA: nothing is tried again."""
+    traced: list[int] = []
+
+    def function(x: Any) -> Any:
+        traced.append(1)
+        raise ZeroDivisionError("of the user's own")
+
+    run = CompiledProgram(function, "test", hand=load_hand(), config=TINY, cached=False)
+    with pytest.raises(ZeroDivisionError, match="own"):
+        run(np.zeros(3, np.float32))
+    assert len(traced) == 1
+
+
 def test_a_damaged_file_is_said_once_and_made_again(folder, caplog):
     traced: list[int] = []
     call(program(traced))

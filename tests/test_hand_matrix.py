@@ -4,6 +4,8 @@ What is asked here is that a hand follows at all; ``bench --hands all`` measures
 Compiling is nearly all of the time.
 """
 
+import subprocess
+import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,7 +27,9 @@ from smooth_operator.baselines.geort import (
     write_geort_model,
 )
 from smooth_operator.errors import ConfigError
+from smooth_operator.hands.registry import hand_names
 from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.methods.presets import live_presets
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.parallel import run_tasks
 from smooth_operator.synthetic import SyntheticOperator
@@ -266,6 +270,57 @@ def test_the_two_sides_are_alike(matrix, name):
         else:
             a, b = (run[method].figure("cosine_similarity") for run in (right, left))
             assert a == pytest.approx(b, abs=0.05), method
+
+
+LATE = """
+import sys
+import jax
+events = []
+def heard(event, duration, **_):
+    if event.startswith("/jax/core/compile"):
+        events.append(event)
+jax.monitoring.register_event_duration_secs_listener(heard)
+from smooth_operator import HandFrame, Retargeter, SyntheticOperator
+for task in sys.argv[1:]:
+    name, side, method, preset = task.split(":")
+    frames = list(SyntheticOperator(side=side, rate_hz=20).record(0.4))
+    nothing = HandFrame(0 * frames[0].landmarks, 9.0, side)
+    retargeter = Retargeter(name, side=side, method=method, preset=preset)
+    retargeter.warm_up()
+    events.clear()
+    loaded = {*sys.modules}
+    assert retargeter.compiled
+    results = [retargeter(frame) for frame in (*frames, nothing)]
+    state = retargeter._state
+    retargeter.method.latched(state.method), retargeter.fingertip_targets()
+    retargeter.reset()
+    assert [result.status.name for result in results[:-1]] == ["OK"] * len(frames)
+    assert results[-1].status.name != "OK"
+    assert not events and loaded == {*sys.modules}, (task, events, {*sys.modules} - loaded)
+"""
+"""Warms retargeters up and gives them frames, as a live loop does. Fails if a frame compiles or
+imports something. A program of its own, since tests before may have imported it."""
+
+
+def nothing_is_late(*tasks: str) -> None:
+    """Runs ``LATE`` for hands, sides, methods and presets, as ``hand:side:method:preset``."""
+    run = subprocess.run([sys.executable, "-c", LATE, *tasks], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr[-2000:]
+
+
+def test_after_a_warm_up_no_frame_compiles_or_imports():
+    """On a hand whose own landmarks are no human hand's; of the methods one of each way to solve,
+    the one that loads most first."""
+    methods = ("dexpilot:published", "ako:default", "joint_angle:default", "smooth:teleop")
+    nothing_is_late(*(f"leap_hand:right:{method}" for method in methods))
+
+
+@pytest.mark.weekly
+@pytest.mark.parametrize("method", [m for m in METHODS if m != "geort"])
+def test_after_a_warm_up_no_frame_compiles_or_imports_with_any_hand(method):
+    for preset in live_presets()[method]:
+        nothing_is_late(*(f"{name}:{side}:{method}:{preset}"
+                          for name in hand_names() for side in SIDES))  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NAMES)

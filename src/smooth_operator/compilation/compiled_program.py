@@ -45,13 +45,17 @@ _NARROW: Final[dict[str, Any]] = {
     "xla_cpu_use_fusion_emitters": False,
     "xla_cpu_experimental_ynn_fusion_type": "",
 }
-_WIDE: Final[dict[str, Any]] = {**_NARROW, "xla_cpu_prefer_vector_width": 512}
-_GRAPHS: Final[dict[str, Any]] = {
-    "xla_gpu_enable_command_buffer": "FUSION,CUBLAS,CUBLASLT,CUDNN,CUSTOM_CALL,"
-    "DYNAMIC_SLICE_FUSION,CONDITIONAL,WHILE",
-    "xla_gpu_graph_min_graph_size": 1,
+_OPTIONS: Final[dict[str, dict[str, Any]]] = {
+    "narrow": _NARROW,
+    "wide": {**_NARROW, "xla_cpu_prefer_vector_width": 512},
+    "graphs": {
+        "xla_gpu_enable_command_buffer": "FUSION,CUBLAS,CUBLASLT,CUDNN,CUSTOM_CALL,"
+        "DYNAMIC_SLICE_FUSION,CONDITIONAL,WHILE",
+        "xla_gpu_graph_min_graph_size": 1,
+    },
 }
-"""Loops and branches run on the GPU too; XLA's default starts their kernels from the host."""
+"""Sets of options of XLA. With ``graphs`` loops and branches run on the GPU too; XLA's default
+starts their kernels from the host."""
 
 _Signature: TypeAlias = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], str]
 """Structure, shapes and kinds of the arguments, and the platform that they are on."""
@@ -67,29 +71,31 @@ def compiled(function: Callable[..., Any], *, wide: bool = False) -> Callable[..
     return jax.jit(function, compiler_options=_known_options(wide))
 
 
-@functools.cache
-def _known_options(wide: bool) -> dict[str, Any] | None:
-    """The first of ``_options`` that XLA knows here."""
-    for options in _options(wide):
-        # what XLA raises for an unknown option has changed between versions
-        with contextlib.suppress(Exception):
-            jax.jit(lambda x: x, compiler_options=options)(np.float32(0))
-            return options
-    return None
-
-
-def _options(wide: bool, graphs: bool = False) -> list[dict[str, Any] | None]:
+def _known_options(wide: bool, graphs: bool = False) -> dict[str, Any] | None:
     """Options with which a program starts sooner on a CPU and its loops suit the processor, and
-    with which a GPU is not waited for; the last are none.
+    with which a GPU is not waited for; None for those of XLA.
 
     XLA's newer emitter of fused loops takes 1.6 s longer over this program, and the program is no
     faster for it. The options are XLA's own and may go: where one is unknown, the next are tried.
     """
     if on_gpu():
-        return [_GRAPHS, None] if graphs else [None]
-    if jax.default_backend() != "cpu":
-        return [None]
-    return [_WIDE, _NARROW, None] if wide else [_NARROW, None]
+        names = ["graphs"] if graphs else []
+    elif jax.default_backend() == "cpu":
+        names = ["wide", "narrow"] if wide else ["narrow"]
+    else:
+        names = []
+    return next((_OPTIONS[name] for name in names if _is_known(name)), None)
+
+
+@functools.cache
+def _is_known(name: str) -> bool:
+    """True if XLA compiles a trivial program with these options. A program of its own tells an
+    unknown option from an error of the program that the options are for."""
+    try:
+        jax.jit(lambda x: x, compiler_options=_OPTIONS[name])(np.float32(0))
+    except Exception:  # what XLA raises for an unknown option has changed between versions
+        return False
+    return True
 
 
 def program_key(
@@ -118,7 +124,7 @@ class CompiledProgram:
         config: the method's settings.
         constants: ``Method.constants``.
         cached: it is read from the user's cache, and written there.
-        graphs: on a GPU its loops run there (``_GRAPHS``): more frames a second where a loop has
+        graphs: on a GPU its loops run there (``_OPTIONS``): more frames a second where a loop has
             long turns; a frame alone takes a tenth longer.
     """
 
@@ -176,14 +182,9 @@ class CompiledProgram:
             except Exception as error:  # a program that can't be exported is still a program
                 LOGGER.info("a program can't be kept: %s", error)
         with jax_cache() if function is not self._function else contextlib.nullcontext():
-            for options in _options(self._wide, self._graphs):
-                try:
-                    run = jax.jit(function, compiler_options=options).lower(*arguments).compile()
-                    return run, run(*arguments)
-                except Exception:  # as in ``_known_options``
-                    if options is None:
-                        raise
-        raise AssertionError("the last options are none")
+            options = _known_options(self._wide, self._graphs)
+            run = jax.jit(function, compiler_options=options).lower(*arguments).compile()
+        return run, run(*arguments)
 
 
 def _signature(arguments: tuple[Any, ...]) -> _Signature | None:

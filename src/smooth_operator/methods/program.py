@@ -147,7 +147,7 @@ class SharedProgram(NamedTuple):
         method: the method that it was made from.
         run: the program of one frame.
         reflects: it is that of the hand's mirror image, and takes landmarks reflected.
-        compiled: set once it has answered a frame.
+        compiled: set once it has answered a frame with the status OK.
     """
 
     method: Method

@@ -12,11 +12,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.frame import FrameState, RetargetState
@@ -119,8 +118,8 @@ class Retargeter:
 
     @property
     def compiled(self) -> bool:
-        """The program of a frame was compiled in this process, by ``warm_up`` of this retargeter or
-        of another with the same hand and settings."""
+        """True if this process has already answered a frame with this hand and these settings,
+        so that the next frame compiles nothing. ``warm_up`` answers one."""
         return self.shared.compiled.is_set()
 
     def __repr__(self) -> str:
@@ -160,6 +159,8 @@ class Retargeter:
         if self.rate is not None:
             state = replace(state, stamp=stamp)
         q, status = np.asarray(output.q, float), Status(int(output.status))
+        if status == Status.OK and not self.shared.compiled.is_set():
+            self.shared.compiled.set()
         # float32 may round a limit outwards: the last word is in float64
         q = self.hand.full_configuration(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
         latency_ms = (time.perf_counter() - start) * 1e3
@@ -266,15 +267,27 @@ class Retargeter:
         self._input = HandCheck(self.hand.spec.side)
 
     def warm_up(self) -> float:
-        """Compiles the program, without touching the state kept inside.
+        """Compiles the program, and loads the libraries of the solver, by two frames of a flat
+        human hand. The state kept inside stays as it is.
 
         Returns:
             seconds it took.
+
+        Raises:
+            HandModelError: the frames got no command, so the retargeter may not be ready.
         """
+        from smooth_operator.human.flat_hand import FLAT_HAND
+
         start = time.perf_counter()
-        side = self.hand.spec.side
-        self.step(self.init(), HandFrame(reference_landmarks(self.hand), 0.0, side))
-        self.shared.compiled.set()
+        side, state = self.hand.spec.side, self.init()
+        landmarks = FLAT_HAND * (1.0, -1.0, 1.0) if side == "left" else FLAT_HAND
+        for stamp in (0.0, 0.01):  # the second one has a state that the program returned
+            state, result = self.step(state, HandFrame(landmarks, stamp, side))
+            if result.status != Status.OK:
+                raise HandModelError(
+                    f"{self!r} gives no command for a flat human hand ({result.status.name}): "
+                    f"run `smooth-operator hands check` on the hand, or choose another method"
+                )
         return time.perf_counter() - start
 
     def run(
