@@ -1,5 +1,6 @@
 """Recordings of two hands into a data set: the same bytes whatever was killed, split or changed."""
 
+import importlib
 import json
 import os
 import shutil
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from two_hands import LAYOUT, PAIRS, save_pair
 
-from smooth_operator import Retargeter, load_hand, poses
+from smooth_operator import Retargeter, load_hand, plugins, poses, result_cache
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.lab.datasets import pipeline
@@ -623,6 +624,24 @@ def test_the_busy_share_is_what_nvidia_smi_says(tmp_path, monkeypatch):
     with use.measured():
         pass
     assert use.busy is None
+
+
+def test_keys_of_clips_are_of_the_code_and_of_the_readers_of_plugins(monkeypatch, tmp_path):
+    module = tmp_path / "own_reader_module.py"
+    module.write_text("READER = None\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    digests = [Recipe(RECIPE.request).digest]
+    for place in ("lab.datasets.registry:DATASETS", "formats.registry:READERS"):
+        module_name, _, name = place.partition(":")
+        registry = getattr(importlib.import_module(f"smooth_operator.{module_name}"), name)
+        monkeypatch.setitem(registry._added, "own", plugins.Entry("own_reader_module:READER"))
+        digests.append(Recipe(RECIPE.request).digest)
+    module.write_text("READER = 1\n")
+    result_cache._package_digest.cache_clear()
+    digests.append(Recipe(RECIPE.request).digest)
+    monkeypatch.setattr("smooth_operator.lab.offline.finished.code_digest", lambda *_: "other")
+    digests.append(Recipe(RECIPE.request).digest)
+    assert len(set(digests)) >= 4  # the same module twice is one
 
 
 def test_keys_of_clips_do_not_depend_on_where_the_hand_stands(tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from metrics_cases import make_trace
 
-from smooth_operator import HandRecording, read_recording
+from smooth_operator import HandRecording, read_recording, result_cache
 from smooth_operator.cli.console import print_metrics
 from smooth_operator.errors import (
     ConfigError,
@@ -23,7 +23,6 @@ from smooth_operator.errors import (
 )
 from smooth_operator.formats.registry import Reader
 from smooth_operator.hands.registry import HANDS, MODELS, hand_names, known_hands, load_hand
-from smooth_operator.lab.benchmark import cells
 from smooth_operator.lab.benchmark.cells import (
     Cell,
     Settings,
@@ -338,7 +337,7 @@ def test_a_cell_is_measured_again_when_the_code_of_its_plugin_changes(monkeypatc
     )
     before = fingerprint(own, settings), fingerprint(built_in, settings)
     file.write_text(file.read_text() + "# another\n")
-    cells._code_outside.cache_clear()
+    result_cache._package_digest.cache_clear()
     after = fingerprint(own, settings), fingerprint(built_in, settings)
     assert after[0] != before[0]
     assert after[1] == before[1]

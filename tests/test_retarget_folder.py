@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, read_commands, read_recording
+from smooth_operator import Retargeter, load_hand, read_commands, read_recording
 from smooth_operator.compilation.batching import BLOCK
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
 from smooth_operator.lab.offline import folder as pipeline
-from smooth_operator.lab.offline.finished import claimed
+from smooth_operator.lab.offline.finished import claimed, made_by
 from smooth_operator.lab.offline.folder import (
     Entry,
     Job,
@@ -295,9 +295,9 @@ def damage(path: Path) -> None:
         lambda recordings, output: (output / "a.json").unlink(),
         lambda recordings, output: (output / "a.npz").write_bytes(b""),
         lambda recordings, output: shutil.copy(output / "e.npz", output / "a.npz"),
-        lambda recordings, output: new_version(output / "a.json"),
+        lambda recordings, output: of_other_code(output / "a.json"),
     ],
-    ids=["new recording", "a bit", "no result", "no json", "empty", "another's", "version"],
+    ids=["new recording", "a bit", "no result", "no json", "empty", "another's", "code"],
 )
 def test_only_what_is_whole_and_its_own_is_kept(copy, spoil, expected):
     recordings, output = copy
@@ -305,10 +305,34 @@ def test_only_what_is_whole_and_its_own_is_kept(copy, spoil, expected):
     assert left(recordings, output) == {"a.npz"}
 
 
-def new_version(path: Path) -> None:
+def of_other_code(path: Path) -> None:
     config = json.loads(path.read_text(encoding="utf-8"))
-    config["versions"]["smooth-operator"] = "0.0.1"
+    config["made_by"] = config["made_by"][::-1]
     path.write_text(json.dumps(config), encoding="utf-8")
+
+
+def test_after_a_change_of_the_code_all_is_made_again(copy, monkeypatch):
+    assert not left(*copy)
+    names: list[str] = []
+
+    def digest_of(*parts: str) -> str:
+        names.extend(parts)
+        return "another"
+
+    monkeypatch.setattr("smooth_operator.lab.offline.finished.code_digest", digest_of)
+    assert left(*copy) == {f"{name}.npz" for name in FRAMES}
+    for name in ("methods", "hands", "objective", "human", "formats", "io", "lab/offline"):
+        assert name in names
+
+
+def test_after_a_change_of_the_robot_hand_all_is_made_again(copy, monkeypatch, tmp_path):
+    hand = load_hand(ASKED.hand_name, "right")
+    model = Path(shutil.copy(hand.spec.model, tmp_path))
+    same = replace(hand, spec=replace(hand.spec, model=model))
+    monkeypatch.setattr(RetargetRequest, "load_hand", lambda self, side: same)
+    before = made_by(ASKED)
+    model.write_bytes(model.read_bytes() + b"\n")
+    assert made_by(ASKED) != before
 
 
 def test_two_runs_do_not_meet(tmp_path):

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar, Final, Generic, TypeAlias, TypeVar
 
@@ -19,6 +23,7 @@ from smooth_operator.errors import DocumentError, SmoothOperatorError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.parallel import TaskResult
+from smooth_operator.source_digest import HOME
 from smooth_operator.source_digest import code_digest as code_digest
 
 T = TypeVar("T")
@@ -38,6 +43,40 @@ def key_digest(key: object) -> str:
 def content_name(prefix: str, key: object) -> str:
     """Name of a result that is identified by its key alone."""
     return f"{prefix}-{key_digest(key)[:20]}"
+
+
+def outside_code(*parts: Any) -> list[str]:
+    """Digests of the other distributions' packages that some parts come from, as those of plugins.
+
+    Args:
+        parts: objects with a module, or names of modules; these are not imported.
+
+    Returns:
+        one digest for each package other than this one, in hexadecimal, sorted.
+    """
+    modules = {part if isinstance(part, str) else getattr(part, "__module__", "") for part in parts}
+    packages = {module.partition(".")[0] for module in modules}
+    return sorted(digest for package in packages if (digest := _package_digest(package)))
+
+
+@cache
+def _package_digest(package: str) -> str:
+    """Digest of a package or module of another distribution; empty for this one, and where it has
+    no file."""
+    path = _file_of(package)
+    if path is None or path.parent == HOME:
+        return ""
+    files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def _file_of(package: str) -> Path | None:
+    file = getattr(sys.modules.get(package), "__file__", None)
+    if file is None:
+        with suppress(ImportError, ValueError):  # no such module, or one without a description
+            spec = find_spec(package)
+            file = None if spec is None or not spec.has_location else spec.origin
+    return None if file is None else Path(file).resolve()
 
 
 def outdated(count: int, place: Path) -> str:

@@ -41,7 +41,8 @@ written with it, as OUT.json.
 Of a folder, every recording in it, however deep, is retargeted to the same path in the folder
 named by --output, several in parallel; latency_ms is then NaN, and summary.json has the result
 of each. Run the same command again to go on where it was stopped, or to add new recordings:
-what is whole and unchanged is kept, and the bytes are the same as if nothing had happened.
+finished results are kept, unless their recording, settings, robot hand or this program's code
+have changed; those are made again.
 
 Exit status: 0 done, 1 some recordings of the folder failed (the others are done), 2 the
 request is invalid, 130 stopped.
@@ -284,7 +285,7 @@ def _tell(todo: Survey, progress: Progressing) -> None:
     if todo.remade:
         progress.note(
             f"making {_count(todo.remade, 'result')} again: damaged, or of another configuration, "
-            "version or recording",
+            "recording or version of the code",
             matters=True,
         )
 

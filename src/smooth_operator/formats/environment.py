@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import platform
 from datetime import UTC, datetime
@@ -18,11 +19,7 @@ PACKAGES = ("jax", "jaxlib", "mujoco", "numpy", "scipy")
 def environment() -> dict[str, Any]:
     """Versions, machine and date."""
     return {
-        "versions": {
-            "python": platform.python_version(),
-            "smooth-operator": package_version(),
-            **{package: _version(package) for package in PACKAGES},
-        },
+        "versions": versions(),
         "platform": platform.platform(),
         "cpu": _cpu(),
         "cpu_cores": _cores(),
@@ -31,6 +28,16 @@ def environment() -> dict[str, Any]:
     }
 
 
+def versions() -> dict[str, str]:
+    """Versions of Python, of this program and of the libraries that compute."""
+    return {
+        "python": platform.python_version(),
+        "smooth-operator": package_version(),
+        **{package: _version(package) for package in PACKAGES},
+    }
+
+
+@functools.cache
 def _version(package: str) -> str:
     try:
         return version(package)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Final
 
-import smooth_operator
 from smooth_operator.atomic_files import file_name
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
 from smooth_operator.formats.jsonable import to_json
@@ -27,6 +24,7 @@ from smooth_operator.metrics.table import Definition, plugin_metrics
 from smooth_operator.planning import Plan
 from smooth_operator.plugins import is_target
 from smooth_operator.result_cache import code_digest, key_digest
+from smooth_operator.result_cache import outside_code as outside_code
 from smooth_operator.types import Side
 
 ALL: Final = "all"
@@ -274,23 +272,6 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
             **({"metrics": sorted(settings.metrics)} if settings.metrics else {}),
         }
     )
-
-
-def outside_code(*parts: Any) -> list[str]:
-    """Digests of the other distributions that some parts come from, as those of plugins."""
-    modules = {sys.modules[getattr(part, "__module__", __name__)] for part in parts}
-    return sorted(code for module in modules if (code := _code_outside(module)))
-
-
-@cache
-def _code_outside(module: ModuleType) -> str:
-    """Digest of the distribution's package that a module is in; empty for a module of this one."""
-    package = sys.modules[module.__name__.partition(".")[0]]
-    if package is smooth_operator or package.__file__ is None:
-        return ""
-    path = Path(package.__file__)
-    files = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
-    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def benchmark_code() -> str:

@@ -7,7 +7,6 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -16,9 +15,9 @@ from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorEr
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.clip import SIDES, Clip, Frame, RobotClip, in_frame, with_side
 from smooth_operator.lab.datasets.quality import Tracks, quality_tracks
-from smooth_operator.lab.datasets.registry import RESEARCH_PACKAGE, ReadingOptions
+from smooth_operator.lab.datasets.registry import DATASETS, RESEARCH_PACKAGE, ReadingOptions
 from smooth_operator.lab.offline.execution import answers
-from smooth_operator.lab.offline.finished import digest
+from smooth_operator.lab.offline.finished import digest, made_by
 from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
 from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, plan
 from smooth_operator.plugins import Entry
@@ -32,6 +31,12 @@ _OBJECT_AWARE: Final = Entry("smooth_hand_datasets.objects.retargeter:object_awa
 Its result has the attributes ``commands``, ``loss`` (T,), ``tracks`` (name -> (T,)) and
 ``T_world_wrist`` (T, 7).
 """
+
+_CODE: Final = tuple(
+    f"lab/datasets/{name}"
+    for name in ("clip.py", "quality.py", "readers", "registry.py", "retargeting.py", "store.py")
+)
+"""Files and folders of this package that a retargeted clip depends on, beside those of commands."""
 
 SHORTEST: Final = 2
 """Fewest frames of a clip: with one there is no rate."""
@@ -110,13 +115,12 @@ class Recipe:
 
     @functools.cached_property
     def digest(self) -> str:
-        """Digest of it, with the version of this program and both hands' descriptions and models,
-        wherever these stand on a machine."""
-        hands = [self.request.load_hand(side).spec for side in SIDES]
-        specs = [(replace(spec, model=Path(spec.model.name)), digest(spec.model)) for spec in hands]
+        """Digest of it, with the code and both robot hands; see ``made_by``."""
         mano = self.reading.mano
         models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
-        parts = [package_version(), self.request, self.frame, self.side, specs]
+        readers = [entry.target for entry in DATASETS.plugins.values()]
+        code = made_by(self.request, *_CODE, *readers)
+        parts = [code, self.request, self.frame, self.side]
         parts += ["with objects"] if self.with_objects else []
         parts += ["gpu"] if self.device == "gpu" else []
         return key_digest([*parts, self.reading.rate, [(m.name, digest(m)) for m in models]])

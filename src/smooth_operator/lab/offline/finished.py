@@ -6,18 +6,31 @@ import contextlib
 import hashlib
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import claimed as claimed
-from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.errors import DocumentError, HandModelError, RecordingError
 from smooth_operator.formats.commands import config_path, read_commands
+from smooth_operator.formats.environment import versions
+from smooth_operator.formats.registry import READERS
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.plain_files import check_plain_file
-from smooth_operator.planning import PROGRAM
-from smooth_operator.version import package_version
+from smooth_operator.planning import PROGRAM, RetargetRequest
+from smooth_operator.result_cache import key_digest, outside_code
+from smooth_operator.source_digest import code_digest
+from smooth_operator.types import Side
 
+SIDES: Final[tuple[Side, Side]] = ("right", "left")
 _MOST_BYTES: Final = 64_000_000  # that of a folder of thousands of recordings lists them
+
+_CODE: Final = (
+    *("geometry.py", "landmarks.py", "planning.py", "poses.py", "types.py"),
+    *("human", "hands", "objective", "solvers", "methods", "baselines", "compilation"),
+    *("io", "formats", "episode_files", "headsets", "teleop/recording", "lab/offline"),
+)
+"""Files and folders of this package that commands depend on."""
 
 _LEFT_OVER: Final = re.compile(r"\..{1,32}\.[0-9a-f]{8}\.tmp", re.DOTALL)
 """Names that ``atomic_write`` gives to what it works on."""
@@ -57,16 +70,44 @@ def digest(content: bytes | Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def finished(output: Path, source: Path, request: Mapping[str, Any]) -> dict[str, Any] | None:
+def made_by(request: RetargetRequest, *readers: str) -> str:
+    """Digest of the code and the hands that make the commands of a request.
+
+    It covers this package's code from the reader of a file to the commands, the code of plugins for
+    methods and readers, the versions of the libraries that compute, and the descriptions and models
+    of both robot hands, wherever these stand on a machine.
+
+    Args:
+        request: settings of the retargeting.
+        readers: more files and folders of this package that the commands depend on, and modules of
+            other distributions, as ``module:attribute``.
+    """
+    own = [name for name in readers if ":" not in name]
+    others = [entry.target for entry in READERS.plugins.values()]
+    others += [name for name in readers if ":" in name]
+    modules = [target.partition(":")[0] for target in others]
+    hands = []
+    for side in SIDES:
+        with contextlib.suppress(HandModelError):  # there is no hand of this side
+            spec = request.load_hand(side).spec
+            hands.append((replace(spec, model=Path(spec.model.name)), digest(spec.model)))
+    code = code_digest(*_CODE, *own)
+    return key_digest([code, outside_code(request.config, *modules), versions(), hands])
+
+
+def finished(
+    output: Path, source: Path, request: Mapping[str, Any], made_by: str
+) -> dict[str, Any] | None:
     """The configuration of a result that need not be made again.
 
-    It is one if the result is whole to the last byte, and was made by this version, as it is asked
-    for now, from a recording that has not changed since. A recording with another date but the same
-    content is the same.
+    It is one if the result is whole to the last byte, and was made by this code and this robot
+    hand, as it is asked for now, from a recording that has not changed since. A recording with
+    another date but the same content is the same.
 
     Args:
         output: ``OUT.npz``.
         request: settings of the retargeting, as JSON has them.
+        made_by: digest from ``made_by``.
 
     Returns:
         the configuration, or None if the result is missing or another's.
@@ -77,7 +118,7 @@ def finished(output: Path, source: Path, request: Mapping[str, Any]) -> dict[str
             return None
         if config["rate"] not in (None, request["rate"]):  # None: it has stamps
             return None
-        if config["versions"][PROGRAM] != package_version():
+        if config["made_by"] != made_by:
             return None
         recorded, stat = config["source"], source.stat()
         check_plain_file(source)

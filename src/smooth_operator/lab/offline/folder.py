@@ -31,6 +31,7 @@ from smooth_operator.lab.offline.finished import (
     finished,
     foreign,
     identity,
+    made_by,
     remove_leftovers,
 )
 from smooth_operator.lab.offline.trajectory_retargeter import check_method
@@ -201,11 +202,13 @@ class Job:
         found: the recording.
         output: where its commands shall stand.
         request: settings of the retargeting.
+        made_by: digest of the code and the hands that make the commands.
     """
 
     found: Found
     output: Path
     request: RetargetRequest
+    made_by: str
 
 
 @dataclass(frozen=True)
@@ -339,6 +342,7 @@ def _written(read: _Read, commands: CommandTrajectory, loss: np.ndarray) -> Entr
         source={"path": job.found.path, "frames": [frames.start, frames.stop], **read.source},
         rate=read.rate,
         request=job.request,
+        made_by=job.made_by,
         commands={
             "sha256": digest(encoded),
             "held": entry.held,
@@ -380,7 +384,7 @@ class Survey:
         jobs: the recordings to retarget, the longest first.
         settled: those that are done already, or can't be done.
         commands: files passed over, since they hold commands and no hand.
-        remade: jobs whose place holds a result of another configuration, version or recording.
+        remade: jobs whose place holds a result of another configuration, code or recording.
         leftovers: unfinished files of a killed run, now deleted.
     """
 
@@ -423,10 +427,10 @@ def survey(
     recordings, commands = find_recordings(folder, leave_out=output)
     refused = clashes(recordings)
     leftovers = remove_leftovers({output} | {(output / item.output).parent for item in recordings})
-    as_json = json.loads(to_json(request))
+    as_json, code = json.loads(to_json(request)), made_by(request)
 
     def earlier(item: Found) -> dict[str, Any] | None:
-        return None if overwrite else finished(output / item.output, item.path, as_json)
+        return None if overwrite else finished(output / item.output, item.path, as_json, code)
 
     jobs, settled, remade = [], [], 0
     with ThreadPoolExecutor() as threads:  # digests are computed outside Python's lock
@@ -438,7 +442,7 @@ def survey(
             elif config is not None:
                 settled.append(_finished_entry(item, config))
             else:
-                jobs.append(Job(item, path, request))
+                jobs.append(Job(item, path, request, code))
                 remade += path.exists()
     return Survey(jobs, settled, commands, remade, leftovers)
 
