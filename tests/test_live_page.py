@@ -5,7 +5,10 @@ import dataclasses
 import html
 import http.client
 import json
+import os
 import re
+import signal
+import subprocess
 import sys
 import threading
 import time
@@ -29,10 +32,12 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import PageSettings, teleoperate
 from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, css
 from smooth_operator.teleop.pages.live import live_texts
-from smooth_operator.teleop.pages.live.drawing import LiveDrawing, LivePanel, Pace
-from smooth_operator.teleop.pages.live.live_page import LivePage, PageSetup
+from smooth_operator.teleop.pages.live.drawing import LiveDrawing, Pace
+from smooth_operator.teleop.pages.live.live_page import Link, LivePage, LoopLink, PageSetup
+from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession, RateMeter
+from smooth_operator.teleop.pages.live.stop_panel import StopPanel
 from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.take_quality import take_quality
@@ -389,7 +394,7 @@ def test_a_held_wrist_says_why():
         ({"mode": "paused"}, "wrist: held (paused)"),
         ({"mode": "tracking", "wrist": {**wrist, "released": True}}, "wrist: held (released"),
         ({"mode": "holding", "wrist": {**wrist, "tracked": False}}, "(the tracker lost it)"),
-        ({"mode": "tracking", "wrist": {**wrist, "engaged": True}}, "wrist: tracked, no arm here"),
+        ({"mode": "tracking", "wrist": {**wrist, "engaged": True}}, "tracked (no arm connected)"),
         ({"mode": "tracking", "wrist": None}, "wrist: not tracked"),
     ):
         assert words in live_texts.modes({"right": {**hand, **changes}})
@@ -401,7 +406,7 @@ def test_what_is_compiled_is_shown_with_its_seconds(stage):
     eventually(lambda: stage.see()["hands"]["right"]["compiling"] > 0.2)
     seen = stage.see()
     assert seen["hands"]["right"]["human"]  # the operator's own hand moves meanwhile
-    assert "until the method is compiled: 0 s" in live_texts.modes(seen["hands"])
+    assert "compiling for 0 s" in live_texts.modes(seen["hands"])
     stage.session.switcher.building = "compiling sbr paper"
     assert stage.see()["controls"]["building"] == "compiling sbr paper, 0 s"
     stage.session.switcher.building = ""
@@ -513,6 +518,105 @@ def test_no_page_can_frame_it(host):
         close_server(server)
 
 
+class Talk:
+    """A loop's end of a page, and the page's end in the hands of a test."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        here, out = (os.fdopen(fd, mode) for fd, mode in zip(os.pipe(), ("rb", "wb"), strict=True))
+        into, there = (os.fdopen(fd, m) for fd, m in zip(os.pipe(), ("rb", "wb"), strict=True))
+        nothing: Any = lambda *_: None  # noqa: E731
+        process = SimpleNamespace(stdin=there, stdout=here, terminate=nothing, wait=nothing)
+        monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: process)
+        self.page, self.pipe = LivePage(PageSetup("mimic_p050")), Link(into, out)
+        assert self.pipe.receive()["hand"] == "mimic_p050"
+        self.pipe.send({"url": "http://here"})
+        self.raw = out
+        self.link = LoopLink(self.pipe)
+
+    def close(self) -> None:
+        self.raw.close()
+        self.page.stop()
+
+
+@pytest.fixture
+def talk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Talk]:
+    talk = Talk(monkeypatch)
+    yield talk
+    talk.close()
+
+
+@dataclass
+class Clicked:
+    """A session that notes what is clicked, and whose other work fails or takes its time."""
+
+    stopped: bool = False
+    done: list[str] = field(default_factory=list)
+    goes_on: threading.Event = field(default_factory=threading.Event)
+
+    def look(self, **_: Any) -> dict[str, Any]:
+        raise ValueError("zip() argument 2 is shorter than argument 1")
+
+    def do(self, name: str, *values: Any) -> None:
+        if name == "record":
+            self.goes_on.wait(PATIENT_S)
+        if name == "keep":
+            raise KeyError(name)
+        self.done.append(name)
+
+    def close(self) -> None: ...
+
+
+def test_whatever_fails_or_waits_a_stop_from_the_page_stops(talk, capfd):
+    session: Any = Clicked()
+    assert talk.page.serve(session) == "http://here"
+    trouble = "the page can't show the run: ValueError: zip() argument 2 is shorter"
+    for _ in range(2):  # it is asked again and again
+        assert talk.link.look(text=True, scenery=0)["trouble"].startswith(trouble)
+    talk.link.do("keep")  # fails
+    talk.link.do("record")  # takes its time
+    talk.raw.write(b"no message\n[1, 2]\n")
+    talk.pipe.send({"do": 7})
+    talk.link.do("stop")
+    eventually(lambda: session.done)
+    assert session.done == ["stop"]  # before the click that takes its time
+    eventually(lambda: talk.link.alive)
+    for name in ("release", "stop"):  # in their order, whatever the other clicks do
+        talk.link.do(name)
+    eventually(lambda: len(session.done) == 3)
+    assert session.done == ["stop", "release", "stop"]
+    session.goes_on.set()
+    eventually(lambda: len(session.done) == 4)
+    said = capfd.readouterr().err
+    assert said.count(trouble) == 1
+    assert "a click on the page: KeyError: 'keep'" in said
+    assert not talk.page.trouble
+
+
+def test_a_stop_between_two_loops_stops_the_next(talk):
+    first, second, third = Clicked(), Clicked(), Clicked()
+    waits: list[Any] = [first, second, third]
+    talk.link.do("stop")
+    eventually(lambda: talk.link.look(text=True, scenery=0).get("stopped"))
+    talk.page.serve(waits[0])
+    assert first.done == ["stop"]
+    talk.page.change(PageSetup("leap_hand"))
+    assert talk.link.look(text=True, scenery=0)["setup"]["hand"] == "leap_hand"
+    talk.page.serve(waits[1])
+    assert second.done == []  # the first one was released elsewhere
+    second.stopped = True
+    talk.page.change(PageSetup("mimic_p050"))
+    talk.page.serve(waits[2])
+    assert third.done == ["stop"]
+
+
+def test_the_page_knows_within_half_a_second_that_the_loop_is_silent(talk, monkeypatch):
+    eventually(lambda: talk.link.alive)
+    hangs = threading.Event()
+    monkeypatch.setattr(talk.page, "_take", lambda message: hangs.wait(PATIENT_S))
+    eventually(lambda: not talk.link.alive)
+    hangs.set()
+
+
 @pytest.fixture(scope="module")
 def served(stage: Stage) -> Iterator[LivePage]:
     with LivePage(PageSetup("mimic_p050", port=0, details=False)) as page:
@@ -614,7 +718,8 @@ def test_what_others_worded_is_shown_and_never_run(chromium, stage, tmp_path):
     try:
         server.scene.configure_environment_map(None)
         scene = LiveScene(server, hands, False)
-        panel = LivePanel(server, hands, lambda *_: None, scene)
+        stop = StopPanel(server, lambda _: None, attended=True)
+        panel = LivePanel(server, hands, lambda *_: None, scene, stop)
         panel.show(seen)
         panel.show_meshes(False, f"{ATTACK} note")
         with guarded_page(chromium) as page:
@@ -725,6 +830,41 @@ def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(page, stage
     page.get_by_role("button", name="EMERGENCY STOP Space, Esc or X").wait_for()
     for name in ("Pause (P)", "Record (R)"):
         page.get_by_role("button", name=name).wait_for()
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="no such signal")
+def test_a_page_without_a_connection_says_that_its_stop_does_not_work(chromium, stage):
+    served = LivePage(PageSetup("mimic_p050", port=0, details=False, attended=True))
+    page, _ = new_page(chromium, 600, 500)
+    page.goto(served.url)
+    page.get_by_text("EMERGENCY STOP").wait_for()
+    page.keyboard.press("x")  # before there is a loop
+    page.locator("[data-stopped]").wait_for(state="attached")
+    assert stage.mode().moves
+    served.serve(stage.session)
+    eventually(lambda: stage.mode() is Mode.STOPPED)
+    page.locator('[data-mode="stopped"]').wait_for()
+    tracks(page, stage)
+    lost = page.locator("#live-lost")
+    assert lost.count() == 0
+    try:
+        served._process.send_signal(signal.SIGSTOP)
+        lost.wait_for()
+        words = lost.inner_text()
+        assert "CONNECTION LOST" in words
+        assert "The stop button does not work." in words
+        assert "Stop in the terminal of the run: Space, Esc or X." in words
+        assert lost.evaluate("it => getComputedStyle(it).position") == "fixed"
+        page.wait_for_function("document.title.includes('CONNECTION LOST')")
+    finally:
+        served._process.send_signal(signal.SIGCONT)
+    lost.wait_for(state="detached")
+    session, served._session = served._session, None  # the stage's own, which others use
+    served.stop()  # the run ends
+    assert session is stage.session
+    lost.wait_for()
+    page.close()
 
 
 @pytest.mark.browser

@@ -1,7 +1,6 @@
 """A running teleoperation that other programs switch: methods, operators, tasks, trials, blind."""
 
 import contextlib
-import io
 import json
 import sys
 import threading
@@ -35,10 +34,10 @@ from smooth_operator.simulation.tasks.task_session import TrialRunner
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.control.rpc import RpcHandlers, remote
-from smooth_operator.teleop.pages.live.drawing import LivePanel
-from smooth_operator.teleop.pages.live.live_page import Link
+from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession
+from smooth_operator.teleop.pages.live.stop_panel import StopPanel
 from smooth_operator.teleop.pages.viser_server import close_server, open_server
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
@@ -326,8 +325,9 @@ def test_blind_the_panel_has_no_switch(stage):
     try:
         hands = {side: p.retargeter.hand for side, p in stage.loop.pipelines.items()}
         scene = LiveScene(server, hands, simulated=True)
-        sent = io.BytesIO()
-        panel = LivePanel(server, hands, Link(io.BytesIO(), sent).do, scene, True)
+        sent: list[str] = []
+        stop = StopPanel(server, sent.append, attended=True)
+        panel = LivePanel(server, hands, lambda name, *_: sent.append(name), scene, stop, True)
         stage.do("method", method="geort")
 
         def tracking() -> bool:
@@ -340,7 +340,7 @@ def test_blind_the_panel_has_no_switch(stage):
         assert not [name for name in method_names() if name in shown]
         assert "latches" not in shown
         assert not hasattr(panel, "_method")
-        assert not sent.getvalue()
+        assert not sent
     finally:
         close_server(server)
 

@@ -452,6 +452,24 @@ def test_another_method_takes_over_smoothly(hand, retargeter, motion):
     within(hand, LOOP.limits, stage.q, PERIOD)
 
 
+def test_whoever_looks_during_a_switch_sees_a_method_with_its_own_state(hand, motion, monkeypatch):
+    """As the page does, on another thread; here in the middle of each switch."""
+    methods = [Retargeter(hand, method=name) for name in ("smooth", "joint_angle", "keyvector")]
+    pipeline, begin, looks = HandPipeline(methods[0], LOOP), Retargeter.init, []
+
+    def looked_at(retargeter: Retargeter) -> RetargetState:
+        state = begin(retargeter)
+        looks.append((pipeline.latched, pipeline.fingertip_targets))
+        return state
+
+    monkeypatch.setattr(Retargeter, "init", looked_at)
+    for one, other in itertools.permutations(methods, 2):
+        pipeline.switch(one)
+        pipeline.switch(other)
+        assert pipeline.retargeter is other
+    assert len(looks) == 12
+
+
 def test_the_fault_run_breaks_no_limit(hand, retargeter):
     """Drop-outs, bursts, NaN, swapped hands, doubled and shuffled stamps, a restarted tracker."""
     rng, stage = np.random.default_rng(7), Stage(retargeter)

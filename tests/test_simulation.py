@@ -417,7 +417,8 @@ def test_all_that_moves_is_sent_as_one_kind_of_change(simulation, page):
     simulation.change_task("card")
     seen = looked(simulation, ("right",))
     scene.draw_scenery(seen)
-    nodes = [h for n, h in server.scene._handle_from_node_name.items() if n.startswith("/right/")]
+    every = server.scene._handle_from_node_name.items()
+    nodes = [handle for name, handle in every if name.startswith("/live/right/")]
 
     def drawn(bend: float, lift: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
         every = hand.full_configuration(hand.neutral + bend)

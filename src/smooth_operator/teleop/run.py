@@ -564,6 +564,7 @@ def _begun_page(page: PageSettings | None, run: _Run) -> Iterator[LivePage | Non
             None if page.model is None else str(page.model),
             page.meshes,
             arm=run.carrier,
+            attended=run.attended,
         )
         with LivePage(setup) as begun:
             run.reporter.note(f"page: {begun.url}", matters=True)

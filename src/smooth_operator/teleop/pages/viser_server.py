@@ -32,20 +32,27 @@ from smooth_operator.web.listening import quiet_options
 _TOKENS: Final[WeakKeyDictionary[viser.ViserServer, str | None]] = WeakKeyDictionary()
 
 
-def open_server(host: str, port: int) -> viser.ViserServer:
+ALIVE_PATH: Final = "/alive"
+"""Path that answers 204 while the clicks of a page arrive where they act, else 503."""
+
+
+def open_server(
+    host: str, port: int, alive: Callable[[], bool] = lambda: True
+) -> viser.ViserServer:
     """A server on the first free port, without a word on standard output.
 
     Where other machines can reach it, it wants the token that is in ``page_url``.
 
     Args:
         port: first port to try; 0 for any free one.
+        alive: answer to ``ALIVE_PATH``; from the server's thread.
 
     Raises:
         ConfigError: if the address is not one of this machine's, no port is free, or this release
             of viser can't be made to ask for the token.
     """
     port, auth = free_port(host, port), auth_for(host)
-    with _quiet_viser(), authenticated(auth) as started:
+    with _quiet_viser(), authenticated(auth, alive) as started:
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if auth.tokens is not None and not started:
         close_server(server)
@@ -185,7 +192,7 @@ def auth_for(host: str) -> TokenAuth:
 
 
 @contextlib.contextmanager
-def authenticated(auth: TokenAuth) -> Iterator[list[str]]:
+def authenticated(auth: TokenAuth, alive: Callable[[], bool]) -> Iterator[list[str]]:
     """Servers of viser that are started in this block refuse what ``auth`` refuses.
 
     viser has no option for this. So the function that it starts its server with is wrapped, for
@@ -199,7 +206,7 @@ def authenticated(auth: TokenAuth) -> Iterator[list[str]]:
         viser: Any = _infra
         plain = viser.websockets
         server = plain.asyncio.server
-        asking = _Module(server, serve=_asking(auth, started, server.serve))
+        asking = _Module(server, serve=_asking(auth, alive, started, server.serve))
         viser.websockets = _Module(plain, asyncio=_Module(plain.asyncio, server=asking))
         try:
             yield started
@@ -218,10 +225,17 @@ class _Module:
         return getattr(self._module, name)
 
 
-def _asking(auth: TokenAuth, started: list[str], serve: Callable[..., Any]) -> Callable[..., Any]:
+def _asking(
+    auth: TokenAuth, alive: Callable[[], bool], started: list[str], serve: Callable[..., Any]
+) -> Callable[..., Any]:
     def serve_and_ask(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
         def answer(connection: Any, request: Any) -> Any:
             refusal = auth.refusal(connection, request) or _not_a_client(connection, request)
+            if refusal is None and request.path == ALIVE_PATH:
+                status = (
+                    http.HTTPStatus.NO_CONTENT if alive() else http.HTTPStatus.SERVICE_UNAVAILABLE
+                )
+                return connection.respond(status, "")
             return refusal or process_request(connection, request)
 
         started.append("viser")

@@ -254,7 +254,7 @@ class Supervisor:
 
 SWITCHED: Final = "another method, or other settings"
 """Event of the first tick after a switch; the tick's driver has the details."""
-COMPILING: Final = "the method is compiled first; the robot holds"
+COMPILING: Final = "compiling the method, robot holding"
 COMPILED: Final = "the method is compiled"
 """Event of the first tick after a hold for the compiler."""
 NOT_FINITE: Final = "the command was not finite; the last one is repeated"
@@ -275,6 +275,19 @@ class Answer:
     state: RetargetState
     result: Result
     stages: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A retargeter with its state. They change together, so other threads never see half of it.
+
+    Attributes:
+        retargeter: method and hand.
+        state: state of the method after the last frame.
+    """
+
+    retargeter: Retargeter
+    state: RetargetState
 
 
 class HandPipeline:
@@ -306,7 +319,8 @@ class HandPipeline:
         arm: ArmController | None = None,
         compiling: bool = False,
     ) -> None:
-        self.retargeter = retargeter
+        # Replaced as a whole and never changed: a page reads it while the loop switches.
+        self._driven = Driven(retargeter, retargeter.init())
         self.arm = arm
         self.driver = driver
         self.config = config
@@ -315,7 +329,6 @@ class HandPipeline:
         self.clutch = Clutch(config)
         self.side: Side = retargeter.hand.spec.side
         self._clock = clock
-        self._state = retargeter.init()
         self._target = self.limiter.q  # what the operator asked for last
         self._from = self.limiter.q  # where a blend began
         self._delay = TrackerDelay()
@@ -329,6 +342,11 @@ class HandPipeline:
             self.hold()
 
     @property
+    def retargeter(self) -> Retargeter:
+        """Method and hand. Safe from any thread."""
+        return self._driven.retargeter
+
+    @property
     def mode_now(self) -> Mode:
         """Mode of the next tick, if no frame comes."""
         return self.supervisor.preview(self._clock())
@@ -338,9 +356,8 @@ class HandPipeline:
 
         The robot moves on from its last command within the limits.
         """
-        self.retargeter, self.driver = retargeter, driver
+        self._driven, self.driver = Driven(retargeter, retargeter.init()), driver
         self.note(SWITCHED)
-        self._state = retargeter.init()
         self.supervisor.restart_blend(self._last)
         self._from = self.limiter.q
         self.go_on()
@@ -369,18 +386,20 @@ class HandPipeline:
     def latched(self) -> tuple[str, ...] | None:
         """Fingers that the method has latched to the thumb; None for a method without latches.
 
-        Safe from any thread without a lock, since a state is replaced and never changed."""
-        latched = self.retargeter.method.latched(self._state.method)
+        Safe from any thread."""
+        driven = self._driven
+        latched = driven.retargeter.method.latched(driven.state.method)
         if latched is None:
             return None
-        fingers = self.retargeter.hand.fingers[1:]
+        fingers = driven.retargeter.hand.fingers[1:]
         return tuple(f for f, on in zip(fingers, np.asarray(latched), strict=True) if on)
 
     @property
     def fingertip_targets(self) -> np.ndarray | None:
         """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m]; None
         where there are none. Safe from any thread."""
-        return self.retargeter.fingertip_targets(self._state)
+        driven = self._driven
+        return driven.retargeter.fingertip_targets(driven.state)
 
     def step(self, now: float, arrival: Arrival | None = None) -> Tick:
         """The next command: ``admit``, ``solve`` and ``command`` in turn.
@@ -413,8 +432,9 @@ class HandPipeline:
         """Answer of the method to a frame. It may take long and changes nothing, so that another
         thread may call ``command`` meanwhile."""
         start = self._clock()
-        state = self.retargeter.init() if self.supervisor.starts_again else self._state
-        state, result = self.retargeter.step(state, arrival.frame)
+        retargeter = self.retargeter
+        state = retargeter.init() if self.supervisor.starts_again else self._driven.state
+        state, result = retargeter.step(state, arrival.frame)
         stages = {
             "tracker": self._delay.above_fastest(arrival) * 1e3,
             "receive": (start - arrival.received) * 1e3,
@@ -498,7 +518,7 @@ class HandPipeline:
         if not self.supervisor.mode.moves:
             self._from = self.limiter.q
         self.supervisor.usable(now)
-        self._state = answer.state
+        self._driven = Driven(self.retargeter, answer.state)
         self._target = result.command.positions[list(self.retargeter.hand.actuated)]
 
     def _follow(self, mode: Mode, now: float, dt: float) -> np.ndarray:

@@ -77,6 +77,7 @@ class ArmRoom:
         hands: side -> robot hand.
         settings: settings of the arms.
         measured: True if the arms are measured.
+        root: name of the parent node.
     """
 
     def __init__(
@@ -85,6 +86,7 @@ class ArmRoom:
         hands: Mapping[Side, Hand],
         settings: ArmSettings,
         measured: bool,
+        root: str,
     ) -> None:
         placed = place_arms(settings, hands)
         toward = np.array(
@@ -97,7 +99,7 @@ class ArmRoom:
         right = np.cross((0.0, 0.0, 1.0), toward)
         right /= np.linalg.norm(right)
         self._rows = np.stack([right, np.cross(toward, right), toward])
-        self._root = scene.add_frame("/room", show_axes=False)
+        self._root = scene.add_frame(f"{root}/room", show_axes=False)
         across = [carried.base[1, 3] for carried in placed.values()]
         (x0, x1), (y0, y1), (z0, z1) = _ROOM
         corners = np.array(
@@ -112,14 +114,15 @@ class ArmRoom:
         self._low, self._high = projected.min(axis=0), projected.max(axis=0)
         if not settings.no_table:
             scene.add_grid(
-                "/room/table", _SCALE * _TABLE[0], _SCALE * _TABLE[0], plane="xy",
+                f"{root}/room/table", _SCALE * _TABLE[0], _SCALE * _TABLE[0], plane="xy",
                 cell_size=_SCALE * _TABLE[1], section_size=_SCALE * 5 * _TABLE[1],
                 cell_color=_GRID, section_color=_GRID,
                 position=_SCALE * np.array([0.35, 0.0, settings.table]),
             )  # fmt: skip
-        self._label = scene.add_label("/room/label", settings.name, anchor="center-center")
+        self._label = scene.add_label(f"{root}/room/label", settings.name, anchor="center-center")
         self._arms = {
-            side: _ArmView(scene, side, carried, measured) for side, carried in placed.items()
+            side: _ArmView(scene, f"{root}/room/{side}", carried, measured)
+            for side, carried in placed.items()
         }
 
     @property
@@ -170,9 +173,8 @@ class _ArmView:
     """One arm with its hand, in the room."""
 
     def __init__(
-        self, scene: viser.SceneApi, side: Side, carried: CarriedHand, measured: bool
+        self, scene: viser.SceneApi, root: str, carried: CarriedHand, measured: bool
     ) -> None:
-        root = f"/room/{side}"
         base = pose_of(carried.base)
         scene.add_frame(root, show_axes=False, position=_SCALE * base[:3], wxyz=base[3:])
         self._base = inverse(carried.base)
@@ -339,6 +341,7 @@ class LiveScene:
         drawn: side -> the same hand on a model with meshes, with the same joints by name, in any
             order; see ``on_model``. It can be added later.
         arm: settings of the arms that carry the hands; None for none.
+        root: name of the node of the whole scene, which no earlier scene on the server had.
     """
 
     def __init__(
@@ -348,16 +351,21 @@ class LiveScene:
         simulated: bool,
         drawn: Mapping[Side, Hand] | None = None,
         arm: ArmSettings | None = None,
+        root: str = "/live",
     ) -> None:
         self.simulated = simulated
+        self._root = server.scene.add_frame(root, show_axes=False)
         self.scenery_number = 0
         self._own = False  # the operator's own hand is shown at a task, too
         sides: tuple[Side, ...] = ("left", "right")
         order = [side for side in sides if side in hands]
-        self._sides = {side: _SideView(server.scene, hands[side], simulated) for side in order}
+        self._sides = {
+            side: _SideView(server.scene, hands[side], simulated, f"{root}/{side}")
+            for side in order
+        }
         for side, hand in (drawn or {}).items():
             self._sides[side].robot.add(HandView(hand))
-        self._room = None if arm is None else ArmRoom(server.scene, hands, arm, simulated)
+        self._room = None if arm is None else ArmRoom(server.scene, hands, arm, simulated, root)
         self._server = server
         # viser encodes pictures by OpenCV where it can be imported; an import of its own that fails
         # would leave a folder on the module path that ends processes which are started later.
@@ -365,11 +373,17 @@ class LiveScene:
             opencv()
         server.scene.set_background_image(background(), format="png")
         self._floor = server.scene.add_grid(
-            "/floor", _FLOOR, _FLOOR, plane="xy", cell_size=0.02, section_size=0.1,
+            f"{root}/floor", _FLOOR, _FLOOR, plane="xy", cell_size=0.02, section_size=0.1,
             cell_color=_CELLS, section_color=_SECTIONS, fade_distance=2.0,
         )  # fmt: skip
         centre, half = self._arrange()
         self.aiming = Aiming(server, _VIEW, centre, half, _LEGEND)
+
+    def remove(self) -> None:
+        """Take the scene off the page."""
+        self._root.remove()
+        for client in self._server.get_clients().values():
+            self.aiming.forget(client)
 
     def _arrange(self) -> tuple[Float[np.ndarray, "3"], tuple[float, float]]:
         """Give each hand its place; where the picture's middle is, and half its size [m]."""
@@ -490,7 +504,7 @@ class LiveScene:
 class _SideView:
     """The hands of one side."""
 
-    def __init__(self, scene: viser.SceneApi, hand: Hand, simulated: bool) -> None:
+    def __init__(self, scene: viser.SceneApi, hand: Hand, simulated: bool, root: str) -> None:
         side = hand.spec.side
         self._hand = hand
         self.operator: OperatorProfile | None = None
@@ -502,13 +516,13 @@ class _SideView:
         self._tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
         words = {"human": f"human {side}", "robot": f"{hand.name} {side}"}
         self.row = HandRow(
-            scene, f"/{side}", self._tips, words, anchor="center-center", font_screen_scale=_FONT
+            scene, root, self._tips, words, anchor="center-center", font_screen_scale=_FONT
         )
         self.robot = RobotLooks(
-            scene, hand, [view], f"/{side}/robot/model", distal=self._axes[1], second=simulated
+            scene, hand, [view], f"{root}/robot/model", distal=self._axes[1], second=simulated
         )
-        self.targets = TargetMarks(scene, len(self._tips), f"/{side}/robot/targets")
-        self.scenery = SceneryNodes(scene, f"/{side}/robot/scenery")
+        self.targets = TargetMarks(scene, len(self._tips), f"{root}/robot/targets")
+        self.scenery = SceneryNodes(scene, f"{root}/robot/scenery")
         self._points = self._hull()
         self._places = (np.zeros(3), np.zeros(3))
         self._overlaid, self._with_human = False, True

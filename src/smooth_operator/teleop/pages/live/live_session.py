@@ -27,8 +27,9 @@ from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.sinks.record import SUFFIX, RecordSink
 from smooth_operator.teleop.sinks.sink import Sink, SinkRunner, simulated_hands
-from smooth_operator.teleop.sinks.tick import ArmCommand, Tick, WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, Mode, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Arrival
+from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
 
 _NAME: Final = re.compile(r"[\w.-]{1,80}")
@@ -228,8 +229,8 @@ class LiveSession:
         self._frames = {side: RateMeter(_FRAME_RATE_S) for side in loop.pipelines}
         self._message = ""
         self._actions: dict[str, Callable[..., None]] = {
-            "stop": loop.controls.stop,
-            "release": loop.controls.release,
+            "stop": self._stop,
+            "release": self._release,
             "pause": loop.controls.pause,
             "resume": loop.controls.resume,
             "follow": loop.controls.follow,
@@ -238,14 +239,19 @@ class LiveSession:
             "discard": self.takes.discard,
         }
         if change_hand is not None:
-            self._actions["hand"] = change_hand
+            self._change_hand = change_hand
+            self._actions["hand"] = self._go_on_with
         if not blind:
             self._actions["method"] = self._choose
         self._begun: dict[str, float] = {}
+        self._stopping = False  # the loop has not carried out the last stop yet
+        self._next_hand = ""
 
     def watch(self, tick: Tick) -> None:
         """Take note of a tick; called by the loop after its sinks."""
         self._ticks[tick.side] = tick
+        if tick.mode is Mode.STOPPED:
+            self._stopping = False
         arrival = self.loop.pipelines[tick.side].latest
         if arrival is not None and arrival is not self._arrivals.get(tick.side):
             self._arrivals[tick.side] = arrival
@@ -263,6 +269,15 @@ class LiveSession:
             self._message = str(error)
         except TypeError:
             self._message = f"the page asks for {name!r} with the wrong values"
+        except Exception as error:  # the page must go on, since its stop does
+            words = f"{name}: {type(error).__name__}: {error}"
+            self._message = self._masked(words, f"{name} failed; the experimenter knows why")
+            print_note(f"note: a click on the page: {words}")
+
+    @property
+    def stopped(self) -> bool:
+        """True if an emergency stop holds a hand, or will at the loop's next command."""
+        return self._stopping or any(p.supervisor.stopped for p in self.loop.pipelines.values())
 
     def look(self, *, text: bool, scenery: int = 0) -> dict[str, Any]:
         """The state to show now, as JSON values.
@@ -271,6 +286,12 @@ class LiveSession:
             text: with figures and controls, not the hands alone.
             scenery: the number of the task's scene whose shapes the page has.
         """
+        if self._next_hand:  # its source and sinks end now, which is no failure
+            return {
+                "hands": {},
+                "notice": f"changing to {self._next_hand}",
+                "stopped": self.stopped,
+            }
         now = self.loop.mailbox.clock()
         shown: dict[str, Any] = {
             "hands": {side: self._hand(side, tick, now) for side, tick in self._ticks.items()},
@@ -367,7 +388,7 @@ class LiveSession:
             "message": self._message
             or self._masked(switcher.error, "that could not be done; the experimenter knows why")
             or self.takes.error,
-            "stopped": any(supervisor.stopped for supervisor in supervisors),
+            "stopped": self.stopped,
             "paused": any(supervisor.paused for supervisor in supervisors),
             "take": self.takes.state(),
             "operators": {
@@ -393,6 +414,18 @@ class LiveSession:
     def _masked(self, words: str, blind: str) -> str:
         """A text that may name a method, or its substitute on a blind page."""
         return blind if words and self.blind else words
+
+    def _go_on_with(self, hand: str) -> None:
+        self._change_hand(hand)
+        self._next_hand = hand
+
+    def _stop(self) -> None:
+        self._stopping = True
+        self.loop.controls.stop()
+
+    def _release(self) -> None:
+        self._stopping = False
+        self.loop.controls.release()
 
     def _choose(self, method: str, preset: str | None = None) -> None:
         self.switcher.choose(method, preset)

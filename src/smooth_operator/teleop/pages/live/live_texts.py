@@ -28,9 +28,14 @@ def _macros() -> Any:
     return environment.get_template("live_texts.html.j2").module
 
 
-def modes(hands: Mapping[str, Mapping[str, Any]]) -> str:
-    """Mode of each hand; latched fingers where the method has latches."""
-    return str(_macros().modes(hands))
+def modes(hands: Mapping[str, Mapping[str, Any]], notice: str = "") -> str:
+    """Mode of each hand; latched fingers where the method has latches.
+
+    Args:
+        hands: ``hands`` of ``LiveSession.look``.
+        notice: what is going on while there are no hands.
+    """
+    return str(_macros().modes(hands, notice))
 
 
 def summary(status: Mapping[str, Any]) -> str:
@@ -58,9 +63,9 @@ def slow(delay: float) -> str:
     return "" if delay < _SLOW_S else str(_macros().slow(delay))
 
 
-def notice(controls: Mapping[str, Any]) -> str:
-    """Work under way, and the last error."""
-    return str(_macros().notice(controls["building"], controls["message"]))
+def notice(building: str, message: str) -> str:
+    """Work under way, and the last error; empty without either."""
+    return str(_macros().notice(building, message)) if building or message else ""
 
 
 def take(state: Mapping[str, Any], quality: Sequence[Any] | str) -> str:
@@ -85,7 +90,7 @@ def _facts(quality: Any) -> list[tuple[bool, str]]:
         collision += f", {quality.depth_mm:.1f} mm deep" if quality.collision else ""
     return [
         (quality.lost_s >= 0.05, f"{quality.lost_s:.1f} s without the tracker"),
-        (quality.unused > 0, f"{quality.unused} frames of no use"),
+        (quality.unused > 0, f"{quality.unused} unusable frames"),
         (quality.jumps > 0, f"{quality.jumps} jumps"),
         (bool(quality.collision), collision),
     ]

@@ -38,12 +38,13 @@
     if (button) setTimeout(() => button.blur());
   }, true);
 
-  const STOPPED = "■ STOPPED";
+  const LOST = "⚠ CONNECTION LOST", STOPPED = "■ STOPPED";
   let title = document.title;
   setInterval(() => {
-    const stopped = document.querySelector('[data-mode="stopped"]') !== null;
-    if (document.title !== STOPPED) title = document.title;
-    document.title = stopped ? STOPPED : title;
+    const stopped = document.querySelector("[data-stopped]") !== null;
+    const lost = document.documentElement.hasAttribute("data-lost");
+    if (![LOST, STOPPED].includes(document.title)) title = document.title;
+    document.title = lost ? LOST : stopped ? STOPPED : title;
     // The panel says that the browser is slow, and this lies over the hands.
     for (const notice of document.querySelectorAll(".mantine-Notification-root"))
       if (notice.textContent.includes("Software WebGL"))

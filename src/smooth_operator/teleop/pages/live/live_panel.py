@@ -1,0 +1,262 @@
+"""Panel of the live page: controls, and the state that the loop sends."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.methods.registry import DEFAULT_METHOD
+from smooth_operator.teleop.pages.live import live_texts
+from smooth_operator.teleop.pages.live.live_scene import LiveScene
+from smooth_operator.teleop.pages.live.stop_panel import StopPanel
+from smooth_operator.teleop.pages.viser_server import add_hotkeys, from_person, name_panel, plain
+from smooth_operator.teleop.recording.take_quality import TakeQuality, take_quality
+from smooth_operator.types import Side
+
+
+class LivePanel:
+    """Builds the controls and shows what the loop sends.
+
+    Args:
+        server: where to build.
+        hands: side -> robot hand.
+        do: sends the loop's process an action's name and values.
+        scene: whose switches stand in the panel.
+        stop: the emergency stop, which stands above.
+        blind: the operator is not to know the method: nothing shows or changes it.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        hands: Mapping[Side, Hand],
+        do: Callable[..., None],
+        scene: LiveScene,
+        stop: StopPanel,
+        blind: bool = False,
+    ) -> None:
+        self._do, self._scene, self._stop = do, scene, stop
+        self._blind = blind
+        self._operators: Mapping[str, Any] | None = None
+        self._stopped = self._paused = self._released = False
+        self._hands = hands
+        self._take: Mapping[str, Any] = {}
+        self._quality: Sequence[TakeQuality] | str = ""
+        gui = server.gui
+        self._gui = gui
+        self._name_hand()
+        self._build_main(gui)
+        panel = gui.add_panel()
+        with panel.add_tab("Timing"):
+            self._timing = gui.add_html("")
+        if not blind:
+            with panel.add_tab("Method"):
+                self._build_method(gui)
+        with panel.add_tab("View"):
+            self._build_view(gui)
+        panel.dock_below(gui.main_panel)
+
+    def change_hands(self, hands: Mapping[Side, Hand], scene: LiveScene) -> None:
+        """Show other hands; tab and switches stay as they are."""
+        self._hands, self._scene = hands, scene
+        self._operators = None
+        self._name_hand()
+        self.show_meshes(False, "")
+        scene.set_overlay(self._overlay.value)
+        scene.set_keyvectors(self._vectors.value)
+        scene.set_meshes(self._meshes_box.value)
+        if scene.simulated:
+            scene.set_own(self._own.value)
+            scene.set_simulated(self._simulated.value)
+
+    def _name_hand(self) -> None:
+        hand = next(iter(self._hands.values()))
+        self._fingers, self._hand_name = hand.fingers, hand.name
+        name_panel(self._gui, hand.name)
+
+    def show(self, state: Mapping[str, Any], delay: float = 0.0) -> None:
+        """Show what the loop sends.
+
+        Args:
+            state: answer of ``LoopLink.look``.
+            delay: delay of the slowest browser [s].
+        """
+        if "trouble" in state:
+            # the words of an error may name a method
+            trouble = "something can't be shown" if self._blind else state["trouble"]
+            self._show_notice(live_texts.notice("", f"{trouble}; the stop works"))
+            return
+        self._modes.content = live_texts.modes(state["hands"], state.get("notice", ""))
+        if "stopped" in state:  # between two loops
+            self._stop.show(state["stopped"])
+            for handle in (self._summary, self._timing):
+                handle.content = ""
+        wrists = [hand.get("wrist") for hand in state["hands"].values()]
+        self._released = any(wrist is not None and wrist["released"] for wrist in wrists)
+        shown = live_texts.trial(state.get("trial"))
+        if shown != self._trial.content:
+            self._trial.content = shown
+            self._trial.visible = bool(shown)
+        if "status" in state:
+            self._summary.content = live_texts.summary(state["status"])
+            self._timing.content = live_texts.timing(state["status"])
+            self._legend.content = live_texts.legend(
+                self._fingers, self._scene.simulated, self._scene.has_task
+            )
+            self._slow.content = live_texts.slow(delay)
+            self._slow.visible = bool(self._slow.content)
+            self._show_controls(state["controls"])
+
+    # -- building -----------------------------------------------------------------------------
+
+    def _build_main(self, gui: viser.GuiApi) -> None:
+        do = self._do
+        self._trial = gui.add_html("", visible=False)
+        self._modes = gui.add_html("")
+        self._pause = gui.add_button("Pause (P)", icon=viser.Icon.PLAYER_PAUSE)
+        self._record = gui.add_button("Record (R)", color="gray", icon=viser.Icon.PLAYER_RECORD)
+        self._name = gui.add_text(
+            "Name", "", visible=False, hint="of the take; Space and X stop the robot here, too"
+        )
+        self._keep = gui.add_button("Keep", icon=viser.Icon.CHECK, visible=False)
+        self._discard = gui.add_button(
+            "Discard", color="gray", icon=viser.Icon.TRASH, visible=False
+        )
+        self._take_text = gui.add_html("", visible=False)
+        self._summary = gui.add_html("")
+        self._slow = gui.add_html("", visible=False)
+        self._notice = gui.add_html("", visible=False)
+        self._legend = gui.add_html("")
+        self._pause.on_click(from_person(lambda _: self._toggle_pause()))
+        self._record.on_click(from_person(lambda _: do("record")))
+        self._keep.on_click(from_person(lambda _: do("keep", self._name.value)))
+        self._discard.on_click(from_person(lambda _: do("discard")))
+        add_hotkeys(
+            gui,
+            ("Pause / resume", "P", self._toggle_pause),
+            ("Wrist: release / engage", "C", lambda: do("follow", self._released)),
+            ("Record / end the recording", "R", lambda: do("record")),
+        )
+
+    def _build_method(self, gui: viser.GuiApi) -> None:
+        do = self._do
+        self._hand = gui.add_dropdown(
+            "Hand", (self._hand_name,), visible=False, hint="the run begins again with it"
+        )
+        self._hand.on_update(from_person(lambda event: do("hand", event.target.value)))
+        # until the loop says what it runs
+        self._method = gui.add_dropdown("Method", (DEFAULT_METHOD,))
+        self._preset = gui.add_dropdown("Preset", ("default",))
+        self._method.on_update(from_person(lambda event: do("method", event.target.value)))
+        self._preset.on_update(
+            from_person(lambda event: do("method", self._method.value, event.target.value))
+        )
+
+    def _build_view(self, gui: viser.GuiApi) -> None:
+        self._overlay = overlay = gui.add_checkbox("Overlay", False, hint="human inside robot")
+        self._vectors = vectors = gui.add_checkbox(
+            "Keyvectors", True, hint="thumb tip to fingertips"
+        )
+        overlay.on_update(from_person(lambda event: self._scene.set_overlay(event.target.value)))
+        vectors.on_update(from_person(lambda event: self._scene.set_keyvectors(event.target.value)))
+        self._meshes_box = gui.add_checkbox(
+            "Meshes", True, hint="the maker's, or simple shapes", visible=False
+        )
+        self._meshes_box.on_update(
+            from_person(lambda event: self._scene.set_meshes(event.target.value))
+        )
+        if self._scene.simulated:
+            self._own = own = gui.add_checkbox("Own hand at a task", False, hint="as tracked")
+            own.on_update(from_person(lambda event: self._scene.set_own(event.target.value)))
+            self._simulated = simulated = gui.add_checkbox(
+                "Simulated hand", True, hint="see-through, where it is"
+            )
+            simulated.on_update(
+                from_person(lambda event: self._scene.set_simulated(event.target.value))
+            )
+        view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
+        view.on_click(from_person(lambda event: self._scene.aiming.aim(event.client)))
+
+        self._meshes_note = gui.add_markdown("", visible=False)
+
+    # -- showing ------------------------------------------------------------------------------
+
+    def _toggle_pause(self) -> None:
+        """Pauses or resumes; does nothing in an emergency stop, which only a release ends."""
+        if not self._stopped:
+            self._do("resume" if self._paused else "pause")
+
+    def show_meshes(self, there: bool, note: str) -> None:
+        """Show whether the hand's meshes can be drawn, and if not, why."""
+        self._meshes_box.visible = there
+        self._meshes_note.content = plain(note)
+        self._meshes_note.visible = bool(note)
+
+    def _show_controls(self, controls: Mapping[str, Any]) -> None:
+        self._show_notice(live_texts.notice(controls["building"], controls["message"]))
+        self._stopped, self._paused = controls["stopped"], controls["paused"]
+        self._stop.show(self._stopped)
+        self._pause.disabled = self._stopped
+        self._pause.label = "Resume (P)" if self._paused else "Pause (P)"
+        self._pause.icon = viser.Icon.PLAYER_PLAY if self._paused else viser.Icon.PLAYER_PAUSE
+        self._show_take(controls["take"])
+        if controls["operators"] != self._operators:
+            self._operators = controls["operators"]
+            self._scene.set_operators(controls["operators"])
+        if "hands" in controls:
+            self._hand.visible = True
+            _choose(self._hand, controls["hands"], self._hand_name)
+        if "method" in controls:
+            presets = controls["presets"]
+            _choose(self._method, list(presets), controls["method"])
+            _choose(self._preset, presets[controls["method"]], controls["preset"])
+
+    def _show_notice(self, notice: str) -> None:
+        self._notice.content, self._notice.visible = notice, bool(notice)
+
+    def _show_take(self, take: Mapping[str, Any]) -> None:
+        """The take that is recorded or the last one, and what can be done about it."""
+        self._record.label = "End recording (R)" if take["recording"] else "Record (R)"
+        self._record.color = "red" if take["recording"] else "gray"
+        if take["last"] != self._take.get("last"):
+            self._quality = "its quality is measured …" if take["last"] else ""
+            self._name.value = ""  # type: ignore[misc]  # it has a setter
+            if take["last"]:
+                threading.Thread(target=self._measure, args=(take["last"],), daemon=True).start()
+        self._take = take
+        self._take_text.content = live_texts.take(take, self._quality)
+        self._take_text.visible = bool(self._take_text.content)
+        for handle in (self._name, self._keep, self._discard):
+            handle.visible = take["open"]
+
+    def _measure(self, files: Sequence[str]) -> None:
+        """Measure a take, for seconds; in this process, which does not slow the loop down."""
+        try:
+            quality: Sequence[TakeQuality] | str = [
+                take_quality(Path(file), _hand_of(file, self._hands)) for file in files
+            ]
+        except SmoothOperatorError as error:
+            quality = f"its quality can't be measured: {error}"
+        if files == self._take.get("last"):
+            self._quality = quality
+
+
+def _hand_of(file: str, hands: Mapping[Side, Hand]) -> Hand:
+    """The hand that a file of a take is of, by its name where there are two."""
+    own = [hand for side, hand in hands.items() if f".{side}." in Path(file).name]
+    return (own or list(hands.values()))[0]
+
+
+def _choose(dropdown: Any, options: list[str], value: str) -> None:
+    """Set a dropdown's options and its choice; a file that stands for a preset is one more."""
+    options = options if value in options else [*options, value]
+    if tuple(dropdown.options) != tuple(options):
+        dropdown.options = tuple(options)
+    if dropdown.value != value:
+        dropdown.value = value

@@ -1,0 +1,78 @@
+"""Emergency stop of the live page: buttons, keys, and a warning when it does not work.
+
+It needs viser alone, so it is on the page before the hand is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import resources
+from typing import Final
+
+import viser
+
+from smooth_operator.teleop.pages.live.live_page import LOADING
+from smooth_operator.teleop.pages.viser_server import (
+    ALIVE_PATH,
+    add_hotkeys,
+    from_person,
+    run_script,
+)
+
+_STOP: Final = "EMERGENCY STOP\nSpace, Esc or X"
+_STOPPED: Final = "STOPPED\npress U to release"
+_KEYS: Final = "Stop in the terminal of the run: Space, Esc or X."
+_NO_KEYS: Final = "Stop in the terminal of the run: Ctrl-C."
+
+
+class StopPanel:
+    """Builds buttons and keys on a page, above everything that comes later.
+
+    Args:
+        server: where to build.
+        do: sends the loop's process ``stop`` or ``release``.
+        attended: True if the terminal of the run has keys.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, do: Callable[[str], None], *, attended: bool
+    ) -> None:
+        gui = server.gui
+        self._do = do
+        self._stop = gui.add_button(_STOP, color="red", icon=viser.Icon.HAND_STOP)
+        self._release = gui.add_button(
+            "Release the stop (U)", color="orange", icon=viser.Icon.LOCK_OPEN, visible=False
+        )
+        files = resources.files(__package__)
+        style = files.joinpath("live_page.css").read_text("utf-8")
+        elsewhere = _KEYS if attended else _NO_KEYS
+        self._state = gui.add_html(f"{LOADING} …")
+        self._alone = True
+        gui.add_html(f'<style>{style}</style><span id="live-elsewhere" hidden>{elsewhere}</span>')
+        self._stop.on_click(from_person(lambda _: self._press("stop")))
+        self._release.on_click(from_person(lambda _: self._press("release")))
+        # Space and Esc come as X, from the script of the page.
+        add_hotkeys(
+            gui,
+            ("Emergency stop", "X", lambda: self._press("stop")),
+            ("Release the stop", "U", lambda: self._press("release")),
+        )
+        for name in ("stop_keys.js", "connection.js"):
+            script = files.joinpath(name).read_text("utf-8")
+            run_script(server, script.replace("ALIVE_PATH", ALIVE_PATH))
+
+    def show(self, stopped: bool) -> None:
+        """Show whether an emergency stop holds the robot, as the loop says."""
+        self._alone = False
+        self._show(stopped)
+
+    def _show(self, stopped: bool) -> None:
+        self._stop.label = _STOPPED if stopped else _STOP
+        self._stop.color = "dark" if stopped else "red"
+        self._release.visible = stopped
+        self._state.content = "<i data-stopped></i>" if stopped else ""
+
+    def _press(self, name: str) -> None:
+        self._do(name)
+        if self._alone:  # nothing else shows yet that it was pressed
+            self._show(name == "stop")
