@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import gc
 import os
 import shutil
@@ -60,6 +61,12 @@ def _set_up_environment() -> None:
     # Threads of one matrix product wait for each other: on busy cores least squares took 24 s so,
     # and 0.1 s on one thread. Workers of pytest-xdist load NumPy after this, so it holds for them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # MuJoCo chooses how it draws when a test first imports it.
+    from smooth_operator.errors import ConfigError
+    from smooth_operator.simulation.renderer import draw_off_screen
+
+    with contextlib.suppress(ConfigError):
+        draw_off_screen()
 
 
 PARTS = ((HOME / "research", "src"), (HOME / "packages" / "smooth_hand_datasets", ""))

@@ -1,9 +1,10 @@
 """The simulated camera: what it shows, and as a camera of the LeRobot robot."""
 
 import sys
+import threading
 import time
 from collections.abc import Iterator
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -137,6 +138,78 @@ def test_a_camera_without_a_simulated_hand_says_so(plugin):
     assert not robot.is_connected
     with pytest.raises(ValueError, match="above 0"):
         plugin.package.SmoothHandCamera(plugin.package.SmoothHandCameraConfig(width=0))
+
+
+class Drawing:
+    """A renderer that draws a picture each time it is told to, and a clock that it does not move.
+
+    The grey of a picture is its number.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, camera_module: ModuleType) -> None:
+        self.now, self.number, self.pictures = 100.0, 0, threading.Semaphore(0)
+        monkeypatch.setattr(camera_module, "SimulatedCamera", lambda *_: self)
+        clock = SimpleNamespace(perf_counter=lambda: self.now)
+        monkeypatch.setattr(camera_module, "time", clock)
+        monkeypatch.setattr(camera_module, "_FRESH_S", 0.3)
+
+    def draw(self, qpos: np.ndarray) -> np.ndarray:
+        self.pictures.acquire()
+        self.number += 1
+        return np.full((24, 32, 3), self.number, np.uint8)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def drawing(plugin, monkeypatch) -> Iterator[Drawing]:
+    """The camera of a hand whose pictures come when the test wants them."""
+    module = sys.modules[f"{ROBOT}.camera"]
+    made = Drawing(monkeypatch, module)
+    config = plugin.package.SmoothHandCameraConfig(width=32, height=24, fps=1000, stale_s=1.0)
+    camera = plugin.package.SmoothHandCamera(config)
+    camera._side = "right"
+    camera._simulation = SimpleNamespace(snapshot=lambda side: ("physics", np.zeros(1)))
+    made.camera = camera
+    made.pictures.release()
+    camera.connect()
+    yield made
+    camera._ending.set()
+    made.pictures.release(100)
+    camera.disconnect()
+
+
+def test_an_observation_waits_for_a_picture_that_is_new_enough(drawing):
+    camera = drawing.camera
+    assert camera.read_latest()[0, 0, 0] == 1
+    drawing.now += 1.9  # LeRobot wrote its files meanwhile
+    with pytest.raises(TimeoutError, match=r"1\.9 s old, more than 0\.5 s"):
+        camera.read_latest(max_age_ms=500)  # who names an age does not wait
+    later = threading.Timer(0.02, drawing.pictures.release, (2,))  # one may have begun before
+    later.start()
+    assert camera.read_latest()[0, 0, 0] > 1
+    assert drawing.now - camera._time <= 1.0
+    later.join()
+
+
+def test_a_machine_that_draws_too_slowly_is_told_what_to_set(drawing):
+    drawing.now += 1.9
+    with pytest.raises(TimeoutError) as raised:
+        drawing.camera.read_latest()
+    for words in ("1.9 s old, more than 1 s", "smaller width and height", "stale_s: 5",
+                  "must be deleted before the next try"):  # fmt: skip
+        assert words in str(raised.value)
+
+
+def test_calibrating_says_where_it_is_done(plugin, caplog):
+    from lerobot_teleoperator_smooth_operator import SmoothOperator, SmoothOperatorConfig
+
+    caplog.set_level("INFO")
+    plugin.package.SmoothHand(plugin.package.SmoothHandConfig()).calibrate()
+    assert "smooth-operator hardware check" in caplog.text
+    SmoothOperator(SmoothOperatorConfig()).calibrate()
+    assert "smooth-operator calibrate" in caplog.text
 
 
 def names(physics: HandPhysics) -> list[str]:

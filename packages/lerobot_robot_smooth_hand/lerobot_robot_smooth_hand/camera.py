@@ -22,6 +22,10 @@ from smooth_operator.types import Side, as_side
 _PATIENCE_S: Final = 20.0
 """How long ``connect`` waits for the first picture [s]: OpenGL takes long to begin."""
 
+_FRESH_S: Final = 5.0
+"""How long an observation waits for a picture that is not too old [s]: on a busy machine one may
+take seconds, above all while LeRobot starts."""
+
 
 class SmoothHandCamera(Camera):
     """Pictures of the hand that the robot ``smooth_hand`` moves in the sink ``mujoco``.
@@ -126,19 +130,31 @@ class SmoothHandCamera(Camera):
         """The newest picture.
 
         Args:
-            max_age_ms: an older one is an error [ms]; None for ``stale_s`` of the settings.
+            max_age_ms: an older one is an error [ms]. With None the limit is ``stale_s`` of the
+                settings, and for a few seconds this waits for a picture within it.
 
         Raises:
             TimeoutError: it is too old.
             DeviceNotConnectedError: not connected, or it can't draw.
         """
         self._check()
+        limit = self.config.stale_s if max_age_ms is None else max_age_ms / 1e3
         with self._new:
+            self._new.wait_for(
+                lambda: self._age() <= limit or self._error is not None,
+                _FRESH_S if max_age_ms is None else 0.0,
+            )
             self._fail()
-            age = 1e3 * (time.perf_counter() - self._time)
-            limit = 1e3 * self.config.stale_s if max_age_ms is None else max_age_ms
+            age = self._age()
             if self._picture is None or age > limit:
-                raise TimeoutError(f"the newest picture of the camera is {age:.0f} ms old")
+                raise TimeoutError(
+                    f"the newest picture of the simulated camera is {age:.1f} s old, more than "
+                    f"{limit:g} s: this machine draws too slowly. Set a smaller width and height, "
+                    "or a larger stale_s [s], in the camera's settings: "
+                    f"{{type: smooth_hand, width: {self.config.width}, height: "
+                    f"{self.config.height}, stale_s: {max(5.0, 2 * age):.0f}}}. A folder that "
+                    "lerobot-record has begun must be deleted before the next try"
+                )
             self._given = self._number
             return self._picture
 
@@ -157,6 +173,10 @@ class SmoothHandCamera(Camera):
     def _check(self) -> None:
         if self._thread is None:
             raise DeviceNotConnectedError("the camera smooth_hand is not connected")
+
+    def _age(self) -> float:
+        """Age of the newest picture [s]."""
+        return time.perf_counter() - self._time
 
     def _fail(self) -> None:
         if self._error is not None:

@@ -20,7 +20,8 @@ class SmoothHandCameraConfig(CameraConfig):
             the hand's task, or its palm where there is none.
         elevation: likewise [degrees].
         distance: to what is looked at [m]; None likewise.
-        stale_s: a picture older than this is an error, not an observation [s].
+        stale_s: largest age of a picture in an observation [s]. While the newest is older, an
+            observation waits for the next one, for up to 5 s; then it is an error.
     """
 
     fps: int | None = 30

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import signal
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, cast
@@ -28,6 +29,8 @@ from smooth_operator.types import Side, as_side
 
 if TYPE_CHECKING:  # which needs the extra arm
     from smooth_operator.teleop.arm.controller import ArmOfHand
+
+logger = logging.getLogger(__name__)
 
 
 class SmoothHand(Robot):
@@ -99,7 +102,11 @@ class SmoothHand(Robot):
         return True
 
     def calibrate(self) -> None:
-        """Nothing to do; see ``smooth-operator hardware check``."""
+        """Says where a hand is calibrated: there is nothing to do here."""
+        logger.info(
+            "smooth_hand needs no calibration by LeRobot. A real hand is calibrated by the table "
+            "of its driver: smooth-operator hardware check --help"
+        )
 
     def configure(self) -> None:
         """Nothing to do."""

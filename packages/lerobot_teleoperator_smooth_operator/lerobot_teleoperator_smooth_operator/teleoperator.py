@@ -176,7 +176,11 @@ class SmoothOperator(Teleoperator):
         return True
 
     def calibrate(self) -> None:
-        """Nothing to do; see ``smooth-operator calibrate``."""
+        """Says where the operator is calibrated: there is nothing to do here."""
+        logger.info(
+            "smooth_operator needs no calibration by LeRobot. The operator's hand is calibrated by "
+            "smooth-operator calibrate, whose file teleop takes with --operator"
+        )
 
     def configure(self) -> None:
         """Nothing to do."""
