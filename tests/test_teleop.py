@@ -318,6 +318,29 @@ def test_an_emergency_stop_does_not_wait_for_the_next_tick(retargeters):
     assert loop.pipelines["right"].mode_now is Mode.STOPPED
 
 
+def test_a_source_can_stop_the_loop_and_knows_its_mode(retargeters, frames):
+    """As the page of a headset does, by the mailbox."""
+    sink = Keeper()
+    loop = looped(retargeters, Player(frames), sink)
+    box = loop.mailbox
+    assert box.mode() == "waiting"
+    told: list[str] = []
+    for change, mode in (
+        (lambda hand: hand.hold(), "compiling"),
+        (lambda hand: hand.supervisor.pause(), "paused"),
+        (lambda hand: hand.supervisor.stop(), "stopped"),
+    ):
+        change(loop.pipelines["right"])
+        told.append(box.mode())
+        assert told[-1] == mode
+    loop.pipelines["right"].supervisor.release()
+    assert box.mode() == "paused"
+    box.stop()
+    loop.run(0.2)
+    assert box.mode() == "stopped"
+    assert {tick.mode for tick in sink.ticks} == {Mode.STOPPED}
+
+
 def sleeping(until: threading.Event) -> None:
     """Holds the thread up and releases the GIL, as XLA does while it compiles."""
     until.wait(LONG_S)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser_page import picture
 from emulated_headset import NoEmulator, fetch_emulator, new_headset
 from live_time import until as eventually
 
@@ -288,6 +289,22 @@ def test_hands_arrive_with_stamp_side_and_session(host):
         host.arrival("left")
         assert host.source.link.skipped == 3  # 1, 2 and 3 were never sent
         assert host.source.link.frames == 3
+
+
+def test_a_page_can_stop_the_loop_and_knows_its_mode(host):
+    stops: list[bool] = []
+    host.mailbox.stop = lambda: stops.append(True)
+    link, _ = host.welcome()
+    ping = json.dumps({"type": "ping", "at": 1.0})
+    link.send(ping)
+    assert json.loads(link.recv(5))["mode"] == ""  # there is no loop
+    host.mailbox.mode = lambda: "stopped" if stops else "tracking"
+    for expected in ("tracking", "stopped"):
+        link.send(ping)
+        assert json.loads(link.recv(5))["mode"] == expected
+        link.send(json.dumps({"type": "stop"}))
+        eventually(lambda: stops)
+    link.close()
 
 
 def test_a_lost_headset_is_waited_for_and_comes_back_as_a_new_session(host):
@@ -713,6 +730,66 @@ def test_a_headset_streams_both_hands(host, chromium, emulator):
     assert [p for p in problems if "WebSocket" not in p] == []
     page.context.close()
     eventually(lambda: "the headset is gone" in host.source.health().detail)
+
+
+def red(page: Any, low: float = 0.0, high: float = 1.0) -> float:
+    """Share of strongly red pixels between two heights of the picture, from above."""
+    shot = picture(page, 480, 640)[int(640 * low) : int(640 * high)]
+    return float(((shot[..., 0] > 120) & (shot[..., 1:].max(axis=-1) < 60)).mean())
+
+
+@pytest.mark.browser
+def test_a_stop_is_shown_inside_the_headset_and_can_be_pressed_there(host, chromium, emulator):
+    mode, stops = ["tracking"], []
+    host.mailbox.mode = lambda: mode[0]
+    host.mailbox.stop = lambda: stops.append(mode[0])
+    page = new_headset(chromium, emulator)
+    page.goto(f"{host.address}/#{CODE}")
+    page.get_by_text("linked", exact=True).wait_for()
+    page.click("#stop")  # of the page itself
+    eventually(lambda: len(stops) >= 3)  # and again, until it is confirmed
+    page.locator("#state", has_text="Stopping").wait_for()
+    mode[0] = "stopped"
+    page.locator("#state", has_text="STOPPED").wait_for()
+    assert "press U at the computer to release" in text(page, "hint")
+    mode[0] = "tracking"
+    page.get_by_text("linked", exact=True).wait_for()
+    page.wait_for_timeout(500)
+    stops.clear()
+
+    page.select_option("#mode", "immersive-vr")
+    page.click("#start")
+    page.evaluate("window.moving = false")
+    page.evaluate("headset.hands.right.position.set(0.2, 1.2, -0.35)")
+    host.arrival("right")
+    eventually(lambda: red(page, high=0.5) > 0.002)  # the disc, above
+    assert red(page, low=0.5) < 0.001
+    mode[0] = "stopped"
+    eventually(lambda: red(page, low=0.5) > 0.01)  # the board, below, says STOPPED
+    mode[0] = "tracking"
+    eventually(lambda: red(page, low=0.5) < 0.001)
+    assert not stops
+
+    def put(x: float, y: float, z: float) -> None:
+        """Move the tip of the right index finger to a place."""
+        host.mailbox.take("right")
+        tip = host.arrival("right").frame.landmarks[8]
+        at = page.evaluate("['x', 'y', 'z'].map((k) => headset.hands.right.position[k])")
+        x, y, z = np.array([x, y, z]) + at - tip
+        page.evaluate(f"headset.hands.right.position.set({x}, {y}, {z})")
+
+    head = page.evaluate("['x', 'y', 'z'].map((k) => headset.position[k])")
+    put(head[0], head[1] + 0.12, head[2] - 0.2)  # not far enough
+    page.wait_for_timeout(600)
+    assert not stops
+    put(head[0], head[1] + 0.12, head[2] - 0.4)
+    eventually(lambda: stops)
+    mode[0] = "stopped"
+    page.wait_for_timeout(600)
+    count, mode[0] = len(stops), "tracking"  # released, with the finger still there
+    page.wait_for_timeout(600)
+    assert len(stops) == count
+    page.context.close()
 
 
 @pytest.mark.browser

@@ -19,7 +19,7 @@ from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.runtime.statistics import LoopStatistics
 from smooth_operator.teleop.sinks.sink import SinkRunner
-from smooth_operator.teleop.sinks.tick import Tick
+from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
 from smooth_operator.types import Side
 
@@ -67,6 +67,7 @@ class TeleopLoop:
         self.config = config
         self.mailbox = Mailbox() if mailbox is None else mailbox
         self.controls = Controls(self.mailbox)
+        self.mailbox.stop, self.mailbox.mode = self.controls.stop, self._mode
         self.statistics = LoopStatistics(config.period)
         self.watch = watch
         for side, pipeline in self.pipelines.items():
@@ -129,6 +130,18 @@ class TeleopLoop:
     def silent_s(self) -> float:
         """Age of the last command [s]; that of the loop before the first one."""
         return self.mailbox.clock() - self._beat
+
+    def _mode(self) -> str:
+        """Mode of all hands in a word, for the operator: the one that moves least."""
+        hands = [pipeline.supervisor for pipeline in self.pipelines.values()]
+        for mode, is_so in (
+            (Mode.STOPPED.value, [hand.stopped for hand in hands]),
+            (Mode.PAUSED.value, [hand.paused for hand in hands]),
+            ("compiling", [hand.compiling for hand in hands]),
+        ):
+            if any(is_so):
+                return mode
+        return min((hand.mode for hand in hands), key=lambda mode: mode.moves).value
 
     def _loop(self, duration: float | None) -> None:
         clock, sides = self.mailbox.clock, tuple(self.pipelines)

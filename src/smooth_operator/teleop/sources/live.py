@@ -73,10 +73,16 @@ class Mailbox:
         received: number of posted frames.
         received_of: side -> number of posted frames.
         overwritten: number of frames that were replaced before they were taken.
+        stop: emergency stop of the loop that takes the frames, for sources whose operator can press
+            one; set by the loop.
+        mode: state of that loop, to show to the operator: a ``Mode`` or ``compiling``; empty
+            without a loop.
     """
 
     def __init__(self, clock: Clock = time.perf_counter) -> None:
         self.clock = clock
+        self.stop: Callable[[], None] = lambda: None
+        self.mode: Callable[[], str] = lambda: ""
         self.received = 0
         self.received_of: Counter[Side] = Counter()
         self.overwritten = 0

@@ -8,10 +8,12 @@ from page    holds                                                              
 ``hello``    ``protocol``: 1; ``code``                                                 ``welcome``
 ``ping``     ``at``: by the page's clock [s]; ``round_trip`` and ``offset`` [s] as it  ``pong``
              estimates them so far, or null; ``tracking``: whether the headset tracks
+``stop``     nothing: an emergency stop; to be repeated until ``pong`` says *stopped*
 ===========  ========================================================================  ============
 
 ``welcome`` has the ``session``; ``pong`` brings ``at`` back with ``host``, the time by the clock of
-this side [s], and ``rate``, the moments with a hand that arrive here [Hz]. ``offset`` is host clock
+this side [s], ``rate``, the moments with a hand that arrive here [Hz], and ``mode``, the state of
+the loop (``Mailbox.mode``). ``offset`` is host clock
 minus page clock, taken from the fastest of the last rounds (as NTP does: RFC 5905, 8 and 10):
 ``stamp + offset`` is the time of a frame by the host's clock, to within half the round trip.
 
@@ -197,6 +199,9 @@ class Link:
 
     async def _talk(self, connection: ServerConnection, message: str, received: float) -> None:
         content = json_object(message) or {}
+        if content.get("type") == "stop":
+            self._mailbox.stop()
+            return
         at = content.get("at")
         if content.get("type") != "ping" or not isinstance(at, int | float):
             self._count_bad()
@@ -205,7 +210,13 @@ class Link:
         self._state.tracking = content.get("tracking") is True
         self._state.round_trip_s = _number(content.get("round_trip"))
         self._state.clock_offset_s = _number(content.get("offset"))
-        answer = {"type": "pong", "at": at, "host": received, "rate": round(self._rate(), 1)}
+        answer = {
+            "type": "pong",
+            "at": at,
+            "host": received,
+            "rate": round(self._rate(), 1),
+            "mode": self._mailbox.mode(),
+        }
         await connection.send(json.dumps(answer))
 
     def _count_bad(self) -> None:

@@ -1,7 +1,7 @@
 // The page itself: what is pressed, and what is shown.
 
 import { Link } from './link.js';
-import { supportedModes, Tracking, Trouble } from './tracking.js';
+import { loopState, supportedModes, Tracking, Trouble } from './tracking.js';
 
 const SHOW_EVERY = 250; // ms
 const part = (id) => document.getElementById(id);
@@ -38,15 +38,20 @@ function linkTrouble() {
 }
 
 function show() {
-  const [words, kind] = STATES[link.state];
+  const [held, headline, remedy] = (link.state === 'linked' && loopState(link)) || [];
+  const [words, kind] = held ? [headline, held === 'bad' ? 'bad' : 'idle'] : STATES[link.state];
+  document.body.dataset.mode = link.state === 'linked' ? link.mode : '';
+  part('stop').disabled = link.state !== 'linked';
   part('state').textContent = words;
   part('state').dataset.kind = kind;
   part('pairing').hidden = !['idle', 'refused'].includes(link.state);
   const running = tracking.session !== null;
   part('start').disabled = !running && (!modes.length || link.state !== 'linked');
-  part('start').textContent = running ? 'Stop' : 'Start';
-  part('hint').textContent = running
-    ? 'Your hands are on their way. The robot holds when you stop.'
+  part('start').textContent = running ? 'End tracking' : 'Start';
+  part('hint').textContent = held
+    ? `${headline}: ${remedy}.`
+    : running
+    ? 'Your hands are on their way. The robot holds when you end tracking.'
     : link.state === 'linked' ? 'Put the controllers down, then press Start.' : 'Pair first.';
   part('mode').hidden = running || modes.length < 2;
   part('rate').textContent = running ? link.rate : '–';
@@ -82,6 +87,7 @@ part('start').addEventListener('click', async () => {
   show();
 });
 
+part('stop').addEventListener('click', () => link.stop());
 link.addEventListener('change', show);
 tracking.addEventListener('end', show);
 setInterval(show, SHOW_EVERY);

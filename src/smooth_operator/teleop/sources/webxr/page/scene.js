@@ -1,6 +1,7 @@
-// What is seen inside the headset: the joints as dots, and a small board that says how the link is.
+// What is seen inside the headset: the joints as dots, a board with the state, and the stop button.
 
 import { FINGER_COLORS } from './colors.js';
+import { RADIUS } from './stop_button.js';
 
 const WRIST = [205, 205, 212];
 const VALUES = 8;
@@ -21,22 +22,25 @@ void main() {
   if (far > 1.0) discard;
   seen = vec4(ink * (1.0 - 0.45 * far), 1.0);
 }`;
-const BOARD = `#version 300 es
-in vec2 corner; uniform mat4 view, lens; out vec2 at;
+const SIGN = `#version 300 es
+in vec2 corner; uniform mat4 view, lens, place; uniform vec2 size; out vec2 at;
 void main() {
   at = vec2(corner.x + 0.5, 0.5 - corner.y);
-  gl_Position = lens * view * vec4(0.56 * corner.x, 0.14 * corner.y - 0.28, -0.9, 1.0);
+  gl_Position = lens * view * place * vec4(size * corner, 0.0, 1.0);
 }`;
 const WORDS = `#version 300 es
 precision mediump float; in vec2 at; uniform sampler2D words; out vec4 seen;
-void main() { seen = texture(words, at); }`;
+void main() { seen = texture(words, at); if (seen.a < 0.5) discard; }`;
+const BOARD_SIZE = [0.56, 0.14]; // m
+const BOARD_PLACE = [0, -0.28, -0.9]; // in front of the head [m]
+const COLORS = { good: '#10202b', warn: '#6b4e00', bad: '#a01414' };
 
 export class Scene {
   /** @param {WebGL2RenderingContext} gl */
   constructor(gl) {
     this.gl = gl;
     this.dots = program(gl, DOTS, DOT);
-    this.board = program(gl, BOARD, WORDS);
+    this.sign = program(gl, SIGN, WORDS);
     this.joints = gl.createBuffer();
     this.points = new Float32Array(2 * JOINTS * 7);
     this.corners = gl.createBuffer();
@@ -44,15 +48,8 @@ export class Scene {
     gl.bufferData(
       gl.ARRAY_BUFFER, new Float32Array([-0.5, -0.5, 0.5, -0.5, -0.5, 0.5, 0.5, 0.5]), gl.STATIC_DRAW,
     );
-    const canvas = document.createElement('canvas');
-    canvas.width = 1024;
-    canvas.height = 256;
-    this.ink = canvas.getContext('2d');
-    this.words = gl.createTexture();
-    gl.bindTexture(gl.TEXTURE_2D, this.words);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+    [this.ink, this.words] = picture(gl, 1024, 256);
+    [, this.disc] = picture(gl, 256, 256, paintButton);
     this.written = -Infinity;
   }
 
@@ -61,9 +58,10 @@ export class Scene {
    * @param {XRWebGLLayer} layer
    * @param {XRViewerPose?} viewer
    * @param {Float32Array[]} hands those that are seen
-   * @param {{dark: boolean, good: boolean, lines: () => string[]}} look
+   * @param {Float32Array} button pose of the stop button
+   * @param {{dark: boolean, good: boolean, board: () => {kind: string, lines: string[]}}} look
    */
-  draw(layer, viewer, hands, look) {
+  draw(layer, viewer, hands, button, look) {
     const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, layer.framebuffer);
     gl.clearColor(0.05, 0.07, 0.09, look.dark ? 1 : 0);
@@ -71,17 +69,18 @@ export class Scene {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     if (!viewer) return;
     const count = this.load(hands, look.good);
-    this.write(look);
+    this.write(look.board);
+    const board = ahead(viewer.transform.matrix, BOARD_PLACE);
     gl.enable(gl.DEPTH_TEST);
     for (const view of viewer.views) {
       const port = layer.getViewport(view);
       if (!port) continue;
       gl.viewport(port.x, port.y, port.width, port.height);
       const matrix = view.transform.inverse.matrix;
-      this.use(this.board, matrix, view.projectionMatrix);
-      gl.bindTexture(gl.TEXTURE_2D, this.words);
-      feed(gl, this.board, this.corners, [['corner', 2, 0]], 8);
-      gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+      this.use(this.sign, matrix, view.projectionMatrix);
+      feed(gl, this.sign, this.corners, [['corner', 2, 0]], 8);
+      this.show(this.words, board, BOARD_SIZE);
+      this.show(this.disc, button, [2 * RADIUS, 2 * RADIUS]);
       this.use(this.dots, matrix, view.projectionMatrix);
       gl.uniform1f(gl.getUniformLocation(this.dots, 'height'), port.height);
       feed(gl, this.dots, this.joints, [['joint', 4, 0], ['colour', 3, 16]], 28);
@@ -94,6 +93,14 @@ export class Scene {
     gl.useProgram(what);
     gl.uniformMatrix4fv(gl.getUniformLocation(what, 'view'), false, view);
     gl.uniformMatrix4fv(gl.getUniformLocation(what, 'lens'), false, lens);
+  }
+
+  show(texture, place, size) {
+    const { gl } = this;
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.uniformMatrix4fv(gl.getUniformLocation(this.sign, 'place'), false, place);
+    gl.uniform2fv(gl.getUniformLocation(this.sign, 'size'), size);
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }
 
   /** Joints as points; grey while the link is down. */
@@ -118,21 +125,61 @@ export class Scene {
   }
 
   /** The board, four times a second. */
-  write(look) {
+  write(board) {
     const now = performance.now();
     if (now - this.written < BOARD_EVERY) return;
     this.written = now;
     const { ink, gl } = this;
-    ink.fillStyle = look.good ? '#10202b' : '#5a1c0c';
+    const { kind, lines } = board();
+    ink.fillStyle = COLORS[kind];
     ink.fillRect(0, 0, 1024, 256);
     ink.fillStyle = '#ffffff';
-    look.lines().forEach((line, row) => {
+    lines.forEach((line, row) => {
       ink.font = `${row ? 400 : 650} ${row ? 58 : 72}px system-ui, sans-serif`;
       ink.fillText(line, 48, 105 + 90 * row, 930);
     });
     gl.bindTexture(gl.TEXTURE_2D, this.words);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, ink.canvas);
   }
+}
+
+/** A canvas and its texture. */
+function picture(gl, width, height, paint = () => {}) {
+  const canvas = document.createElement('canvas');
+  canvas.width = width;
+  canvas.height = height;
+  const ink = canvas.getContext('2d');
+  paint(ink);
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, canvas);
+  return [ink, texture];
+}
+
+/** A red disc on which STOP stands, 256 pixels wide. */
+function paintButton(ink) {
+  ink.fillStyle = '#e02020';
+  ink.beginPath();
+  ink.arc(128, 128, 126, 0, 2 * Math.PI);
+  ink.fill();
+  ink.fillStyle = '#ffffff';
+  ink.textAlign = 'center';
+  ink.font = '700 76px system-ui, sans-serif';
+  ink.fillText('STOP', 128, 138);
+  ink.font = '500 34px system-ui, sans-serif';
+  ink.fillText('touch', 128, 186);
+}
+
+/** The pose of what hangs at a place in front of the head: both column-major matrices. */
+function ahead(head, [x, y, z]) {
+  const pose = Float32Array.from(head);
+  for (let row = 0; row < 3; row++) {
+    pose[12 + row] += head[row] * x + head[4 + row] * y + head[8 + row] * z;
+  }
+  return pose;
 }
 
 function feed(gl, what, buffer, attributes, stride) {

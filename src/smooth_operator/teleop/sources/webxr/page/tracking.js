@@ -2,6 +2,7 @@
 
 import { Hands } from './hands.js';
 import { Scene } from './scene.js';
+import { StopButton } from './stop_button.js';
 
 const MODES = ['immersive-ar', 'immersive-vr'];
 
@@ -54,6 +55,7 @@ export class Tracking extends EventTarget {
       if (!gl) throw new Trouble('The browser gave no WebGL 2, which an immersive session needs.');
       await gl.makeXRCompatible();
       this.scene = new Scene(gl);
+      this.button = new StopButton(() => this.link.stop());
       this.layer = new XRWebGLLayer(session, gl);
       session.updateRenderState({ baseLayer: this.layer });
       this.floor = true;
@@ -92,20 +94,37 @@ export class Tracking extends EventTarget {
     this.link.send(message);
     const seen = [this.hands.left, this.hands.right].filter(Boolean);
     if (seen.length) this.lastSeen = performance.now();
-    this.scene.draw(this.layer, frame.getViewerPose(this.space), seen, {
+    const viewer = frame.getViewerPose(this.space);
+    if (viewer) this.button.update(viewer.transform, seen, performance.now() / 1000);
+    this.scene.draw(this.layer, viewer, seen, this.button.matrix, {
       dark: this.dark,
       good: this.link.state === 'linked',
-      lines: () => this.lines(),
+      board: () => this.board(),
     });
   }
 
-  lines() {
+  /** What the board says, and its kind. */
+  board() {
     const { link } = this;
-    if (link.state !== 'linked') return ['No link: the robot holds', link.refusal?.reason ?? 'connecting again'];
+    if (link.state !== 'linked') {
+      const first = link.stopping ? 'STOP NOT SENT: no link' : 'No link: the robot holds';
+      return { kind: 'bad', lines: [first, link.refusal?.reason ?? 'connecting again'] };
+    }
+    const [kind, ...lines] = loopState(link) ?? [];
+    if (kind) return { kind, lines };
     if (performance.now() - Math.max(this.lastSeen, this.since) > 2000) {
-      return ['No hands', 'put the controllers down, hold your hands in view'];
+      return { kind: 'warn', lines: ['No hands', 'put the controllers down, hold your hands in view'] };
     }
     const trip = link.lastTrip === null ? '–' : (1000 * link.lastTrip).toFixed(0);
-    return ['Linked', `${link.rate} Hz · round trip ${trip} ms`];
+    return { kind: 'good', lines: ['Linked', `${link.rate} Hz · round trip ${trip} ms`] };
   }
+}
+
+/** [kind, headline, what to do] where the loop keeps the robot still on purpose, else null. */
+export function loopState(link) {
+  if (link.mode === 'stopped') return ['bad', 'STOPPED', 'press U at the computer to release'];
+  if (link.stopping) return ['bad', 'Stopping …', 'not confirmed yet'];
+  if (link.mode === 'paused') return ['warn', 'Paused', 'press P at the computer to resume'];
+  if (link.mode === 'compiling') return ['warn', 'Compiling the method', 'the robot holds'];
+  return null;
 }
