@@ -493,6 +493,32 @@ def test_what_breaks_a_limit_is_dropped(answered, limits, reason):
     assert episodes(replace(answered, tracks=far), **limits) == [("deep/c", (reason,))]
 
 
+def test_a_clip_whose_fingers_never_move_is_dropped(answered):
+    """One pose of the hand, carried by the arm; a hand that is still in a part of a clip stays."""
+
+    def held(frames, sides=SIDES):
+        stamps = 2.0 * answered.clip.stamps  # 2.5 s
+        commands = {side: replace(each, stamps=stamps) for side, each in answered.commands.items()}
+        hands = {side: replace(each, stamps=stamps) for side, each in answered.clip.hands.items()}
+        for side in sides:
+            points = np.array(hands[side].landmarks)
+            carried = np.linspace(0, 0.4, len(points))[:, None, None] * np.array([1.0, 0.2, 0.0])
+            points[frames] = (points[0] + carried)[frames]
+            hands[side] = replace(hands[side], landmarks=points)
+        return replace(answered, clip=replace(answered.clip, hands=hands), commands=commands)
+
+    assert episodes(held(slice(None))) == [("deep/c", ("min_finger_motion",))]
+    (dropped,) = select(held(slice(None)), LIMITS)
+    assert dropped.reasons["min_finger_motion"] == "the fingers never move: 0.0 mm in the clip"
+    assert episodes(held(slice(None)), cut=False) == [("deep/c", ("min_finger_motion",))]
+    assert episodes(held(slice(None)), min_finger_motion=0.0) == [("deep/c", ())]
+    assert episodes(held(slice(0, 30))) == [("deep/c", ())]
+    assert episodes(held(slice(None), ("left",))) == [("deep/c", ())]
+    assert episodes(held(slice(None), ("left",)), hands="all") == [
+        ("deep/c", ("min_finger_motion",))
+    ]
+
+
 def test_collisions_drop_an_episode(answered):
     depth = np.full(len(answered.clip), np.nan)
     depth[::10] = 0.0

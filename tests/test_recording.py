@@ -2,6 +2,7 @@
 
 import io
 import pickle
+import re
 import zipfile
 from pathlib import Path
 
@@ -540,6 +541,25 @@ def stamps_with(**changes: float) -> np.ndarray:
 def test_bad_stamps(tmp_path, stamps, match):
     refused(save(tmp_path / "a.npz", {"joints": hand(), "timestamps": stamps}), match)
     refused(save(tmp_path / "b.npz", manus(timestamps=stamps)), match)
+
+
+def test_fingers_that_never_move_are_told(tmp_path):
+    points, stamps = hand(90), np.arange(90) / 30.0
+    still = points[:1] + 0.1 * np.sin(stamps)[:, None, None]
+    noisy = still + np.random.default_rng(0).normal(0.0, 2e-4, still.shape)
+
+    def notes(landmarks):
+        arrays = {"landmarks": landmarks, "timestamps": stamps[: len(landmarks)], "side": "right"}
+        recording = read_recording(save(tmp_path / "a.npz", arrays))
+        return reading_notes(recording, "a.npz")
+
+    assert notes(points) == []
+    assert notes(still[:30]) == []  # a pose may be held for a second
+    for one in (still, noisy):
+        (note,) = notes(one)
+        assert re.search(r"a\.npz: the fingers never move \([01]\.\d mm in 3 s\).*gloves", note)
+    half = np.where(np.arange(90)[:, None, None] < 60, still, points)
+    assert notes(half) == []
 
 
 def test_a_rate_stands_in_for_stamps_that_are_all_equal(tmp_path):

@@ -67,6 +67,7 @@ def request_of(options: Dataset) -> DatasetRequest:
         options.max_collision,
         options.max_tip_error,
         options.min_reach,
+        options.min_finger_motion,
     )
     recipe = Recipe(
         requested(options),

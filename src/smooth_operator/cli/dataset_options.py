@@ -51,8 +51,8 @@ Exit status: 0 done, 1 some clips could not be read or retargeted (the others ar
 request is invalid, 130 stopped."""
     rare: ClassVar[frozenset[str]] = RARE | {
         "device", "frame", "mano", "objects", "whole", "hands", "min_confidence", "max_gap",
-        "max_jump", "min_seconds", "min_valid", "max_tip_error", "min_reach", "no_limits", "loose",
-        "shard_mb", "shard", "merge",
+        "max_jump", "min_seconds", "min_valid", "max_tip_error", "min_reach", "min_finger_motion",
+        "no_limits", "loose", "shard_mb", "shard", "merge",
     }  # fmt: skip
 
     sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SOURCE...")]
@@ -118,6 +118,10 @@ request is invalid, 130 stopped."""
     min_reach: Annotated[float, arg(metavar="SHARE")] = 0.5
     """Least share of frames in which every fingertip is nearer to the human's than a quarter of the
     robot hand's length."""
+
+    min_finger_motion: Annotated[float, arg(metavar="MM")] = 3.0
+    """Least motion of the human fingers over the whole clip [mm], where it lasts 2 s or more. Body
+    captures without gloves have fingers that never move."""
 
     no_limits: bool = False
     """Keep every clip, whole; the options above have no effect."""

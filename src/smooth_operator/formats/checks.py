@@ -15,12 +15,18 @@ from jaxtyping import Bool, Float
 
 from smooth_operator.errors import ConfigError, RecordingError, listed
 from smooth_operator.io.anatomy import OF_A_PICTURE, PALM_RANGE_M, keeps_lengths, of_a_picture
-from smooth_operator.landmarks import WRIST, index
+from smooth_operator.landmarks import TIPS, WRIST, index
 from smooth_operator.settings import RATE_RANGE_HZ, check_frame_rate
 from smooth_operator.types import HandRecording, Side, as_side
 
 LONGEST_S: Final = 1e9
 """Longest time from the first to the last stamp of a recording or of commands [s]: 32 years."""
+
+STIFF_M: Final = 3e-3
+"""Motion of the fingers up to which they count as not moving [m]; see ``finger_motion``."""
+
+JUDGED_MOTION_S: Final = 2.0
+"""Shortest recording of which the motion of the fingers is judged [s]: a pose may be held."""
 
 _TYPICAL_PALM_M = 0.095
 _PALM_RATIO = 2.0  # of a frame's palm to the usual one, up or down: trackers stay within 1.3
@@ -181,6 +187,12 @@ def reading_notes(recording: HandRecording, where: str) -> list[str]:
             "(T,) or (T, 21), T_world_wrist (T, 7) or (T, 4, 4), metacarpals (T, 4, 3) and "
             "orientations (T, 21, 4)"
         )
+    motion = finger_motion(recording)
+    if motion is not None and motion < STIFF_M:
+        notes.append(
+            f"{where}: the fingers never move ({1e3 * motion:.1f} mm in {recording.duration:.0f} "
+            "s); was the hand recorded without gloves, or one pose copied?"
+        )
     odd = recording.meta.get("implausible_frames", 0)
     if odd:
         notes.append(
@@ -189,6 +201,29 @@ def reading_notes(recording: HandRecording, where: str) -> list[str]:
             "seen"
         )
     return notes
+
+
+def finger_motion(recording: HandRecording) -> float | None:
+    """Largest range of the distances from the wrist and from the thumb's tip to the fingertips [m].
+
+    It is that from the 5th to the 95th percentile, so single frames do not count. A hand that the
+    arm carries without moving its fingers has 0; in recordings of people, all trackers and
+    windows of 2 s have 5 mm or more.
+
+    Returns:
+        the range; None for less than ``JUDGED_MOTION_S`` of frames that show the whole hand.
+    """
+    assert recording.valid is not None  # filled in by HandRecording
+    whole = recording.valid.all(axis=1)
+    stamps = recording.stamps[whole]
+    if len(stamps) < 2 or stamps[-1] - stamps[0] < JUDGED_MOTION_S:
+        return None
+    points = recording.landmarks[whole]
+    tips = points[:, list(TIPS)]
+    reach = np.linalg.norm(tips - points[:, [WRIST]], axis=-1)
+    pinch = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
+    low, high = np.percentile(np.concatenate([reach, pinch], axis=1), (5.0, 95.0), axis=0)
+    return float((high - low).max())
 
 
 def check_stamps(

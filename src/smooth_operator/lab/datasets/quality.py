@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from smooth_operator import poses
 from smooth_operator.errors import ConfigError
+from smooth_operator.formats.checks import STIFF_M, finger_motion
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.human.aligned_recording import align_recording
@@ -55,6 +56,7 @@ FIGURES: Final = (
     Figure("gap_s", "s", "down", "longest time without such a command"),
     Figure("wrist", "", "up", "share of frames with a known pose of the wrist"),
     Figure("jump_m_s", "m/s", "down", "largest speed of the human wrist or of a fingertip to it"),
+    Figure("finger_motion_mm", "mm", "up", "range of the human fingertips' distances in the clip"),
     Figure("tip_error_mm", "mm", "down", "robot fingertips to the aligned human ones, mean"),
     Figure("tip_error_p95_mm", "mm", "down", "the same of the worst finger, 95th percentile"),
     Figure("reach", "", "up", "share of frames in which every fingertip reaches the human's"),
@@ -280,6 +282,8 @@ class Limits:
         max_tip_error: largest mean distance of robot and human fingertips [mm].
         min_reach: least share of frames in which every fingertip reaches the human's; see
             ``quality.REACHED``.
+        min_finger_motion: least motion of the human fingers in the whole clip [mm]; see
+            ``formats.checks.finger_motion``.
 
     Raises:
         ConfigError: a limit is not a possible one.
@@ -295,6 +299,7 @@ class Limits:
     max_collision: float = 0.2
     max_tip_error: float = 60.0
     min_reach: float = 0.5
+    min_finger_motion: float = 1e3 * STIFF_M
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -317,6 +322,7 @@ NO_LIMITS: Final = Limits(
     max_collision=1.0,
     max_tip_error=math.inf,
     min_reach=0.0,
+    min_finger_motion=0.0,
 )
 """Keeps every clip whole."""
 
@@ -344,8 +350,9 @@ def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
         yield whole
         return
     whole = _confident(whole, limits.min_confidence)
+    motion = _finger_motions(whole)
     if not limits.cut:
-        yield _judged(whole, whole, slice(0, len(whole.clip)), limits)
+        yield _judged(whole, slice(0, len(whole.clip)), limits, motion)
         return
     good = _good(whole, limits)
     parts = list(_parts(good, _jumps(whole, limits), whole.clip.stamps, limits.max_gap))
@@ -353,7 +360,7 @@ def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
     for part in parts:
         if at < part.start:
             yield _lost(whole, at, part.start)
-        yield _judged(whole, robot_part(whole, part), part, limits)
+        yield _judged(robot_part(whole, part), part, limits, motion)
         at = part.stop
     if at < len(good):
         yield _lost(whole, at, len(good))
@@ -366,6 +373,16 @@ def _confident(whole: RobotClip, least: float) -> RobotClip:
         if side in valid:
             valid[side] = valid[side] & ~(confidence < least)  # NaN: not known
     return replace(whole, valid=valid)
+
+
+def _finger_motions(whole: RobotClip) -> dict[str, float]:
+    """Figures of the fingers' motion, of the whole clip: a hand may be still in a part of it."""
+    motions = {side: finger_motion(whole.clip.hands[side]) for side in whole.commands}
+    return {
+        f"{side}.finger_motion_mm": 1e3 * value
+        for side, value in motions.items()
+        if value is not None
+    }
 
 
 def _good(whole: RobotClip, limits: Limits) -> Bool[np.ndarray, " T"]:
@@ -404,9 +421,9 @@ def _lost(whole: RobotClip, start: int, stop: int) -> Dropped:
 
 
 def _judged(
-    whole: RobotClip, episode: RobotClip, frames: slice, limits: Limits
+    episode: RobotClip, frames: slice, limits: Limits, motion: Mapping[str, float]
 ) -> RobotClip | Dropped:
-    figures = quality_figures(episode)
+    figures = {**quality_figures(episode), **motion}
     reasons = dict(_reasons(figures, limits))
     if reasons:
         return Dropped(episode.clip.name, (frames.start, frames.stop), reasons, figures)
@@ -422,6 +439,11 @@ def _reasons(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, s
     share = (max if limits.hands == "any" else min)(shares)
     if share < limits.min_valid:
         yield "min_valid", f"a hand is seen in {share:.0%} of the frames"
+    motions = [value for name, value in figures.items() if name.endswith(".finger_motion_mm")]
+    if motions:
+        motion = (max if limits.hands == "any" else min)(motions)
+        if motion < limits.min_finger_motion:
+            yield "min_finger_motion", f"the fingers never move: {motion:.1f} mm in the clip"
     if not limits.cut:
         yield from _of_whole(figures, limits)
     checks: tuple[tuple[str, str, float, str], ...] = (

@@ -42,6 +42,7 @@ _LIMIT_OF: Final = {
     "collision": "max_collision",
     "tip_error_mm": "max_tip_error",
     "reach": "min_reach",
+    "finger_motion_mm": "min_finger_motion",
 }
 _SHOWN: Final = 200
 _KEPT: Final = "#0072B2"
