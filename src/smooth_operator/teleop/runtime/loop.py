@@ -102,9 +102,11 @@ class TeleopLoop:
         try:
             self.source.start(self.mailbox)
             try:
-                started()
-                with self._watchdog(), self._stops_at_once():
-                    self._loop(duration)
+                # Before `started`, which gives real-time priority to the threads that there are.
+                with self._stops_at_once():
+                    started()
+                    with self._watchdog():
+                        self._loop(duration)
             finally:
                 self.source.stop()
         finally:
