@@ -11,6 +11,7 @@ from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.formats.checks import check_palm, check_units
 from smooth_operator.io.anatomy import (
     FEWEST_FRAMES,
+    MIRRORED,
     Doubt,
     HandCheck,
     check_hand,
@@ -18,6 +19,7 @@ from smooth_operator.io.anatomy import (
     doubt,
     implausible,
     keeps_lengths,
+    sides,
 )
 from smooth_operator.landmarks import BONES, LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
@@ -150,8 +152,9 @@ def test_real_recordings_pass_and_their_faults_do_not(shared, name):
         assert foreign.layout == "mano"
         noticed += doubt(mirrored[cut], "right") is not None
         windows += 1
-    # a planar palm with straight fingers, as one of these trackers gives it, is no side's
-    assert noticed >= (0.6 if "alex" in name else 1.0) * windows
+    # straight fingers tell no side unless the thumb stands out
+    assert noticed >= 0.4 * windows
+    assert doubt(mirrored, "right") is not None
 
 
 def turned(landmarks: np.ndarray, kind: str, size: float) -> tuple[np.ndarray, Side]:
@@ -331,12 +334,12 @@ def test_live_frames_are_judged_from_the_first_few_on(operator):
     check = HandCheck("right")
     valid = np.ones(21, bool)
     for i in range(20):
-        found = check.see(in_layout(operator.landmarks[i], "mano"), valid)
+        found = check.see(in_layout(operator.landmarks[i], "mano"), valid, 0.01 * i)
         assert (found is not None) == (i >= FEWEST_FRAMES - 1)
     assert isinstance(found, Doubt)
     assert "layout=mano" in found.live
     # the source is told, and goes on: its frames count again after a window at most
-    verdicts = [check.see(points, valid) for points in operator.landmarks[20:80]]
+    verdicts = [check.see(operator.landmarks[i], valid, 0.01 * i) for i in range(20, 80)]
     assert verdicts[-1] is None
 
 
@@ -344,18 +347,104 @@ def test_live_frames_are_judged_from_the_first_few_on(operator):
 def test_a_wrong_order_is_refused_as_long_as_it_comes(operator, layout):
     check, valid = HandCheck("right"), np.ones(21, bool)
     points = in_layout(operator.landmarks[:130], layout)
-    verdicts = [check.see(frame, valid) for frame in points][FEWEST_FRAMES - 1 :]
-    assert {None if found is None else found.layout for found in verdicts} == {layout}
+    verdicts = [check.see(frame, valid, 0.01 * i) for i, frame in enumerate(points)]
+    layouts = {None if found is None else found.layout for found in verdicts[FEWEST_FRAMES - 1 :]}
+    assert layouts == {layout}
 
 
-def test_a_hand_that_changes_its_side_is_noticed(operator):
-    check = HandCheck("right")
-    valid = np.ones(21, bool)
-    assert all(check.see(points, valid) is None for points in operator.landmarks[:90])
-    verdicts = [check.see(points * MIRROR, valid) for points in operator.landmarks[90:160]]
-    assert verdicts[-1].side == "left"
-    lost = np.zeros(21, bool)
-    assert check.see(operator.landmarks[0], lost) is verdicts[-1]  # no news of it
+def refusals(points: np.ndarray, stamps: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
+    """(T,) True where a frame of a right hand is refused by its side."""
+    check, known = HandCheck("right"), np.ones(points.shape[:2], bool) if known is None else known
+    found = [check.see(*frame) for frame in zip(points, known, stamps, strict=True)]
+    assert all(one is None or one.side == "left" for one in found)
+    return np.array([one is not None for one in found])
+
+
+@pytest.mark.parametrize("rate", [15.0, 30.0, 60.0, 120.0])
+def test_another_hand_is_held_within_a_tenth_of_a_second_and_the_right_one_is_back_soon(rate):
+    motion = SyntheticOperator(seed=1, rate_hz=rate).record(6.0)
+    for seconds in (1 / rate, 0.2, 0.7, 2.0):
+        stamps, points = motion.stamps - motion.stamps[0], motion.landmarks.copy()
+        other = (stamps >= 2.0) & (stamps < 2.0 + seconds)
+        points[other] *= MIRROR
+        refused = refusals(points, stamps)
+        assert refused[other & (stamps >= 2.1)].all()
+        assert other[refused][0]
+        assert not refused[~other & ((stamps < 2.0) | (stamps >= 2.3 + seconds))].any()
+
+
+def test_a_hand_that_shows_no_side_is_held_for_a_moment_after_the_other_hand():
+    flat = pose_hand(draw_anatomy(0.19, 0), couple(FLAT[None])).landmarks[0]
+    flat[[1, 2, 3, 4]] -= 0.3 * (flat[[1, 2, 3, 4]] - flat[0])  # a thumb beside the palm
+    flat[1:5, 2] = flat[0, 2]
+    assert sides(flat[None])[0] == 0
+    fist = pose_hand(draw_anatomy(0.19, 0), couple(FIST[None])).landmarks[0]
+    points = np.stack([fist, *[fist * MIRROR] * 3, *[flat] * 40, fist, flat])
+    refused = refusals(points, 0.01 * np.arange(len(points)))
+    assert np.flatnonzero(refused).tolist() == list(range(1, 4 + 25))
+    one = refusals(np.stack([fist, fist * MIRROR, flat, fist]), 0.01 * np.arange(4))
+    assert one.tolist() == [False, True, False, False]  # a slip of one frame
+
+
+@pytest.mark.parametrize("missing", [[8], [1, 2], [4], [12, 16, 20]])
+def test_a_frame_with_landmarks_missing_is_judged_by_the_others(operator, missing):
+    known = np.ones((len(operator), 21), bool)
+    known[:, missing] = False
+    points = np.where(known[..., None], operator.landmarks, np.nan)
+    assert not refusals(points, operator.stamps, known).any()
+    assert refusals(points * MIRROR, operator.stamps, known).mean() > 0.85
+
+
+def flat_hand_of_a_depth_camera(seed: int) -> np.ndarray:
+    """(62, 21, 3) a flat right hand, its thumb behind the plane of the palm, with 2 mm of noise."""
+    rng = np.random.default_rng(seed)
+    anatomy = draw_anatomy(0.19, seed)
+    flat = pose_hand(anatomy, couple(np.zeros_like(FLAT)[None])).landmarks[0]
+    wrist, index, pinky = flat[0], flat[5], flat[17]
+    normal = np.cross(index - wrist, pinky - wrist)
+    normal /= np.linalg.norm(normal)
+    flat = flat - ((flat - wrist) @ normal)[:, None] * normal  # a planar palm, straight fingers
+    palm = np.linalg.norm(flat[9] - wrist)
+    flat[1:5] -= palm * np.array([0.12, 0.19, 0.2, 0.2])[:, None] * normal
+    flat[[9, 13]] += 0.03 * palm * normal
+    return flat + rng.normal(0.0, 0.002, (62, 21, 3))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_flat_hand_of_a_depth_camera_is_not_judged(tmp_path, seed):
+    """It measures the thumb behind the palm; its right hands were refused as left ones."""
+    points = flat_hand_of_a_depth_camera(seed)
+    assert chirality(points).mean() < MIRRORED
+    for landmarks, side in ((points, "right"), (points * MIRROR, "left")):
+        assert doubt(landmarks, side) is None
+        assert read_recording(saved(tmp_path / f"{side}.npz", landmarks, side=side)).side == side
+    assert refusals(points, 0.1 * np.arange(62)).mean() <= 0.05  # and no two of them in a row
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("mirrored", [False, True], ids=["its side", "the other hand"])
+def test_live_hands_of_real_trackers(shared, mirrored):
+    """No right hand is held; of a stretch of the other hand little is taken, and the right one is
+    back in 0.3 s."""
+    paths = [shared / "recordings" / name for name in RECORDINGS]
+    for path in [*paths, *sorted((shared / "recordings_new").glob("*_*.npz"))]:
+        rate = 30.0 if "recordings_new" not in str(path) and "manus" not in path.name else None
+        left = path.stem.endswith("left")
+        recording = read_recording(path, side="left" if left else "right", rate=rate)
+        known = recording.valid.all(axis=1)
+        points = recording.landmarks[known] * (MIRROR if left else 1.0)
+        stamps = recording.stamps[known]
+        if not mirrored:
+            assert not refusals(points, stamps).any(), path.name
+            continue
+        other = (stamps - stamps[0]) % 3.0 >= 2.0  # a second in three
+        points[other] *= MIRROR
+        refused, told = refusals(points, stamps), sides(points) < 0
+        assert refused[other & told].all()
+        ends = np.flatnonzero(other[:-1] & ~other[1:])
+        for end in ends:
+            after = ~other & (stamps > stamps[end] + 0.3) & (stamps < stamps[end] + 1.0)
+            assert not refused[after].any(), path.name
 
 
 @pytest.mark.parametrize("form", ["bytes", "json"])
@@ -407,5 +496,5 @@ def test_commands_without_times_are_refused(tmp_path):
     for value in (np.nan, np.inf):
         arrays["timestamps"] = np.array([0.0, value, 2.0])
         np.savez(tmp_path / "b.npz", **arrays)
-        with pytest.raises(RecordingError, match="must be finite"):
+        with pytest.raises(RecordingError, match="not finite"):
             read_commands(tmp_path / "b.npz")

@@ -24,7 +24,7 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import run as run_module
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
-from smooth_operator.teleop.runtime.pipeline import HandPipeline, implausible
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
 from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.tick import Mode, Tick
@@ -413,7 +413,7 @@ def test_an_emergency_stop_does_not_wait_for_a_method_that_compiles(
     assert set(modes[first:]) == {Mode.STOPPED}  # also after the method has answered
     assert [tick.number for tick in sink.ticks] == list(range(len(modes)))
     assert np.ptp([tick.command.positions for tick in sink.ticks[-5:]], axis=0).max() == 0
-    assert sink.ticks[first].events == ("tracking -> stopped",)
+    assert sink.ticks[first].events[-1].endswith(" -> stopped")
 
 
 def test_a_source_is_told_which_hands_are_wanted():
@@ -569,7 +569,7 @@ class Mirrored(ThreadedSource):
     def run(self, running: Running) -> None:
         motion = SyntheticOperator(seed=2, rate_hz=100.0).record(8.0)
         mirrored = [replace(f, landmarks=f.landmarks * [-1.0, 1.0, 1.0]) for f in motion]
-        Player([f for f in mirrored if implausible(f)][:60], 60.0).run(running)
+        Player(mirrored[:60], 60.0).run(running)
 
 
 def test_refused_frames_are_counted_in_the_summary(capsys, tmp_path, monkeypatch):
@@ -581,11 +581,11 @@ def test_refused_frames_are_counted_in_the_summary(capsys, tmp_path, monkeypatch
     out, err = capsys.readouterr()
     summary = json.loads(out)
     (why,) = summary["frames_refused"]["right"]
-    assert "left hand?" in why
+    assert "by its shape it is a left hand" in why
     refused = summary["frames_refused"]["right"][why]
     assert refused + summary["frames_overwritten"] == summary["frames_received"] == 60
     assert summary["frames_answered"] == summary["frames_unusable"] == 0
-    assert f"frames refused: {refused} x the fingers bend" in err
+    assert f"frames refused: {refused} x by its shape it is a left" in err
     recorded = read_log(log).loop
     events = [event for events in recorded.events.values() for event in events]
     assert sum("frame refused" in event for event in events) == refused

@@ -219,7 +219,6 @@ class Retargeter:
                 the status ``IMPLAUSIBLE_HAND``.
         """
         frame = self._framed(frame)
-        doubtful = self._check_input(frame)
         stamped = frame.stamp is not None
         if self._stamped not in (None, stamped):
             raise ConfigError(
@@ -228,6 +227,7 @@ class Retargeter:
             )
         if not stamped and self.rate is None:
             frame = replace(frame, stamp=self._clock())
+        doubtful = self._check_input(frame)
         if doubtful:
             frame = replace(frame, valid=np.zeros(NUM_LANDMARKS, bool))
         self._state, result = self.step(self._state, frame)
@@ -237,8 +237,10 @@ class Retargeter:
     def _check_input(self, frame: HandFrame) -> bool:
         """True if the last frames show another hand; among the first, that is an error."""
         assert frame.valid is not None  # filled in on construction
-        doubtful = self._input.see(frame.landmarks, frame.valid)
-        if doubtful is not None and self._input.judged <= HandCheck.WINDOW:
+        check = self._input
+        doubtful = check.see(frame.landmarks, frame.valid, self._stamp_of(self._state, frame))
+        sure = doubtful is not None and (doubtful.side is None or check.surely_other)
+        if doubtful is not None and sure and check.judged <= HandCheck.WINDOW:
             self._input = HandCheck(self.hand.spec.side)
             raise RecordingError(f"the last frames: {doubtful.what}; {doubtful.in_python}")
         return doubtful is not None

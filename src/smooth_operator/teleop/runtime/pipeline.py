@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from jaxtyping import Float
 
 from smooth_operator.io.anatomy import PALM_RANGE_M, Doubt, HandCheck
 from smooth_operator.landmarks import BASES, WRIST
@@ -35,14 +34,6 @@ _FAR = (
     f"a landmark more than {REACH_M:g} m from the wrist is no human's; landmarks must be in metres"
 )
 
-CURL = -0.6
-"""Smallest curl of a hand, as a share of its fingers' length.
-
-In four real recordings and the synthetic operator, fingers bent back to their limit reach -0.51. A
-mirrored hand has the negative curl: it is refused at its first frame near a fist, or else by
-``SessionCheck``, whose rule is stricter and needs several frames.
-"""
-
 _PALM: Final = "a palm outside {} to {} m is no human's; landmarks must be in metres".format(
     *PALM_RANGE_M
 )
@@ -51,7 +42,7 @@ _MIDDLE: Final = BASES[2]
 
 @np.errstate(all="ignore")  # numbers of any size may come
 def implausible(frame: HandFrame) -> str | None:
-    """Reason why a frame can't be a human hand of its side; None if it can.
+    """Reason why a frame can't be a human hand, by its size and time; None if it can.
 
     Missing landmarks are not judged, since not every method needs them. The reasons are few and
     without figures, so that frames can be counted by reason.
@@ -66,17 +57,13 @@ def implausible(frame: HandFrame) -> str | None:
         return None
     if not PALM_RANGE_M[0] <= palm <= PALM_RANGE_M[1]:
         return _PALM
-    curl = finger_curl(p, frame.side)
-    if curl < CURL:
-        other = "left" if frame.side == "right" else "right"
-        return f"the fingers bend to the back of the hand: is it a {other} hand?"
     return None
 
 
 class SessionCheck:
-    """Checks that a tracker's frames have the right side and order of landmarks.
+    """Checks that a tracker's frames have the right side and order of landmarks (``HandCheck``).
 
-    Each start of a tracker is checked separately: over its first frames, and then occasionally.
+    Each start of a tracker is checked separately.
 
     Args:
         side: side of the robot hand.
@@ -93,28 +80,7 @@ class SessionCheck:
             self._session, self._check = arrival.session, HandCheck(self._side)
         frame = arrival.frame
         assert frame.valid is not None  # filled in by HandFrame
-        return self._check.see(frame.landmarks, frame.valid)
-
-
-def finger_curl(landmarks: Float[np.ndarray, "21 3"], side: Side) -> float:
-    """Distance of the fingertips in front of the palm, as a share of the fingers' length.
-
-    It judges a single frame, while ``chirality`` of ``smooth_operator.io.anatomy`` needs several.
-
-    Args:
-        landmarks: positions in the project's order, in any right-handed frame.
-
-    Returns:
-        mean over the four fingers: 0 for a flat hand, towards 1 for a fist, negative for fingers
-        bent back; NaN with a missing landmark.
-    """
-    wrist, bases, tips = landmarks[0], landmarks[5::4], landmarks[8::4]
-    normal = np.cross(bases[0] - wrist, bases[3] - wrist) * (1.0 if side == "right" else -1.0)
-    length = np.linalg.norm(normal)
-    if not length > 1e-9:
-        return float("nan")
-    bones = np.linalg.norm(np.diff(landmarks[5:].reshape(4, 4, 3), axis=1), axis=-1).sum(axis=1)
-    return float(((tips - bases) @ normal / length / np.maximum(bones, 1e-9)).mean())
+        return self._check.see(frame.landmarks, frame.valid, arrival.received)
 
 
 @dataclass
