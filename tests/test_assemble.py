@@ -8,7 +8,7 @@ import pytest
 
 from smooth_operator import LANDMARKS, Hand, evaluate, load_hand
 from smooth_operator.errors import HandModelError, RecordingError
-from smooth_operator.hands.collision import colliding_shapes
+from smooth_operator.hands.capsules import parts_apart
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.human.alignment import AlignmentConfig
@@ -116,17 +116,16 @@ def test_neutral_is_clear_and_crossing_fingers_are_not(side):
     assert 0.002 < crossed < 0.02
 
 
-def test_what_touches_in_the_neutral_pose_counts_in_neither_order():
+def test_shapes_that_touch_in_the_neutral_pose_do_not_count():
     hand = load_hand()
     data = mujoco.MjData(hand.model)
     data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
     mujoco.mj_forward(hand.model, data)
     geoms = np.array(data.contact.geom)[data.contact.dist < 0]
     assert len(geoms)
-    counts = colliding_shapes(hand)
-    assert not counts[geoms[:, 0], geoms[:, 1]].any()
-    np.testing.assert_array_equal(counts, counts.T)
-    assert counts.any()
+    counts = {frozenset(pair) for pair in parts_apart(hand).shapes.tolist()}
+    assert counts
+    assert not counts & {frozenset(pair) for pair in geoms.tolist()}
 
 
 def test_depth_is_that_of_the_shapes():

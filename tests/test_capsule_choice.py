@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from capsule_depths import depths, ends_of
 
-from smooth_operator.hands.capsules import MOST, CapsulePairs, capsule_pairs
+from smooth_operator.hands.capsules import MOST, CapsulePairs, capsule_pairs, parts_apart
 from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
@@ -120,8 +120,8 @@ def test_a_forearm_without_a_wrist_counts_though_it_does_not_hang_from_the_palm(
     np.testing.assert_allclose(found["forearm"], found["palm"], atol=1e-9)
 
 
-def test_a_mesh_that_its_capsule_overstates_keeps_nothing_away(whole, tmp_path):
-    """The palm's box as a mesh: its one capsule is rounder, and reaches into fingers at rest."""
+def test_a_flat_mesh_is_as_large_as_the_box_that_it_is(whole, tmp_path):
+    """A palm is a row of capsules in both forms."""
     text = whole.spec.model.read_text(encoding="utf-8")
     box = re.search(r'<geom name="palm" type="box" size="([^"]+)" (pos="[^"]+")/>', text)
     half = np.array(box[1].split(), float)
@@ -133,9 +133,25 @@ def test_a_mesh_that_its_capsule_overstates_keeps_nothing_away(whole, tmp_path):
     path = tmp_path / "mesh.xml"
     path.write_text(made.replace("<worldbody>", asset + "<worldbody>"), encoding="utf-8")
     hand = load_hand_spec(replace(whole.spec, model=path))
-    pairs = capsule_pairs(hand)
-    neutral = hand.full_configuration(hand.neutral)[None]
-    deep = penetration_depths(hand, neutral)
-    assert deep.max() == 0.0  # of pairs that count, the shapes themselves touch nowhere
-    assert deepest(pairs, hand, hand.neutral[None]).max() < 1e-4
-    assert len(links(capsule_pairs(whole), whole) - links(pairs, hand)) >= 1  # that was left out
+    q = poses_of(whole, 200)
+    found, expected = (penetration_depths(h, h.full_configuration(q)) for h in (hand, whole))
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert len(parts_apart(hand).pairs) == len(parts_apart(whole).pairs)
+
+
+def test_what_a_model_excludes_from_collision_stays_excluded(whole, tmp_path):
+    """By a pair of bodies, or by the bits of its shapes."""
+    text = whole.spec.model.read_text(encoding="utf-8")
+    body = whole.model.body
+    tips = [finger.tip.body for finger in whole.spec.fingers[:2]]
+    pair = frozenset(int(body(name).id) for name in tips)
+    assert pair in links(parts_apart(whole), whole)
+    exclude = f'<contact><exclude body1="{tips[0]}" body2="{tips[1]}"/></contact>'
+    bits = re.sub(rf'(<body name="{tips[0]}".*?<geom )', r'\1contype="2" conaffinity="2" ', text,
+                  count=1, flags=re.DOTALL)  # fmt: skip
+    for number, made in enumerate((text.replace("<actuator>", exclude + "<actuator>"), bits)):
+        path = tmp_path / f"{number}.xml"
+        path.write_text(made, encoding="utf-8")
+        hand = load_hand_spec(replace(whole.spec, model=path))
+        assert len(parts_apart(hand).pairs) < len(parts_apart(whole).pairs)
+        assert pair not in links(parts_apart(hand), hand)

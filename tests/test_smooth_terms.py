@@ -10,9 +10,9 @@ import pytest
 from capsule_depths import depths, ends_of
 from trees import float64, limited_poses
 
-from smooth_operator import Hand, load_hand
+from smooth_operator import Hand, hand_names, load_hand
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.capsules import capsule_pairs, segment_parameters
+from smooth_operator.hands.capsules import MOST, capsule_pairs, parts_apart, segment_parameters
 from smooth_operator.hands.collision import owners
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.human.landmark_filter import (
@@ -54,14 +54,39 @@ def test_segments_are_nearest_where_a_search_says_so():
     assert (distance(s, t) <= grid.min(axis=0) + 1e-6).all()
 
 
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("name", hand_names())
+def test_what_the_measure_calls_a_collision_has_a_price(name, side):
+    """Or the solver rests where its answers are thrown away."""
+    hand = load_hand(name, side)
+    pairs, margin = capsule_pairs(hand), SelfCollisionConfig().margin
+    assert len(pairs.pairs) <= MOST
+    q = np.random.default_rng(1).uniform(*hand.limits.T, (600, len(hand.limits)))
+    measured = penetration_depths(hand, hand.full_configuration(q))
+    deep = measured > 0.002
+    assert deep.mean() > 0.03  # such poses are among them
+    priced = depths(pairs, ends_of(pairs, hand, q)).max(axis=-1)
+    assert (priced[deep] + margin > 0).all()
+    # and no more: what has a price is a collision of that depth
+    np.testing.assert_allclose(priced[priced > 0], measured[priced > 0], atol=1e-9)
+
+
 @pytest.mark.parametrize("name", HANDS)
-def test_capsules_are_as_deep_as_the_models_shapes(name):
+def test_the_measure_is_near_that_of_mujoco_on_the_models_shapes(name):
     """Palms are boxes, filled from within: there, capsules are less deep, at edges most."""
     hand = load_hand(name)
-    pairs = capsule_pairs(hand)
+    counts = {frozenset(pair) for pair in parts_apart(hand).shapes.tolist()}
+    data = mujoco.MjData(hand.model)
     q = np.random.default_rng(1).uniform(*hand.limits.T, (150, len(hand.limits)))
-    ours = np.maximum(depths(pairs, ends_of(pairs, hand, q)).max(axis=-1), 0.0)
-    theirs = penetration_depths(hand, hand.full_configuration(q))
+    ours, theirs = penetration_depths(hand, hand.full_configuration(q)), np.zeros(len(q))
+    for pose, joints in enumerate(hand.full_configuration(q)):
+        data.qpos[:] = hand.qpos(joints)
+        mujoco.mj_kinematics(hand.model, data)
+        mujoco.mj_comPos(hand.model, data)
+        mujoco.mj_collision(hand.model, data)
+        for geoms, apart in zip(data.contact.geom.tolist(), data.contact.dist, strict=True):
+            if frozenset(geoms) in counts:
+                theirs[pose] = max(theirs[pose], -float(apart))
     assert (theirs > 0.002).mean() > 0.1  # such poses are among them
     assert np.abs(ours - theirs).max() < (1e-9 if name == "mimic_p050" else 0.02)
     assert np.median(np.abs(ours - theirs)) < 1e-3
@@ -86,7 +111,7 @@ def test_a_hand_without_shapes_has_estimated_pairs_only():
     pairs = capsule_pairs(bare)
     assert len(pairs.pairs) > 10
     assert (pairs.shapes == -1).all()
-    assert penetration_depths(bare, hand.full_configuration(hand.neutral)[None]) is None
+    assert penetration_depths(bare, hand.full_configuration(hand.neutral)[None]) == [0.0]
 
 
 def _compiled_without_inertia(spec: mujoco.MjSpec) -> mujoco.MjModel:

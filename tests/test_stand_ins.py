@@ -138,7 +138,7 @@ def test_it_is_said_where_a_folder_is_retargeted(tmp_path, capfd):
     asked = ["retarget", str(folder), "--output", str(tmp_path / "out"), "--workers", "0"]
     for name, said in ((str(tmp_path / "bare.toml"), True), ("mimic_p050", False)):
         assert main([*asked, "--hand", name]) == 1
-        assert ("'smooth' keeps estimated capsules" in capfd.readouterr().err) == said
+        assert ("estimated capsules along their bones" in capfd.readouterr().err) == said
 
 
 @pytest.mark.shared
@@ -147,6 +147,6 @@ def test_it_is_said_where_a_hand_is_added(shared, tmp_path, monkeypatch, capfd):
     file = shared / "hands_urdf" / "leap_hand" / "leap_hand_right.urdf"
     assert main(["hands", "add", str(file), "--name", "bare_leap"]) == 0
     said = capfd.readouterr().out
-    assert "could not be read; 'smooth' keeps estimated capsules" in said
+    assert "could not be read; estimated capsules along their bones take their place" in said
     recording = tmp_path / "r.npz"
     assert main(["sample", str(recording), "--duration", "1"]) in (0, 2)

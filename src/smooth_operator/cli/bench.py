@@ -19,8 +19,8 @@ from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import SmoothOperatorError, require
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.hands.finger_choice import parse_fingers
-from smooth_operator.hands.penetration import collision_note
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.lab.benchmark import (
     Settings,
     compare,
@@ -266,7 +266,7 @@ def _say_what_is_odd(cells: Sequence[Cell], progress: Progressing) -> None:
             hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
         except SmoothOperatorError:
             continue  # the cell says so itself
-        notes |= {*cell.config.notes(hand), *filter(None, [collision_note(hand)])}
+        notes |= {*cell.config.notes(hand), *filter(None, [stand_in_note(hand)])}
     for note in sorted(notes):
         progress.note(note, matters=True)
 

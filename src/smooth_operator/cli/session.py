@@ -7,7 +7,7 @@ from typing import Any
 from smooth_operator.cli.common_options import Retargeting
 from smooth_operator.cli.console import Progressing
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.penetration import collision_note
+from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.lab.offline import Outcome, build, execute, measure
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.metrics import Trace
@@ -53,8 +53,8 @@ def execute_shown(todo: Plan, progress: Progressing) -> Outcome:
 
 
 def say_notes(config: MethodConfig, hand: Hand, progress: Progressing) -> None:
-    """Prints notes on a method on a hand."""
-    for note in config.notes(hand):
+    """Prints notes on a method on a hand, and on the shapes by which it is judged."""
+    for note in dict.fromkeys([*config.notes(hand), *filter(None, [stand_in_note(hand)])]):
         progress.note(note, matters=True)
 
 
@@ -64,6 +64,4 @@ def measure_shown(
     """Computes the trace and its metrics."""
     with progress.waiting("measuring"):
         trace, metrics = measure(todo, outcome, definition)
-    if note := collision_note(todo.hand):
-        progress.note(note, matters=True)
     return trace, metrics

@@ -1,14 +1,17 @@
-"""Capsules that fill a hand's collision shapes, and the pairs of them that could touch.
+"""What a hand's parts are: capsules, and the pairs of them that must not overlap.
 
-Most collision shapes of the built-in hands are capsules; boxes, such as palms, become a row of
-parallel capsules inside them. A capsule is two points and a radius, so its distance from another
-is cheap, and differentiable with respect to the points.
+The solver, the measure of self-collision, ``hands check`` and the pictures all take this one
+description. A capsule is two points and a radius, so its distance from another is cheap, and
+differentiable with respect to the points. Most collision shapes of the built-in hands are
+capsules; other shapes are filled with them (``shape_capsules``), and a link whose shapes can't be
+read has estimated ones (``smooth_operator.hands.stand_ins``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import mujoco
@@ -19,7 +22,6 @@ from smooth_operator.geometry import AnyKind, array_namespace
 from smooth_operator.hands.collision import (
     PALM,
     Capsule,
-    colliding_shapes,
     lacking_parts,
     owners,
     shape_capsules,
@@ -37,18 +39,20 @@ MOST: Final = 128
 """Largest number of pairs; each costs time in every frame, and more in compiling. The built-in
 hands have 22 to 111; a vendor's model with ten boxes to a link has ten thousand candidates."""
 _ROUNDING = 1e-5  # rounding of distances [m]
+_BLOCK = 1_000_000  # distances that are computed at once
 _TINY = 1e-12  # [m^2]
 _PARALLEL = 1e-3  # squared sine of an angle below which segments count as parallel
 
 
 @dataclass(frozen=True, eq=False)
 class CapsulePairs:
-    """Pairs of capsules that could touch, and the kinematics of their ends.
+    """Pairs of capsules, and the kinematics of their ends.
 
     Attributes:
         tree: kinematics of the hand's landmarks and of the ends of all capsules of the pairs.
         names: (2 C) keypoints of the ends in ``tree``: first and second end of each capsule.
         ends: position of each end: name -> (body, (3,) position in its frame [m]).
+        capsules: the C capsules of the pairs.
         pairs: (P, 2) indices of capsules.
         reach: (P,) sum of the two radii [m].
         shapes: (P, 2) indices of the model's geoms; -1 for a stand-in.
@@ -57,72 +61,103 @@ class CapsulePairs:
     tree: KinematicTree
     names: tuple[str, ...]
     ends: Mapping[str, tuple[int, np.ndarray]]
+    capsules: tuple[Capsule, ...]
     pairs: Int[np.ndarray, "P 2"]
     reach: Float[np.ndarray, " P"]
     shapes: Int[np.ndarray, "P 2"]
 
+    def depths(self, hand: Hand, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T P"]:
+        """Overlap of each pair [m] at (T, n) positions of all joints [rad]; minus infinity where
+        they are far apart."""
+        ends = capsule_ends(self, q)
+        lengths = np.linalg.norm(ends[0, :, 1] - ends[0, :, 0], axis=-1)
+        return -_clearances(ends, lengths, self.pairs, self.reach)
 
-def capsule_pairs(hand: Hand) -> CapsulePairs:
-    """Pairs of capsules whose contact is a self-collision and that some pose brings together.
 
-    Candidates are the pairs of ``penetration_depths``. Of more than ``MOST``, those stay that are
-    in most random poses the nearest pair of their two links, at least one for any two links that
-    meet. A pair whose capsules overlap in the neutral pose is left out if its shapes do not. Links
-    whose shapes can't be read have estimated capsules (``smooth_operator.hands.stand_ins``).
-    """
-    counts, estimated, replaced = colliding_shapes(hand), list[Capsule](), list[int]()
+def hand_capsules(hand: Hand) -> list[Capsule]:
+    """The capsules of all parts of a hand; see the top of this module."""
+    estimated, replaced = list[Capsule](), list[int]()
     if lacking_parts(hand):
         from smooth_operator.hands.stand_ins import stand_ins  # few hands need them
 
         own = stand_ins(hand)
         estimated, replaced = list(own.capsules), list(own.replaced)
-    # without those of an arm, or of a second hand
-    shapes = solid_shapes(hand) if estimated else counts.any(axis=1)
     part = hand.model.body_weldid[hand.model.geom_bodyid]
-    shapes &= ~np.isin(part, replaced)
-    capsules = [
+    shapes = solid_shapes(hand) & ~np.isin(part, replaced)
+    filled = [
         _on_palm(capsule, hand)
         for geom in np.flatnonzero(shapes)
         for capsule in shape_capsules(hand.model, int(geom))
     ]
-    capsules += estimated
-    owner = owners(hand)
-    some = [
-        (i, j)
-        for i, one in enumerate(capsules)
-        for j, other in enumerate(capsules[:i])
-        if (
-            counts[one.geom, other.geom]
-            if min(one.geom, other.geom) >= 0
-            else _may_meet(hand.model, owner, one, other)
-        )
-    ]
-    pairs = np.array(some, int).reshape(-1, 2)
-    if len(pairs):
-        pairs = pairs[_meeting(hand, capsules, pairs)]
-    used = sorted({int(c) for c in pairs.ravel()})
-    chosen = [capsules[c] for c in used]
-    at = {c: i for i, c in enumerate(used)}
-    return CapsulePairs(
-        _tree(hand, chosen),
-        _names(chosen),
-        _ends(chosen),
-        np.array([(at[i], at[j]) for i, j in pairs], int).reshape(-1, 2),
-        np.array([capsules[i].radius + capsules[j].radius for i, j in pairs], float),
-        np.array([(capsules[i].geom, capsules[j].geom) for i, j in pairs], int).reshape(-1, 2),
+    return filled + estimated
+
+
+@lru_cache(maxsize=8)
+def parts_apart(hand: Hand) -> CapsulePairs:
+    """All pairs of a hand's capsules whose overlap is a self-collision.
+
+    They are on two fingers, or on a finger and the palm. Left out are parts that are joined, pairs
+    that the model excludes from collision, and shapes that overlap in the neutral pose, such as
+    those around a knuckle.
+    """
+    capsules = hand_capsules(hand)
+    pairs = candidate_pairs(hand, capsules)
+    shapes = np.array([capsule.geom for capsule in capsules], int)
+    shapes = np.where(shapes < 0, hand.model.ngeom + np.arange(len(shapes)), shapes)
+    two = np.sort(shapes[pairs], axis=1)
+    every = chosen_pairs(hand, capsules, pairs)
+    neutral = every.depths(hand, hand.full_configuration(hand.neutral)[None])[0]
+    touching = {tuple(at) for at in two[neutral > _ROUNDING].tolist()}
+    return chosen_pairs(hand, capsules, pairs[[tuple(at) not in touching for at in two.tolist()]])
+
+
+def candidate_pairs(hand: Hand, capsules: list[Capsule]) -> Int[np.ndarray, "P 2"]:
+    """(P, 2) indices of the capsules on different parts of the hand that are not joined, without
+    the pairs that the model excludes from collision."""
+    model = hand.model
+    bodies = np.array([capsule.body for capsule in capsules], int)
+    owner, part = owners(hand)[bodies], model.body_weldid[bodies]
+    above = model.body_weldid[model.body_parentid[part]]
+    joined = (part[:, None] == above) | (above[:, None] == part)
+    root = np.array([capsule.root for capsule in capsules], bool)
+    palm = owner == PALM
+    joined |= (palm[:, None] & root) | (root[:, None] & palm)
+    geoms = np.array([capsule.geom for capsule in capsules], int)
+    kinds, allowed = (
+        np.append(mask, -1)[geoms]  # a stand-in, of -1, collides with everything
+        for mask in (model.geom_contype, model.geom_conaffinity)
     )
+    meets = (kinds[:, None] & allowed) | (allowed[:, None] & kinds)
+    low, high = np.minimum(bodies[:, None], bodies), np.maximum(bodies[:, None], bodies)
+    excluded = np.isin((low << 16) + high, model.exclude_signature)
+    excluded |= np.isin((high << 16) + low, model.exclude_signature)
+    counts = (owner[:, None] != owner) & ~joined & (meets != 0) & ~excluded
+    return np.argwhere(np.tril(counts))
 
 
-def _may_meet(
-    model: mujoco.MjModel, owner: Int[np.ndarray, " bodies"], one: Capsule, other: Capsule
-) -> bool:
-    """True if two capsules, one of them a stand-in, are on different parts that are not joined."""
-    fingers = [int(owner[capsule.body]) for capsule in (one, other)]
-    if fingers[0] == fingers[1] or (PALM in fingers and (one.root or other.root)):
-        return False
-    parts = [int(model.body_weldid[capsule.body]) for capsule in (one, other)]
-    above = [int(model.body_weldid[model.body_parentid[part]]) for part in parts]
-    return parts[0] != above[1] and parts[1] != above[0]
+def capsule_pairs(hand: Hand) -> CapsulePairs:
+    """The pairs of ``parts_apart`` that random poses bring together.
+
+    Of more than ``MOST``, those stay that are in most random poses the nearest pair of their two
+    links, at least one for any two links that meet.
+    """
+    every = parts_apart(hand)
+    return chosen_pairs(hand, list(every.capsules), every.pairs[_meeting(hand, every)])
+
+
+def chosen_pairs(
+    hand: Hand, capsules: list[Capsule], pairs: Int[np.ndarray, "P 2"]
+) -> CapsulePairs:
+    """Some pairs, with the capsules of which they are made."""
+    used, pairs = np.unique(pairs, return_inverse=True)
+    pairs = pairs.reshape(-1, 2)
+    chosen = tuple(capsules[c] for c in used)
+    radii = np.array([capsule.radius for capsule in chosen])
+    geoms = np.array([capsule.geom for capsule in chosen], int)
+    names, ends = _names(chosen), _ends(chosen)
+    return CapsulePairs(
+        tree_with(hand, ends), names, ends, chosen, pairs, radii[pairs].sum(axis=1), geoms[pairs]
+    )
 
 
 def segment_parameters(
@@ -178,66 +213,63 @@ def _on_palm(capsule: Capsule, hand: Hand) -> Capsule:
     return replace(capsule, body=palm, ends=(world - at[palm]) @ turn[palm])
 
 
-def _meeting(hand: Hand, capsules: list[Capsule], pairs: np.ndarray) -> np.ndarray:
+def _meeting(hand: Hand, every: CapsulePairs) -> np.ndarray:
     """Indices of up to ``MOST`` pairs that random poses bring together, in order."""
     low, high = hand.limits.T
-    poses = _POSES if len(pairs) <= _MANY else _POSES // 4
+    poses = _POSES if len(every.pairs) <= _MANY else _POSES // 4
     q = np.random.default_rng(0).uniform(low, high, (poses, len(low)))
-    q = np.concatenate([hand.neutral[None], q])
-    tree = _tree(hand, capsules)
-    points = np.asarray(tree.positions(hand.full_configuration(q)))
-    ends = points[:, [tree.names.index(name) for name in _names(capsules)]]
-    ends = ends.reshape(len(q), len(capsules), 2, 3)
-    middles = ends.mean(axis=2)
-    radii = np.array([capsule.radius for capsule in capsules])
-    parts = np.array([hand.model.body_weldid[capsule.body] for capsule in capsules], int)
-    links = np.sort(parts[pairs], axis=1)
+    clear = -every.depths(hand, hand.full_configuration(q))
+    parts = np.array([hand.model.body_weldid[capsule.body] for capsule in every.capsules], int)
+    links = np.sort(parts[every.pairs], axis=1)
     ranked: list[tuple[int, int, int]] = []  # rank within its links, minus its count, pair
     for two in np.unique(links, axis=0):
         these = np.flatnonzero((links == two).all(axis=1))
-        clear = _clearances(ends, middles, radii, pairs[these])
-        # capsules that overlap in the neutral pose, while their shapes do not, are too thick
-        clear = np.where(clear[0] < -_ROUNDING, np.inf, clear[1:])
-        meet = clear.min(axis=0) < _SLACK
-        first = clear.argmin(axis=1)[clear.min(axis=1) < _SLACK]
+        near = clear[:, these]
+        meet = near.min(axis=0) < _SLACK
+        first = near.argmin(axis=1)[near.min(axis=1) < _SLACK]
         counts = np.bincount(first, minlength=len(these))
         order = [k for k in np.argsort(-counts, kind="stable") if meet[k]]
         ranked += [(rank, -int(counts[k]), int(these[k])) for rank, k in enumerate(order)]
     return np.array(sorted(which for *_, which in sorted(ranked)[:MOST]), int)
 
 
+def capsule_ends(pairs: CapsulePairs, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T C 2 3"]:
+    """First and second end of each capsule in the palm frame [m], at positions of all joints."""
+    points = np.asarray(pairs.tree.positions(q))
+    rows = [pairs.tree.names.index(name) for name in pairs.names]
+    return points[:, rows].reshape(len(q), len(pairs.capsules), 2, 3)
+
+
 def _clearances(
     ends: Float[np.ndarray, "n C 2 3"],
-    middles: Float[np.ndarray, "n C 3"],
-    radii: Float[np.ndarray, " C"],
+    lengths: Float[np.ndarray, " C"],
     pairs: Int[np.ndarray, "P 2"],
+    reach: Float[np.ndarray, " P"],
 ) -> Float[np.ndarray, "n P"]:
     """Distance of the capsules of each pair in each pose [m].
 
     It is infinite where already the spheres around the capsules are further apart than the slack.
     """
     one, other = pairs.T
-    halves = 0.5 * np.linalg.norm(ends[0, :, 1] - ends[0, :, 0], axis=-1)
-    reach = radii[one] + radii[other]
-    apart = np.linalg.norm(middles[:, one] - middles[:, other], axis=-1)
-    pose, pair = np.nonzero(apart - halves[one] - halves[other] - reach < _SLACK)
-    a, b = ends[pose, one[pair]], ends[pose, other[pair]]
-    between, _, _ = segments_apart((a[:, 0], a[:, 1]), (b[:, 0], b[:, 1]))
-    out = np.full(apart.shape, np.inf)
-    out[pose, pair] = np.linalg.norm(between, axis=-1) - reach[pair]
+    middles, out = ends.mean(axis=2), np.full((len(ends), len(pairs)), np.inf)
+    least = 0.5 * (lengths[one] + lengths[other]) + reach + _SLACK
+    block = max(1, _BLOCK // max(len(pairs), 1))
+    for start in range(0, len(ends), block):
+        rows = slice(start, start + block)
+        apart = np.linalg.norm(middles[rows][:, one] - middles[rows][:, other], axis=-1)
+        pose, pair = np.nonzero(apart < least)
+        a, b = ends[rows][pose, one[pair]], ends[rows][pose, other[pair]]
+        between, _, _ = segments_apart((a[:, 0], a[:, 1]), (b[:, 0], b[:, 1]))
+        out[rows][pose, pair] = np.linalg.norm(between, axis=-1) - reach[pair]
     return out
 
 
-def _names(capsules: list[Capsule]) -> tuple[str, ...]:
+def _names(capsules: Sequence[Capsule]) -> tuple[str, ...]:
     return tuple(f"capsule {i} {end}" for i in range(len(capsules)) for end in "ab")
 
 
-def _ends(capsules: list[Capsule]) -> dict[str, tuple[int, np.ndarray]]:
+def _ends(capsules: Sequence[Capsule]) -> dict[str, tuple[int, np.ndarray]]:
     return {
         name: (capsules[i // 2].body, capsules[i // 2].ends[i % 2])
         for i, name in enumerate(_names(capsules))
     }
-
-
-def _tree(hand: Hand, capsules: list[Capsule]) -> KinematicTree:
-    return tree_with(hand, _ends(capsules))

@@ -1,9 +1,10 @@
-"""Collision shapes of a hand: which pairs of them count, and capsules that fill the shapes."""
+"""Collision shapes of a hand, whose they are, and capsules that fill them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations, product
 from typing import Final
 
 import mujoco
@@ -15,44 +16,11 @@ from smooth_operator.landmarks import FINGERS
 
 PALM: Final = -1
 """Value of ``owners`` for the palm and all else that belongs to no finger."""
-
-
-def colliding_shapes(hand: Hand) -> Bool[np.ndarray, "g g"]:
-    """(g, g) mask of the pairs of the model's shapes that count in ``penetration_depths``."""
-    counts = counting_pairs(hand)
-    if counts.any():
-        neutral, depth = shape_overlaps(
-            hand, mujoco.MjData(hand.model), hand.full_configuration(hand.neutral)
-        )
-        touching = neutral[depth > 0]
-        counts[touching[:, 0], touching[:, 1]] = counts[touching[:, 1], touching[:, 0]] = False
-    return counts
-
-
-def shape_overlaps(
-    hand: Hand, data: mujoco.MjData, pose: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(c, 2) pairs of shapes in contact, and (c,) their depths [m]."""
-    model = hand.model
-    data.qpos[:] = hand.qpos(pose)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_collision(model, data)
-    # copies: the next pose reuses the memory
-    return np.array(data.contact.geom).reshape(-1, 2), -np.array(data.contact.dist)
-
-
-def counting_pairs(hand: Hand) -> Bool[np.ndarray, "g g"]:
-    """(g, g) mask of the pairs of shapes on different parts of the hand that are not joined."""
-    model = hand.model
-    owner = owners(hand)[model.geom_bodyid]
-    # bodies without a joint between them are one part
-    part = model.body_weldid[model.geom_bodyid]
-    above = model.body_weldid[model.body_parentid[part]]
-    joined = (part[:, None] == above[None]) | (above[:, None] == part[None])
-    solid = solid_shapes(hand)
-    different = owner[:, None] != owner[None]
-    return np.asarray(different & ~joined & solid[:, None] & solid[None])
+_FLAT: Final = 1.5  # width over thickness from which a mesh is a row of capsules
+_SLENDER: Final = 0.02  # largest radius of a cylinder that is one capsule [m]
+_RIM: Final = 0.35  # radius of a wide cylinder's outer capsules, over the cylinder's
+_RING: Final = 10  # number of them
+_TINY: Final = 1e-9  # [m]
 
 
 def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
@@ -119,45 +87,112 @@ class Capsule:
 
 
 def shape_capsules(model: mujoco.MjModel, geom: int) -> Iterator[Capsule]:
-    """Capsules that fill a shape from within."""
+    """Capsules that fill a shape from within.
+
+    A capsule or a sphere is itself, and a slender cylinder or rod of a mesh is one capsule. A wide
+    cylinder is a ring of capsules around a core. A box, or a mesh that is flat, is a row of
+    parallel capsules as thick as the part is in each strip.
+    """
     kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), np.array(model.geom_size[geom])
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
     rotation, centre = matrix.reshape(3, 3), np.array(model.geom_pos[geom])
     body = int(model.geom_bodyid[geom])
-
-    def capsule(middle: np.ndarray, axis: np.ndarray, half: float, radius: float) -> Capsule:
-        ends = np.stack([middle - half * axis, middle + half * axis])
-        return Capsule(geom, body, ends @ rotation.T + centre, radius)
-
-    unit, origin = np.eye(3), np.zeros(3)
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        yield capsule(origin, unit[2], float(size[1]), float(size[0]))
-    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        yield capsule(origin, unit[2], 0.0, float(size[0]))
-    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        yield capsule(
-            origin,
-            unit[2],
-            max(float(size[1] - size[0]), 0.0),
-            float(size.min(initial=1, where=size > 0)),
-        )
-    elif kind in (
-        mujoco.mjtGeom.mjGEOM_BOX,
-        mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-        mujoco.mjtGeom.mjGEOM_MESH,
-    ):
-        half = size
-        if kind == mujoco.mjtGeom.mjGEOM_MESH:
-            centre = centre + rotation @ model.geom_aabb[geom][:3]
-            half = np.array(model.geom_aabb[geom][3:])
-        thin, wide, long = np.argsort(half)
-        radius = float(half[thin])
-        if kind != mujoco.mjtGeom.mjGEOM_BOX:  # rounder than a box: one capsule of a mean width
+    kinds = mujoco.mjtGeom
+    rods: list[tuple[np.ndarray, float, float]] = []  # middle, half a length without caps, radius
+    axis = 2
+    if kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_SPHERE):
+        rods = [(np.zeros(3), float(size[1]) * (kind == kinds.mjGEOM_CAPSULE), float(size[0]))]
+    elif kind == kinds.mjGEOM_CYLINDER:
+        rods = _cylinder_rods(float(size[0]), float(size[1]))
+    elif kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID, kinds.mjGEOM_MESH):
+        middle, half = np.zeros(3), size
+        if kind == kinds.mjGEOM_MESH:
+            middle, half = np.array(model.geom_aabb[geom]).reshape(2, 3)
+        thin, wide, axis = (int(i) for i in np.argsort(half))
+        flat = kind != kinds.mjGEOM_ELLIPSOID and half[wide] > _FLAT * half[thin]
+        if flat or kind == kinds.mjGEOM_BOX:
+            edges = _mesh_edges(model, geom) if kind == kinds.mjGEOM_MESH else _box_edges(half)
+            rods = _strips(edges, (thin, wide, axis), float(middle[wide]), half)
+        else:  # rounder than a box: one capsule of a mean width
             radius = float(np.sqrt(half[thin] * half[wide]))
-            yield capsule(origin, unit[long], max(float(half[long]) - radius, 0.0), radius)
-            return
-        spread = float(half[wide]) - radius
-        rows = 1 + int(np.ceil(2 * spread / radius)) if spread > 0.1 * radius else 1
-        for shift in np.linspace(-spread, spread, rows) if rows > 1 else (0.0,):
-            yield capsule(shift * unit[wide], unit[long], float(half[long]) - radius, radius)
+            rods = [(middle, max(float(half[axis]) - radius, 0.0), radius)]
+    for middle, length, radius in rods:
+        ends = middle + length * np.outer((-1, 1), np.eye(3)[axis])
+        yield Capsule(geom, body, ends @ rotation.T + centre, radius)
+
+
+def _cylinder_rods(radius: float, half: float) -> list[tuple[np.ndarray, float, float]]:
+    """Rods along z that fill a cylinder; a wide one would lose its rims to a single capsule."""
+    if radius <= _SLENDER:
+        thin = min(radius, half)
+        return [(np.zeros(3), half - thin, thin)]
+    thin = min(radius, half) * _RIM
+    turns = np.arange(_RING) * 2 * np.pi / _RING
+    ring = (radius - thin) * np.stack([np.cos(turns), np.sin(turns), 0 * turns], axis=-1)
+    core = min(radius - thin, half)
+    return [(np.zeros(3), half - core, core), *((at, half - thin, thin) for at in ring)]
+
+
+def _strips(
+    edges: Float[np.ndarray, "e 2 3"],
+    axes: tuple[int, int, int],
+    middle: float,
+    half: Float[np.ndarray, "3"],
+) -> list[tuple[np.ndarray, float, float]]:
+    """Parallel rods across a flat part, each as thick and long as the part is in its strip.
+
+    Args:
+        edges: the part's straight edges [m]; they tell how far it reaches within a strip.
+        axes: its thin, its wide and its long axis.
+        middle: middle of the part along its wide axis [m].
+        half: half its measures [m].
+    """
+    thin, wide, long = axes
+    thick = float(half[thin])
+    spread = float(half[wide]) - thick
+    rows = 1 + int(np.ceil(2 * spread / thick)) if spread > 0.1 * thick else 1
+    rods = []
+    for shift in np.linspace(-spread, spread, rows) if rows > 1 else (0.0,):
+        at = middle + shift
+        points = _within(edges, wide, at - thick, at + thick)
+        if not len(points):
+            continue
+        low, high = points.min(axis=0), points.max(axis=0)
+        place, radius = (low + high) / 2, float(high[thin] - low[thin]) / 2
+        place[wide] = at
+        if radius > 0:
+            rods.append((place, max(float(high[long] - low[long]) / 2 - radius, 0.0), radius))
+    return rods
+
+
+def _within(
+    edges: Float[np.ndarray, "e 2 3"], axis: int, low: float, high: float
+) -> Float[np.ndarray, "n 3"]:
+    """Ends of what is left of the edges between two planes."""
+    first, last = edges[:, 0], edges[:, 1]
+    run = last[:, axis] - first[:, axis]
+    steep = np.where(np.abs(run) < _TINY, np.inf, run)
+    shares = (np.array([[low], [high]]) - first[:, axis]) / steep
+    start, end = np.clip(shares.min(axis=0), 0, 1), np.clip(shares.max(axis=0), 0, 1)
+    flat = np.isinf(steep)
+    start, end = np.where(flat, 0.0, start), np.where(flat, 1.0, end)
+    inside = np.where(flat, (first[:, axis] >= low) & (first[:, axis] <= high), end > start)
+    start, end = start[inside, None], end[inside, None]
+    first, last = first[inside], last[inside]
+    return np.concatenate([first + start * (last - first), first + end * (last - first)])
+
+
+def _box_edges(half: Float[np.ndarray, "3"]) -> Float[np.ndarray, "12 2 3"]:
+    corners = np.array(list(product((-1, 1), repeat=3)))
+    ends = [(a, b) for a, b in combinations(corners, 2) if np.abs(a - b).sum() == 2]
+    edges: np.ndarray = half * np.array(ends, float)
+    return edges
+
+
+def _mesh_edges(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "e 2 3"]:
+    mesh = int(model.geom_dataid[geom])
+    start, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    faces = model.mesh_face[start : start + count]
+    vertices = model.mesh_vert[int(model.mesh_vertadr[mesh]) :]
+    return np.asarray(vertices[faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)], float)

@@ -1,4 +1,4 @@
-"""Self-penetration of a hand: its depth in poses, and the links on which it can't be measured."""
+"""Self-penetration of a hand: its depth in poses, and the links that are in each other."""
 
 from __future__ import annotations
 
@@ -8,31 +8,27 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from smooth_operator.errors import HandModelError
-from smooth_operator.hands.collision import (
-    colliding_shapes,
-    counting_pairs,
-    owners,
-    shape_overlaps,
-    solid_shapes,
+from smooth_operator.hands.capsules import (
+    candidate_pairs,
+    chosen_pairs,
+    hand_capsules,
+    parts_apart,
 )
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import FINGERS
 
 
 def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarray, " T"] | None:
     """Deepest self-penetration in each frame.
 
-    Pairs of shapes on two fingers count, tips included, so that a pinch that goes too deep counts,
-    and pairs of a finger and the palm. Shapes of one finger, bodies that are joined, and pairs that
-    touch in the neutral pose do not count: shapes are often larger than the real parts. Pairs that
-    the model itself excludes from collision do not count, either.
+    The parts and pairs are those that ``smooth`` keeps apart (``parts_apart``): two fingers, tips
+    included, so that a pinch that goes too deep counts, and a finger and the palm.
 
     Args:
         joint_positions: (T, n) positions of all joints [rad].
 
     Returns:
         (T,) depth [m], 0 without an overlap, NaN for a pose that is not finite. None if the hand
-        has ``shapeless_links`` or no pair of shapes that counts.
+        has no two parts that could touch.
 
     Raises:
         HandModelError: if the positions are not (T, n).
@@ -43,48 +39,38 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
             f"joint positions must have shape (T, {len(hand.joint_names)}) for hand "
             f"{hand.name!r}, not {q.shape}"
         )
-    counts = colliding_shapes(hand)
-    if shapeless_links(hand) or not counting_pairs(hand).any():
+    apart = parts_apart(hand)
+    if not len(apart.pairs):
         return None
-    data = mujoco.MjData(hand.model)
     depths = np.full(len(q), np.nan)
-    for frame, pose in enumerate(q):
-        if np.isfinite(pose).all():
-            pairs, depth = shape_overlaps(hand, data, pose)
-            counted = depth[counts[pairs[:, 0], pairs[:, 1]]]
-            depths[frame] = max(float(counted.max(initial=0.0)), 0.0)
+    sound = np.isfinite(q).all(axis=1)
+    if sound.any():
+        depths[sound] = np.maximum(apart.depths(hand, q[sound]).max(axis=1), 0.0)
     return depths
 
 
-def shapeless_links(hand: Hand) -> tuple[str, ...]:
-    """Names of the links whose self-collision can't be measured; empty for a complete hand.
+def crowded_links(
+    hand: Hand, poses: Float[np.ndarray, "T m"], depth: float
+) -> dict[tuple[str, str], float]:
+    """Two links -> share of poses in which they are deeper in each other than a depth.
 
-    They are the links that lost all their shapes because mesh files can't be read, and every link
-    of a finger without any shape.
+    Args:
+        poses: (T, m) positions of the actuated joints [rad].
+        depth: least overlap that counts [m].
+
+    Returns:
+        The links that overlap in any of the poses, those with the largest share first.
     """
-    model, part = hand.model, hand.model.body_weldid
-    solid = {int(part[body]) for body in model.geom_bodyid[solid_shapes(hand)]}
-    bare = {int(model.body(name).id) for name in hand.unreadable} - {
-        body for body in range(model.nbody) if int(part[body]) in solid
-    }
-    owner = owners(hand)
-    for finger in hand.fingers:
-        links = np.flatnonzero(owner == FINGERS.index(finger)).tolist()
-        if not any(int(part[body]) in solid for body in links):
-            bare.update(links)
-    return tuple(str(model.body(body).name) for body in sorted(bare))
-
-
-def collision_note(hand: Hand) -> str:
-    """Reason why the self-collision of a hand can't be measured; empty if it can."""
-    links = shapeless_links(hand)
-    if not links:
-        return ""
-    more = f" and {len(links) - 3} more" if len(links) > 3 else ""
-    return (
-        f"self-collision of {hand.name} {hand.spec.side} is not measured: {len(links)} of its "
-        f"links ({', '.join(links[:3])}{more}) have no collision shapes that can be read"
-    )
+    model, apart = hand.model, parts_apart(hand)
+    deep = apart.depths(hand, hand.full_configuration(poses)) > depth
+    names = [str(model.body(c.body).name) for c in apart.capsules]
+    of: dict[tuple[str, str], list[int]] = {}
+    for number, (a, b) in enumerate(apart.pairs):
+        one, other = sorted((names[a], names[b]))
+        of.setdefault((one, other), []).append(number)
+    shares = {links: float(deep[:, these].any(axis=1).mean()) for links, these in of.items()}
+    found = sorted(shares.items(), key=lambda item: -item[1])
+    return {links: share for links, share in found if share > 0}
 
 
 def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
@@ -96,17 +82,17 @@ def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
     Returns:
         names of two bodies -> depth of their overlap [m].
     """
-    model, counts = hand.model, counting_pairs(hand)
-    pairs, depths = shape_overlaps(
-        hand, mujoco.MjData(model), hand.full_configuration(hand.neutral)
-    )
+    model, capsules = hand.model, hand_capsules(hand)
+    pairs = chosen_pairs(hand, capsules, candidate_pairs(hand, capsules))
+    depths = pairs.depths(hand, hand.full_configuration(hand.neutral)[None])[0]
     out: dict[tuple[str, str], float] = {}
-    for geoms, depth in zip(pairs, depths, strict=True):
-        a, b = (int(model.body_weldid[model.geom_bodyid[g]]) for g in geoms)
-        near = a in parts_above(model, b)[:2] or b in parts_above(model, a)[:2]
-        if depth > 0 and counts[geoms[0], geoms[1]] and not near:
-            one, other = sorted(str(model.body(model.geom_bodyid[g]).name) for g in geoms)
-            out[one, other] = max(float(depth), out.get((one, other), 0.0))
+    for number in np.flatnonzero(depths > 0):
+        bodies = [pairs.capsules[c].body for c in pairs.pairs[number]]
+        a, b = (int(model.body_weldid[body]) for body in bodies)
+        if a in parts_above(model, b)[:2] or b in parts_above(model, a)[:2]:
+            continue
+        one, other = sorted(str(model.body(body).name) for body in bodies)
+        out[one, other] = max(float(depths[number]), out.get((one, other), 0.0))
     return out
 
 

@@ -1,8 +1,9 @@
 """Capsules along a hand's bones, for links whose collision shapes can't be read.
 
 Vendors' URDFs are often passed on without their mesh files. The kinematics does not need them, but
-the self-collision term does. A stand-in is a capsule along the bone of such a link, with a radius
-that is estimated from the hand's lengths; a palm becomes parallel capsules from heel to knuckles.
+self-collision does: the term of ``smooth`` and the measure. A stand-in is a capsule along the bone
+of such a link, with a radius that is estimated from the hand's lengths; a palm becomes parallel
+capsules from heel to knuckles.
 """
 
 from __future__ import annotations
@@ -64,10 +65,11 @@ def stand_in_note(hand: Hand) -> str:
     if not links:
         return ""
     shown = ", ".join(links[:3]) + (f" and {len(links) - 3} more" if len(links) > 3 else "")
+    remedy = hand.why or "the model file names none, so give them to it"
     return (
         f"{hand.name}: the collision shapes of {len(links)} links ({shown}) could not be read; "
-        "'smooth' keeps estimated capsules along their bones apart in their place. For the real "
-        f"shapes: {hand.why or 'the model file names none, so give them to it'}"
+        "estimated capsules along their bones take their place, in 'smooth' and in the figures of "
+        f"self-collision. For the real shapes: {remedy}"
     )
 
 

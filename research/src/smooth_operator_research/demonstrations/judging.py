@@ -9,11 +9,11 @@ from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from smooth_operator.hands.collision import colliding_shapes, owners
+from smooth_operator.hands.capsules import parts_apart
+from smooth_operator.hands.collision import owners
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import palm_alignment
@@ -55,26 +55,20 @@ ELSEWHERE: Final = 0.001
 def excess(demonstration: Demonstration) -> float:
     """Self-penetration beyond what is allowed, added over key poses and halfway between [m]."""
     hand, times = demonstration.robot, demonstration.times
-    counts, allowed = _pairs(hand)
-    data, total = mujoco.MjData(hand.model), 0.0
-    for time in np.sort(np.concatenate([times, (times[1:] + times[:-1]) / 2])):
-        data.qpos[:] = hand.qpos(hand.full_configuration(demonstration.pose(float(time))))
-        mujoco.mj_kinematics(hand.model, data)
-        mujoco.mj_comPos(hand.model, data)
-        mujoco.mj_collision(hand.model, data)
-        one, two = np.array(data.contact.geom).reshape(-1, 2).T
-        beyond = np.where(counts[one, two], -data.contact.dist - allowed[one, two], 0.0)
-        total += max(0.0, float(beyond.max(initial=0.0)))
-    return total
+    every = np.sort(np.concatenate([times, (times[1:] + times[:-1]) / 2]))
+    poses = hand.full_configuration([demonstration.pose(float(time)) for time in every])
+    apart = parts_apart(hand)
+    beyond = (apart.depths(hand, poses) - _allowed(hand)).max(axis=1)
+    return float(np.maximum(beyond, 0.0).sum())
 
 
 @cache
-def _pairs(hand: Hand) -> tuple[Bool[np.ndarray, "g g"], Float[np.ndarray, "g g"]]:
-    """Which pairs of shapes count, and how deep each may be [m]."""
-    owner = owners(hand)[hand.model.geom_bodyid]
-    thumb, finger = owner == 0, owner > 0
-    pinch = (thumb[:, None] & finger) | (finger[:, None] & thumb)
-    return colliding_shapes(hand), np.where(pinch, PINCH, ELSEWHERE)
+def _allowed(hand: Hand) -> Float[np.ndarray, " P"]:
+    """Depth that each pair of ``parts_apart`` may have [m]."""
+    apart = parts_apart(hand)
+    of = owners(hand)[[capsule.body for capsule in apart.capsules]][apart.pairs]
+    pinch = (of >= 0).all(axis=1) & ((of == 0).sum(axis=1) == 1)
+    return np.where(pinch, PINCH, ELSEWHERE)
 
 
 _DAMPING: Final = 0.006  # of the inverse kinematics; joints move tips by 0.02 to 0.1 [m/rad]

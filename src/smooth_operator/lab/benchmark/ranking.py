@@ -195,8 +195,8 @@ def collision_footnotes(rows: Iterable[Row]) -> list[str]:
         if row["status"] == "ok" and value_of(row, share) is None
     }
     return [
-        f"– self-collision of {hand}: not measured, since some of its links have no collision "
-        "shapes that can be read. It has no rank and no part in the choice of a method."
+        f"– self-collision of {hand}: not measured, since no two of its parts could touch "
+        "each other. It has no rank and no part in the choice of a method."
         for hand in hands
     ]
 

@@ -156,7 +156,7 @@ def check_shapes(hand: Hand) -> Check:
     return check(
         "warning",
         f"{solid} shapes that collide; those of {_list(list(links))} can't be read or are missing: "
-        "'smooth' keeps estimated capsules along the bones apart in their place",
+        "estimated capsules along the bones take their place",
         "put the mesh files where the model file names them, and add the hand again",
     )
 
