@@ -21,7 +21,7 @@ from smooth_operator import (
 )
 from smooth_operator.errors import ConfigError
 from smooth_operator.io.anatomy import FEWEST_FRAMES, HandCheck
-from smooth_operator.landmarks import LAYOUTS
+from smooth_operator.landmarks import FINGERS, LAYOUTS, TIPS
 from smooth_operator.methods.frame import RetargetState
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import SINKS, SOURCES, build_component
@@ -182,6 +182,44 @@ def test_a_landmark_over_half_a_metre_from_the_wrist_is_refused(distance, far):
 def test_no_frame_of_a_real_hand_is_implausible(shared):
     recording = read_recording(shared / "recordings" / "manus_right_subject-000_run-010.npz")
     assert not [why for frame in recording[::7] if (why := implausible(frame))]
+
+
+@pytest.mark.parametrize("tip", TIPS)
+def test_a_missing_fingertip_does_not_hold_the_hand(hand, motion, tip):
+    """The other fingers go on as they would, and its own follows its other joints."""
+    finger = FINGERS[TIPS.index(tip)]
+    retargeter = Retargeter(hand, method="joint_angle")
+    stages = Stage(retargeter), Stage(retargeter)
+    lost = range(200, 400)
+    for k, frame in enumerate(motion[:500]):
+        landmarks = frame.landmarks.copy()
+        if k in lost:
+            landmarks[tip] = np.nan
+        stages[0].play([frame])
+        stages[1].play([replace(frame, landmarks=landmarks, valid=None)])
+    whole, holes = (np.array([t.command.positions for t in stage.ticks]) for stage in stages)
+    ticks = stages[1].ticks
+    assert {tick.status for tick in ticks} == {Status.OK}
+    assert stages[1].pipeline.filled == {finger: len(lost)}
+    said = [event for tick in ticks for event in tick.events if "fingertips" in event]
+    assert said == [f"fingertips: {finger} not seen, filled in", "fingertips: all seen again"]
+    off = np.abs(holes - whole)
+    own = np.array([finger in name for name in hand.joint_names])
+    assert off[:, ~own].max() < 0.02 or finger == "thumb"
+    assert off[200:400].mean() < 0.05
+    assert np.ptp(holes[200:400], axis=0).max() > 0.3
+    assert off[450:].max() < 0.02
+
+
+@pytest.mark.parametrize("missing", [[3], [8, 5], [4, 8, 12]])
+def test_more_than_fingertips_missing_holds_the_hand(retargeter, motion, missing):
+    stage = Stage(retargeter)
+    for frame in motion[:100]:
+        landmarks = frame.landmarks.copy()
+        landmarks[missing] = np.nan
+        stage.play([replace(frame, landmarks=landmarks, valid=None)])
+    assert not stage.pipeline.filled
+    assert not any(tick.mode.moves for tick in stage.ticks)
 
 
 def test_every_refusal_is_counted_by_its_reason(retargeter, motion):

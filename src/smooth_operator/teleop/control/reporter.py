@@ -62,6 +62,7 @@ def summarise(
         "frames_refused": {
             side: pipeline.supervisor.refused for side, pipeline in loop.pipelines.items()
         },
+        "fingertips_filled": {side: dict(hand.filled) for side, hand in loop.pipelines.items()},
         "source": health,
         "sinks": sinks,
         **more,
@@ -74,6 +75,9 @@ def summarise(
     for side, reasons in summary["frames_refused"].items():
         if reasons:
             reporter.note(f"{side}: frames refused: {_counted(reasons)}", matters=True)
+    for side, fingers in summary["fingertips_filled"].items():
+        if fingers:
+            reporter.note(f"{side}: frames without a fingertip: {_counted(fingers)}", matters=True)
     if summary["frames_unusable"]:
         why = _counted(summary["frames_unusable_by_reason"])
         reporter.note(f"frames of no use: {why}", matters=True)

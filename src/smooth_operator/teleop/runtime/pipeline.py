@@ -7,6 +7,7 @@ over frames and silence), and the steps from a frame to a command. Times are arg
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
@@ -18,6 +19,7 @@ from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.methods.frame import RetargetState
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.teleop.runtime.limiter import Clutch, Limiter
+from smooth_operator.teleop.runtime.missing_tips import MissingTips
 from smooth_operator.teleop.runtime.settings import LoopConfig, SafetyConfig
 from smooth_operator.teleop.runtime.statistics import TrackerDelay
 from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
@@ -274,6 +276,7 @@ class HandPipeline:
         limiter: limiter with the last command.
         clutch: clutch of the wrist.
         latest: the last frame that was not refused, also in a pause or an emergency stop.
+        filled: finger -> number of frames in which its missing fingertip was filled in.
     """
 
     def __init__(
@@ -299,10 +302,14 @@ class HandPipeline:
         self._from = self.limiter.q  # where a blend began
         self._delay = TrackerDelay()
         self._session = SessionCheck(self.side)
+        self._tips = MissingTips()
+        self._filled: tuple[str, ...] = ()  # fingers of the last frame
+        self.filled: Counter[str] = Counter()
         self._last: float | None = None
         self._number = 0
         self._mode = self.supervisor.mode  # of the last tick
         self.latest: Arrival | None = None
+        self._frame: HandFrame | None = None  # the latest, with its missing fingertips
         self._next_events: list[str] = []  # events of the next step
         if compiling:
             self.hold()
@@ -392,15 +399,24 @@ class HandPipeline:
             self.note(f"frame refused: {why}")
             return None
         self.latest = arrival
+        self._frame, filled = self._tips.fill(arrival.frame)
+        for finger in filled:
+            self.filled[finger] += 1
+        if filled != self._filled:
+            self._filled = filled
+            lost = f"{' and '.join(filled)} not seen, filled in" if filled else "all seen again"
+            self.note(f"fingertips: {lost}")
         return arrival if self.supervisor.listens else None
 
     def solve(self, arrival: Arrival) -> Answer:
-        """Answer of the method to a frame. It may take long and changes nothing, so that another
-        thread may call ``command`` meanwhile."""
+        """Answer of the method to the frame of the last ``admit``.
+
+        It may take long and changes nothing, so another thread may call ``command`` meanwhile.
+        """
         start = self._clock()
-        retargeter = self.retargeter
+        retargeter, frame = self.retargeter, self._frame or arrival.frame
         state = retargeter.init() if self.supervisor.starts_again else self._driven.state
-        state, result = retargeter.step(state, arrival.frame)
+        state, result = retargeter.step(state, frame)
         stages = {
             "tracker": self._delay.above_fastest(arrival) * 1e3,
             "receive": (start - arrival.received) * 1e3,
