@@ -18,6 +18,18 @@ def new_page(chromium: Any, width: int = 800, height: int = 600) -> tuple[Any, l
     return page, problems
 
 
+def nameless(page: Any) -> list[str]:
+    """The visible controls that have no name for a screen reader."""
+    found: list[str] = page.evaluate(
+        """() => [...document.querySelectorAll(
+             "button, select, textarea, input:not([type=hidden]), [role=slider]")]
+           .filter((it) => it.checkVisibility() && !(it.ariaLabel || it.innerText?.trim() ||
+             it.labels?.length || it.getAttribute("aria-labelledby")))
+           .map((it) => it.outerHTML.slice(0, 200))"""
+    )
+    return found
+
+
 def picture(page: Any, width: int, height: int) -> np.ndarray:
     """(height, width, 3) the page's upper left part, where the hands are."""
     from PIL import Image

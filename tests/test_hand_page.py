@@ -9,7 +9,7 @@ from urllib.parse import urlparse
 
 import numpy as np
 import pytest
-from browser_page import changed, new_page, settled
+from browser_page import changed, nameless, new_page, settled
 from live_time import until as eventually
 
 from smooth_operator.hands.registry import load_hand
@@ -124,6 +124,10 @@ def test_a_description_is_shown_and_never_run(chromium):
         assert not [url for url in asked if "elsewhere" in url]
         # the policy holds as well, and viser needs nothing that it forbids
         assert not problems
+        eventually(lambda: not nameless(page))
+        assert page.get_by_role("slider", name="ffj0").count() == 1
+        folders = [page.get_by_text(finger, exact=True) for finger in hand.fingers]
+        assert [each.count() for each in folders] == [1] * len(hand.fingers)
         refused = "fetch('http://elsewhere.example/').then(() => 'sent', (e) => 'refused')"
         assert page.evaluate(refused) == "refused"
         assert any("Content Security Policy" in problem for problem in problems)

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import viser
-from browser_page import new_page
+from browser_page import changed, nameless, new_page, settled
 from hostile_texts import ATTACK, guarded_page, hostile_hand
 from live_time import until as eventually
 
@@ -30,7 +30,7 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import PageSettings, teleoperate
-from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, css
+from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, SIMULATED, css
 from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.drawing import LiveDrawing, Pace
 from smooth_operator.teleop.pages.live.live_page import Link, LivePage, LoopLink, PageSetup
@@ -226,12 +226,14 @@ def test_the_legend_names_each_hand_by_its_sign():
         (css(PALM), "■ robot command"),
         (css(SIMULATED), "■ simulated or measured robot, where it differs"),
     ]
-    assert [text for _, text in shown[3:]] == ["⬤ thumb", "⬤ index"]
+    assert shown[3] == (css(HIGHLIGHT), "● tip and line of a pinch")
+    assert "where the method wants the fingertip" in shown[4][1]
+    assert [text for _, text in shown[5:]] == ["⬤ thumb", "⬤ index"]
     assert chips(live_texts.legend(fingers, simulated=True, task=True))[1:3] == [
         (css(PALM), "■ simulated robot"),
         (css(SIMULATED), "■ robot command, where it differs"),
     ]
-    assert len(chips(live_texts.legend(fingers, simulated=False, task=False))) == 4
+    assert len(chips(live_texts.legend(fingers, simulated=False, task=False))) == 6
 
 
 class Browser:
@@ -357,7 +359,8 @@ def test_takes_are_recorded_named_kept_and_discarded(stage):
 
 
 def test_the_quality_of_a_take(stage):
-    """One with a hold of the loop in it, measured against the log itself."""
+    """One with holds of the loop in it, measured against the log itself."""
+    kept = take(stage)["kept"]
     stage.session.do("record")
     eventually(lambda: take(stage)["recording"])
     first = len(stage.ticks)
@@ -365,19 +368,31 @@ def test_the_quality_of_a_take(stage):
     stage.loop.controls.change(lambda hand: hand.hold())
     eventually(lambda: len(stage.ticks) > first + 50)
     stage.loop.controls.change(lambda hand: hand.go_on())
+    for begin, end in (("pause", "resume"), ("stop", "release")):
+        stage.session.do(begin)
+        held = len(stage.ticks)
+        eventually(lambda held=held: len(stage.ticks) > held + 25)
+        stage.session.do(end)
     eventually(lambda: stage.mode() is Mode.TRACKING)
+    assert take(stage)["kept"] == kept
     stage.session.do("record")
     eventually(lambda: take(stage)["open"])
     path, hand = Path(take(stage)["last"][0]), load_hand("mimic_p050")
     quality, log = take_quality(path, hand), read_log(path)
+    for seconds, mode in ((quality.paused_s, "paused"), (quality.stopped_s, "stopped")):
+        assert 0.2 < seconds == pytest.approx(log.loop.modes.count(mode) / RATE, rel=0.5)
+    assert take(stage)["kept"] == kept  # until it is decided
     assert 0 < quality.seconds < 60.0
-    assert quality.lost_s == pytest.approx(log.loop.modes.count("holding") / RATE, rel=0.5)
+    lost = sum(mode in ("waiting", "holding") for mode in log.loop.modes)
+    assert quality.lost_s == pytest.approx(lost / RATE, rel=0.5)
     assert quality.lost_s > 0.1
     assert quality.frames == log.loop.answers.sum() > 20
     assert quality.collision is not None
     text = plain(live_texts.take(take(stage), [quality]))
     assert path.name in text
     assert "s without the tracker" in text
+    assert f"⚠\xa0stopped {quality.stopped_s:.1f} s" in text
+    assert f"⚠\xa0paused {quality.paused_s:.1f} s" in text
     assert "self-collision" in text
     with pytest.raises(RecordingError, match="another hand"):
         take_quality(path, load_hand("leap_hand"))
@@ -738,6 +753,9 @@ def test_what_others_worded_is_shown_and_never_run(chromium, stage, tmp_path):
 @pytest.mark.browser
 def test_nothing_is_cut_off_at_the_usual_sizes(page):
     page.locator("#live-legend [data-chip]").first.wait_for()
+    for tab in ("Timing", "Method", "View"):
+        page.get_by_role("tab", name=tab).click()
+        eventually(lambda: not nameless(page))
     # in one go: the texts are replaced several times a second
     boxes = """() => {
       const box = (found) => { const {left, right, top, bottom} = found.getBoundingClientRect();
@@ -830,6 +848,36 @@ def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(page, stage
     page.get_by_role("button", name="EMERGENCY STOP Space, Esc or X").wait_for()
     for name in ("Pause (P)", "Record (R)"):
         page.get_by_role("button", name=name).wait_for()
+
+
+@pytest.mark.browser
+def test_after_another_hand_an_open_page_shows_what_a_new_one_shows(chromium):
+    """Also where a pose of the new scene is one that the page's library does not send."""
+    server = open_server("127.0.0.1", 0)
+    setup = dataclasses.asdict(PageSetup("leap_hand", details=False, meshes=False))
+    link: Any = SimpleNamespace(do=lambda *_: None)
+    try:
+        stop = StopPanel(server, link.do, attended=True)
+        drawing = LiveDrawing(server, link, setup, stop)
+        drawing._panel._overlay.value = True
+        drawing._scene.set_overlay(True)
+        pages = [new_page(chromium, 700, 480)[0]]
+        pages[0].goto(page_url("127.0.0.1", server))
+        first = settled(pages[0], 380, 480)
+        drawing._change({**setup, "hand": "mimic_p050"})  # it faces the viewer as it is
+        for client in server.get_clients().values():
+            drawing._scene.aiming.aim(client)
+        assert drawing._panel._overlay.value  # the switches stay
+        assert not drawing._scene._sides["right"].row.labels["human"].visible
+        drawing._scene.set_overlay(False)
+        pages.append(new_page(chromium, 700, 480)[0])
+        pages[1].goto(page_url("127.0.0.1", server))
+        new = settled(pages[1], 380, 480, lambda p: changed(p, first) > 0.02)
+        settled(pages[0], 380, 480, lambda p: changed(p, new) < 0.002)
+        for page in pages:
+            page.close()
+    finally:
+        close_server(server)
 
 
 @pytest.mark.browser

@@ -18,7 +18,7 @@ from urllib.parse import unquote, urlsplit
 import mujoco
 import numpy as np
 import pytest
-from browser_page import changed, new_page, settled
+from browser_page import changed, nameless, new_page, settled
 from live_time import until as eventually
 
 from smooth_operator import Status, landmarks, load_hand
@@ -311,10 +311,10 @@ def test_the_status_line_says_frame_time_reason_and_latency():
     line = player.status_line([playback], 7)
     assert 'data-frame="7"' in line
     assert "0.07" in line
-    assert "1.25 ms" in line
+    assert "solved in 1.25 ms" in line
     assert Status.DEGENERATE_PALM.reason in line
     assert "status 99" in player.status_line([playback], 8)
-    assert "no latency" in player.status_line([playback], 8)
+    assert "no solving time" in player.status_line([playback], 8)
 
 
 @pytest.mark.parametrize(
@@ -592,8 +592,6 @@ def opened(chromium: Any) -> Iterator[tuple[PlaybackServer, Any, list[str]]]:
         page, problems = new_page(chromium)
         page.goto(server.url)
         page.wait_for_selector("#playback-status")
-        # the warning about software rendering would stand before the hands
-        page.add_style_tag(content=".mantine-Notification-root {display: none !important}")
         yield server, page, problems
         page.close()
 
@@ -617,11 +615,11 @@ def test_the_page_plays_pauses_and_scrubs(opened):
     colors = {color: color != HIGHLIGHT for color in (*FINGER_COLORS[:2], HIGHLIGHT)}
     start = settled(page, 470, 600, lambda p: all(has(p, c) == w for c, w in colors.items()))
 
-    page.get_by_role("button", name="Play", exact=True).click()
+    page.get_by_role("button", name="Play (Space)", exact=True).click()
     page.wait_for_function(f"{FRAME} > 20")
     assert server.playing
-    page.get_by_role("button", name="Pause", exact=True).click()
-    page.get_by_role("button", name="Play", exact=True).wait_for()
+    page.get_by_role("button", name="Pause (Space)", exact=True).click()
+    page.get_by_role("button", name="Play (Space)", exact=True).wait_for()
     held = server.frame
     page.wait_for_timeout(400)
     assert server.frame == held == int(page.evaluate(FRAME))
@@ -632,11 +630,16 @@ def test_the_page_plays_pauses_and_scrubs(opened):
     for left, right in ((0, 235), (235, 470)):  # the human hand has moved, and the robot
         part = np.s_[:, left:right]
         settled(page, 470, 600, lambda p, part=part: changed(p[part], start[part]) > 0.01)
-    page.get_by_role("button", name="-1", exact=True).click()
+    page.get_by_role("button", name="−1 (J)", exact=True).click()
     page.wait_for_function(f"{FRAME} == 298")
-    page.keyboard.press("k")
-    eventually(lambda: server.playing)
+    for key, playing in (("k", True), ("Space", False), ("Space", True)):
+        page.get_by_role("button", name="−1 (J)").focus()  # which Space does not press
+        page.keyboard.press(key)
+        eventually(lambda playing=playing: server.playing == playing)
     server.pause()
+    eventually(lambda: not nameless(page))
+    assert page.locator(".mantine-Notification-root").count() == 0
+    assert page.title() == "test hand – smooth-operator"
 
     page.get_by_label("Overlay").check()
     eventually(lambda: np.allclose(server._scene.row.roots["robot_0"].position, 0))
@@ -650,7 +653,7 @@ def test_the_page_fits_a_phone(opened):
     server.set_frame(0)
     server.set_overlay(False)
     page.set_viewport_size({"width": 390, "height": 844})
-    play = page.get_by_role("button", name="Play", exact=True)
+    play = page.get_by_role("button", name="Play (Space)", exact=True)
     eventually(lambda: inside(play.bounding_box(), 390, 844), 30)
     eventually(lambda: both_hands_fit(page), 30)  # the camera follows the new shape
     assert page.evaluate("document.documentElement.scrollWidth") <= 390

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from typing import Any, Final
 
@@ -145,15 +146,24 @@ class HandPage(PageServer):
         with gui.add_folder("Joints [rad]"):
             rows = joint_rows(hand)
             gui.add_button("Neutral pose").on_click(lambda _: self.reset())
-            self._sliders = [
-                self._slider(gui, index, rows[joint]) for index, joint in enumerate(hand.actuated)
-            ]
+            self._sliders = []
+            # Many makers number their joints: a group says which finger one moves.
+            groups = itertools.groupby(enumerate(hand.actuated), lambda each: self._part(each[1]))
+            for part, joints in groups:
+                with gui.add_folder(part):
+                    self._sliders += [self._slider(gui, i, rows[joint]) for i, joint in joints]
         self._followers: list[tuple[int, Any]] = []
         if hand.couplings:
             with gui.add_folder("Joints that follow [rad]"):
                 for joint, row in enumerate(rows):
                     if not row.actuated:
                         self._followers.append((joint, self._slider(gui, None, row)))
+
+    def _part(self, joint: int) -> str:
+        """Finger that a joint moves, or the palm."""
+        body = self.hand.model.joint(self.hand.joint_names[joint]).bodyid[0]
+        finger = self._view.finger_of_body[body]
+        return "palm" if finger < 0 else self.hand.fingers[finger]
 
     def _show(self, **choices: bool) -> None:
         with self._lock:

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import viser
@@ -33,6 +33,8 @@ from smooth_operator.teleop.pages.viser_server import (
     add_hotkeys,
     from_person,
     name_panel,
+    read_script,
+    run_script,
     serve_page,
 )
 from smooth_operator.types import Status
@@ -209,6 +211,7 @@ class PlaybackServer(PageServer):
     # -- life ---------------------------------------------------------------------------------
 
     def _build(self, server: viser.ViserServer) -> None:
+        run_script(server, read_script(__package__, "player.js"))
         self._scene = Scene(server, self.runs)
         self._panel = Panel(server.gui, self.runs, self, self._clock.loop)
         self._scene.draw(0)
@@ -436,7 +439,9 @@ class Scene:
         self._pinches = first.pinches()
         scene = server.scene
         words = {"human": "human"} | {f"robot_{i}": run.label for i, run in enumerate(self._runs)}
-        self.row = HandRow(scene, "", first.tips, words, anchor="bottom-center")
+        self.row = HandRow(
+            scene, "", first.tips, words, anchor="bottom-center", font_screen_scale=1.25
+        )
         axes = view_axes(HandView(first.hand, simple=True))
         self.robots = [
             RobotLooks(scene, run.hand, _views(run), f"/robot_{i}/look", distal=axes[1])
@@ -485,6 +490,10 @@ def _bounds(run: Playback, robot: RobotLooks, samples: int = 16) -> Float[np.nda
     return np.concatenate([trace.robot_tips.reshape(-1, 3), *corners])
 
 
+_PLAY, _PAUSE = "Play (Space)", "Pause (Space)"
+_STEPS: Final = {"−1 (J)": -1, "+1 (L)": 1}
+
+
 class Panel:
     """Builds the controls and keeps them in step with the player.
 
@@ -505,8 +514,8 @@ class Panel:
         self._slider: Any = gui.add_slider(
             "Frame", min=0, max=max(last, 1), step=1, initial_value=0, disabled=last == 0
         )
-        self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY, hint="key K")
-        step = gui.add_button_group("Step", ("-1", "+1"), hint="keys J and L")
+        self._play = gui.add_button(_PLAY, icon=viser.Icon.PLAYER_PLAY, hint="also K")
+        step = gui.add_button_group("Step", tuple(_STEPS))
         speed = gui.add_slider(
             "Speed", min=SPEEDS[0], max=SPEEDS[1], step=0.1, initial_value=1.0,
             hint="times real time",
@@ -522,13 +531,13 @@ class Panel:
 
         self._play.on_click(from_person(lambda _: controls.toggle()))
         self._slider.on_update(from_person(lambda event: controls.scrub(event.target.value)))
-        step.on_click(from_person(lambda event: controls.step(int(event.target.value))))
+        step.on_click(from_person(lambda event: controls.step(_STEPS[event.target.value])))
         speed.on_update(from_person(lambda event: controls.set_speed(event.target.value)))
         looping.on_update(from_person(lambda event: controls.set_loop(event.target.value)))
         overlay.on_update(from_person(lambda event: controls.set_overlay(event.target.value)))
         vectors.on_update(from_person(lambda event: controls.set_keyvectors(event.target.value)))
         view.on_click(from_person(lambda event: controls.aim(event.client)))
-        # letters, not space and arrows: those also press the button or slider that has the focus
+        # Letters: arrows move the slider that has the focus. Space comes as K, from ``player.js``.
         add_hotkeys(
             gui,
             ("Play / pause", "K", controls.toggle),
@@ -544,12 +553,12 @@ class Panel:
 
     def show_playing(self, playing: bool) -> None:
         """Make the button say what it would do."""
-        self._play.label = "Pause" if playing else "Play"
+        self._play.label = _PAUSE if playing else _PLAY
         self._play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
 
 
 def status_line(runs: Sequence[Playback], frame: int) -> str:
-    """The line under the title as HTML: frame, time; of each run what it said, and its latency."""
+    """The line under the title as HTML: frame and time; status and solving time of each run."""
     times = runs[0].times
     parts = (
         f"<b>frame {frame}</b>/{len(times) - 1}",
@@ -566,11 +575,12 @@ def status_line(runs: Sequence[Playback], frame: int) -> str:
 def _status_text(run: Playback, frame: int, named: bool) -> str:
     try:
         status = Status(int(run.trace.status[frame]))
-        reason, good = status.reason, status is Status.OK
+        good = status is Status.OK
+        reason = "frame used" if good else status.reason
     except ValueError:  # a file from a newer release; say what it holds
         reason, good = f"status {int(run.trace.status[frame])}", False
     latency = run.trace.latency_ms[frame]
-    time = f"{latency:.2f} ms" if np.isfinite(latency) else "no latency"
+    time = f"solved in {latency:.2f} ms" if np.isfinite(latency) else "no solving time"
     name = f"{html.escape(run.label)}: " if named else ""
     return f"{name}<b>{'✓' if good else '⚠'}</b> {html.escape(reason)} · {time}"
 

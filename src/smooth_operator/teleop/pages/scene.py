@@ -332,10 +332,11 @@ class RobotBodies:
     def draw(
         self, every: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"] | None = None
     ) -> None:
-        """Show a pose of the hand's joints [rad], and that of the second hand."""
+        """Show a pose of the hand's joints [rad], and that of the second hand; by default the same,
+        where it is not seen."""
         self.first.draw(self._qpos(every), self._pose)
-        if self._second is not None and other is not None:
-            self._second.draw(self._qpos(other), self._pose)
+        if self._second is not None:
+            self._second.draw(self._qpos(every if other is None else other), self._pose)
 
     def show(self, visible: bool, second: bool = True) -> None:
         """Show or hide it, and the second hand with it."""

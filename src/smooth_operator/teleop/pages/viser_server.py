@@ -13,6 +13,7 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable, Coroutine, Iterator
+from importlib import resources
 from typing import Any, Final, Self, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -61,6 +62,7 @@ def open_server(
             f"served to other machines on {host!r}; use --host 127.0.0.1, or install viser 1.1"
         )
     _TOKENS[server] = None if auth.tokens is None else auth.tokens["page"]
+    run_script(server, read_script(__package__, "page.js"))
     return server
 
 
@@ -81,6 +83,11 @@ def run_script(server: viser.ViserServer, source: str) -> None:
     """
     interface: Any = server.gui
     interface._websock_interface.queue_message(_messages.RunJavascriptMessage(source=source))
+
+
+def read_script(package: str, name: str) -> str:
+    """A script among the files of a package."""
+    return resources.files(package).joinpath(name).read_text("utf-8")
 
 
 _ICON: Final = (

@@ -1,4 +1,4 @@
-"""Quality of a take: lost frames, jumps of the robot, and self-collision."""
+"""Quality of a take: holds, lost frames, jumps of the robot, and self-collision."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import posture, safety
 from smooth_operator.teleop.recording.log_reader import read_log
+from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.types import Status
 
-_LOST: Final = ("waiting", "holding", "easing")
-"""Modes of a hand whose tracker gives nothing."""
 _POSES: Final = 500
 """Poses of a take whose self-collision is looked at, evenly spread: more would take seconds."""
 
@@ -32,6 +31,8 @@ class TakeQuality:
         seconds: length [s].
         frames: frames of the tracker that were answered.
         lost_s: time in which the tracker gave no frame that could be used [s].
+        paused_s: time in which the operator had paused the robot [s].
+        stopped_s: time in an emergency stop [s].
         unused: frames that the method could not use.
         jumps: frames in which a fingertip of the robot went 12 mm further than the human's.
         collision: share of poses with links over 2 mm inside each other; None where the hand has no
@@ -42,6 +43,8 @@ class TakeQuality:
     seconds: float
     frames: int
     lost_s: float
+    paused_s: float
+    stopped_s: float
     unused: int
     jumps: int
     collision: float | None
@@ -64,7 +67,11 @@ def take_quality(path: Path, hand: Hand) -> TakeQuality:
         raise RecordingError(f"{path.name} is of another hand than {hand.name!r}")
     times, q = log.loop.times, np.asarray(log.commands.joint_positions, float)
     answers = log.loop.answers
-    period = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    modes, lasted = log.loop.modes, np.diff(times, append=times[-1:])  # until the next command [s]
+
+    def seconds_in(*those: Mode) -> float:
+        return float(lasted[np.isin(modes, [mode.value for mode in those])].sum())
+
     chosen = np.unique(np.linspace(0, len(q) - 1, min(len(q), _POSES)).astype(int))
     depths = penetration_depths(hand, q[chosen])
     collisions = None if depths is None else safety.self_collision(depths)
@@ -82,7 +89,9 @@ def take_quality(path: Path, hand: Hand) -> TakeQuality:
     return TakeQuality(
         seconds=float(times[-1] - times[0]),
         frames=int(answers.sum()),
-        lost_s=period * sum(mode in _LOST for mode in log.loop.modes),
+        lost_s=seconds_in(Mode.WAITING, Mode.HOLDING, Mode.EASING),
+        paused_s=seconds_in(Mode.PAUSED),
+        stopped_s=seconds_in(Mode.STOPPED),
         unused=int((log.commands.status[answers] != Status.OK).sum()),
         jumps=jumps,
         collision=None if collisions is None else collisions["share"],

@@ -73,7 +73,7 @@ class Replay(ThreadedSource):
     def run(self, running: Running) -> None:
         """Post the frames when they are due."""
         recording: HandRecording = getattr(self, "_recording")  # noqa: B009  (set in open())
-        running.health = SourceHealth("running", f"{len(recording)} frames of {self.path.name}")
+        running.health = SourceHealth("running", f"{len(recording)} frames")
         clock = running.mailbox.clock
         for _, (frame, session) in on_time(self._due(recording), clock, running.stopping):
             running.mailbox.post(frame, session=session, speed=self.speed)

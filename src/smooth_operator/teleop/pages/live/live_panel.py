@@ -222,7 +222,7 @@ class LivePanel:
 
     def _show_take(self, take: Mapping[str, Any]) -> None:
         """The take that is recorded or the last one, and what can be done about it."""
-        self._record.label = "End recording (R)" if take["recording"] else "Record (R)"
+        self._record.label = "End take (R)" if take["recording"] else "Record (R)"
         self._record.color = "red" if take["recording"] else "gray"
         if take["last"] != self._take.get("last"):
             self._quality = "its quality is measured …" if take["last"] else ""

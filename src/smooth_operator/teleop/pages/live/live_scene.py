@@ -376,6 +376,7 @@ class LiveScene:
             f"{root}/floor", _FLOOR, _FLOOR, plane="xy", cell_size=0.02, section_size=0.1,
             cell_color=_CELLS, section_color=_SECTIONS, fade_distance=2.0,
         )  # fmt: skip
+        self._floor.visible = self._room is None
         centre, half = self._arrange()
         self.aiming = Aiming(server, _VIEW, centre, half, _LEGEND)
 
@@ -452,7 +453,8 @@ class LiveScene:
                 if self._room is not None:
                     self._room.show_scenery(side, scenery["parts"].get(side, ()))
                 view.face(scenery["views"].get(side), scenery["poses"].get(side))
-            self._floor.visible = not self.has_task  # which stands on its own floor
+            # A task and the arms' room have a floor of their own, at another tilt.
+            self._floor.visible = not self.has_task and self._room is None
             self._aim()
         for side, view in self._sides.items():
             pose, fixture = scenery["poses"].get(side), scenery["fixtures"].get(side)

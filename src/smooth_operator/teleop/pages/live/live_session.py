@@ -88,7 +88,7 @@ class Takes:
         return {
             "recording": self.recording,
             "seconds": time.monotonic() - self._begun if self._take is not None else 0.0,
-            "kept": self.kept,
+            "kept": self.kept - self._open,  # the last one is not decided yet
             "last": [str(path) for path in self._last],
             "open": self._open,
         }

@@ -11,9 +11,11 @@ from functools import cache
 from pathlib import PurePath
 from typing import Any, Final
 
-from smooth_operator.teleop.pages.hand_view import PALM, SIMULATED, css, finger_colors
+from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, SIMULATED, css, finger_colors
 
 _SLOW_S: Final = 0.25
+_SHORTEST_S: Final = 0.05
+"""Shortest time of a hold that is a fault of a take [s]."""
 _GO_S: Final = 1.5
 """Time for which "Go" stays after the start [s]."""
 
@@ -88,8 +90,10 @@ def _facts(quality: Any) -> list[tuple[bool, str]]:
     else:
         collision = f"self-collision {100 * quality.collision:.0f} % of poses"
         collision += f", {quality.depth_mm:.1f} mm deep" if quality.collision else ""
+    held = (("stopped", quality.stopped_s), ("paused", quality.paused_s))
     return [
-        (quality.lost_s >= 0.05, f"{quality.lost_s:.1f} s without the tracker"),
+        *[(True, f"{words} {s:.1f} s") for words, s in held if s >= _SHORTEST_S],
+        (quality.lost_s >= _SHORTEST_S, f"{quality.lost_s:.1f} s without the tracker"),
         (quality.unused > 0, f"{quality.unused} unusable frames"),
         (quality.jumps > 0, f"{quality.jumps} jumps"),
         (bool(quality.collision), collision),
@@ -110,9 +114,13 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
     hands = [("●", css(PALM), "human hand, as tracked"), ("■", css(PALM), solid)]
     if simulated:
         hands.append(("■", css(SIMULATED), other))
+    marks = [
+        ("●", css(HIGHLIGHT), "tip and line of a pinch"),
+        ("•", css(PALM), "small ball: where the method wants the fingertip"),
+    ]
     colors = map(css, finger_colors(len(fingers)))
     chips = [("⬤", color, name) for name, color in zip(fingers, colors, strict=True)]
-    return str(_macros().legend((hands, chips)))
+    return str(_macros().legend((hands, marks, chips)))
 
 
 def _rates(rates: Mapping[str, float | None]) -> str:

@@ -45,9 +45,5 @@
     const lost = document.documentElement.hasAttribute("data-lost");
     if (![LOST, STOPPED].includes(document.title)) title = document.title;
     document.title = lost ? LOST : stopped ? STOPPED : title;
-    // The panel says that the browser is slow, and this lies over the hands.
-    for (const notice of document.querySelectorAll(".mantine-Notification-root"))
-      if (notice.textContent.includes("Software WebGL"))
-        notice.querySelector("button")?.click();
   }, 200);
 })();

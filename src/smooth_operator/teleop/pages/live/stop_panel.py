@@ -6,7 +6,6 @@ It needs viser alone, so it is on the page before the hand is read.
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import resources
 from typing import Final
 
 import viser
@@ -16,6 +15,7 @@ from smooth_operator.teleop.pages.viser_server import (
     ALIVE_PATH,
     add_hotkeys,
     from_person,
+    read_script,
     run_script,
 )
 
@@ -43,8 +43,7 @@ class StopPanel:
         self._release = gui.add_button(
             "Release the stop (U)", color="orange", icon=viser.Icon.LOCK_OPEN, visible=False
         )
-        files = resources.files(__package__)
-        style = files.joinpath("live_page.css").read_text("utf-8")
+        style = read_script(__package__, "live_page.css")
         elsewhere = _KEYS if attended else _NO_KEYS
         self._state = gui.add_html(f"{LOADING} …")
         self._alone = True
@@ -58,7 +57,7 @@ class StopPanel:
             ("Release the stop", "U", lambda: self._press("release")),
         )
         for name in ("stop_keys.js", "connection.js"):
-            script = files.joinpath(name).read_text("utf-8")
+            script = read_script(__package__, name)
             run_script(server, script.replace("ALIVE_PATH", ALIVE_PATH))
 
     def show(self, stopped: bool) -> None:
