@@ -407,6 +407,19 @@ def test_a_real_recording(run, shared, tmp_path):
     assert metrics["latency_ms"]["p50"] > 0
 
 
+def test_a_stop_says_in_one_line_how_to_go_on(run, glove, tmp_path, monkeypatch):
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("smooth_operator.cli.retarget._watched", stop)
+    folder = tmp_path / "results"
+    status, out, err = run("retarget", glove.parent, *TINY, "--output", folder)
+    assert (status, out) == (130, "")
+    assert [line for line in err.splitlines() if "stopped" in line] == [
+        f"smooth-operator: stopped; run the same command to continue in {folder}"
+    ]
+
+
 def test_a_ctrl_c_that_the_garbage_collector_swallows_comes_again(monkeypatch, capsys):
     class Swallowing:
         def __del__(self) -> None:

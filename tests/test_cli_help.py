@@ -96,6 +96,16 @@ def test_common_options_fit_on_a_page_or_two(command, monkeypatch):
     assert len(printed(monkeypatch, command, "--help").split()) <= 700
 
 
+def test_no_option_has_none_for_a_default(monkeypatch):
+    """The text says what happens without a value: the word None is no answer."""
+    for words, kind in commands():
+        if not issubclass(kind, Group):
+            assert not re.search(
+                r"\(default: (None|False|)\)", printed(monkeypatch, *words, "--help-all")
+            )
+    assert "(default: mimic_p050)" in " ".join(printed(monkeypatch, "demo", "--help-all").split())
+
+
 def test_what_is_indented_keeps_its_lines(capsys):
     text = "One\ntwo.\n\nFormats:\n  .a  first\n  b   second\nAfter\nthem."
     assert unwrapped(text) == "One two.\n\nFormats:\n  .a  first\n  b   second\n\nAfter them."
@@ -114,13 +124,15 @@ def test_a_completion_is_for_the_shell(capsys):
     ("arguments", "says"),
     [
         ("retaget glove.npz", "unknown command 'retaget'. Did you mean 'retarget'?"),
-        ("retarget x.npz --outpt y.npz", "--outpt"),
-        ("retarget x.npz --output y.npz --qiet", "Perhaps you meant"),
+        ("retarget x.npz --outpt y.npz", "unknown option '--outpt'. Did you mean '--output'?"),
+        ("retarget --hlep", "unknown option '--hlep'. Did you mean '--help'?"),
+        ("dataset --otput=x", "unknown option '--otput=x'. Did you mean '--output'?"),
+        ("retarget x.npz --output y.npz --qiet", "Did you mean '--quiet'?"),
         ("study nwe folder", "Available subcommands: new"),
-        ("study erase me P01 --yse", "Perhaps you meant: --yes"),
-        ("teleop --limits.velocty 3", "--limits.velocity FLOAT"),
-        ("retarget x.npz -o y.npz", "--output OUT.npz"),
-        ("--hand leap_hand retarget x.npz", "'--hand' stands before the command"),
+        ("study erase me P01 --yse", "Did you mean '--yes'?"),
+        ("teleop --limits.velocty 3", "Did you mean '--limits.velocity'?"),
+        ("retarget -o y.npz", "'--output'"),
+        ("--hand leap_hand retarget x.npz", "unknown option '--hand'; expected a command first"),
     ],
 )
 def test_an_unknown_word_is_named_with_the_closest_one(arguments, says, capsys):

@@ -364,6 +364,9 @@ def test_unknown_names(tmp_path):
         load_hand(replace(spec, neutral={"i9": 0.0}))
     with pytest.raises(UnknownNameError, match=r"unknown hand 'mimic'.*mimic_p050"):
         load_hand("mimic")
+    for model in ("my/leap_hand.urdf", "../leap_hand.XML", "hand.mjcf"):
+        with pytest.raises(HandModelError, match=f"model file.*smooth-operator hands add {model}"):
+            load_hand(model)
 
 
 def test_a_wrist_that_moves_is_refused(tmp_path):

@@ -14,7 +14,7 @@ from smooth_operator.atomic_files import write_json
 from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.console import Progressing, output_console, plain_table
-from smooth_operator.cli.outputs import folder_for
+from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import SmoothOperatorError, require
 from smooth_operator.formats.checks import reading_notes
@@ -208,10 +208,7 @@ def bench(options: Bench) -> None:
                 lambda text: progress.note(text, matters=True),
             )
         except KeyboardInterrupt:
-            progress.note(
-                f"stopped; the same command goes on with what is in {options.output}", matters=True
-            )
-            raise
+            raise stopped(options.output) from None
         rows = make_rows(finished, settings)
         comparison = None
         if others is not None:

@@ -66,13 +66,13 @@ Examples:
     """Frames per second of recordings without time stamps [Hz]."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; as each recording says if left out."""
+    """Hand side. Default: the side of each recording."""
 
     seed: int = 0
     """Seed of the methods' random numbers."""
 
     fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
-    """Robot fingers to drive, two to five with the thumb among them, each by its own human finger
+    """Robot fingers to drive (two to five, including the thumb), each by its own human finger
     or by another: thumb,index,pinky=ring has the ring finger drive the robot's pinky. All if left
     out."""
 
@@ -87,8 +87,8 @@ Examples:
     (docs/how-to/plugins.md). The built-in ones and those of plugins are measured anyway."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """Processes that measure quality: one for each core if left out, 0 for none but this
-    one. Latency is measured alone in any case."""
+    """Number of processes that measure quality; 0 measures in this process. Default: one per core.
+    Latency is always measured alone."""
 
     cluster: Annotated[str | None, arg(metavar="auto|local|ADDRESS")] = None
     """Measure quality on a running Ray cluster (auto finds it), or start Ray here (local). Latency
@@ -108,4 +108,4 @@ Examples:
     """Write the results, but no report and no plots."""
 
     quiet: bool = False
-    """No progress on standard error, no table on standard output."""
+    """Hide progress output and the table."""

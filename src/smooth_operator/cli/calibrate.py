@@ -62,10 +62,10 @@ Examples:
     """Robot hand, by its catalogue name."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; as the recording says if left out, and right for a source."""
+    """Hand side. Default: the side of the recording; for a source, right."""
 
     fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
-    """Robot fingers that will be driven, as for retarget; all if left out."""
+    """Robot fingers that will be driven, as for retarget. Default: all."""
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames, as a Python slice: :500, 2600:3100, -500:"""
@@ -74,8 +74,8 @@ Examples:
     """Frames per second of a recording without time stamps [Hz]."""
 
     apply: Annotated[str | None, arg(metavar="A,B|all")] = None
-    """Parts that the file shall use; see above. The ones that lower pinch error and scale error
-    where they were measured, if left out."""
+    """Parts that the file uses; see above. Default: the parts that lower the measured pinch error
+    and scale error."""
 
     json: bool = False
     """Print the report as one JSON object on standard output, and nothing else there."""

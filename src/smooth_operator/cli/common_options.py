@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, get_args
 
 from tyro.conf import arg
 
+from smooth_operator.errors import require_all
 from smooth_operator.methods.registry import DEFAULT_METHOD, METHODS
 from smooth_operator.plugins import Entry
 
@@ -19,9 +20,9 @@ METHOD_HELP: Final = (
     "(docs/how-to/plugins.md)."
 )
 PRESET_HELP: Final = (
-    "Preset of the method, its first if left out. "
+    "Preset of the method. Default: its first one. "
     + "; ".join(f"{name}: {entry.summary}" for name, entry in METHODS.items())
-    + ". For any of them the preset.toml of a tuning."
+    + ". Any method also accepts a preset.toml written by tune."
 )
 # Spelt out again: the module that owns it imports JAX, and `--help` needs none.
 Scale: TypeAlias = float | Literal["frame", "calibrate"]
@@ -56,8 +57,18 @@ class Common:
     debug: bool = False
     """Show the traceback of an error (also: SMOOTH_OPERATOR_DEBUG=1)."""
 
+    def extras(self) -> dict[str, tuple[str, ...]]:
+        """Extras that these options need -> libraries of each (top-level modules). A command that
+        needs more than one names them here, so that one message has them all."""
+        return {}
+
     def run(self) -> None:
-        """Imports the function that ``work`` names, and calls it with these options."""
+        """Imports the function that ``work`` names, and calls it with these options.
+
+        Raises:
+            MissingExtraError: ``extras`` are not installed.
+        """
+        require_all("this command", self.extras())
         Entry(self.work).load()(self)
 
 
@@ -76,7 +87,7 @@ class Quiet:
     """Option of every command that shows its progress."""
 
     quiet: bool = False
-    """No progress on standard error."""
+    """Hide progress output."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,13 +105,12 @@ class Retargeting(Quiet):
     """Seed of all random numbers: the same seed and frames give the same commands."""
 
     scale: Annotated[Scale | None, arg(metavar="frame|calibrate|FLOAT")] = None
-    """Robot size over human size: found in every frame, once for the recording, or given; as the
-    preset says if left out."""
+    """Robot/human size ratio: frame (estimated in each frame), calibrate (once per recording), or a
+    number. Default: from the preset."""
 
     fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
-    """Robot fingers to drive, two to five with the thumb among them, each by its own human finger
-    or by another: thumb,index,pinky=ring has the ring finger drive the robot's pinky. All if left
-    out."""
+    """Robot fingers to drive (two to five, including the thumb). thumb,index,pinky=ring drives the
+    robot's pinky with the human ring finger. Default: all."""
 
     operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
     """The operator's calibration for this hand, as calibrate writes it."""
@@ -125,7 +135,7 @@ class Synthetic:
     """Length of the recording [s]."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; the right one, or the robot hand's only side, if left out."""
+    """Hand side. Default: right, or the only side that the robot hand has."""
 
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
     """Frames a second of the operator's tracker [Hz]."""

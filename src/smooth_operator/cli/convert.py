@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from tyro.conf import Positional, arg
 
 from smooth_operator.cli.common_options import Common, HandSide, Ordered, Quiet
-from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.errors import ConfigError, OutputError, RecordingError, counted
 
 if TYPE_CHECKING:
     from smooth_operator.cli.console import Progressing
@@ -32,7 +32,7 @@ class Convert(Ordered, Common, Quiet):
   a folder     a LeRobot dataset, v3.0 (extra lerobot)
 A video (.mp4, .mov, .avi, .mkv, .webm), as input only, is tracked (extra webcam).
 
-All hold everything: hand, flags, commands, status, timing, configuration. What a
+All formats store everything: hand, flags, commands, status, timing, configuration. What a
 format can't hold is reported on standard error.
 
 Several inputs, or a folder of them, become the episodes of one LeRobot dataset; or,
@@ -61,14 +61,14 @@ Examples:
     to: Annotated[
         Literal["mcap", "npz", "hdf5", "lerobot"] | None, arg(metavar="mcap|npz|hdf5|lerobot")
     ] = None
-    """Format of the output; by its name if left out. Of a dataset into a folder it must be said."""
+    """Output format. Default: from the file name. Required to convert a data set into a folder."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
     """Frames per second of a recording without time stamps [Hz]; of several recordings or a
     folder, of those."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; as the recording says if left out, and in a video the one seen more often."""
+    """Hand side. Default: the side of the recording; in a video, of the hand seen more often."""
 
     mirrored: bool = False
     """The video is mirrored, as selfie views are."""
@@ -77,16 +77,16 @@ Examples:
     """Only these frames of each episode, as a Python slice: :500, 2600:3100, -500:"""
 
     task: Annotated[str | None, arg(metavar="TEXT")] = None
-    """The task in words; as the input says if left out."""
+    """The task in words. Default: the task of the input."""
 
     fps: Annotated[int | None, arg(metavar="N")] = None
-    """Frames a second of a LeRobot dataset; the median of the recordings, rounded, if left out."""
+    """Frames per second of a LeRobot data set. Default: the rounded median of the recordings."""
 
     columns: Annotated[
         Literal["all", "robot", "robot-wrist"], arg(metavar="all|robot|robot-wrist")
     ] = "all"
     """Columns of a LeRobot dataset: all that the input holds, or those that lerobot-record writes
-    for the robot smooth_hand, at --fps (30 if left out), so that both merge; robot-wrist: with
+    for the robot smooth_hand, at --fps (default: 30), so that both merge; robot-wrist: with
     --robot.wrist=quaternion."""
 
     environment_state: bool = False
@@ -174,7 +174,9 @@ def _write_dataset(
             )  # fmt: skip
     for note in notes:
         progress.note(note, matters=True)
-    progress.note(f"wrote {options.output}: {len(loads)} episodes, {written} frames")
+    progress.note(
+        f"wrote {options.output}: {counted(len(loads), 'episode')}, {counted(written, 'frame')}"
+    )
 
 
 def _write_files(
@@ -322,7 +324,9 @@ def _track(path: Path, options: Convert) -> Episode:
 def _described(episode: Episode) -> str:
     parts = []
     if episode.recording is not None:
-        parts.append(f"{len(episode.recording)} frames of a {episode.recording.side} hand")
+        parts.append(
+            f"{counted(len(episode.recording), 'frame')} of a {episode.recording.side} hand"
+        )
     if episode.commands is not None:
-        parts.append(f"{len(episode.commands)} commands")
+        parts.append(counted(len(episode.commands), "command"))
     return ", ".join(parts)

@@ -9,7 +9,7 @@ from rich.progress import Progress as Bar
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.dataset_options import Dataset
-from smooth_operator.cli.outputs import folder_for
+from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.cli.session import requested
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.jsonable import to_json
@@ -35,8 +35,7 @@ def dataset(options: Dataset) -> None:
         with folder_for(options.output), shown:
             summary = make_dataset(request, shown)
     except KeyboardInterrupt:
-        progress.note("stopped; run the same command again to go on", matters=True)
-        raise
+        raise stopped(options.output) from None
     if options.json:
         print(printable(to_json(summary.as_json(), indent=2)))
     else:

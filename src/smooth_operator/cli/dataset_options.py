@@ -16,19 +16,19 @@ class Dataset(Common, Retargeting):
     """Turn recordings of human hands into a data set of robot episodes."""
 
     work: ClassVar[str] = "smooth_operator.cli.dataset:dataset"
-    details: ClassVar[str] = """A SOURCE is a folder (however deep), a file, some frames of a
+    details: ClassVar[str] = """A SOURCE is a folder (with all subfolders), a file, some frames of a
 file (take.npz@100:500), a pattern in quotes, a list of paths (.txt a path a line; .csv or .jsonl
 with path and, where wanted, task, side, layout and rate), or an address of object storage (s3://,
 gs://, ...; extra datasets). Each file's layout is recognised; --layout names it.
 
 Both hands of a clip are retargeted. An episode holds the joints of both robot hands, the poses of
 their wrists, which frames are valid, the task in words, the files that it is from with their
-digests, and figures of its quality. Clips are cut where no hand is seen or the tracker jumps; what
-does not keep to the limits (--min-..., --max-...) is dropped. --whole cuts nothing.
+digests, and figures of its quality. Clips are cut where no hand is seen or the tracker jumps;
+episodes outside the limits (--min-..., --max-...) are dropped. --whole cuts nothing.
 
 FOLDER/dataset is the data set; report.html, report.json and episodes.jsonl say what was kept,
 dropped and why; work holds the retargeted clips. Run the same command again to go on where it was
-stopped or killed, or to add new files. Other limits or another format retarget nothing again.
+stopped or killed, or to add new files. Changing limits or format does not retarget again.
 
 Formats:
   lerobot      a LeRobot data set, v3.0: state and action of the robot, wrists, videos
@@ -59,20 +59,20 @@ request is invalid, 130 stopped."""
     """Folders, files, patterns, lists of paths, addresses."""
 
     output: Annotated[Path, arg(metavar="FOLDER")]
-    """Folder of the results; made if need be."""
+    """Folder of the results; created if missing."""
 
     format: Annotated[str, arg(metavar="NAME")] = "lerobot"
     """Output format: lerobot, webdataset, parquet, spider, flashdex, or one of a plugin."""
 
     frame: Literal["world", "camera"] | None = None
-    """Frame of wrists and objects. A clip that is not known in it fails. If left out, each clip's
-    own: the world where it is known, or else the camera."""
+    """Frame of wrists and objects. A clip that has no poses in it fails. Default: each
+    clip's own frame, the world where it is known, else the camera."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Only this hand; and the hand of recordings that do not say which it is."""
 
     layout: Annotated[str | None, arg(metavar="NAME")] = None
-    """Layout of the sources, such as egodex or files; as recognised if left out."""
+    """Layout of the sources, such as egodex or files. Default: recognised from the files."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
     """Frames per second of recordings without time stamps [Hz]."""
@@ -130,16 +130,16 @@ request is invalid, 130 stopped."""
     """Videos of the clips, in formats that take them: left out, linked or copied."""
 
     fps: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames per second of the data set [Hz]; as the format has it if left out."""
+    """Frames per second of the data set [Hz]. Default: the format's own."""
 
     loose: bool = False
     """Formats spider and flashdex: files as those programs read them, in place of tar files."""
 
     shard_mb: Annotated[float | None, arg(metavar="MB")] = None
-    """Size at which a file of the data set is full [MB]; as the format has it if left out."""
+    """Size at which a file of the data set is full [MB]. Default: the format's own."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """Processes; one per core if left out, 0 for none but this one."""
+    """Number of processes; 0 works in this process. Default: one per core."""
 
     device: Literal["cpu", "gpu"] = "cpu"
     """What retargets. gpu: this process, a thousand recordings side by side, on JAX's first GPU;
@@ -161,3 +161,19 @@ request is invalid, 130 stopped."""
 
     json: bool = False
     """Print the report as one JSON object on standard output."""
+
+    def extras(self) -> dict[str, tuple[str, ...]]:
+        """For the report, and for the format, addresses and the cluster; each extra has those
+        before it."""
+        libraries = ["jinja2", "matplotlib"]
+        extra = "lab"
+        if self.pack or self.format in ("lerobot", "parquet"):
+            extra = "datasets"
+            libraries.append("pyarrow")
+        if any("://" in source for source in self.sources):
+            extra = "datasets"
+            libraries.append("fsspec")
+        if self.cluster is not None:
+            extra = "cluster"
+            libraries.append("ray")
+        return {extra: tuple(libraries)}

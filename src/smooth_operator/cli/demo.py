@@ -44,14 +44,13 @@ Examples:
     no_view: bool = False
     """Don't serve the page: for machines without a browser."""
 
+    def extras(self) -> dict[str, tuple[str, ...]]:
+        """For the figures, and for the log and the page."""
+        return {"lab": ("jinja2", "matplotlib"), "teleop": ("mcap", "viser")}
+
 
 def demo(options: Demo) -> None:
     """Records the operator, retargets, measures, writes the folder, serves the page."""
-    from smooth_operator.errors import require
-
-    require("a report with figures", "lab", "matplotlib")
-    require("a log of the session", "teleop", "mcap", "viser")
-
     from smooth_operator.cli.console import Progressing, print_metrics, print_summary
     from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
     from smooth_operator.cli.page import hand_to_draw

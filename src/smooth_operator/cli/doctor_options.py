@@ -13,7 +13,7 @@ from smooth_operator.methods.registry import DEFAULT_METHOD
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(Common, Quiet):
-    """Where does time go on this machine, and what to change?"""
+    """Measure start-up and frame time on this machine, and suggest fixes."""
 
     work: ClassVar[str] = "smooth_operator.cli.doctor:doctor"
     details: ClassVar[str] = """Prints the machine, versions, extras, priority and the folder of
@@ -28,7 +28,7 @@ Examples:
     """Robot hand, by its catalogue name, or the path of a spec file."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; right, or as the spec file says, if left out."""
+    """Hand side. Default: right, or the side of the spec file."""
 
     method: Annotated[str, arg(metavar="NAME", help=METHOD_HELP)] = DEFAULT_METHOD
 

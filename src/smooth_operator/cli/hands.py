@@ -51,7 +51,7 @@ Examples:
     """Name of a hand of your own, as in smooth-operator hands list."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Only this side of it; both if left out."""
+    """Remove this side only. Default: both."""
 
     yes: bool = False
     """Don't ask."""

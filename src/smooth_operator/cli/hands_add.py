@@ -43,10 +43,10 @@ Examples:
     """URDF or MJCF file, with or without its meshes; an arm may be attached."""
 
     name: Annotated[str | None, arg(metavar="NAME")] = None
-    """Name by which --hand will know it; from the file's name if left out."""
+    """Name of the hand, for --hand. Default: from the file name."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; found if left out. Of two hands in one file, the one to take."""
+    """Hand side, and which of two hands in one file to read. Default: found in the model."""
 
     palm: Annotated[str | None, arg(metavar="BODY")] = None
     """Body from which the fingers branch."""
@@ -267,19 +267,22 @@ def _print(discovery: Discovery, file: Path, used: Path, whole: bool) -> None:
         console.print(table)
     if not whole:
         sure, total = len(discovery.findings) - len(shown), len(discovery.findings)
-        say(f"{sure} of {total} findings about {discovery.spec.name} are sure (--all lists them)")
+        say(
+            f"{sure} of {total} properties of {discovery.spec.name} were detected with confidence "
+            "(--all lists them)"
+        )
     for note in discovery.notes:
         say(f"Note: {note}")
     if discovery.unsure:
-        say("Please look at what is marked ? or !, least sure first. To overrule it, add:")
+        say("Check the items marked ? or !, the least certain first. To override one, add:")
         for finding in discovery.unsure:
             say(f"  {finding.subject} ({finding.confidence:.2f}): {finding.overrule}")
     else:
-        say("All of it is sure. To overrule any of it: --side, --palm, --thumb, --finger, --tip")
+        say("To override a property: --side, --palm, --thumb, --finger, --tip, --wrist")
     if used != discovery.spec.model:
         say(
-            f"Copied the model and its meshes to {used.parent}: the original may be moved or "
-            "deleted; after a change to it, add it again"
+            f"Copied the model, with the files that it names and that exist, to {used.parent}. The "
+            "original may be moved or deleted; after a change to it, add it again"
         )
     say(f"Written to {file}, which you may edit")
     if (name := _built_in(discovery)) is not None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Check(Common, Quiet):
-    """Is a hand's description right? Limits, axes, tips, pinches, and a round trip."""
+    """Check a hand's description: limits, axes, fingertips, pinches, and a round trip."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands_check:check_hand_command"
     details: ClassVar[str] = """Each check says what was measured and what to do. In the round trip
@@ -35,7 +35,7 @@ Examples:
     """Name of a hand, or path of a spec file (.toml)."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; right, or as the spec file says, if left out."""
+    """Hand side. Default: right, or the side of the spec file."""
 
     quick: bool = False
     """Take the round trip through sbr and smooth only, not through every method."""

@@ -25,7 +25,7 @@ class _OneHand(Common, Meshes):
     """Name of a hand, or path of a spec file (.toml)."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; right, or as the spec file says, if left out."""
+    """Hand side. Default: right, or the side of the spec file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class Render(_OneHand):
   smooth-operator hands render leap_hand --output leap.png"""
 
     output: Annotated[Path | None, arg(metavar="PNG")] = None
-    """The picture; NAME_SIDE.png in the current folder if left out."""
+    """File of the picture. Default: NAME_SIDE.png in the current folder."""
 
 
 def show_hand(options: Show) -> None:

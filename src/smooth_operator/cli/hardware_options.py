@@ -37,7 +37,7 @@ class _OneDevice(Common):
     """Which hand."""
 
     hand: Annotated[str | None, arg(metavar="NAME")] = None
-    """Model of the hand; that of its table, if left out."""
+    """Robot hand. Default: the hand of the table."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ Examples:
   smooth-operator hardware check dynamixel:/dev/ttyUSB0 --hand my_hand --ids 1-12 --unit step"""
 
     output: Annotated[Path | None, arg(metavar="FILE")] = None
-    """The table; DRIVER_SIDE.toml in your folder of tables, where teleop finds it, if left out."""
+    """File of the table. Default: DRIVER_SIDE.toml in your folder of tables, where teleop looks."""
 
     ids: Annotated[str | None, arg(metavar="1-16")] = None
     """Ids of the actuators of a hand that has no table yet, such as 1-12 or 0,3,5."""
@@ -79,7 +79,7 @@ Examples:
   smooth-operator hardware monitor orca:mock=true --seconds 2 --json"""
 
     seconds: Annotated[float | None, arg(metavar="SECONDS")] = None
-    """How long [s]; until Ctrl-C if left out."""
+    """Length of the run [s]. Default: until Ctrl-C."""
 
     json: bool = False
     """One JSON object a line for each measurement, instead of the table."""

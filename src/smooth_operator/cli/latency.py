@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Final
 from tyro.conf import Positional, arg
 
 from smooth_operator.cli.common_options import Common
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ def _print(path: Path, timing: Mapping[str, Any]) -> None:
         for name, row in rows.items()
     )
     console.print(plain_table(str(path), ("[ms]", *_SHOWN), cells, left=1))
-    parts = [f"{timing['commands']} commands"]
+    parts = [counted(timing["commands"], "command")]
     if "rate_hz" in timing:
         parts.append(f"{timing['frames_answered']} of them answer frames")
         parts.append(f"{timing['duration_s']:.1f} s at {timing['rate_hz'] or 0:.1f} Hz")

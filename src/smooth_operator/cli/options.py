@@ -36,7 +36,7 @@ from smooth_operator.cli.teleop import Teleop
 from smooth_operator.cli.train import Train
 from smooth_operator.cli.tune_options import Tune
 from smooth_operator.cli.view import View
-from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.errors import ConfigError, UnknownNameError, did_you_mean
 from smooth_operator.plugins import Entry, Registry
 
 _NARROWEST = 40
@@ -78,8 +78,17 @@ def without_rare(kind: type) -> type:
 @functools.cache
 def _document(kind: type) -> None:
     docs, hints = _field_docs(kind), get_type_hints(kind, include_extras=True)
-    for name in docs.keys() & kind.__annotations__.keys():
-        kind.__annotations__[name] = Annotated[hints[name], arg(help=docs[name])]
+    own = {field.name for field in dataclasses.fields(kind)} & kind.__annotations__.keys()
+    for name in own:
+        settings: Any = arg(help_behavior_hint=_default_hint)
+        if name in docs:
+            settings = arg(help_behavior_hint=_default_hint, help=docs[name])
+        kind.__annotations__[name] = Annotated[hints[name], settings]
+
+
+def _default_hint(label: str) -> str:
+    """The default after an option's help; the text itself says what no value stands for."""
+    return "" if label in ("None", "False", "") else f"(default: {label})"
 
 
 def _field_docs(kind: type) -> dict[str, str]:
@@ -95,6 +104,39 @@ def _field_docs(kind: type) -> dict[str, str]:
         if isinstance(doc, ast.Expr) and isinstance(doc.value, ast.Constant)
         if isinstance(doc.value.value, str)
     }
+
+
+def option_names(kind: type, prefix: str = "--") -> Iterator[str]:
+    """Names of the options of a command, without positional arguments: ``--limits.velocity``."""
+    hints = get_type_hints(kind, include_extras=True)
+    for field in dataclasses.fields(kind):
+        name = prefix + field.name.rstrip("_").replace("_", "-")  # from_ is --from
+        parts = list(_dataclasses_in(hints[field.name]))
+        for part in parts:
+            yield from option_names(part, f"{name}.")
+        if not parts and tyro.conf.Positional not in getattr(hints[field.name], "__metadata__", ()):
+            yield name
+
+
+def _check_options(kind: type, name: str, words: Sequence[str]) -> None:
+    """Refuses an unknown option. tyro would name a missing argument in its place.
+
+    Raises:
+        ConfigError: a word is an unknown option.
+    """
+    known = {*option_names(kind), "--help"}
+    for word in words:
+        option = word.partition("=")[0].replace("_", "-")
+        if re.fullmatch(r"-[A-Za-z]", word) and word != "-h":
+            close = [one for one in sorted(known) if one[2] == word[1]]
+            hint = f" Did you mean {' or '.join(map(repr, close[:3]))}?" if close else ""
+        elif option.startswith("--") and option not in known and option[2:]:
+            hint = did_you_mean(option, known)
+        else:
+            continue
+        raise ConfigError(
+            f"unknown option {word!r}.{hint} All options: smooth-operator {name} --help-all"
+        )
 
 
 def _dataclasses_in(hint: Any) -> Iterator[type]:
@@ -158,23 +200,23 @@ _EXAMPLES = """Examples:
   smooth-operator sample hand.npz
       a recording of the built-in operator, to try the others on
   smooth-operator retarget glove.npz --output out.npz
-      a recording into joint commands, with a table of what was measured
+      convert a recording to joint commands, and print quality checks
   smooth-operator dataset egodex/ --hand leap_hand --output out
-      recordings of two hands into a data set of robot episodes, filtered
+      convert recordings to a data set of robot episodes, filtered by quality
   smooth-operator teleop --source webcam --sink mujoco record:take.mcap
       a live tracker drives a hand, within limits, with a page to watch
   smooth-operator view out.npz glove.npz
-      the two side by side in the browser
+      show result and recording side by side in the browser
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap
-      both into one file of another format: MCAP, HDF5, npz or LeRobot
+      write both to one file in another format: MCAP, HDF5, npz or LeRobot
   smooth-operator bench glove.npz --methods all --output out
-      which method, and how good? a table, results.json and a report
+      compare methods: a table, results.json and an HTML report
   smooth-operator calibrate glove.npz --output operator.json
-      the operator's hand on the robot's, for --operator; with a report
+      fit a robot hand to an operator's hand; writes a file for --operator
   smooth-operator train geort glove.npz --output my-geort
       a model of the learning-based method for a hand and its operator
   smooth-operator tune sbr mine.npz --vary pose_weight=0.01:0.1:log --output out
-      the numbers of a preset searched, never on what is held out
+      tune a preset's settings; held-out recordings are never used
   smooth-operator hands list
       the robot hands; hands show NAME has joints and limits, and a page
   smooth-operator hardware list
@@ -182,7 +224,7 @@ _EXAMPLES = """Examples:
   smooth-operator study analyze trials.csv tlx.csv --output out
       a user study: models, corrected p-values, a report
   smooth-operator doctor
-      where time goes on this machine, and what to change
+      measure start-up and frame time on this machine, and suggest fixes
 
 Each command has its own help: smooth-operator retarget --help
 """
@@ -295,8 +337,8 @@ def parse(arguments: Sequence[str]) -> Command:
     overview = not arguments or name in ("-h", "--help") or name.startswith("--tyro-")
     if not overview and name.startswith("-"):
         raise ConfigError(
-            f"{name!r} stands before the command; expected smooth-operator COMMAND [OPTIONS], and "
-            "smooth-operator --help lists the commands"
+            f"unknown option {name!r}; expected a command first: smooth-operator COMMAND "
+            "[OPTIONS]. smooth-operator --help lists the commands"
         )
     if not overview and name not in commands:
         hint = "smooth-operator --help says what each does."
@@ -314,6 +356,8 @@ def parse(arguments: Sequence[str]) -> Command:
         rest = list(arguments[1:])
         if issubclass(kind, Group) and rest and rest[0] in (members := kind.members()):
             kind, name = members[rest[0]], f"{name} {rest.pop(0)}"
+        if not for_a_shell and not issubclass(kind, Group):
+            _check_options(kind, name.replace(".", " "), rest)
         document(kind)
         if not whole and {"-h", "--help"} & set(arguments):
             kind = without_rare(kind)

@@ -77,6 +77,11 @@ def folder_for(folder: Path) -> Iterator[None]:
         raise
 
 
+def stopped(output: Path) -> KeyboardInterrupt:
+    """The end of a command by Ctrl-C whose results are kept; ``main`` prints its text."""
+    return KeyboardInterrupt(f"run the same command to continue in {output}")
+
+
 def check_demo_folder(folder: Path) -> None:
     """Looks whether the demo may write into a folder; writes nothing.
 

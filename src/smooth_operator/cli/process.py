@@ -41,9 +41,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             from smooth_operator.cli.app import run  # here: what it imports takes a while
 
             return run(sys.argv[1:] if argv is None else argv)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as stop:  # with advice, where a command has some
+            words = "; ".join(("smooth-operator: stopped", *map(str, stop.args)))
             with contextlib.suppress(OSError):
-                print("smooth-operator: stopped", file=sys.stderr, flush=True)
+                print(words, file=sys.stderr, flush=True)
             return INTERRUPTED
 
 

@@ -38,11 +38,11 @@ class Retarget(Common, Ordered, Retargeting, Measured):
 timestamps (T,) [s], latency_ms (T,) and status (T,); the resolved configuration is
 written with it, as OUT.json.
 
-Of a folder, every recording in it, however deep, is retargeted to the same path in the folder
-named by --output, several in parallel; latency_ms is then NaN, and summary.json has the result
-of each. Run the same command again to go on where it was stopped, or to add new recordings:
-finished results are kept, unless their recording, settings, robot hand or this program's code
-have changed; those are made again.
+For a folder, all recordings (including subfolders) are retargeted, several in parallel. The
+folder of --output mirrors its structure, and its summary.json has the result of each;
+latency_ms is NaN. Run the same command again to continue after a stop, or to add new
+recordings: finished results are kept, unless their recording, settings, robot hand or this
+program's code have changed.
 
 Exit status: 0 done, 1 some recordings of the folder failed (the others are done), 2 the
 request is invalid, 130 stopped.
@@ -65,17 +65,17 @@ Examples:
     """File to write, or folder of a folder's results; created if missing."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; as the recording says if left out."""
+    """Hand side. Default: the side of the recording."""
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames, as a Python slice: :500, 2600:3100, -500:"""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames per second of a recording without time stamps [Hz]; in a folder, of those."""
+    """Frame rate of recordings without timestamps [Hz]."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """Number of recordings of a folder in parallel; one per core if left out, 0 for one after the
-    other in this process."""
+    """Number of recordings of a folder in parallel; 0 retargets them one after the other in this
+    process. Default: one per core."""
 
     cluster: Annotated[str | None, arg(metavar="auto|local|ADDRESS")] = None
     """Retarget a folder on a running Ray cluster (auto finds it), or start Ray here (local); its
@@ -169,7 +169,7 @@ def retarget_folder(options: Retarget) -> None:
     """
     from smooth_operator.atomic_files import atomic_write
     from smooth_operator.cli.console import Progressing
-    from smooth_operator.cli.outputs import folder_for
+    from smooth_operator.cli.outputs import folder_for, stopped
     from smooth_operator.cli.session import requested
     from smooth_operator.formats.environment import environment
     from smooth_operator.formats.jsonable import to_json
@@ -227,8 +227,7 @@ def retarget_folder(options: Retarget) -> None:
             ) as results:  # whatever happens here, the workers end
                 entries += _watched(results, todo, progress)
         except KeyboardInterrupt:
-            progress.note("stopped; run the same command again to go on", matters=True)
-            raise
+            raise stopped(options.output) from None
         summary = {
             "program": PROGRAM,
             "command": "retarget",

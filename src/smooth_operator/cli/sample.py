@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Final
 from tyro.conf import Positional, arg
 
 from smooth_operator.cli.common_options import Common, Quiet, Synthetic
-from smooth_operator.errors import OutputError
+from smooth_operator.errors import OutputError, counted
 
 if TYPE_CHECKING:
     from smooth_operator.synthetic import SyntheticOperator
@@ -63,7 +63,9 @@ def sample(options: Sample) -> None:
     recording = synthetic_operator(options, options.seed).record(options.duration)
     with folder_for(path.parent):
         write_episode(path, Episode(recording, name=path.stem))
-    content = f"{len(recording)} frames of a {recording.side} hand at {options.rate:g} Hz"
+    content = (
+        f"{counted(len(recording), 'frame')} of a {recording.side} hand at {options.rate:g} Hz"
+    )
     Progressing(options.quiet).note(f"wrote {path}: {content}")
 
 

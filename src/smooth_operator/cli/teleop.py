@@ -74,20 +74,20 @@ Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't
     """Robot hand, by its catalogue name."""
 
     side: Annotated[Literal["right", "left", "both"] | None, arg(metavar="right|left|both")] = None
-    """Which hand; both drives two robots from the operator's two. The right one, or the robot
-    hand's only side, if left out."""
+    """Hand side; both drives two robot hands from the operator's two hands. Default: right, or the
+    only side that the robot hand has."""
 
     method: Annotated[str, arg(metavar="NAME", help=METHOD_HELP)] = DEFAULT_METHOD
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
-    """Preset of the method; its default if left out."""
+    """Preset of the method. Default: its first one."""
 
     seed: int = 0
     """Seed of all random numbers."""
 
     scale: Annotated[float | Literal["frame"] | None, arg(metavar="frame|FLOAT")] = None
-    """Robot size over human size: found in every frame, or given; as the preset says if left
-    out."""
+    """Robot/human size ratio: frame (estimated in each frame) or a number. Default: from the
+    preset."""
 
     fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
     """Robot fingers to drive, each by its own human finger or by another:
@@ -101,7 +101,7 @@ Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't
     of held commands without frames."""
 
     duration: Annotated[float | None, arg(metavar="SECONDS")] = None
-    """Duration of the run [s]; until the source ends if left out."""
+    """Length of the run [s]. Default: until the source ends."""
 
     safety: SafetyConfig = field(default_factory=SafetyConfig)
     """Behaviour when the tracker fails and when the operator comes back."""
@@ -144,6 +144,11 @@ Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't
 
     quiet: bool = False
     """Print only important messages on standard error."""
+
+    def extras(self) -> dict[str, tuple[str, ...]]:
+        """For the page and the arm; sources and sinks name their own."""
+        page = () if self.no_view else ("viser", "trimesh", "matplotlib", "jinja2")
+        return {"teleop": page} if self.arm is None else {"arm": ("mink", "daqp", *page)}
 
 
 def teleop(options: Teleop) -> None:

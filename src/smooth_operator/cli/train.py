@@ -54,7 +54,7 @@ Examples:
     """Robot hand, by its catalogue name."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; as the recording says if left out."""
+    """Hand side. Default: the side of the recording."""
 
     epochs: int = 120
     """Passes over the recorded points."""
@@ -127,13 +127,9 @@ def train(options: Train) -> None:
             with _bar(progress, settings.epochs) as watch:
                 model = session.run(resume=options.resume, watch=watch)
         except KeyboardInterrupt:
-            if (options.output / "checkpoint.npz").exists():
-                progress.note(
-                    f"what was learnt is kept in {options.output}; go on with: "
-                    f"{_resuming(options)}",
-                    matters=True,
-                )
-            raise
+            if not (options.output / "checkpoint.npz").exists():
+                raise
+            raise KeyboardInterrupt(f"to continue: {_resuming(options)}") from None
     losses = model.training["losses"]
     for kind in ("train", "validation"):
         shown = ", ".join(f"{name} {losses[kind][name]:.3g}" for name in LOSSES)

@@ -7,10 +7,10 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
-from smooth_operator.cli.outputs import folder_for
+from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.cli.tune_options import Tune
 from smooth_operator.compilation.start import dispatch_here
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, counted
 from smooth_operator.lab import tuning
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.tuning.search_plan import Bound, figure
@@ -46,13 +46,10 @@ def tune(options: Tune) -> None:
             with _bar(progress, settings.trials) as advance:
                 tuned = tuning.tune(plan, advance)
         except KeyboardInterrupt:
-            progress.note(
-                f"stopped; the same command goes on with what is in {options.output}", matters=True
-            )
-            raise
+            raise stopped(options.output) from None
     if not options.quiet:
         _print(plan, tuned)
-        progress.note(f"{tuned.trials} trials, {tuned.fresh} of them new; wrote {tuned.preset}")
+        progress.note(f"{counted(tuned.trials, 'trial')}, {tuned.fresh} new; wrote {tuned.preset}")
 
 
 def _numbers(texts: Sequence[str], option: str) -> Iterator[tuple[str, float]]:

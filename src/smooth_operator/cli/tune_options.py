@@ -27,7 +27,7 @@ velocity, flatness, collision and pinch, and ten times the relative excess over 
 within a frame, a joint's largest step within 0.25 rad at 115 Hz, and no frame is frozen, unless
 bounds say otherwise.
 
-A --held-out recording is refused under any name, and in parts.
+Held-out recordings, and copies or slices of them, are refused.
 
 Examples:
   smooth-operator tune sbr train.npz@:500 --vary pose_weight=0.01:0.1:log
@@ -56,7 +56,7 @@ Examples:
     """Another value for a setting that is not varied."""
 
     preset: Annotated[str | None, arg(metavar="NAME|FILE.toml")] = None
-    """Where the search begins; the method's default if left out."""
+    """Start of the search. Default: the default preset of the method."""
 
     held_out: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="RECORDING")] = ()
     """A recording that must not be tuned on; may be given more than once."""
@@ -81,10 +81,10 @@ Examples:
     """An upper bound, such as flatness=2e-6, self_collision.share=0.05 or lag_frames=0.5."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """How many trials in parallel; one per core if left out, 0 for this process alone."""
+    """Number of parallel trials; 0 runs them in this process. Default: one per core."""
 
     seed: int = 0
     """Seed of the search: the same seed and recordings give the same preset."""
 
     quiet: bool = False
-    """No progress on standard error, no table on standard output."""
+    """Hide progress output and the table."""

@@ -45,16 +45,16 @@ Examples:
     answer."""
 
     hand: Annotated[str | None, arg(metavar="NAME")] = None
-    """Robot hand; as OUT.json says if left out."""
+    """Robot hand. Default: the hand in OUT.json."""
 
     fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
-    """Robot fingers that were driven, as for retarget; as OUT.json says if left out."""
+    """Robot fingers that were driven, as for retarget. Default: those in OUT.json."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; as OUT.json or the recording says if left out."""
+    """Hand side. Default: the side in OUT.json or of the recording."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames per second of a recording without time stamps; as OUT.json says if left out."""
+    """Frame rate of a recording without timestamps [Hz]. Default: the rate in OUT.json."""
 
     save: Annotated[Path | None, arg(metavar="CLIP.gif|CLIP.webp")] = None
     """Write a clip instead of serving the page; --model draws the vendor's meshes."""

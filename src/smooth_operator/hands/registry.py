@@ -136,7 +136,8 @@ def find_hand(name: str) -> HandEntry:
 
     Raises:
         UnknownNameError: there is no hand of that name.
-        HandModelError: a file of the user has the name of another hand.
+        HandModelError: a file of the user has the name of another hand, or the name is the path
+            of a model.
         ConfigError: the plugin that offers it can't be loaded.
     """
     own = find_specs(user_hands_folder()).get(name)
@@ -148,9 +149,12 @@ def find_hand(name: str) -> HandEntry:
         return HandEntry(name, own, builtin=False)
     if is_target(name):
         return _described(name, HANDS.load(name))
-    model = name.endswith((".urdf", ".xml", ".xacro"))
-    more = f"A model becomes a hand by: smooth-operator hands add {name}" if model else ""
-    raise UnknownNameError("hand", name, hand_names(), more)
+    if name.lower().endswith((".urdf", ".xml", ".mjcf", ".xacro")):
+        raise HandModelError(
+            f"{name} is a model file, not the name of a hand. Add it first, and use the name that "
+            f"this prints: smooth-operator hands add {name}"
+        )
+    raise UnknownNameError("hand", name, hand_names())
 
 
 def load_hand(

@@ -189,7 +189,7 @@ SOURCES: Final = Registry(
         "zmq": Entry(f"{_SOURCES}.programs:ZmqSource", "landmarks over ZeroMQ (extra zmq)"),
         "ros2": Entry(
             "smooth_operator.teleop.ros2.source:Ros2Source",
-            "hand poses from ROS 2 topics, without a ROS 2 installation too (extra ros2)",
+            "hand poses from ROS 2 topics; works without a ROS 2 installation (extra ros2)",
         ),
         "udp": Entry(f"{_SOURCES}.programs:UdpSource", "landmarks over UDP: udp:PORT"),
     },
@@ -253,7 +253,7 @@ SINKS: Final = Registry(
         "zmq": Entry(f"{_SINKS}.zmq_sink:ZmqSink", "commands over ZeroMQ (extra zmq)"),
         "ros2": Entry(
             "smooth_operator.teleop.ros2.sink:Ros2Sink",
-            "ROS 2 topics, without a ROS 2 installation too (extra ros2)",
+            "ROS 2 topics; works without a ROS 2 installation (extra ros2)",
         ),
         "record": Entry(f"{_SINKS}.record:RecordSink", "an MCAP log: record:FILE"),
         "rerun": Entry(

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Iterator, Sequence
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
-from smooth_operator.cli.outputs import folder_for
+from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.compilation.cache import jax_cache
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError
@@ -72,10 +72,7 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
                 lambda text: progress.note(text, matters=True),
             )  # fmt: skip
         except KeyboardInterrupt:
-            progress.note(
-                f"stopped; the same command goes on with what is in {options.output}", matters=True
-            )
-            raise
+            raise stopped(options.output) from None
     if options.quiet:
         return
     console, table = output_console(), plain_table()

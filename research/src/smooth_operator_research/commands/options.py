@@ -37,7 +37,7 @@ class Experimenting(Common):
     (it runs them one after the other), 1,024 of Newton, 500 frames."""
 
     quiet: bool = False
-    """No progress on standard error, no verdicts on standard output."""
+    """Hide progress output and the verdicts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,20 +139,20 @@ Examples:
     """Frames per second of recordings without time stamps [Hz]."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Which hand; as each recording says if left out."""
+    """Hand side. Default: the side of each recording."""
 
     seed: int = 0
     """Seed of the methods' random numbers and of the units."""
 
     units: Annotated[int | None, arg(metavar="N")] = None
-    """Independent units (seeds, worlds, operators) of each measure; as many as the measure takes by
-    itself if left out."""
+    """Number of independent units (seeds, worlds, operators) of each measure. Default: the number
+    of the measure."""
 
     quick: bool = False
     """Few and short cases, to try things out."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """Processes: one for each core if left out, 0 for none but this one."""
+    """Number of processes; 0 works in this process. Default: one per core."""
 
     cluster: Annotated[str | None, arg(metavar="auto|local|ADDRESS")] = None
     """Measure on a running Ray cluster (auto finds it), or start Ray here (local)."""
@@ -161,7 +161,7 @@ Examples:
     """Write the results, but no report and no plots."""
 
     quiet: bool = False
-    """No progress on standard error, no table on standard output."""
+    """Hide progress output and the table."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,10 +197,10 @@ Examples:
     """Seed of persons and trials: the same seed gives the same figures, with any --workers."""
 
     workers: Annotated[int | None, arg(metavar="INT")] = None
-    """Processes; one for each core if left out."""
+    """Number of processes. Default: one per core."""
 
     output: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Folder of the results; the folder simulated of the study if left out."""
+    """Folder of the results. Default: the folder simulated of the study."""
 
     json: bool = False
     """One JSON object on standard output instead of the table."""

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from smooth_operator.cli.bench import SOME_FAILED, cell_progress, comma_words
 from smooth_operator.cli.console import Progressing, output_console, plain_table
-from smooth_operator.cli.outputs import folder_for
+from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import require
 from smooth_operator.lab.benchmark.cells import only_side
@@ -67,10 +67,7 @@ def physics(options: Physics) -> None:
                 lambda text: progress.note(text, matters=True),
             )
         except KeyboardInterrupt:
-            progress.note(
-                f"stopped; the same command goes on with what is in {options.output}", matters=True
-            )
-            raise
+            raise stopped(options.output) from None
         written = [path.name for path in write_files(settings, outcomes)]
         if not options.no_report:
             with progress.waiting("drawing the report"):

@@ -323,8 +323,8 @@ class _Notes:
         texts = []
         if self._drift > 1e-3:
             texts.append(
-                f"timestamp is frame_index / {self._fps}, as LeRobot wants it, up to "
-                f"{self._drift:.3g} s from the true time, which is in the column 'stamp'"
+                f"LeRobot needs regular timestamps (frame_index / {self._fps}): they differ by up to "
+                f"{self._drift:.3g} s from the recorded times, which are in the column 'stamp'"
             )
         for count, what, flag in (
             (self._missing, "missing landmarks (NaN in landmarks)", "landmarks_valid"),
@@ -337,7 +337,7 @@ class _Notes:
                 )
         if self._held:
             texts.append(
-                f"{self._held} commands of a live loop answer no frame, since it held the hand; "
-                "they are left out"
+                f"skipped {self._held} commands for which there is no hand frame: the live loop "
+                "held the robot"
             )
         return texts

@@ -317,8 +317,8 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
     meshes = [m for m in root.iter("mesh") if m.get("filename") or m.get("file")]
     if loaded.oversize:
         notes.append(
-            f"{loaded.why}. They are left out; fingertips and wrist are surer with them, or with "
-            "--tip and --wrist"
+            f"{loaded.why}. They are left out. Fingertips and wrist are estimated more reliably "
+            "with meshes, or correct the points with --tip and --wrist"
         )
     elif meshes and not model.nmesh:
         points: dict[str, list[np.ndarray]] = {}
@@ -329,9 +329,9 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
             clouds.setdefault(_body(model, name), []).extend(shapes)
         if missing:
             notes.append(
-                f"{missing} of {len(meshes)} meshes could not be read; joints need none, but "
-                "fingertips and wrist are surer with them: put them where the file says, or set "
-                "what is wrong with --tip and --wrist"
+                f"{missing} of {len(meshes)} meshes could not be read. Joints are unaffected, but "
+                "fingertips and wrist are estimated more reliably with meshes: put them where the "
+                "file names them, or correct the points with --tip and --wrist"
             )
     bodies, joints = (
         sum(not e.get("name") for world in root.iter("worldbody") for e in world.iter(tag))

@@ -2,7 +2,7 @@
 
 from smooth_operator.errors import require
 
-require("training GeoRT", "train", "optax")
+require("training GeoRT", "lab", "optax")
 
 from smooth_operator.lab.training.data import GeortTraining as GeortTraining
 from smooth_operator.lab.training.data import TrainingData as TrainingData

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
+from smooth_operator.errors import counted
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
@@ -98,7 +99,7 @@ def summarise(
         else:
             reason = "the run ended before a method was compiled, or the robot was held"
         reporter.note(
-            f"{loop.mailbox.received} frames came in {seconds:.1f} s and none was answered: "
+            f"no command for {counted(loop.mailbox.received, 'frame')} in {seconds:.1f} s: "
             f"{reason}",
             matters=True,
         )

@@ -2,4 +2,4 @@
 
 from smooth_operator.errors import require
 
-require("ROS 2 topics", "ros2", "cyclonedds")
+require("a ROS 2 topic", "ros2", "cyclonedds")

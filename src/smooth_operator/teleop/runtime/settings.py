@@ -16,14 +16,14 @@ class SafetyConfig:
     """Behaviour when the tracker fails, and when the operator comes back.
 
     Attributes:
-        stale_s: Age of the last usable frame from which on the hand holds [s].
-        lost_s: Age of the last usable frame from which on the hand goes to its safe pose [s].
+        stale_s: The hand holds when its last usable frame is older than this [s].
+        lost_s: The hand goes to its safe pose when its last usable frame is older than this [s].
         on_loss: Safe pose: ease to the neutral pose, or hold the last command.
         ease_velocity: Speed of the fastest joint on the way to the safe pose [rad/s].
-        blend_s: Time to go over to the operator after a loss or a pause [s]; after a gap that is
-            shorter than this, as long as the gap.
-        restart_s: Step back of the stamps from which on the tracker was restarted; frames with a
-            smaller step are out of order and refused [s].
+        blend_s: Blend-in time after a tracking loss or a pause [s]; after a shorter gap it is as
+            long as the gap.
+        restart_s: If timestamps jump back by more than this, the tracker was restarted; frames that
+            jump back by less are out of order and refused [s].
         watchdog_s: Silence of the loop after which sinks are notified [s].
     """
 

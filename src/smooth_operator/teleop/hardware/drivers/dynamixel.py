@@ -92,7 +92,7 @@ class DynamixelBus:
         try:
             import dynamixel_sdk
         except ImportError as error:
-            raise MissingExtraError("Dynamixel servos", "dynamixel") from error
+            raise MissingExtraError("the driver dynamixel", "dynamixel") from error
         self._sdk: Any = dynamixel_sdk
         self.port, self.baud, self.ids, self.names = port, baud, tuple(ids), tuple(names)
         self._packets = dynamixel_sdk.PacketHandler(2.0)

@@ -239,9 +239,7 @@ class InspireDevice(HandDevice):
         try:
             answer = getattr(self._client, function)(*values, device_id=self._device_id, **named)
         except (ConnectionException, OSError) as error:
-            raise DeviceLostError(
-                f"inspire: no connection to the hand at {self._port}; check power, cable, address"
-            ) from error
+            raise DeviceLostError(f"inspire: no connection to the hand at {self._port}") from error
         except (ModbusException, struct.error, ValueError) as error:
             self._clear()
             raise WrongAnswerError(
