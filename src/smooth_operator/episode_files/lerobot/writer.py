@@ -323,8 +323,8 @@ class _Notes:
         texts = []
         if self._drift > 1e-3:
             texts.append(
-                f"LeRobot needs regular timestamps (frame_index / {self._fps}): they differ by up to "
-                f"{self._drift:.3g} s from the recorded times, which are in the column 'stamp'"
+                f"LeRobot needs regular timestamps (frame_index / {self._fps}): they differ by up "
+                f"to {self._drift:.3g} s from the recorded times, which are in the column 'stamp'"
             )
         for count, what, flag in (
             (self._missing, "missing landmarks (NaN in landmarks)", "landmarks_valid"),
