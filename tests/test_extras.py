@@ -240,8 +240,8 @@ def test_without_extras_a_command_works_or_names_what_it_lacks(tmp_path):
     for what, extra in (LACK | MODULES).items():
         status, text = found.get(what, (None, "it was imported"))
         assert status in (2, None), (what, text)
-        words = " and ".join(f"'{one}'" for one in extra.split(","))
-        assert re.search(rf"needs the extras? {words}: python -m pip install .*\[{extra}\]", text)
+        words = " and the extra ".join(f"'{one}'" for one in extra.split(","))
+        assert re.search(rf"needs the extra {words}: python -m pip install .*\[{extra}\]", text)
         assert text.strip().count("\n") == 0, (what, text)
     assert {path.name for path in tmp_path.iterdir()} == {
         "in.npz",

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from difflib import get_close_matches
 from importlib.util import find_spec
 from typing import Final
@@ -57,19 +57,13 @@ class OutputError(SmoothOperatorError, OSError):
 
 
 class MissingExtraError(SmoothOperatorError, ImportError):
-    """An optional dependency is not installed.
-
-    Args:
-        feature: what needs it, in the singular.
-        extras: names of the extras that have it.
-    """
+    """An optional dependency of a feature (a noun in the singular) is not installed."""
 
     def __init__(self, feature: str, *extras: str) -> None:
         from smooth_operator.extras import install_command
 
-        names = " and ".join(f"'{extra}'" for extra in extras)
-        what = "extra" if len(extras) == 1 else "extras"
-        super().__init__(f"{feature} needs the {what} {names}: {install_command(','.join(extras))}")
+        names = " and the extra ".join(map(repr, extras))
+        super().__init__(f"{feature} needs the extra {names}: {install_command(','.join(extras))}")
 
 
 def require(feature: str, extra: str, *libraries: str) -> None:
@@ -81,25 +75,6 @@ def require(feature: str, extra: str, *libraries: str) -> None:
     for name in libraries:
         if sys.modules.get(name) is None and find_spec(name) is None:
             raise MissingExtraError(feature, extra)
-
-
-def require_all(feature: str, extras: Mapping[str, Sequence[str]]) -> None:
-    """Checks the libraries of several extras as ``require`` does, and names all that are missing.
-
-    Args:
-        extras: extra -> libraries (top-level modules).
-
-    Raises:
-        MissingExtraError: some are missing; ``feature`` needs them.
-    """
-    missing = []
-    for extra, libraries in extras.items():
-        try:
-            require(feature, extra, *libraries)
-        except MissingExtraError:
-            missing.append(extra)
-    if missing:
-        raise MissingExtraError(feature, *missing)
 
 
 class SourceError(SmoothOperatorError, RuntimeError):
@@ -175,11 +150,6 @@ def reason(error: object, most: int = 2 * _SHOWN) -> str:
     """Text of another library's error on one line, cut to ``most`` characters."""
     text = " ".join(str(error).split())
     return text if len(text) <= most else f"{text[: most - 3]}..."
-
-
-def counted(number: int, noun: str) -> str:
-    """``1 frame``, ``2 frames``; for nouns with a regular plural."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def listed(names: Iterable[object], most: int = 12) -> str:

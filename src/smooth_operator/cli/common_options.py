@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, get_args
 
 from tyro.conf import arg
 
-from smooth_operator.errors import require_all
+from smooth_operator.errors import MissingExtraError, require
 from smooth_operator.methods.registry import DEFAULT_METHOD, METHODS
 from smooth_operator.plugins import Entry
 
@@ -68,7 +68,14 @@ class Common:
         Raises:
             MissingExtraError: ``extras`` are not installed.
         """
-        require_all("this command", self.extras())
+        missing = []
+        for extra, libraries in self.extras().items():
+            try:
+                require("this command", extra, *libraries)
+            except MissingExtraError:
+                missing.append(extra)
+        if missing:
+            raise MissingExtraError("this command", *missing)
         Entry(self.work).load()(self)
 
 

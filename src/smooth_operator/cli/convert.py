@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from tyro.conf import Positional, arg
 
 from smooth_operator.cli.common_options import Common, HandSide, Ordered, Quiet
-from smooth_operator.errors import ConfigError, OutputError, RecordingError, counted
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
 
 if TYPE_CHECKING:
     from smooth_operator.cli.console import Progressing
@@ -148,6 +148,7 @@ def convert(options: Convert) -> None:
 def _write_dataset(
     options: Convert, loads: list[functools.partial[Episode]], progress: Progressing
 ) -> None:
+    from smooth_operator.cli.console import counted
     from smooth_operator.cli.outputs import folder_for
     from smooth_operator.episode_files.lerobot import write_dataset
     from smooth_operator.formats.registry import is_dataset
@@ -322,6 +323,8 @@ def _track(path: Path, options: Convert) -> Episode:
 
 
 def _described(episode: Episode) -> str:
+    from smooth_operator.cli.console import counted
+
     parts = []
     if episode.recording is not None:
         parts.append(

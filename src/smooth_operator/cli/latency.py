@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Final
 from tyro.conf import Positional, arg
 
 from smooth_operator.cli.common_options import Common
-from smooth_operator.errors import ConfigError, counted
+from smooth_operator.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +60,7 @@ def latency(options: Latency) -> None:
 
 
 def _print(path: Path, timing: Mapping[str, Any]) -> None:
-    from smooth_operator.cli.console import output_console, plain_table
+    from smooth_operator.cli.console import counted, output_console, plain_table
 
     console = output_console()
     rows = {**timing["stages_ms"], "added: received to sent": timing.get("added_latency_ms", {})}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Final
 from tyro.conf import Positional, arg
 
 from smooth_operator.cli.common_options import Common, Quiet, Synthetic
-from smooth_operator.errors import OutputError, counted
+from smooth_operator.errors import OutputError
 
 if TYPE_CHECKING:
     from smooth_operator.synthetic import SyntheticOperator
@@ -45,7 +45,7 @@ _SUFFIXES: Final = (".npz", ".mcap", ".h5", ".hdf5")
 
 def sample(options: Sample) -> None:
     """Records the operator and writes the file."""
-    from smooth_operator.cli.console import Progressing
+    from smooth_operator.cli.console import Progressing, counted
     from smooth_operator.cli.outputs import folder_for
     from smooth_operator.formats.episode import Episode
     from smooth_operator.teleop.recording import write_episode

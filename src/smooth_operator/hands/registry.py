@@ -136,8 +136,7 @@ def find_hand(name: str) -> HandEntry:
 
     Raises:
         UnknownNameError: there is no hand of that name.
-        HandModelError: a file of the user has the name of another hand, or the name is the path
-            of a model.
+        HandModelError: a file of the user has the name of another hand; it is the path of a model.
         ConfigError: the plugin that offers it can't be loaded.
     """
     own = find_specs(user_hands_folder()).get(name)
@@ -150,10 +149,7 @@ def find_hand(name: str) -> HandEntry:
     if is_target(name):
         return _described(name, HANDS.load(name))
     if name.lower().endswith((".urdf", ".xml", ".mjcf", ".xacro")):
-        raise HandModelError(
-            f"{name} is a model file, not the name of a hand. Add it first, and use the name that "
-            f"this prints: smooth-operator hands add {name}"
-        )
+        raise HandModelError(f"{name} is a model; first: smooth-operator hands add {name}")
     raise UnknownNameError("hand", name, hand_names())
 
 

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
-from smooth_operator.errors import counted
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
@@ -99,8 +98,7 @@ def summarise(
         else:
             reason = "the run ended before a method was compiled, or the robot was held"
         reporter.note(
-            f"no command for {counted(loop.mailbox.received, 'frame')} in {seconds:.1f} s: "
-            f"{reason}",
+            f"frames without a command: {loop.mailbox.received} in {seconds:.1f} s; {reason}",
             matters=True,
         )
     else:

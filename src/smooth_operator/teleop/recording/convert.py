@@ -18,7 +18,7 @@ from smooth_operator.episode_files.lerobot import (
     read_dataset_episode,
 )
 from smooth_operator.episode_files.npz import is_own_npz, read_npz_episode, write_npz_episode
-from smooth_operator.errors import ConfigError, OutputError, RecordingError, counted
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.formats.commands import config_path
 from smooth_operator.formats.episode import Episode
@@ -230,7 +230,7 @@ def find_sources(
     notes = []
     if skipped:
         names = ", ".join(path.name for path in skipped[:5]) + (", …" if len(skipped) > 5 else "")
-        notes.append(f"skipped {counted(len(skipped), 'file')} of unknown format: {names}")
+        notes.append(f"skipped (unknown format): {names}")
     return sources, notes
 
 
