@@ -925,7 +925,7 @@ ROWS = "meta/episodes/chunk-000/file-000.parquet"
         ("meta/info.json", lambda p: p.write_text("{"), "can't be read as the description"),
         ("meta/info.json", lambda p: p.write_text("[]"), "can't be read as the description"),
         ("meta/info.json", lambda p: edit(p, codebase_version="v2.1"), "version v2.1, v3.0 is"),
-        ("meta/info.json", lambda p: edit(p, features={}), "of another program, with nothing"),
+        ("meta/info.json", lambda p: edit(p, features={}), "with no columns: it holds no human"),
         ("meta/info.json", lambda p: edit(p, data_path="../{chunk_index}"), "out of the dataset"),
         ("meta/info.json", lambda p: edit(p, data_path="{x}"), "do not say where episode 0 is"),
         (DATA, lambda p: p.unlink(), "no such file; the dataset is incomplete"),

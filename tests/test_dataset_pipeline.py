@@ -348,11 +348,13 @@ def test_sources_of_every_kind(folder, tmp_path):
     ("text", "says"),
     [
         ("name\na\n", "needs the column 'path'"),
+        ("t,x,y\n0,0.1,0.2\n1,0.1,0.2\n", "a table, not a recording; .*needs the column 'path'"),
         ("path,side\na,up\n", "side must be 'right' or 'left'"),
-        ("path,rate\na,fast\n", "could not convert"),
+        ("path,rate\na,fast\n", "rate must be a number of frames a second, not 'fast'"),
     ],
 )
 def test_a_list_that_is_none(text, says, tmp_path):
+    """A table of numbers is not taken for a list."""
     (tmp_path / "list.csv").write_text(text, encoding="utf-8")
     with pytest.raises(RecordingError, match=says):
         find_items([str(tmp_path / "list.csv")])

@@ -1,6 +1,7 @@
 """Reading recordings: every format, and every way in which a file can be bad."""
 
 import io
+import json
 import pickle
 import re
 import zipfile
@@ -11,8 +12,11 @@ import pytest
 from made_hands import hand_points
 
 from smooth_operator import HandRecording, read_recording
+from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.checks import check_units, frame_slice, reading_notes
+from smooth_operator.lab.datasets.sources import find_items
+from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.landmarks import (
     FROM_MANUS_25,
     FROM_OPENXR_26,
@@ -616,6 +620,16 @@ def test_torch_files_are_pickles(tmp_path):
         (b"\x89HDF\r\n\x1a\n" + bytes(50), "HDF5"),
         (b"\x1f\x8b" + bytes(50), "gzip"),
         (b"time,x,y,z\n0,1,2,3\n", "not a recording: it starts with b'time,x,y'"),
+        (b"HIERARCHY\nROOT Hips\n", "a BVH file, a skeleton in motion; .*forward kinematics"),
+        (b"\xef\xbb\xbfHIERARCHY\r\n", "a BVH file"),
+        (b"Kaydara FBX Binary  \x00", "an FBX file, a skeleton"),
+        (b'<?xml version="1.0"?>\n<mvnx version="4">', "an Xsens MVNX file, a skeleton"),
+        (b"NO_OF_FRAMES\t1\n", "a Qualisys table .*markers on the skin"),
+        (b"SQLite format 3\x00", "bags of ROS 2 .*ros2 bag play"),
+        (b"#ROSBAG V2.0\n", "a bag of ROS 1; .*--source ros2"),
+        (b'{"data": [{"states": {"right_ee": {"qpos": [0]}}}]}', "a robot: it holds no human hand"),
+        (b'{"frames": []}', "a JSON file of another program; save its landmarks with numpy.savez"),
+        (b"tracking_timestamp_us,tx_left_landmark_0_device\n1,0.1\n", "Aria.*--layout aria"),
         (b"\x93NUM", "cut off after 4 bytes"),
         (b"\x89MCAP0", "cut off after 6 bytes"),
         (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
@@ -625,6 +639,74 @@ def test_torch_files_are_pickles(tmp_path):
 def test_foreign_and_stunted_files(tmp_path, content, match):
     (tmp_path / "a.bin").write_bytes(content)
     refused(tmp_path / "a.bin", match)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "match"),
+    [
+        ("a.c3d", b"\x02P\x01\x00", "a C3D file .*markers on the skin"),
+        ("a.csv", b"time,x,y,z\n0,1,2,3\n", "a table, not a recording; read its points into"),
+        ("a.db3", b"not SQLite", "a bag of ROS 2; play it"),
+    ],
+)
+def test_files_of_others_that_only_the_name_tells(tmp_path, name, content, match):
+    (tmp_path / name).write_bytes(content)
+    refused(tmp_path / name, match)
+
+
+@pytest.mark.parametrize(("numbers", "body"), [(156, "SMPL-H"), (165, "SMPL-X")])
+def test_parameters_of_a_body_are_named(tmp_path, numbers, body):
+    arrays = {"poses": np.zeros((FRAMES, numbers)), "betas": np.zeros(16)}
+    refused(save(tmp_path / "a.npz", arrays), rf"parameters of a whole body \({body}, {numbers}")
+
+
+def robot_dataset(folder: Path, version: str = "v2.1") -> Path:
+    """A LeRobot data set of a humanoid, with one Parquet file."""
+    names = [f"left_arm_{k}" for k in range(7)]
+    feature = {"dtype": "float32", "shape": [7], "names": names}
+    info = {"codebase_version": version, "robot_type": "humanoid", "data_path": "data/{x}",
+            "features": {"observation.state": feature, "action": feature}}  # fmt: skip
+    (folder / "meta").mkdir(parents=True)
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    (folder / "meta" / "episodes.jsonl").write_text('{"episode_index": 0, "tasks": []}\n')
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    (folder / "data" / "chunk-000" / "episode_000000.parquet").write_bytes(b"PAR1" + bytes(60))
+    return folder
+
+
+@pytest.mark.parametrize("version", ["v2.0", "v2.1", "v3.0"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("retarget", "SET", "--output", "out"),
+        ("retarget", "SET", "--output", "out.npz"),
+        ("convert", "SET", "--to", "npz", "--output", "out"),
+        ("dataset", "SET", "--hand", "leap_hand", "--output", "out"),
+        ("calibrate", "SET", "--output", "operator.json"),
+        ("teleop", "--source", "replay:SET"),
+        ("retarget", "SET/data/chunk-000/episode_000000.parquet", "--output", "out.npz"),
+        ("dataset", "SET/data/chunk-000/episode_000000.parquet", "--output", "out"),
+    ],
+    ids=lambda command: f"{command[0]} {Path(command[1]).suffix}",
+)
+def test_every_command_names_the_data_of_a_robot(tmp_path, monkeypatch, capsys, command, version):
+    robot_dataset(tmp_path / "set", version)
+    monkeypatch.chdir(tmp_path)
+    assert main([word.replace("SET", "set") for word in command]) == 2
+    said = capsys.readouterr().err
+    assert f"LeRobot data set (version {version}) of the robot 'humanoid', with " in said, said
+    assert "(left_arm_0, left_arm_1, ...): it holds no human hand" in said
+
+
+def test_the_data_of_a_robot_among_recordings_is_one_failure(tmp_path):
+    robot_dataset(tmp_path / "in" / "set")
+    save(tmp_path / "in" / "a.npz", {"joints": hand(), "stamps": np.arange(FRAMES) / 30.0})
+    recordings, _ = find_recordings(tmp_path / "in")
+    assert sorted(found.name for found in recordings) == ["a.npz", "set"]
+    items = find_items([str(tmp_path / "in")])
+    assert [item.name for item in items.items] == ["a"]
+    assert [refused.name for refused in items.refused] == ["set"]
+    assert items.passed_over == {}
 
 
 @pytest.mark.parametrize("form", ["npy", "npz", "npz-compressed", "manus"])

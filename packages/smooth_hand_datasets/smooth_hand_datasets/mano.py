@@ -30,6 +30,7 @@ from smooth_operator import poses
 from smooth_operator.errors import ConfigError, RecordingError, listed
 from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.formats.foreign import body_parameters
 from smooth_operator.formats.hand_arrays import shares
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
@@ -92,7 +93,9 @@ class Mano:
         names = {f"{start}{name}" for start in ("", "right_", "left_") for name in _HAND}
         names |= {f"{start}{name}" for start in ("", "right_", "left_") for name in _ABOUT}
         held = table(load_restricted(ref.path, names=sorted({*names, *SIDES})), where)
-        parameters = {side: _parameters(part, where, side) for side, part in _parts(held, where)}
+        parameters = {
+            side: _parameters(part, where, side) for side, part in _parts(held, where, options.side)
+        }
         count = checked_count(
             {f"{side} hand": len(one.rotations_or_pose) for side, one in parameters.items()}, where
         )
@@ -119,31 +122,40 @@ def _complete(names: set[str]) -> bool:
     return bool(pose and names & set(_SHAPE))
 
 
-def _parts(held: dict[Any, Any], where: str) -> Iterator[tuple[Side, dict[str, Any]]]:
-    """The parameters of each hand, with what the file says of both."""
+def _parts(
+    held: dict[Any, Any], where: str, side: Side | None
+) -> Iterator[tuple[Side, dict[str, Any]]]:
+    """The parameters of each hand, with what the file says of both.
+
+    Args:
+        side: side of the hand, for a file with one that does not say it.
+    """
+    body = body_parameters({"poses": getattr(held.get("poses"), "shape", ())})
+    if body is not None:
+        raise RecordingError(f"{where}: these are {body}")
     about = {key: held[key] for key in _ABOUT if key in held and key not in _SIDE}
     two = False
-    for side in SIDES:
+    for each in SIDES:
         own = {
-            key.removeprefix(f"{side}_"): value
+            key.removeprefix(f"{each}_"): value
             for key, value in held.items()
-            if isinstance(key, str) and key.startswith(f"{side}_")
+            if isinstance(key, str) and key.startswith(f"{each}_")
         }
-        if held.get(side) is not None:
-            own |= table(held[side], f"{where}, {side}")
+        if held.get(each) is not None:
+            own |= table(held[each], f"{where}, {each}")
         if own:
             two = True
-            yield side, {**about, **own}
+            yield each, {**about, **own}
     if two:
         return
     labels = [held[key] for key in _SIDE if key in held]
-    if not labels:
+    if not labels and side is None:
         raise RecordingError(
-            f"{where}: it does not say which hand it is; add side, 'right' or 'left', or save both "
-            "with names that begin with right_ and left_"
+            f"{where}: it does not say which hand it is; say --side right or --side left, or save "
+            "side in it, or both hands with names that begin with right_ and left_"
         )
     yield (
-        _side(labels[0], where),
+        _side(labels[0], where) if labels else side or "right",
         {key: value for key, value in held.items() if key in _HAND} | about,
     )
 

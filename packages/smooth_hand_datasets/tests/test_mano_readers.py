@@ -170,6 +170,8 @@ def test_ambiguous_parameters_are_refused(tmp_path, models):
     pose = layouts.MOTION["right"][0]
     for values, said in (
         ({"side": None}, "does not say which hand it is"),
+        ({"poses": np.zeros((8, 156))}, "a whole body (SMPL-H, 156 numbers"),
+        ({"poses": np.zeros((8, 165)), "side": None}, "a whole body (SMPL-X, 165 numbers"),
         ({"side": "both"}, "side must be 'right' or 'left'"),
         ({"flat_hand_mean": None}, "add flat_hand_mean, True or False"),
         ({"hand_pose": pose[:, :12]}, "say so with use_pca = True"),
@@ -184,6 +186,13 @@ def test_ambiguous_parameters_are_refused(tmp_path, models):
           "hand_pose": np.tile(np.eye(3), (8, 15, 1, 1))}, "matrices that are no rotations"),
     ):  # fmt: skip
         assert said in refused("mano", changed(tmp_path, **values), models), values
+
+
+def test_the_side_may_come_from_the_user(tmp_path, models):
+    path = changed(tmp_path, side=None)
+    reader = DATASETS.load("mano")
+    clip = reader.read(next(reader.clips(path)), ReadingOptions(mano=models, side="right"))
+    assert list(clip.hands) == ["right"]
 
 
 def test_other_names_and_forms_give_the_same_hand(tmp_path, models):

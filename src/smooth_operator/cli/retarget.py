@@ -173,6 +173,7 @@ def retarget_folder(options: Retarget) -> None:
     from smooth_operator.cli.session import requested
     from smooth_operator.formats.environment import environment
     from smooth_operator.formats.jsonable import to_json
+    from smooth_operator.formats.registry import file_kind, is_dataset
     from smooth_operator.lab.offline.finished import claimed, read_configuration
     from smooth_operator.lab.offline.folder import (
         SUMMARY,
@@ -186,6 +187,8 @@ def retarget_folder(options: Retarget) -> None:
 
     progress = Progressing(options.quiet)
     folder, output = options.recording, options.output
+    if is_dataset(folder):
+        file_kind(folder)  # raises with what it is, and the way
     if output.suffix == ".npz" and not output.is_dir():
         raise OutputError(
             f"can't write {str(output)!r}: {folder} is a folder of recordings, and so are its "

@@ -20,6 +20,7 @@ from smooth_operator.formats.checks import (
     stamps_from_rate,
     without_outliers,
 )
+from smooth_operator.formats.foreign import body_parameters
 from smooth_operator.formats.hand_arrays import (
     own_stamps,
     pose_rows,
@@ -299,6 +300,9 @@ def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:
         )
     if poses:
         return poses[0]
+    body = body_parameters({item.name: item.shape for item in arrays.values()})
+    if body is not None:
+        raise RecordingError(f"{path}: these are {body}")
     raise RecordingError(
         f"{path}: no array of landmarks in it, but {arrays.describe()}. What is read: {readable()}"
     )

@@ -9,6 +9,8 @@ from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, DocumentError, RecordingError, SmoothOperatorError
 from smooth_operator.formats.arrays import PICKLE_REMEDY
+from smooth_operator.formats.foreign import foreign_dataset, foreign_file
+from smooth_operator.formats.foreign import is_dataset as is_dataset
 from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.types import HandRecording, Side
@@ -177,18 +179,6 @@ def readable() -> str:
 
 _PICKLE_SUFFIXES = (".pkl", ".pickle", ".pck", ".p")
 
-# Formats that people bring, and the shortest way from them to one that is read here.
-_OTHERS = {
-    b"\x1f\x8b": "gzip-compressed; unpack it first",
-    b"BZh": "bzip2-compressed; unpack it first",
-    b"\xfd7zXZ\x00": "xz-compressed; unpack it first",
-    b"\x28\xb5\x2f\xfd": "zstd-compressed; unpack it first",
-    b"PAR1": "a Parquet file; give the whole LeRobot dataset folder to 'smooth-operator convert'",
-    b"MATLAB": "a MATLAB file; save its landmarks with numpy.savez",
-    b"#ROSBAG": "a ROS bag; save its landmarks with numpy.savez",
-    b"version https://git-lfs": "a Git LFS pointer, not the data; run 'git lfs pull'",
-}
-
 
 def file_kind(path: Path) -> str:
     """Find the format of a file: by its first bytes, or by its suffix where a plugin says so.
@@ -242,9 +232,9 @@ def file_kind(path: Path) -> str:
         )
     if pickled:
         raise RecordingError(f"{path}: this is a pickle; {PICKLE_REMEDY}")
-    for magic, what in _OTHERS.items():
-        if head.startswith(magic):
-            raise RecordingError(f"{path}: this is {what}. What is read: {readable()}")
+    kind = foreign_file(path)
+    if kind is not None:
+        raise RecordingError(f"{path}: this is {kind}")
     raise RecordingError(
         f"{path}: not a recording: it starts with {head[:8]!r}. What is read: {readable()}"
     )
@@ -259,13 +249,11 @@ def is_video_head(head: bytes) -> bool:
     )
 
 
-def is_dataset(path: Path) -> bool:
-    """True for the folder of a LeRobot dataset, of any version and program."""
-    return (path / "meta" / "info.json").is_file()
-
-
 def _is_a_folder(path: Path) -> RecordingError:
     if is_dataset(path):
+        foreign = foreign_dataset(path)
+        if foreign is not None:
+            return RecordingError(f"{path}: this is {foreign}")
         return RecordingError(
             f"{path}: this is a LeRobot dataset; convert an episode of it first: smooth-operator "
             f"convert {path} --episode 0 --output episode.npz"

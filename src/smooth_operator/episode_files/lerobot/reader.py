@@ -30,6 +30,7 @@ from smooth_operator.formats.episode import (
     WristTrack,
     check_commands,
 )
+from smooth_operator.formats.foreign import foreign_dataset
 from smooth_operator.formats.readers import check_anatomy
 from smooth_operator.formats.registry import is_dataset
 from smooth_operator.io.anatomy import in_our_order, layout_order
@@ -97,6 +98,9 @@ def open_dataset(path: Path) -> Dataset:
     """
     if not is_dataset(path):
         raise RecordingError(f"{path}: not a LeRobot dataset: it has no meta/info.json")
+    foreign = foreign_dataset(path)
+    if foreign is not None:
+        raise RecordingError(f"{path}: this is {foreign}")
     where = path / "meta" / "info.json"
     try:
         info = _object(read_json(where), "it")
@@ -112,15 +116,13 @@ def open_dataset(path: Path) -> Dataset:
         ) from error
     if not version.startswith("v3."):
         raise RecordingError(
-            f"{path}: a LeRobot dataset of version {version[:20]}, v3.0 is read here; bring it "
-            "up to date with LeRobot's own converter: python -m "
-            "lerobot.datasets.v30.convert_dataset_v21_to_v30"
+            f"{path}: a LeRobot dataset of version {version[:20]}, v3.0 is read here; LeRobot's "
+            "own converter takes v2.1: python -m lerobot.scripts.convert_dataset_v21_to_v30"
         )
-    if not {"landmarks", "joint_positions"} & features.keys() or "stamp" not in features:
+    if "stamp" not in features:
         raise RecordingError(
-            f"{path}: a LeRobot dataset of another program, with {listed(features) or 'nothing'}: "
-            "it has no columns 'stamp' and 'landmarks' or 'joint_positions', so it holds no hand "
-            "that could be converted"
+            f"{path}: a LeRobot dataset of another program, with {listed(features)}: it lacks the "
+            "column 'stamp', the time of each frame [s]"
         )
     if isinstance(fps, bool) or not isinstance(fps, int | float):
         raise RecordingError(f"{where}: fps must be a number, not {brief(fps)}")

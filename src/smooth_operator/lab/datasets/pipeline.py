@@ -28,6 +28,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.formats.foreign import foreign_suffix
 from smooth_operator.lab.datasets.retargeting import SourceFile
 from smooth_operator.lab.datasets.sources import Found, Item, find_items, in_shard
 from smooth_operator.lab.datasets.store import Kept, Store, clear_unfinished
@@ -243,10 +244,19 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
     survey = find_items(request.sources, layout=request.layout, leave_out=request.output)
     if not survey.items and not survey.refused:
         kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
+        ways = [
+            f"; a {suffix} file is {kind}"
+            for suffix in survey.passed_over
+            if (kind := foreign_suffix(suffix)) is not None
+        ]
         raise RecordingError(
             f"nothing to retarget in {', '.join(request.sources)}"
             + (f": no layout knows its files ({kinds})" if kinds else ": it is empty")
+            + "".join(ways[:3])
         )
+    if not survey.items:
+        refused = "; ".join(f"{each.name}: {each.reason}" for each in survey.refused[:3])
+        raise RecordingError(f"nothing to retarget; {refused}")
     name = request.recipe.digest[:16]
     on_gpu = request.recipe.device == "gpu" and not (request.merge or request.pack)
     if on_gpu and request.cluster is not None:

@@ -7,6 +7,7 @@ import csv
 import glob
 import hashlib
 import io
+import itertools
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -26,6 +27,8 @@ from smooth_operator.errors import (
     require,
 )
 from smooth_operator.formats.checks import frame_slice
+from smooth_operator.formats.foreign import foreign_dataset, foreign_file, is_dataset
+from smooth_operator.formats.registry import file_kind
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.plain_files import check_plain_file, read_text
 from smooth_operator.lab.datasets.registry import (
@@ -244,6 +247,11 @@ def read_manifest(path: Path) -> Iterator[Item]:
 def _of_csv(text: str, path: Path) -> Iterator[Item]:
     table = csv.DictReader(io.StringIO(text))
     if "path" not in (table.fieldnames or ()):
+        if _is_of_numbers(text):
+            raise RecordingError(
+                f"{path}: this is {foreign_file(path)}; a list of recordings, which a .csv may "
+                "also be, needs the column 'path'"
+            )
         raise RecordingError(
             f"{path}: a list needs the column 'path' in its first line, and may have "
             f"{', '.join(_COLUMNS[1:])}; found {brief(', '.join(table.fieldnames or ()))}"
@@ -259,6 +267,18 @@ def _of_csv(text: str, path: Path) -> Iterator[Item]:
         ) from error
 
 
+def _is_of_numbers(text: str) -> bool:
+    """True for a table whose first rows hold more numbers than anything else."""
+    rows = list(itertools.islice(csv.reader(io.StringIO(text)), 1, 4))
+    cells = [cell for row in rows for cell in row if cell.strip()]
+    numbers = 0
+    for cell in cells:
+        with contextlib.suppress(ValueError):
+            float(cell)
+            numbers += 1
+    return numbers >= 3 and numbers > len(cells) / 2
+
+
 def _row(values: Any, where: str) -> Item:
     if not isinstance(values, Mapping) or not isinstance(values.get("path"), str):
         raise RecordingError(f"{where}: expected an object with the text 'path'")
@@ -267,14 +287,20 @@ def _row(values: Any, where: str) -> Item:
             raise RecordingError(f"{where}: {name} must be a text, not {brief(values[name])}")
     rate, side = values.get("rate"), values.get("side")
     try:
+        rate = None if rate is None else float(rate)
+    except (TypeError, ValueError):
+        raise RecordingError(
+            f"{where}: rate must be a number of frames a second, not {brief(rate)}"
+        ) from None
+    try:
         return Item(
             values["path"],
             layout=values.get("layout") or None,
             task=values.get("task") or None,
             side=None if side is None else as_side(side),
-            rate=None if rate is None else float(rate),
+            rate=rate,
         )
-    except (ConfigError, TypeError, ValueError) as error:
+    except ConfigError as error:
         raise RecordingError(f"{where}: {reason(error)}") from error
 
 
@@ -456,10 +482,12 @@ class _Looking:
         reader = find_reader(path, layout)
         if reader is not None:
             yield from _clips(*reader, path, root, row)
+        elif is_dataset(path):
+            yield Refused(_name(path, root), _lerobot(path))
         elif path.is_dir():
             yield from self._walk(path, root, row, layout)
         else:
-            yield Refused(_name(path, root), _unknown(layout))
+            yield Refused(_name(path, root), _unknown(path, layout))
 
     def _walk(self, folder: Path, root: Path, row: Item, layout: str | None) -> Iterator[_Each]:
         real = folder.resolve()
@@ -478,6 +506,8 @@ class _Looking:
             reader = find_reader(path, layout)
             if reader is not None:
                 yield from _clips(*reader, path, root, row)
+            elif is_dataset(path):
+                yield Refused(_name(path, root), _lerobot(path))
             elif entry.is_dir():
                 yield from self._walk(path, root, row, layout)
             else:
@@ -527,12 +557,29 @@ def _unique(items: Iterable[Item]) -> Iterator[Item]:
         yield item if count == 1 else replace(item, name=f"{item.name}~{count}")
 
 
-def _unknown(layout: str | None) -> str:
+def _lerobot(path: Path) -> str:
+    """Reason why the folder of a LeRobot data set is no source."""
+    foreign = foreign_dataset(path)
+    if foreign is not None:
+        return f"this is {foreign}"
+    return (
+        "this is a LeRobot data set; convert its episodes first, and give their folder: "
+        f"smooth-operator convert {path} --to npz --output episodes"
+    )
+
+
+def _unknown(path: Path, layout: str | None) -> str:
     if layout is not None:
         reader = DATASETS.load(layout)
         return f"it is not {reader.what}; expected {reader.expects}"
     missing = [name for name in RESEARCH_LAYOUTS if name not in DATASETS]
     more = f"; {', '.join(missing)}: {RESEARCH_PACKAGE}" if missing else ""
+    try:
+        file_kind(path)  # names the kind, and the way from it
+    except RecordingError as error:
+        kind = str(error).removeprefix(f"{path}: ")
+        if not kind.startswith("not a recording"):
+            return kind + (more if "pickle" in kind else "")
     return f"no reader recognises it; layouts that are read: {', '.join(DATASETS)}{more}"
 
 

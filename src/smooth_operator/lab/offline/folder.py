@@ -22,7 +22,7 @@ from smooth_operator.formats.checks import frame_slice, stamps_from_rate
 from smooth_operator.formats.commands import config_path, encode_commands, write_encoded_commands
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.readers import rated_if_unstamped
-from smooth_operator.formats.registry import file_kind, recording_suffixes
+from smooth_operator.formats.registry import file_kind, is_dataset, recording_suffixes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side
 from smooth_operator.lab.offline.execution import answers, tools_of
@@ -87,6 +87,8 @@ def find_recordings(folder: Path, *, leave_out: Path | None = None) -> tuple[lis
     Raises:
         RecordingError: the folder can't be read.
     """
+    if is_dataset(folder):
+        file_kind(folder)  # raises with what it is
     recordings, commands = [], 0
     for path in _files(folder, leave_out):
         frames = _size(path) // _BYTES_PER_FRAME
@@ -129,6 +131,10 @@ def _files(folder: Path, leave_out: Path | None) -> Iterator[Path]:
             folders.clear()
             continue
         visited.add(real)
+        if is_dataset(Path(at)):
+            folders.clear()
+            yield Path(at)  # its reader says what it is
+            continue
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in files:
             path = Path(at, name)
@@ -288,6 +294,8 @@ class _Read:
 
 def _read_job(job: Job) -> _Read:
     request = job.request
+    if job.found.path.is_dir():
+        file_kind(job.found.path)  # raises with what it is
     source = identity(job.found.path)
     recording, rate = _read(job.found.path, request)
     total = len(recording)

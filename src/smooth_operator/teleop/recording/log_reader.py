@@ -20,7 +20,7 @@ from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.arrays import ARRAYS_RATIO, FREE_BYTES, LOG_RATIO, Allowance
 from smooth_operator.formats.checks import check_side
 from smooth_operator.formats.episode import ArmTrack, StateTrajectory, WristTrack
-from smooth_operator.formats.registry import file_kind, readable
+from smooth_operator.formats.registry import file_kind
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.teleop.recording.messages import (
@@ -310,7 +310,8 @@ def _read_tables(path: Path) -> tuple[dict[str, _Table], list[Any], bool]:
     if foreign and not any(tables.values()):
         raise RecordingError(
             f"{path}: an MCAP file of another program, with the topics "
-            f"{listed(sorted(foreign))}. What is read: {readable()}"
+            f"{listed(sorted(foreign))}; if it is a bag of ROS 2, play it (ros2 bag play) and read "
+            "the topic of the hand live: smooth-operator teleop --source ros2"
         )
     return tables, metadata, truncated
 

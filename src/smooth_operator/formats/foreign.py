@@ -1,0 +1,168 @@
+"""Files and data sets of other programs: what they are, and the way from them to a recording."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.errors import listed
+from smooth_operator.io.documents import read_json
+
+SAVE: Final = (
+    "numpy.savez('recording.npz', landmarks=<array of shape (T, 21, 3), in metres>, "
+    "timestamps=<array of shape (T,), in seconds>, side='right')"
+)
+"""Advice how to save points as a recording."""
+
+_HEAD_BYTES: Final = 4096
+_SKELETON: Final = (
+    "a skeleton in motion; compute the places of a hand's joints by forward kinematics, in metres "
+    f"(such files are often in centimetres or inches), and save 21 of them with {SAVE}. Its "
+    "fingers move only if gloves or a hand tracker were worn"
+)
+_MARKERS: Final = (
+    "markers on the skin, not joints of a hand; fit the joints of a hand to them with the program "
+    f"that recorded them, and save 21 of them with {SAVE}"
+)
+_BAG: Final = (
+    "play it (ros2 bag play FOLDER) and read the topic of the hand live: smooth-operator teleop "
+    "--source ros2"
+)
+_ROBOT: Final = "it holds no human hand, so there is nothing to retarget"
+_TABLE: Final = (
+    "a table, not a recording; read its points into an array, put them in metres and in the order "
+    f"of the 21 landmarks, and save them with {SAVE}"
+)
+_ARIA: Final = (
+    "Aria's table of hand tracking; save the points of a hand, in the order of its columns, with "
+    f"{SAVE}, the stamps divided by 1e6, and say --layout aria to retarget or convert"
+)
+
+_STARTS: Final[tuple[tuple[bytes, str], ...]] = (
+    (b"\x1f\x8b", "gzip-compressed; unpack it first"),
+    (b"BZh", "bzip2-compressed; unpack it first"),
+    (b"\xfd7zXZ\x00", "xz-compressed; unpack it first"),
+    (b"\x28\xb5\x2f\xfd", "zstd-compressed; unpack it first"),
+    (b"MATLAB", f"a MATLAB file; save its landmarks with {SAVE}"),
+    (b"#ROSBAG", f"a bag of ROS 1; convert it to ROS 2 (rosbags-convert), then {_BAG}"),
+    (b"version https://git-lfs", "a Git LFS pointer, not the data; run 'git lfs pull'"),
+    (b"HIERARCHY", f"a BVH file, {_SKELETON}"),
+    (b"Kaydara FBX", f"an FBX file, {_SKELETON}"),
+    (b"; FBX", f"an FBX file, {_SKELETON}"),
+    (b"NO_OF_FRAMES", f"a Qualisys table of motion capture: {_MARKERS}"),
+    (b"PathFileType", f"a TRC file of motion capture: {_MARKERS}"),
+    (b"SQLite format 3", f"an SQLite file, as bags of ROS 2 are (.db3); {_BAG}"),
+)
+_SUFFIXES: Final = {
+    ".bvh": f"a BVH file, {_SKELETON}",
+    ".fbx": f"an FBX file, {_SKELETON}",
+    ".mvnx": f"an Xsens MVNX file, {_SKELETON}",
+    ".c3d": f"a C3D file of motion capture: {_MARKERS}",
+    ".trc": f"a TRC file of motion capture: {_MARKERS}",
+    ".db3": f"a bag of ROS 2; {_BAG}",
+    ".csv": _TABLE,
+    ".tsv": _TABLE,
+}
+_PARQUET: Final = (
+    "a Parquet file; give the whole LeRobot dataset folder that it is from to 'smooth-operator "
+    "convert'"
+)
+_JSON_ROBOT: Final = re.compile(rb'"(states|actions)"\s*:\s*\{')
+_BODIES: Final = {72: "SMPL", 156: "SMPL-H", 165: "SMPL-X"}
+_OWN_FEATURES: Final = frozenset(("landmarks", "joint_positions"))
+_LEVELS: Final = 4  # from a file of a LeRobot data set up to its folder
+
+
+def foreign_file(path: Path) -> str | None:
+    """Name of the kind of a file of another program, and what to do with it; None if unknown.
+
+    Args:
+        path: a plain file.
+
+    Raises:
+        OSError: it can't be read.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    start = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")
+    for magic, what in _STARTS:
+        if head.startswith(magic) or (magic.isascii() and start.startswith(magic)):
+            return what
+    suffix = path.suffix.lower()
+    if head.startswith(b"PAR1"):
+        folder = next((at for at in path.parents[:_LEVELS] if is_dataset(at)), None)
+        whole = None if folder is None else foreign_dataset(folder)
+        return _PARQUET if whole is None else f"a file of {whole}"
+    if b"<mvnx" in head:
+        return _SUFFIXES[".mvnx"]
+    if suffix == ".c3d" and head[1:2] != b"\x50":
+        return None
+    if start.startswith(b"tracking_timestamp_us") and b"landmark" in head:
+        return _ARIA
+    if start[:1] in (b"{", b"["):
+        if _JSON_ROBOT.search(head):
+            return f"a JSON file of states and actions of a robot: {_ROBOT}"
+        return f"a JSON file of another program; save its landmarks with {SAVE}"
+    return _SUFFIXES.get(suffix)
+
+
+def foreign_suffix(suffix: str) -> str | None:
+    """The same by the suffix of a name alone, in lower case."""
+    return _SUFFIXES.get(suffix)
+
+
+def is_dataset(path: Path) -> bool:
+    """True for the folder of a LeRobot dataset, of any version and program."""
+    return (path / "meta" / "info.json").is_file()
+
+
+def foreign_dataset(path: Path) -> str | None:
+    """Description of a LeRobot data set that holds no human hand, of any version; None for others.
+
+    Args:
+        path: its folder; see ``is_dataset``.
+    """
+    try:
+        info = read_json(path / "meta" / "info.json")
+        features, version = info["features"], str(info["codebase_version"])[:20]
+        if not isinstance(features, dict) or features.keys() & _OWN_FEATURES:
+            return None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None  # damaged: its reader says so
+    robot = info.get("robot_type")
+    who = f"the robot {robot[:40]!r}" if isinstance(robot, str) and robot else "a robot"
+    columns = [
+        f"{name[:40]}{_names_of(feature)}"
+        for name, feature in features.items()
+        if name.startswith(("action", "observation.state"))
+    ]
+    what = ", ".join(columns[:3]) or listed(features) or "no columns"
+    return f"a LeRobot data set (version {version}) of {who}, with {what}: {_ROBOT}"
+
+
+def _names_of(feature: Any) -> str:
+    """Names of the first numbers of a feature, in brackets; empty if it says none."""
+    names = feature.get("names") if isinstance(feature, Mapping) else None
+    if isinstance(names, Mapping):
+        names = next(iter(names.values()), None)
+    if not isinstance(names, list) or not names:
+        return ""
+    return f" ({listed(names[:2])}{', ...' if len(names) > 2 else ''})"
+
+
+def body_parameters(shapes: Mapping[str, tuple[int, ...]]) -> str | None:
+    """Description of arrays that hold the parameters of a whole body; None if they don't.
+
+    Args:
+        shapes: name -> shape of the arrays of a file.
+    """
+    shape = shapes.get("poses", ())
+    if len(shape) != 2 or shape[1] not in _BODIES:
+        return None
+    body = _BODIES[shape[1]]
+    return (
+        f"parameters of a whole body ({body}, {shape[1]} numbers a frame), not of a hand; make "
+        f"joints of them with the library smplx, and save the 21 of a hand with {SAVE}"
+    )
