@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -363,11 +364,28 @@ def test_paths_that_can_not_be_written(tmp_path):
         LogWriter(tmp_path / "a.mcap" / "b.mcap")
 
 
+def test_a_file_that_another_run_records_is_refused(tmp_path):
+    """Two runs into one file lost the first one, and both ended with exit status 0."""
+    path, take = tmp_path / "a.mcap", recording(30)
+    with LogWriter(path) as first:
+        first.write_hand(take[0])
+        first.flush()
+        with pytest.raises(OutputError, match=r"another run is writing it.*another name") as caught:
+            LogWriter(path, overwrite=True)
+        if sys.platform == "linux":
+            assert f"(process {os.getpid()})" in str(caught.value)
+        for frame in list(take)[1:]:
+            first.write_hand(frame)
+    assert len(read_log(path).recording) == 30
+    write(path, recording(2), overwrite=True)  # the first one has ended
+    assert len(read_log(path).recording) == 2
+
+
 def test_permission_denied(tmp_path, monkeypatch):
     def denied(*_: object, **__: object) -> None:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), "a.mcap")
 
-    monkeypatch.setattr(Path, "open", denied)
+    monkeypatch.setattr("smooth_operator.atomic_files.os.open", denied)
     with pytest.raises(OutputError, match="permission denied; choose a folder"):
         LogWriter(tmp_path / "a.mcap")
 

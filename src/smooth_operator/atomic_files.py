@@ -8,12 +8,17 @@ import hashlib
 import os
 import re
 import secrets
+import stat
+import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, BinaryIO, Final
 
 from smooth_operator.errors import OutputError
 from smooth_operator.formats.jsonable import to_json
+
+_LOCKED_BYTE: Final = 1 << 30
+"""Place of the byte that is locked on Windows, behind what is in a file for a while [byte]."""
 
 # Advice by errno; strerror alone names the problem but not the remedy.
 _REMEDIES = {
@@ -140,9 +145,7 @@ def claimed(folder: Path) -> Iterator[None]:
     Raises:
         OutputError: another run is at work there, or the folder can't be opened.
     """
-    try:
-        import fcntl
-    except ImportError:
+    if sys.platform == "win32":  # no folder can be opened
         yield
         return
     try:
@@ -150,15 +153,73 @@ def claimed(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise output_error(folder, error) from error
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not _lock(handle):
             raise OutputError(
-                f"can't write into {str(folder)!r}: another run is writing there; wait until it is "
-                "done, or give another folder"
-            ) from None
-        except OSError:
-            pass
+                f"can't write into {str(folder)!r}: another run is writing there"
+                f"{_locked_by(handle)}; wait until it is done, or give another folder"
+            )
         yield
     finally:
         os.close(handle)
+
+
+def open_locked(path: Path, overwrite: bool) -> BinaryIO:
+    """Open a file to write, empty, and lock it against other runs until it is closed.
+
+    If the disk can't lock (some network disks), another run is not noticed.
+
+    Args:
+        overwrite: True to replace a file that stands there, unless another run writes it.
+
+    Raises:
+        OutputError: another run writes the file; it is left as it is.
+        OSError: the file can't be created, or stands there already.
+    """
+    stream = open(path, "wb" if overwrite else "xb", opener=_opened_whole)  # noqa: SIM115
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        return stream
+    if not _lock(stream.fileno()):
+        holder = _locked_by(stream.fileno())
+        stream.close()
+        raise OutputError(
+            f"can't write {str(path)!r}: another run is writing it{holder}; end that one, or give "
+            "another name"
+        )
+    stream.truncate(0)
+    return stream
+
+
+def _opened_whole(path: str, flags: int) -> int:
+    """Opens a file without cutting it, as long as it is not locked."""
+    return os.open(path, flags & ~os.O_TRUNC, 0o666)
+
+
+def _lock(handle: int) -> bool:
+    """Lock an open file or folder; False if another has locked it."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            os.lseek(handle, _LOCKED_BYTE, os.SEEK_SET)  # others can't read a locked byte
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+            os.lseek(handle, 0, os.SEEK_SET)
+        else:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError:  # this disk can't lock
+        return True
+    return True
+
+
+def _locked_by(handle: int) -> str:
+    """Number of the process that has locked an open file, for a message; empty if unknown."""
+    inode = os.fstat(handle).st_ino
+    with contextlib.suppress(OSError):  # Linux lists all locks
+        for line in Path("/proc/locks").read_text(encoding="utf-8").splitlines():
+            words = line.split()
+            if words[1] == "FLOCK" and words[5].endswith(f":{inode}"):
+                return f" (process {words[4]})"
+    return ""

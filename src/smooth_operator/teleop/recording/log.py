@@ -19,7 +19,7 @@ from typing import IO, Any, Final, Literal
 
 import numpy as np
 
-from smooth_operator.atomic_files import output_error
+from smooth_operator.atomic_files import open_locked, output_error
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.teleop.recording.messages import (
@@ -125,7 +125,7 @@ class LogWriter:
         self._channels: dict[str, int] = {}
         self._classes = {topic: message_class(name) for topic, name in SCHEMAS.items()}
         with self._writing():
-            self._stream = self.path.open("wb" if overwrite else "xb")
+            self._stream = open_locked(self.path, overwrite)
             self._writer = mcap_writer.Writer(
                 self._stream,
                 chunk_size=sys.maxsize,  # chunks end in _end_chunk alone
