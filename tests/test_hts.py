@@ -11,10 +11,12 @@ import pytest
 from live_time import Kept, until
 
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError, SourceError
+from smooth_operator.headsets import hts_lines
 from smooth_operator.headsets.hts_lines import HtsHands, parse_line
 from smooth_operator.io.anatomy import chirality
 from smooth_operator.poses import separation
 from smooth_operator.teleop.components import build_source
+from smooth_operator.teleop.sources.inboxes import TcpInbox, split_lines
 from smooth_operator.teleop.sources.programs import HtsSource
 from smooth_operator.types import HandFrame, Side
 
@@ -237,6 +239,33 @@ def test_connections_that_never_end_make_room():
             each.close()
     finally:
         source.stop()
+
+
+def test_connections_that_say_nothing_do_not_push_a_headset_out():
+    inbox = TcpInbox("127.0.0.1", 0, split_lines, hts_lines.begins_line, "hts")
+    where = ("127.0.0.1", int(inbox.address.rpartition(":")[2]))
+    heard: list[Any] = []
+
+    def turn() -> None:
+        heard.extend(inbox.receive(0.01))
+
+    try:
+        with socket.create_connection(where, timeout=5) as headset:
+            headset.sendall(b"Head pose:, 0, 1.5, 0, 0, 0, 0, 1\n")
+            until(lambda: turn() or len(heard) == 1)
+            others = []
+            for k in range(40):
+                others.append(socket.create_connection(where, timeout=5))
+                if k % 2:
+                    others[-1].sendall(b"Hea")  # no message is complete
+                turn()
+            headset.sendall(b"Head pose:, 0, 1.5, 0, 0, 0, 0, 1\n")
+            until(lambda: turn() or len(heard) == 2)
+            until(lambda: turn() or len(inbox.sockets()) <= 9)
+        for one in others:
+            one.close()
+    finally:
+        inbox.close()
 
 
 def test_a_second_headset_is_not_used_while_the_first_sends():

@@ -191,6 +191,21 @@ def test_a_signal_in_the_midst_of_the_imports_is_no_traceback(tmp_path, where, h
 
 
 @posix
+@pytest.mark.parametrize("where", ["smooth_operator.cli.process", "contextlib", "threading"])
+def test_ctrl_c_in_the_first_imports_is_no_traceback(tmp_path, where):
+    """Before the command has a handler the signal ends the process, which shells report as 130."""
+    text = IMPORTING.replace("smooth_operator.cli import", "smooth_operator.__main__ import")
+    # Python may have loaded these modules itself.
+    text = text.replace("sys.meta_path", f"sys.modules.pop({where!r}, None)\nsys.meta_path")
+    (tmp_path / "importing.py").write_text(text, encoding="utf-8")
+    command = [sys.executable, "-m", "importing", where, "SIGINT"]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=LONG_S
+    )
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
+
+
+@posix
 def test_what_a_program_was_told_to_ignore_stays_ignored():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
     try:

@@ -1,5 +1,6 @@
 """``teleoperate``: a whole run as one call, without a terminal, a page or a main thread."""
 
+import itertools
 import json
 import logging
 import os
@@ -246,6 +247,29 @@ def test_a_heartbeat_that_ends_is_a_stop(monkeypatch):
             StopInput(f"udp:{port}")
     pressed.close()
     assert pressed()
+
+
+def test_a_flood_of_heartbeats_hides_no_stop(monkeypatch):
+    """Datagrams come faster than they are read; one of them was the button's."""
+    beats = itertools.chain([b"1", b"0"], itertools.repeat(b"1", 100_000))
+
+    class Flooded:
+        def bind(self, where: object) -> None: ...
+        def setblocking(self, on: bool) -> None: ...
+        def close(self) -> None: ...
+        def recv(self, size: int) -> bytes:
+            if (beat := next(beats, None)) is None:
+                raise BlockingIOError
+            return beat
+
+    monkeypatch.setattr(switches.socket, "socket", lambda *_: Flooded())
+    pressed = StopInput("udp:5000")
+    assert pressed()
+    assert sum(1 for _ in beats) > 90_000  # it does not wait for the end of the flood
+    beats = iter([b"1", b"0", b"1"])
+    assert pressed()  # a short press between two beats
+    beats = iter([b"1"])
+    assert not pressed()
 
 
 def test_a_heartbeat_counts_for_0_3_s_and_from_this_machine_alone(monkeypatch):

@@ -1,8 +1,14 @@
-"""``python -m smooth_operator``: the command line, where its script is not on the path."""
+"""``python -m smooth_operator`` and the script ``smooth-operator``: the process of a command."""
 
-import sys
+import signal
 
-from smooth_operator.cli import program
+# Ctrl-C during the imports below ends the process at once; Python's own handler would print a
+# traceback. The command sets a handler of its own.
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+import sys  # noqa: E402
+
+from smooth_operator.cli import program  # noqa: E402
 
 if __name__ == "__main__":
     sys.exit(program())

@@ -124,7 +124,9 @@ Split: TypeAlias = Callable[[bytearray], Sequence[bytes]]
 Begins: TypeAlias = Callable[[bytearray], bool]
 """True if the data on a connection so far can be the beginning of its first message."""
 
-_CONNECTIONS: Final = 8  # at a time; beyond, the one that has been silent for the longest is closed
+_CONNECTIONS: Final = 8
+"""Connections at a time. Beyond, one that never sent a message is closed, or else the one that has
+been silent for the longest."""
 _CHUNK: Final = 65_536
 _READS: Final = 64  # reads of one connection in one go, so that a flood can't hold the others up
 _NEWEST_PARTS: Final = 16
@@ -199,8 +201,11 @@ class TcpInbox(Inbox):
             self._opened += 1
             self._clients[connection] = _Client(str(where[0]), self._opened)
         if len(self._clients) > _CONNECTIONS:
-            # A headset that slept leaves connections that never end.
-            self._drop(next(iter(self._clients)))
+            # A headset that slept leaves connections that never end, and a flood of others brings
+            # connections that say nothing: these go first, but for the one that has just come.
+            *earlier, _ = self._clients
+            silent = (one for one in earlier if self._clients[one].new)
+            self._drop(next(silent, earlier[0]))
 
     def _read(self, connection: socket.socket, client: _Client) -> list[Message]:
         messages: list[Message] = []
