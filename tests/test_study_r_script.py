@@ -21,7 +21,7 @@ ABSOLUTE = {"p": 1e-6, "p_raw": 1e-6, "p_holm": 1e-6, "p_dunnett": 1e-5}
 RELATIVE = {"df": 1e-4, "lower": 1e-4, "upper": 1e-4}
 MORE = {"learning": ("scope", "index", "outcome"), "readings": ("reading", "where", "term")}
 """Further tables of the script, and what names their rows."""
-READ = {"full_success": 3, "equivalence": 1, "interaction": 1}
+READ = {"full_success": 3, "log_time": 3, "equivalence": 1, "interaction": 1}
 """Readings that R has, and how many sorts of rows each has at least."""
 
 

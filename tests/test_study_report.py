@@ -3,6 +3,7 @@
 import csv
 import html
 import json
+import math
 import random
 import re
 from dataclasses import replace
@@ -19,6 +20,7 @@ from smooth_operator.study.analysis.report.tables import (
     conclusion,
     number,
     p_equation,
+    ratio_rows,
     signed,
     with_minus,
 )
@@ -92,8 +94,9 @@ def test_the_page_is_whole_and_needs_nothing_else(output):
     assert "&lt;b&gt;odd &amp; $ö" in text  # the name of a metric is text, never markup
     assert "<b>odd" not in text
     for citation in CITATIONS:
-        of_a_plan = citation.key in ("Schulz2010", "Williams1949")
-        assert (f"[{citation.key}]" in text) != of_a_plan
+        elsewhere = citation.key in ("Schulz2010", "Williams1949", "Firth1993", "Heinze2002",
+                                     "Morel2003")  # fmt: skip
+        assert (f"[{citation.key}]" in text) != elsewhere
     for word in ("small-sample", "paper", "Dunnett", "operators took part", "only 6 operators"):
         assert word in text
     for stem in FIGURES:
@@ -238,8 +241,9 @@ def test_refused_parts_give_a_reason_and_status_1(data, tmp_path, capsys):
     assert "no questionnaires were given" in printed
     assert "geort succeeded in none of" in " ".join(printed.split())
     text = (out / "report.html").read_text(encoding="utf-8")
-    assert "≤ 39.3" in text  # 1 - 0.05^(1 / 6)
-    assert (out / "separated.csv").read_text(encoding="utf-8").count("geort") == 4 * 2 * 3
+    assert "at most 39.3 %" in text  # 1 - 0.05^(1 / 6)
+    assert re.search(r"none of \d+ succeeded", text)
+    assert (out / "separated.csv").read_text(encoding="utf-8").count("geort") == 4 * 2
     assert "no questionnaires were given" in text
 
 
@@ -264,16 +268,79 @@ def test_sentences_of_what_was_refused_have_minus_signs(tmp_path):
     simulate(5, alternate=True, spread=0.0, effect=0.0, operators=range(6)).write(tmp_path)
     sentences = conclusion(analyze_study(read_study([tmp_path])))
     (success,) = [text for text in sentences if text.startswith("Success")]
-    assert "correlation is estimated as −0." in success
+    assert "working correlation −0." in success
 
 
-def test_a_summary_of_few_operators_says_that_little_can_be_shown(tmp_path):
-    simulate(3, operators=range(3), retargeters=("dexpilot", "sbr")).write(tmp_path)
+@pytest.mark.parametrize("operators", [2, 3, 4])
+def test_a_summary_of_few_operators_has_no_test_and_no_word_for_a_size(operators, tmp_path):
+    """However far the retargeters are apart: here 40 s and 30 points."""
+    case = simulate(3, operators=range(operators), retargeters=("dexpilot", "sbr"), effect=8.0)
+    case.write(tmp_path)
     sentences = conclusion(analyze_study(read_study([tmp_path])))
-    assert "with 3 operators only very large differences can be shown" in sentences[-1].lower()
-    for text in sentences:
-        if "no difference shown" in text:  # a size in words would read as a result
-            assert not re.search("negligible|small|medium|large$", text)
+    assert f"with {operators} operators only very large differences can be shown" in (
+        sentences[-1].lower()
+    )
+    text = " ".join(sentences)
+    assert "estimated sbr +" in text
+    assert not re.search("negligible|small|medium|, large|p\\b.?[=<]", text)
+
+
+def test_a_size_in_words_stands_only_where_a_difference_is_shown(output):
+    """An estimate near zero with a wide interval is not negligible."""
+    results = json.loads((output / "results.json").read_text(encoding="utf-8"))
+    words = set()
+    for outcome in ("success", "time", "tlx"):
+        for result in results["small-sample"][outcome].values():
+            for family, p in (("dunnett", "p_dunnett"), ("pairs", "p_holm")):
+                for one in result[family].values():
+                    assert (one["effect_words"] == "not shown") == (one[p] >= 0.05)
+                    words.add(one["effect_words"])
+    assert {"not shown", "large"} <= words
+    assert "not shown (" not in (output / "report.html").read_text(encoding="utf-8")
+
+
+def test_learning_is_in_the_conclusion(tmp_path):
+    """Of studies with the same retargeters: one in which times fall by 0.5 s a trial."""
+    for change, learns in ((0.0, False), (0.5, True)):
+        case = simulate(3, operators=range(6), effect=0.0)
+        for row in case.trials:
+            if row["time_s"]:
+                done = int(str(row["trial_global"]))
+                row["time_s"] = f"{float(str(row['time_s'])) + change * (32 - done):.2f}"
+        sentence = conclusion(
+            analyze_study(read_study([write_rows(tmp_path / "x.csv", case.trials)]))
+        )
+        assert ("perators learn: completion time −" in sentence[-1]) == learns
+
+
+def test_times_are_said_to_be_of_successes_only(output):
+    (time,) = [line for line in verdict(output) if line.startswith("Completion time")]
+    assert time.endswith("a retargeter that fails in the hard trials looks faster.")
+    assert "Times are of successful trials only" in (
+        (output / "methods.txt").read_text(encoding="utf-8")
+    )
+
+
+def test_skewed_times_have_a_model_of_ratios(tmp_path):
+    """Log-normal times of which one retargeter's are 1.5 times the other's."""
+    draw = random.Random(4)
+    case = simulate(3, operators=range(8), retargeters=("dexpilot", "sbr"), effect=0.0)
+    for row in case.trials:
+        if row["time_s"]:
+            scale = 30.0 if row["retargeter"] == "sbr" else 20.0
+            row["time_s"] = f"{scale * math.exp(0.8 * draw.gauss(0, 1)):.3f}"
+    analysis = analyze_study(read_study([write_rows(tmp_path / "trials.csv", case.trials)]))
+    time = analysis.results["small-sample"]["time"]["pooled"]
+    logs = analysis.readings.log_time["pooled"]
+    assert time.diagnostics["skewness"] > 1 > abs(logs.diagnostics["skewness"])
+    assert any("reading log_time" in text for text in time.warnings)
+    (sentence,) = [s for s in conclusion(analysis) if "model of their logarithms" in s]
+    assert "times are skewed" in sentence.lower()
+    ratio = logs.dunnett["sbr"]
+    assert math.exp(ratio.lower) < 1.5 < math.exp(ratio.upper)
+    values = [math.log(float(str(row["time_s"]))) for row in case.trials if row["time_s"]]
+    assert logs.n == len(values)
+    assert ratio_rows(logs)[1][3] == f"{math.exp(ratio.difference):.2f}"
 
 
 def test_bad_data_write_nothing_and_give_status_2(data, tmp_path, capsys):

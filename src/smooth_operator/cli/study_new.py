@@ -28,9 +28,11 @@ from smooth_operator.study.design.plan_file import (
     write_preregistration,
 )
 from smooth_operator.study.design.protocol import (
+    ALPHA,
     FEW_OPERATORS,
     PAPER_MARGINS,
     POINTS,
+    POOLED,
     PRIMARY,
     Condition,
     Protocol,
@@ -187,5 +189,43 @@ def _print(plan: Plan) -> None:
             f"{'one operator can show nothing' if count == 1 else few}; smooth-operator study "
             "power says how many are needed"
         )
-    for note in (*notes, *imbalances(plan)):
+    for note in (*notes, *_least_p(plan), *imbalances(plan)):
         console.print(f"note: {note}", markup=False, soft_wrap=True)
+
+
+def _least_p(plan: Plan) -> list[str]:
+    """Says the least p-value of success that the design can reach, in all tasks and in each.
+
+    Nothing is said without the packages of the analysis: a plan needs none of them.
+    """
+    try:
+        from smooth_operator.study.analysis.frame import frame_of
+        from smooth_operator.study.analysis.outcomes import least_p
+        from smooth_operator.study.power.simulated_study import planned_data
+    except ModuleNotFoundError:
+        return []
+    protocol = plan.protocol
+    if protocol.operators < 2 or len(protocol.conditions) < 2:
+        return []
+    trials = planned_data(plan).trials.assign(value=0.0)
+    tasks = [task.name for task in protocol.tasks]
+    shown, never = [], []
+    for scope in (POOLED, *(tasks if len(tasks) > 1 else ())):
+        name = "all tasks" if scope == POOLED else f"task {scope}"
+        p = least_p(frame_of(trials, scope, protocol.baseline))
+        if p is None or p > ALPHA:
+            never.append(name)
+        if p is not None:
+            shown.append(f"{p:.1g} in {name}")
+    notes = []
+    if shown:
+        notes.append(
+            f"the least p-value that success can reach with this design is {', '.join(shown)} (one "
+            f"condition always succeeds, the others never; against {protocol.baseline}, Dunnett)"
+        )
+    if never:
+        notes.append(
+            f"no difference in success can be shown in {', '.join(never)}: there are too few "
+            "operators or trials"
+        )
+    return notes

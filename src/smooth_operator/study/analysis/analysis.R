@@ -8,8 +8,8 @@
 # no figures there), writes R_emm.csv, R_dunnett.csv, R_pairs.csv and R_coefficients.csv, and prints
 # the largest difference from smooth-operator's tables of the same names without "R_". Then it does
 # so with learning and with those readings that are models: success as a score of 1, equivalence,
-# and retargeter x task. Not here: whatever is drawn at random (bootstraps, permutations), and
-# retargeters that never or always succeed.
+# logarithms of times, and retargeter x task. Not here: whatever is drawn at random (bootstraps,
+# permutations).
 
 suppressMessages({
   library(lme4); library(lmerTest); library(geepack); library(emmeans); library(mvtnorm)
@@ -82,15 +82,23 @@ linear <- function(d, mode) {
 }
 
 # Success: population-averaged logistic regression. Mode paper: the sandwich covariance, normal
-# distribution. Mode small-sample: Mancl and DeRouen (2001), t with operators - 1.
+# distribution. Mode small-sample: Mancl and DeRouen (2001), t with operators - 1. Where a retargeter
+# or task always or never succeeds, Firth's logistic regression.
 binary <- function(d, mode) {
   f <- as.formula(paste("y ~", paste(terms_of(d), collapse = " + ")))
   d$id <- as.integer(d$operator)
-  m <- geeglm(f, id = id, data = d, family = binomial, corstr = "exchangeable",
-              control = geese.control(epsilon = 1e-12, maxit = 500))
-  b <- coef(m)
-  x <- model.matrix(m)
-  covariance <- if (mode == "paper") m$geese$vbeta else mancl_derouen(m, x, d)
+  x <- model.matrix(f, d)
+  levels <- c(one_sided(d, x, "retargeter"), one_sided(d, x, "task"))
+  if (length(levels)) {
+    m <- firth(x, d, levels)
+    b <- m$b
+    covariance <- m[[mode]]
+  } else {
+    m <- geeglm(f, id = id, data = d, family = binomial, corstr = "exchangeable",
+                control = geese.control(epsilon = 1e-12, maxit = 500))
+    b <- coef(m)
+    covariance <- if (mode == "paper") m$geese$vbeta else mancl_derouen(m, x, d)
+  }
   df <- if (mode == "paper") Inf else nlevels(d$operator) - 1
   # Means of probabilities over the tasks, with the delta method.
   of_retargeter <- function(name) {
@@ -113,8 +121,47 @@ binary <- function(d, mode) {
     names = names(b), beta = unname(b), beta_se = sqrt(diag(covariance)),
     beta_df = rep(df, length(b)), means = sapply(found, `[[`, "mean"),
     covariance = gradient %*% covariance %*% t(gradient), mean_df = rep(df, count),
-    pair_df = rep(df, choose(count, 2)),
+    pair_df = rep(df, choose(count, 2)), shares = TRUE,
     effect = function(a, b) 2 * asin(sqrt(a)) - 2 * asin(sqrt(b)))
+}
+# Levels of a factor without both outcomes: their rows, and the change of the coefficients that
+# changes their log-odds alone.
+one_sided <- function(d, x, factor) {
+  of <- d[[factor]]
+  if (nlevels(of) < 2) return(list())
+  alike <- Filter(function(name) length(unique(d$y[of == name])) == 1, levels(of))
+  lapply(alike, function(name) {
+    direction <- setNames(numeric(ncol(x)), colnames(x))
+    if (name == levels(of)[1]) {
+      direction["(Intercept)"] <- 1
+      direction[paste0(factor, levels(of)[-1])] <- -1
+    } else direction[paste0(factor, name)] <- 1
+    list(rows = of == name, direction = direction)
+  })
+}
+# Firth (1993) with covariances clustered by operators; for levels without both outcomes the
+# model's own variance of their log-odds is added.
+firth <- function(x, d, levels) {
+  b <- numeric(ncol(x))
+  for (k in 1:500) {
+    p <- as.vector(plogis(x %*% b))
+    inverse <- solve(crossprod(x, p * (1 - p) * x))
+    h <- p * (1 - p) * rowSums((x %*% inverse) * x)
+    step <- as.vector(inverse %*% crossprod(x, d$y - p + h * (0.5 - p)))
+    far <- max(abs(x %*% step))
+    b <- b + step * min(1, 2 / far)
+    if (far < 1e-12) break
+  }
+  own <- Reduce(`+`, lapply(levels, function(one) {
+    mean <- colMeans(x[one$rows, , drop = FALSE])
+    drop(mean %*% inverse %*% mean) * one$direction %o% one$direction
+  }))
+  parts <- lapply(split(seq_along(p), d$id), function(i) {
+    list(dv = t(x[i, , drop = FALSE]), d = (p * (1 - p) * x)[i, , drop = FALSE], e = (d$y - p)[i])
+  })
+  meat <- Reduce(`+`, lapply(parts, function(one) tcrossprod(one$dv %*% one$e)))
+  list(b = setNames(b, colnames(x)), paper = inverse %*% meat %*% inverse + own,
+       "small-sample" = corrected(parts) + own)
 }
 mancl_derouen <- function(m, x, d) {
   mu <- as.vector(fitted(m))
@@ -147,7 +194,8 @@ legendre <- local({
 within <- function(x, correlation, df) {
   if (nrow(correlation) == 1) return(if (is.finite(df)) 1 - 2 * pt(-x, df) else 1 - 2 * pnorm(-x))
   normal <- function(z) {
-    how <- if (nrow(correlation) <= 4) Miwa(steps = 128) else GenzBretz(1e5, 1e-6, 0)
+    how <- if (nrow(correlation) <= 3) Miwa(steps = 512) else if (nrow(correlation) == 4)
+      Miwa(steps = 128) else GenzBretz(1e5, 1e-6, 0)
     if (z > 12) 1 else pmvnorm(rep(-z, nrow(correlation)), rep(z, nrow(correlation)),
                                corr = correlation, algorithm = how)[1]
   }
@@ -172,8 +220,13 @@ two_sided <- function(x, df) {
 compared <- function(m, names) {
   se <- sqrt(diag(m$covariance))
   reach <- se * ifelse(is.finite(m$mean_df), qt(0.975, m$mean_df), qnorm(0.975))
+  ends <- cbind(m$means - reach, m$means + reach)
+  if (isTRUE(m$shares)) {  # on the logit
+    reach <- reach / (m$means * (1 - m$means))
+    ends <- plogis(qlogis(m$means) + cbind(-reach, reach))
+  }
   emm <- data.frame(retargeter = names, estimate = m$means, se = se, df = m$mean_df,
-                    lower = m$means - reach, upper = m$means + reach)
+                    lower = ends[, 1], upper = ends[, 2])
   if (length(names) < 2) return(list(emm = emm))
   two <- combn(length(names), 2)
   i <- two[1, ]; j <- two[2, ]
@@ -192,9 +245,11 @@ compared <- function(m, names) {
   df <- m$pair_df[of]
   p <- mapply(function(one, f) 1 - within(abs(one), correlation, f), x, df)
   half <- se[of] * sapply(df, function(f) critical(correlation, f))
+  most <- if (isTRUE(m$shares)) 1 else Inf
   list(emm = emm, pairs = pairs, dunnett = data.frame(retargeter = names[-1],
     difference = -difference[of], se = se[of], df = df, statistic = x, p_raw = raw[of],
-    p_dunnett = pmax(p, raw[of]), lower = -difference[of] - half, upper = -difference[of] + half,
+    p_dunnett = pmax(p, raw[of]), lower = pmax(-difference[of] - half, -most),
+    upper = pmin(-difference[of] + half, most),
     effect = m$effect(m$means[-1], m$means[1])))
 }
 
@@ -319,10 +374,16 @@ tried <- function(what, expression) tryCatch(expression, error = function(error)
 for (scope in scopes) tried(paste("full success,", scope), {
   d <- rows_of("success", scope, everybody)
   d$y <- as.numeric(d$score >= 1)
-  d <- droplevels(d[d$retargeter %in% both_ends(d), ])
-  d$t <- if (sd(d$index) > 0) as.numeric(scale(d$index)) else 0
   m <- compared(binary(d, "small-sample"), levels(d$retargeter))
   for (part in names(m)) say("full_success", paste0(scope, "/", part), m[[part]][[1]], m[[part]][-1])
+})
+
+# Logarithms of times.
+for (scope in scopes) tried(paste("log time,", scope), {
+  d <- rows_of("time", scope, everybody)
+  d$y <- log(d$y)
+  m <- compared(linear(d, "small-sample"), levels(d$retargeter))
+  for (part in names(m)) say("log_time", paste0(scope, "/", part), m[[part]][[1]], m[[part]][-1])
 })
 
 # Joint test of several coefficients, their covariance estimated from operators.

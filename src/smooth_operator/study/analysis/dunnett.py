@@ -10,7 +10,10 @@ probability of normal boxes (Genz and Bretz 2009, chapters 3 and 4). The latter 
 of the size of the box. It is computed once for a correlation matrix, at Chebyshev points, for every
 limit and every number of degrees of freedom. Up to five variables are integrated by nested
 Gauss-Legendre rules, which are more accurate and faster than SciPy's quasi-random points (used for
-more variables, and for singular correlations). The same data give the same p-value in every run.
+more variables, and for singular correlations of rank three and more). Fewer operators than
+coefficients make a correlation singular. With rank two its box is a polygon in the plane of two
+normal variables, whose probability is one integral over the angle. The same data give the same
+p-value in every run.
 """
 
 from __future__ import annotations
@@ -47,6 +50,11 @@ _POINTS_ERROR: Final = 1e-5
 """Error of a probability by SciPy's points."""
 _SINGULAR_ERROR: Final = 1e-4
 """Error of a probability by SciPy's points for a singular correlation matrix."""
+_SINGULAR: Final = 1e-9
+"""Eigenvalue up to which a correlation matrix counts as singular."""
+_POLYGON_ERROR: Final = 1e-8
+_ANGLES: Final = 48
+"""Number of nodes between two corners of a polygon."""
 _CHI_NODES: Final = 240
 _DIVISOR: Final = float(np.sqrt(2 * np.pi))
 
@@ -206,7 +214,13 @@ def _boxes(correlation: bytes, count: int) -> tuple[Chebyshev, float]:
     """Interpolates P(|Z_j| <= size for all j) of normal variables over the size; with its error."""
     matrix = np.frombuffer(correlation).reshape(count, count)
     domain = [0.0, _LARGEST]
-    singular = np.linalg.eigvalsh(matrix)[0] <= 1e-9
+    values, axes = np.linalg.eigh(matrix)
+    singular = values[0] <= _SINGULAR
+    if count > 2 and values[-3] <= _SINGULAR:
+        factor = axes[:, -2:] * np.sqrt(values[-2:])
+        return Chebyshev.interpolate(
+            lambda sizes: _polygon(sizes, factor), _DEGREE, domain
+        ), _POLYGON_ERROR
     if count in _NODES and not singular:
         factor = np.linalg.cholesky(_ordered(matrix))
         few, many = (_nested(_CHECKED, factor, nodes) for nodes in _NODES[count])
@@ -228,6 +242,26 @@ def _boxes(correlation: bytes, count: int) -> tuple[Chebyshev, float]:
     return Chebyshev.interpolate(
         by_points, _DEGREE, domain
     ), _SINGULAR_ERROR if singular else _POINTS_ERROR
+
+
+def _polygon(
+    sizes: Float[np.ndarray, " k"], factor: Float[np.ndarray, "m 2"]
+) -> Float[np.ndarray, " k"]:
+    """Computes P(|L z| <= size) of two independent normal z for each size, by polar coordinates.
+
+    In a direction u the edge lies at the distance size / max_j |L_j u|, within which z lies with
+    probability 1 - exp(-distance² / 2). Between two corners of the polygon this is smooth.
+    """
+    lines = np.vstack([factor[i] + sign * factor[j] for i in range(len(factor)) for j in range(i)
+                       for sign in (-1, 1)])  # fmt: skip
+    # Two of the |L_j u| are equal where u is perpendicular to a sum or difference of their rows.
+    corners = np.unique(np.append(np.arctan2(-lines[:, 0], lines[:, 1]) % np.pi, [0.0, np.pi]))
+    points, weights = leggauss(_ANGLES)
+    half = np.diff(corners)[:, None] / 2
+    angles = (corners[:-1, None] + half * (1 + points)).ravel()
+    reach = np.max(np.abs(factor @ np.array([np.cos(angles), np.sin(angles)])), axis=0)
+    inside = -np.expm1(-((sizes[:, None] / reach) ** 2) / 2)
+    return np.asarray(inside @ (half * weights).ravel() / np.pi)
 
 
 def _ordered(correlation: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m m"]:

@@ -146,11 +146,8 @@ def keep_rows(frame: Frame, rows: Bool[np.ndarray, " n"]) -> Frame:
     return make_frame(frame.outcome[rows], retargeter, task, operator, index, frame.baseline)
 
 
-def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
+def check_frame(frame: Frame) -> None:
     """Refuses rows that can't be analysed.
-
-    Args:
-        retargeters: smallest number of retargeters.
 
     Raises:
         StudyError: no rows, one operator, too few retargeters, a constant outcome, or dependent
@@ -163,7 +160,7 @@ def check_frame(frame: Frame, *, retargeters: int = 2) -> None:
             f"all rows are of one operator ({frame.operators[0]}): nothing can be said about "
             "operators in general; at least two are needed, and ten or more to be worth it"
         )
-    if len(frame.retargeters) < retargeters:
+    if len(frame.retargeters) < 2:
         raise StudyError(
             f"all rows are of one retargeter ({frame.retargeters[0]}): there is nothing to compare "
             "it with"

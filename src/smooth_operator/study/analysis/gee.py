@@ -11,17 +11,25 @@ Separation is detected by linear programming before the fit: if some combination
 never negative for successes, never positive for failures, and not always zero, its coefficient is
 infinite and has no standard error, although an iteration may seem to converge (Albert and Anderson
 1984; Konis 2007).
+
+Where a retargeter or task always or never succeeds, the fit is Firth's (1993) bias-reduced logistic
+regression, whose coefficients are always finite (Heinze and Schemper 2002). It is a GEE with
+independence as working correlation, so that the same covariances hold. All residuals of such a
+level are alike. The sandwich takes that for certainty, so the model's own variance is added for the
+level, as Morel, Bokossa and Neerchal (2003) do for all coefficients.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.optimize import linprog
+from scipy.special import expit
 
 from smooth_operator.errors import MissingExtraError, StudyError
 from smooth_operator.study.analysis.frame import Frame
@@ -36,6 +44,8 @@ _STILL: Final = 1e-10
 working correlation, rounding errors of the equations exceed the tolerance."""
 _RUNAWAY: Final = 20.0
 """Log-odds from which a fit diverges: they are a probability of 2e-9."""
+_LONGEST: Final = 2.0
+"""Largest change of a row's log-odds in one step of the bias-reduced fit."""
 _EDGE: Final = 0.01
 """Smallest eigenvalue of a working correlation that can be inverted reliably."""
 _ALONE: Final = 1 - 1e-10
@@ -60,6 +70,7 @@ class GeeFit:
         operators: number of operators.
         margin: 1 + (n - 1) α for the operator with the most rows n. For a negative α it is the
             smallest eigenvalue of the working correlation, which must be positive.
+        firth: True for Firth's bias-reduced fit, which has α = 0 and φ = 1.
     """
 
     beta: Float[np.ndarray, " p"]
@@ -69,6 +80,7 @@ class GeeFit:
     phi: float
     operators: int
     margin: float
+    firth: bool = False
 
     def check_correlation(self) -> None:
         """Refuses a working correlation near the lowest possible one.
@@ -78,10 +90,9 @@ class GeeFit:
         """
         if self.margin < _EDGE:
             raise StudyError(
-                f"the working correlation is estimated as {self.alpha:.4f}, at the edge of what "
-                "the rows of one operator can have, or beyond it: successes and failures alternate "
-                "more evenly than by chance. Estimates can then be far from the observed rates; "
-                "see those"
+                "with so few trials the model could not be fitted: successes and failures of an "
+                f"operator alternate more evenly than by chance (working correlation "
+                f"{self.alpha:.4f}, at or beyond its lowest value). See the observed rates"
             )
 
 
@@ -169,6 +180,109 @@ def fit_gee(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class OneSided:
+    """Level of a factor that always or never succeeds.
+
+    Attributes:
+        text: description, with the number of successes.
+        rows: rows of the level (n,).
+        direction: change of the coefficients that changes the log-odds of this level alone (p,).
+    """
+
+    text: str
+    rows: Bool[np.ndarray, " n"]
+    direction: Float[np.ndarray, " p"]
+
+
+def one_sided_levels(frame: Frame) -> list[OneSided]:
+    """Finds retargeters and tasks that always or never succeed; none if the outcome is constant."""
+    if not len(frame) or np.ptp(frame.outcome) == 0:
+        return []
+    levels, first, width = list[OneSided](), 1, frame.design()[0].shape[1]
+    for kind, names, codes in (
+        ("retargeter", frame.retargeters, frame.retargeter),
+        ("task", frame.tasks, frame.task),
+    ):
+        for j, name in enumerate(names):
+            rows = codes == j
+            if rows.any() and np.ptp(frame.outcome[rows]) == 0:
+                direction = np.zeros(width)
+                if j:
+                    direction[first + j - 1] = 1
+                else:  # the reference: the intercept changes, and all other levels change back
+                    direction[0] = 1
+                    direction[first : first + len(names) - 1] = -1
+                text = f"{kind} {name} has {_count(frame.outcome[rows])}"
+                levels.append(OneSided(text, rows, direction))
+        first += len(names) - 1
+    return levels
+
+
+def fit_firth(
+    design: Float[np.ndarray, "n p"],
+    success: Float[np.ndarray, " n"],
+    groups: Int[np.ndarray, " n"],
+    levels: Sequence[OneSided],
+) -> GeeFit:
+    """Fits Firth's bias-reduced logistic regression, with covariances clustered by operators.
+
+    The score has (1/2 - π) h x of each row added, where h is the leverage of the row.
+
+    Args:
+        design: columns of full rank.
+        success: 0 or 1 for each row.
+        groups: operator of each row, codes 0 to g - 1, all of which occur.
+        levels: levels that always or never succeed. The covariances have the model's variance of
+            their log-odds added.
+
+    Raises:
+        StudyError: the fit does not converge, or has log-odds beyond all reason.
+    """
+    width = design.shape[1]
+    beta = np.zeros(width)
+    for _ in range(_STEPS * _ROUNDS):
+        chance = expit(design @ beta)
+        weighted = (chance * (1 - chance))[:, None] * design
+        inverse = np.linalg.inv(design.T @ weighted)
+        leverage = np.sum((weighted @ inverse) * design, axis=1)
+        score = design.T @ (success - chance + leverage * (0.5 - chance))
+        step = inverse @ score
+        furthest = float(np.max(np.abs(design @ step)))
+        beta = beta + step * min(1.0, _LONGEST / max(furthest, _STILL))
+        if furthest <= _STILL:
+            break
+    else:
+        raise StudyError(f"the bias-reduced fit did not converge (last step {furthest:.1e})")
+    if np.max(np.abs(design @ beta)) > _RUNAWAY:
+        raise StudyError(_INFINITE)
+    own = np.zeros((width, width))
+    for level in levels:
+        mean = design[level.rows].mean(axis=0)
+        own += float(mean @ inverse @ mean) * np.outer(level.direction, level.direction)
+    residuals = (success - chance)[:, None] * design
+    scores = np.zeros((int(groups.max()) + 1, width))
+    np.add.at(scores, groups, residuals)
+    robust = inverse @ scores.T @ scores @ inverse
+    corrected = None
+    if _correctable(design, groups):
+        # (I - H_k)⁻¹ of the residuals of operator k, in the space of the coefficients
+        for k in range(len(scores)):
+            block = design[groups == k].T @ weighted[groups == k]
+            scores[k] = np.linalg.solve(np.eye(width) - block @ inverse, scores[k])
+        corrected = inverse @ scores.T @ scores @ inverse + own
+    return GeeFit(
+        beta=beta,
+        robust=robust + own,
+        mancl_derouen=corrected,
+        alpha=0.0,
+        phi=1.0,
+        operators=len(scores),
+        margin=1.0,
+        firth=True,
+    )
+
+
 def mancl_derouen(
     design: Float[np.ndarray, "n p"],
     residuals: Float[np.ndarray, " n"],
@@ -247,20 +361,6 @@ def separating(
     if solution.status != 0 or -solution.fun <= _ANY:
         return None
     return np.asarray(solution.x)
-
-
-def one_sided_levels(frame: Frame) -> list[str]:
-    """Describes retargeters and tasks that always succeed or always fail."""
-    texts = []
-    for kind, names, codes in (
-        ("retargeter", frame.retargeters, frame.retargeter),
-        ("task", frame.tasks, frame.task),
-    ):
-        for j, name in enumerate(names):
-            outcome = frame.outcome[codes == j]
-            if len(outcome) and np.ptp(outcome) == 0:
-                texts.append(f"{kind} {name} has {_count(outcome)}")
-    return texts
 
 
 def one_sided_cells(frame: Frame) -> list[str]:

@@ -16,7 +16,7 @@ from smooth_operator.study.analysis.dunnett import two_sided
 from smooth_operator.study.analysis.frame import Frame, check_frame
 from smooth_operator.study.analysis.gee import fit_gee, mancl_derouen, separating
 from smooth_operator.study.analysis.mixed import fit_mixed
-from smooth_operator.study.analysis.outcomes import split
+from smooth_operator.study.analysis.outcomes import separated, without_separated
 
 
 def linear_slope(frame: Frame) -> dict[str, Any]:
@@ -57,7 +57,7 @@ def logistic_slope(frame: Frame) -> dict[str, Any]:
     """
     try:
         _check(frame)
-        rest, separated = split(frame)
+        apart, rest = separated(frame), without_separated(frame)
         if rest is None:
             raise StudyError("no retargeter has both successes and failures")
         frame = rest
@@ -85,8 +85,8 @@ def logistic_slope(frame: Frame) -> dict[str, Any]:
         "n": len(frame),
         "sd_x": frame.index_sd,
     }
-    if separated:
-        result["without"] = list(separated)
+    if apart:
+        result["without"] = list(apart)
     if fit.mancl_derouen is not None:
         corrected = float(np.sqrt(fit.mancl_derouen[-1, -1]))
         result |= {

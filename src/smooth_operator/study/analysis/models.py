@@ -1,10 +1,11 @@
 """Models of the outcomes, fitted to a frame in each mode, and joint tests of their coefficients.
 
-Success has a logistic GEE, time and workload have linear mixed models. Mode ``paper`` uses the
-sandwich covariance, or a random intercept for each operator, and normal statistics. Mode
-``small-sample`` uses Mancl and DeRouen's covariance and t with operators - 1 degrees of freedom, or
-random intercepts also for each operator with each retargeter and, with several tasks, for each
-block, and t with Satterthwaite's degrees of freedom.
+Success has a logistic GEE, time and workload have linear mixed models. Where a retargeter or task
+always or never succeeds, the logistic model is Firth's, which keeps all retargeters in one family
+of comparisons (see ``gee``). Mode ``paper`` uses the sandwich covariance, or a random intercept for
+each operator, and normal statistics. Mode ``small-sample`` uses Mancl and DeRouen's covariance and
+t with operators - 1 degrees of freedom, or random intercepts also for each operator with each
+retargeter and, with several tasks, for each block, and t with Satterthwaite's degrees of freedom.
 
 Estimated marginal means have equal weights of the tasks and the mean index of the trials. For a
 logistic model they are means of probabilities, not of logits, with standard errors by the delta
@@ -20,12 +21,18 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import expit, fdtrc
+from scipy.special import expit, fdtrc, logit
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.dunnett import dunnett, holm, quantile, two_sided
 from smooth_operator.study.analysis.frame import Frame, check_frame, dependent_columns
-from smooth_operator.study.analysis.gee import GeeFit, fit_gee, separating
+from smooth_operator.study.analysis.gee import (
+    GeeFit,
+    fit_firth,
+    fit_gee,
+    one_sided_levels,
+    separating,
+)
 from smooth_operator.study.analysis.mixed import MixedFit, fit_mixed
 from smooth_operator.study.analysis.results import (
     MODES,
@@ -38,10 +45,13 @@ from smooth_operator.study.analysis.results import (
     Refused,
     refusable,
 )
+from smooth_operator.study.design.protocol import ALPHA
 
 _MEANS: Final = (0.2, 0.5, 0.8)
 _CORRELATIONS: Final = (0.1, 0.3, 0.5)
 _WORDS: Final = ("negligible", "small", "medium", "large")
+NOT_SHOWN: Final = "not shown"
+"""In place of a word for the size of a difference that is not significant."""
 _NO_SPREAD: Final = 1e-10
 """Share of the largest standard error of a mean below which that of a difference is zero."""
 _ROUGH: Final = 1e-6
@@ -59,11 +69,26 @@ class MarginalMeans:
         names: names of the retargeters (r,).
         values: means (r,).
         gradient: derivatives of the means by the coefficients (r, p).
+        shares: True for means of probabilities, 0 to 1.
     """
 
     names: tuple[str, ...]
     values: Float[np.ndarray, " r"]
     gradient: Float[np.ndarray, "r p"]
+    shares: bool = False
+
+    def interval(self, which: int, se: float, freedom: float) -> tuple[float, float]:
+        """95 % interval of a mean. That of a share is computed on its logit, so it stays in 0 to 1.
+
+        Args:
+            which: index of the retargeter.
+            se: standard error of the mean.
+        """
+        value, reach = float(self.values[which]), se * quantile(freedom)
+        if not self.shares:
+            return value - reach, value + reach
+        middle, reach = float(logit(value)), reach / (value * (1 - value))
+        return float(expit(middle - reach)), float(expit(middle + reach))
 
     def covariance(self, of_coefficients: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "r r"]:
         """Covariance of the means."""
@@ -82,7 +107,7 @@ def response_means(frame: Frame, beta: Float[np.ndarray, " p"]) -> MarginalMeans
     probability = expit(grid @ beta)
     slope = probability * (1 - probability)
     gradient = np.mean(slope[:, :, None] * grid, axis=1)
-    return MarginalMeans(frame.retargeters, probability.mean(axis=1), gradient)
+    return MarginalMeans(frame.retargeters, probability.mean(axis=1), gradient, shares=True)
 
 
 def cohen_h(probability: float, baseline: float) -> float:
@@ -93,6 +118,14 @@ def cohen_h(probability: float, baseline: float) -> float:
 def in_words(effect: float) -> str:
     """Returns negligible, small, medium or large for an effect size d or h."""
     return _WORDS[int(np.searchsorted(_MEANS, abs(effect), side="right"))]
+
+
+def size_in_words(effect: float, p: float) -> str:
+    """Word for an effect size d or h of a difference that is shown; ``NOT_SHOWN`` for others.
+
+    An estimate near zero does not make the effect negligible: its interval may reach far.
+    """
+    return in_words(effect) if p < ALPHA else NOT_SHOWN
 
 
 def correlation_in_words(rho: float) -> str:
@@ -151,9 +184,7 @@ def compare(
     emm = {}
     for j, name in enumerate(means.names):
         se, df = float(np.sqrt(covariance[j, j])), freedom(means.gradient[j])
-        reach = se * quantile(df)
-        value = float(means.values[j])
-        emm[name] = Mean(value, se, df, value - reach, value + reach)
+        emm[name] = Mean(float(means.values[j]), se, df, *means.interval(j, se, df))
     warnings = []
     tests: dict[tuple[int, int], tuple[float, float, float, float, float]] = {}
     least = _NO_SPREAD * float(np.sqrt(np.max(np.diag(covariance))))
@@ -172,7 +203,8 @@ def compare(
     pairs = {}
     for (a, b), p_holm in zip(tests, holm([p for *_, p in tests.values()]), strict=True):
         size, names = effect(means.values[a], means.values[b]), (means.names[a], means.names[b])
-        pairs["-".join(names)] = Pair(*names, *tests[a, b], p_holm, size, in_words(size))
+        words = size_in_words(size, p_holm)
+        pairs["-".join(names)] = Pair(*names, *tests[a, b], p_holm, size, words)
     others = [b for a, b in tests if a == 0] if means.names[0] == baseline else []
     if not others:
         return Comparisons(emm, {}, pairs, [], tuple(warnings))
@@ -194,17 +226,36 @@ def compare(
     for j, p, reach in zip(others, family.p, family.critical, strict=True):
         difference, se, df, statistic, p_raw = tests[0, j]
         size, half = effect(means.values[j], means.values[0]), reach * se
+        low, high = -difference - half, -difference + half
+        if means.shares:  # two shares differ by 1 at most
+            low, high = max(low, -1.0), min(high, 1.0)
         against[means.names[j]] = Against(
-            -difference, se, df, -statistic, p_raw, p, -difference - half, -difference + half,
-            size, in_words(size),
-        )  # fmt: skip
+            -difference, se, df, -statistic, p_raw, p, low, high, size, size_in_words(size, p)
+        )
     if family.error > _ROUGH:
         warnings.append(f"Dunnett p-values are known to {family.error:.1g} only")
     return Comparisons(emm, against, pairs, correlation.tolist(), tuple(warnings))
 
 
-ONE_SIDED: Final = "no retargeter has both successes and failures"
-"""Reason of a refusal if every retargeter always or never succeeds."""
+def check_separation(frame: Frame) -> None:
+    """Refuses success that other terms separate than single retargeters and tasks.
+
+    Raises:
+        StudyError: a combination of terms tells successes from failures.
+    """
+    rest = np.ones(len(frame), bool)
+    for level in one_sided_levels(frame):
+        rest &= ~level.rows
+    if not rest.any():
+        return
+    design, names = frame.design()
+    direction = separating(design[rest], frame.outcome[rest])
+    if direction is not None:
+        named = ", ".join(name for name, x in zip(names, direction, strict=True) if abs(x) > 1e-6)
+        raise StudyError(
+            f"separation: a combination of {named} tells success without error in a part of the "
+            "rows, so its odds are infinite and have no standard error; see the observed rates"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +321,7 @@ def fit_modes(
     """Fits retargeter, task, the index and further columns.
 
     Args:
-        frame: rows that passed ``check_frame``; those of success have no separation.
+        frame: rows that passed ``check_frame``, of success also ``check_separation``.
         more: further columns, centred so that means are at their mean.
 
     Raises:
@@ -285,7 +336,11 @@ def fit_modes(
         for mode in modes:
             fits[mode] = _linear(outcome, frame, design, names, mode)
         return fits
-    gee = fit_gee(design, frame.outcome, frame.group)
+    levels = one_sided_levels(frame) if more is None else []
+    if levels:
+        gee = fit_firth(design, frame.outcome, frame.group, levels)
+    else:
+        gee = fit_gee(design, frame.outcome, frame.group)
     gee.check_correlation()
     count = gee.operators
     for mode in modes:
@@ -326,7 +381,9 @@ def fit_with(outcome: Outcome, frame: Frame, more: Float[np.ndarray, "n q"] | No
         raise StudyError("the further terms are not independent of retargeter, task and trial")
     if len(frame) <= design.shape[1]:
         raise StudyError(f"{len(frame)} rows are too few for {design.shape[1]} coefficients")
-    if outcome == "success" and separating(design, frame.outcome) is not None:
+    if outcome == "success" and more is None:
+        check_separation(frame)
+    elif outcome == "success" and separating(design, frame.outcome) is not None:
         raise StudyError("separation: with these terms the odds are infinite")
     fit = fit_modes(outcome, frame, MODES[:1], more)[MODES[0]]
     if isinstance(fit, Refused):

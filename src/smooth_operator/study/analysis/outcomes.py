@@ -14,23 +14,23 @@ from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.frame import INDEX, Frame, check_frame, keep_rows
 from smooth_operator.study.analysis.gee import (
     GeeFit,
+    OneSided,
     one_sided_cells,
     one_sided_levels,
-    separating,
 )
 from smooth_operator.study.analysis.mixed import MixedFit
 from smooth_operator.study.analysis.models import (
-    ONE_SIDED,
     Comparisons,
     Fit,
+    check_separation,
     coefficients,
     compare,
     fit_modes,
+    fit_with,
     linear_means,
 )
 from smooth_operator.study.analysis.results import (
     MODES,
-    ExactTest,
     Mode,
     Outcome,
     Refused,
@@ -40,7 +40,8 @@ from smooth_operator.study.analysis.results import (
 
 FEW_OPERATORS: Final = 10
 """Number of operators below which asymptotic tests have a warning."""
-_SKEW: Final = 1.0
+SKEW: Final = 1.0
+"""Skewness of residuals from which they count as skewed."""
 _HEAVY: Final = 3.0
 _UNEQUAL: Final = 2.0
 _MOST_FOR_SHAPIRO: Final = 5000
@@ -57,8 +58,8 @@ _OWN: Final = {
 _TAIL: Final = 0.05
 _UNITS: Final[dict[Outcome, str]] = {"success": "", "time": " s", "tlx": " points"}
 _IGNORED: Final = (
-    "mode paper has no term for that and takes trials of one block for independent: it finds "
-    "differences too easily"
+    "mode paper has no term for that and takes trials of one block for independent: it gives too "
+    "many false positives"
 )
 
 
@@ -81,8 +82,7 @@ def analyze(
             and the search for combinations of terms that separate are left out.
 
     Returns:
-        The result in each mode. A retargeter that never or always succeeds is left out of the model
-        of success, see ``separated``.
+        The result in each mode. Retargeters that never or always succeed are in ``separated``, too.
     """
     blank = ScopeResult(n=len(frame), operators=len(frame.operators), warnings=missing)
     success = outcome == "success"
@@ -90,22 +90,20 @@ def analyze(
         facts, notes = layout(frame)
         if success:
             facts["one_sided_cells"] = one_sided_cells(frame)
+            facts["least_p"] = least_p(frame)
         blank = replace(
             blank, observed=observed(frame), diagnostics=facts, warnings=(*missing, *notes)
         )
     try:
         check_frame(frame)
         if success:
-            rest, separated = split(frame)
-            notes = [separated_in_words(name, results) for name, results in separated.items()]
-            blank = replace(blank, separated=separated, warnings=(*blank.warnings, *notes))
-            if rest is None:
-                raise StudyError(ONE_SIDED)
-            frame = rest
-            warnings = (*blank.warnings, *rare_outcomes(frame))
-            blank = replace(blank, n=len(frame), operators=len(frame.operators), warnings=warnings)
-            check_frame(frame, retargeters=1)
-            _check_separation(frame, levels_only=decide is not None)
+            levels = one_sided_levels(frame)
+            alone = separated(frame)
+            notes = [*map(separated_in_words, alone, alone.values()), *_one_sided_tasks(levels)]
+            warnings = (*blank.warnings, *notes, *rare_outcomes(frame))
+            blank = replace(blank, separated=alone, warnings=warnings)
+            if decide is None:
+                check_separation(frame)
         fits = fit_modes(outcome, frame, modes)
     except StudyError as error:
         return dict.fromkeys(modes, refuse(blank, str(error)))
@@ -146,8 +144,8 @@ def layout(frame: Frame) -> tuple[dict[str, Any], list[str]]:
     notes = []
     if len(frame.operators) < FEW_OPERATORS:
         notes.append(
-            f"only {len(frame.operators)} operators: tests that are right for many (mode paper) "
-            "find differences too easily"
+            f"only {len(frame.operators)} operators: with few, the published analysis (mode paper) "
+            "gives too many false positives"
         )
     if empty:
         notes.append(
@@ -202,10 +200,10 @@ def residual_checks(
         test = levene(*groups)
         facts["levene"] = {"statistic": float(test.statistic), "p": float(test.pvalue)}
     notes = []
-    if abs(facts["skewness"]) > _SKEW:
+    if abs(facts["skewness"]) > SKEW:
         notes.append(
             f"residuals are skewed ({facts['skewness']:.2f}): means say less than medians; look at "
-            "the distributions, and at the logarithm of times"
+            "the distributions"
         )
     if facts["excess_kurtosis"] > _HEAVY:
         notes.append(
@@ -235,8 +233,9 @@ def rare_outcomes(frame: Frame) -> list[str]:
     for j, name in enumerate(frame.retargeters):
         y = frame.outcome[frame.retargeter == j]
         fewer = int(min(y.sum(), len(y) - y.sum()))
-        if fewer < _RARE:
-            kind = "successes" if y.sum() < len(y) / 2 else "failures"
+        if 0 < fewer < _RARE:
+            kind = "success" if y.sum() < len(y) / 2 else "failure"
+            kind += "" if fewer == 1 else "es" if kind == "success" else "s"
             notes.append(f"{name} has only {fewer} {kind} in {len(y)} trials: its error is rough")
     return notes
 
@@ -258,14 +257,14 @@ def _result(
                 "singular fit: the variance between operators is estimated as zero, so that what "
                 "they do counts as independent of who they are"
             )
+        if fit.outcome == "time" and abs(checks["skewness"]) > SKEW:
+            notes.append(
+                "skewed times: compare with the model of their logarithms, reading log_time, which "
+                "has ratios of times"
+            )
         notes += compared.warnings
     else:
         notes = [*_gee_warnings(frame, fit.model), *compared.warnings]
-        notes += [
-            f"the interval of {name} leaves 0 to 1: the delta method is rough so near the edge"
-            for name, mean in compared.emm.items()
-            if mean.lower < 0 or mean.upper > 1
-        ]
         model = _gee_facts(frame, fit.model) | {"odds_ratios": _odds(fit)}
     return replace(
         blank,
@@ -296,6 +295,13 @@ def _mixed_facts(frame: Frame, fit: MixedFit) -> dict[str, Any]:
 
 
 def _gee_facts(frame: Frame, fit: GeeFit) -> dict[str, Any]:
+    if fit.firth:
+        return {
+            "kind": "Firth's logistic regression, covariance clustered by operators",
+            "formula": formula(frame),
+            "firth": True,
+            **_index_facts(frame),
+        }
     return {
         "kind": "logistic GEE, exchangeable working correlation",
         "formula": formula(frame),
@@ -359,27 +365,21 @@ def _odds(fit: Fit) -> dict[str, dict[str, float]]:
     }
 
 
-def _check_separation(frame: Frame, *, levels_only: bool) -> None:
-    levels = one_sided_levels(frame)
-    if levels:
-        raise StudyError(
-            f"separation: {'; '.join(levels)}, so its odds are estimated as zero or infinite and "
-            "have no standard error; see the observed rates"
-        )
-    if levels_only:
-        return
-    design, names = frame.design()
-    direction = separating(design, frame.outcome)
-    if direction is not None:
-        named = ", ".join(name for name, x in zip(names, direction, strict=True) if abs(x) > 1e-6)
-        raise StudyError(
-            f"separation: a combination of {named} tells success without error in a part of the "
-            "rows, so its odds are infinite and have no standard error; see the observed rates"
-        )
+def _one_sided_tasks(levels: list[OneSided]) -> list[str]:
+    return [
+        f"{level.text}: success has Firth's model, in which the odds of this task are finite"
+        for level in levels
+        if level.text.startswith("task ")
+    ]
 
 
 def _gee_warnings(frame: Frame, fit: GeeFit) -> list[str]:
-    notes = [f"{cell}; the model shares its other rows" for cell in one_sided_cells(frame)]
+    apart = separated(frame)
+    notes = [
+        f"{cell}; the model shares its other rows"
+        for cell in one_sided_cells(frame)
+        if not any(cell.startswith(f"{name} in task ") for name in apart)
+    ]
     if fit.operators <= len(fit.beta):
         notes.append(
             f"{fit.operators} operators for {len(fit.beta)} coefficients: the sandwich covariance "
@@ -393,107 +393,71 @@ def _gee_warnings(frame: Frame, fit: GeeFit) -> list[str]:
     return notes
 
 
-def split(frame: Frame) -> tuple[Frame | None, dict[str, Separated]]:
-    """Splits off the retargeters that never or always succeed.
+def least_p(frame: Frame) -> float | None:
+    """Computes the smallest Dunnett p-value of success that the rows of a study can lead to.
 
-    Their odds are zero or infinite, so they have no logistic model. Instead they have:
+    It is that of the clearest result: one retargeter always succeeds, the others never.
 
-    - A bound, with each operator as one observation, whatever the correlation of their trials. If
-      none of G operators succeeds, the share of operators who do is at most 1 - 0.05^(1/G). So is
-      the success rate, since an operator's rate is at most the probability of one success or more.
-    - A test. If two retargeters are equally good, swapping them in the trials of one operator is
-      equally likely. For a retargeter that never succeeds, every swap with an effect makes the sum
-      of the operators' differences less extreme. The exact two-sided p over all 2^G swaps is
-      2^(1-k), where k operators differ (sign test).
+    Args:
+        frame: rows of the design; their outcome is not used.
+
+    Returns:
+        The p-value, mode small-sample. None if no outcome of these rows can be tested.
+    """
+    found = []
+    for j in range(len(frame.retargeters)):
+        clear = replace(frame, outcome=(frame.retargeter == j).astype(float))
+        try:
+            result = fit_with("success", clear).compare(limits=False)
+        except StudyError:
+            return None
+        found += [test.p_dunnett for test in result.dunnett.values()]
+    return min(found, default=None)
+
+
+def separated(frame: Frame) -> dict[str, Separated]:
+    """Finds the retargeters that never or always succeed, and bounds their success rates.
+
+    The bound takes each operator as one observation, whatever the correlation of their trials. If
+    none of G operators succeeds, the share of operators who do is at most 1 - 0.05^(1/G). So is the
+    success rate, since an operator's rate is at most the probability of one success or more.
 
     Args:
         frame: frame whose outcome is the success of each trial, 0 or 1.
 
     Returns:
-        The rows of the others, None if there are none; and the separated retargeters by name. If
-        all trials have one outcome, none is separated.
+        The retargeters by name. None if all trials have one outcome.
     """
-    count = len(frame.retargeters)
-    trials = np.bincount(frame.retargeter, minlength=count)
-    wins = np.bincount(frame.retargeter, frame.outcome, minlength=count)
-    out = (wins == 0) | (wins == trials)
-    if not out.any() or np.ptp(frame.outcome) == 0:
-        return frame, {}
-    separated = {
-        name: _separated(frame, j, count) for j, name in enumerate(frame.retargeters) if out[j]
-    }
-    rest = ~out[frame.retargeter]
-    if not rest.any():
-        return None, separated
-    return keep_rows(frame, rest), separated
+    if not len(frame) or np.ptp(frame.outcome) == 0:
+        return {}
+    found = {}
+    for j, name in enumerate(frame.retargeters):
+        rows = frame.retargeter == j
+        if np.ptp(frame.outcome[rows]) == 0:
+            always = bool(frame.outcome[rows][0])
+            trials, operators = int(rows.sum()), len(np.unique(frame.group[rows]))
+            edges = [float(_TAIL ** (1 / units)) for units in (operators, trials)]
+            bounds = edges if always else [1 - edge for edge in edges]
+            found[name] = Separated(float(always), trials, operators, *bounds)
+    return found
 
 
-def _separated(frame: Frame, which: int, count: int) -> Separated:
-    rows = frame.retargeter == which
-    trials, operators = int(rows.sum()), len(np.unique(frame.group[rows]))
-    always = bool(frame.outcome[rows].all())
-
-    def bound(units: int) -> float:
-        edge = float(_TAIL ** (1 / units))
-        return edge if always else 1 - edge
-
-    against = {}
-    others = [j for j in range(count) if j != which]
-    for other in others:
-        test = _swapped(frame, which, other)
-        pairs = count * (count - 1) // 2
-        name = frame.retargeters[other]
-        with_baseline = frame.baseline in (name, frame.retargeters[which])
-        against[name] = replace(
-            test,
-            p_holm=min(1.0, pairs * test.p_raw),
-            p_dunnett=min(1.0, len(others) * test.p_raw) if with_baseline else None,
-        )
-    return Separated(
-        rate=float(always),
-        trials=trials,
-        operators=operators,
-        bound=bound(operators),
-        bound_if_independent=bound(trials),
-        against=against,
-    )
-
-
-def _swapped(frame: Frame, which: int, other: int) -> ExactTest:
-    """Tests two retargeters by swaps within operators, over tasks that they did with both."""
-    shape = (len(frame.operators), len(frame.tasks), len(frame.retargeters))
-    trials, wins = np.zeros(shape), np.zeros(shape)
-    np.add.at(trials, (frame.group, frame.task, frame.retargeter), 1)
-    np.add.at(wins, (frame.group, frame.task, frame.retargeter), frame.outcome)
-    both = (trials[:, :, which] > 0) & (trials[:, :, other] > 0)
-    rates = wins / np.maximum(trials, 1)
-    apart = np.where(both, rates[:, :, which] - rates[:, :, other], 0.0)
-    tasks = both.sum(axis=1)
-    of_operators = apart.sum(axis=1)[tasks > 0] / tasks[tasks > 0]
-    differing = int(np.count_nonzero(of_operators))
-    return ExactTest(
-        difference=float(of_operators.mean()) if len(of_operators) else float("nan"),
-        operators=len(of_operators),
-        differing=differing,
-        p_raw=min(1.0, 2.0 ** (1 - differing)),
-    )
+def without_separated(frame: Frame) -> Frame | None:
+    """Rows of the retargeters that have both successes and failures; None if there are none."""
+    apart = separated(frame)
+    if not apart:
+        return frame
+    rest = ~np.isin(np.array(frame.retargeters)[frame.retargeter], list(apart))
+    return keep_rows(frame, rest) if rest.any() else None
 
 
 def separated_in_words(name: str, result: Separated) -> str:
     """Describes a separated retargeter for the warnings."""
     share, side = ("all", "at least") if result.rate else ("none", "at most")
     return (
-        f"{name} succeeded in {share} of {result.trials} trials of {result.operators} "
-        "operators: it is left out of the model; its success rate is "
-        f"{side} {100 * result.bound:.1f} % (exact 95 % bound with operators as units; "
-        f"{100 * result.bound_if_independent:.1f} % if all "
-        "trials were independent). It is compared by an exact test that swaps retargeters within "
-        f"operators: {_tests(result)}"
+        f"{name} succeeded in {share} of {result.trials} trials of {result.operators} operators: "
+        "its odds are infinite, so success has Firth's model here, which estimates a rate short of "
+        f"{100 * result.rate:.0f} %. Its success rate is {side} {100 * result.bound:.1f} % (exact "
+        f"95 % bound with operators as units; {100 * result.bound_if_independent:.1f} % if all "
+        "trials were independent)"
     )
-
-
-def _tests(result: Separated) -> str:
-    return ", ".join(
-        f"{other} p {'=' if test.p_holm >= 1e-4 else '<'} {max(test.p_holm, 1e-4):.2g}"
-        for other, test in result.against.items()
-    ) + " (times the number of all pairs)"  # fmt: skip

@@ -97,10 +97,9 @@ def _tables(analysis: Analysis) -> dict[str, list[dict[str, Any]]]:
             for name, entry in getattr(result, family).items()
         ]
     tables["separated"] = [
-        {**where, "retargeter": name, "against": other, **_flat(plain(one)), **plain(test)}
+        {**where, "retargeter": name, **plain(one)}
         for where, result in _scopes(analysis)
         for name, one in result.separated.items()
-        for other, test in one.against.items()
     ]
     tables["warnings"] = [
         {**where, "warning": text}
@@ -133,7 +132,7 @@ def _scopes(analysis: Analysis) -> Iterator[tuple[dict[str, str], ScopeResult]]:
 def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
     row = {}
     for key, value in plain(entry).items():
-        if key in ("per_retargeter", "against"):
+        if key == "per_retargeter":
             continue
         if isinstance(value, Mapping):
             row.update({f"{key}_{inner}": number for inner, number in value.items()})

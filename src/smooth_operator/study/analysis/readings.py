@@ -1,8 +1,8 @@
 """Further readings of a study, next to the models that are reported.
 
-Success as the full score only; equivalence by two one-sided tests (Schuirmann 1987); interaction of
-retargeter and task; the operators' rankings (Friedman's test, Kendall's W). Each has its figures,
-or the reason why it has none.
+Success as the full score only; the logarithm of times; equivalence by two one-sided tests
+(Schuirmann 1987); interaction of retargeter and task; the operators' rankings (Friedman's test,
+Kendall's W). Each has its figures, or the reason why it has none.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 from scipy.special import ndtr, stdtr
-from scipy.stats import chi2
+from scipy.stats import chi2, skew
 
 from smooth_operator.errors import StudyError
 from smooth_operator.study.analysis.dunnett import holm, quantile
@@ -25,8 +25,9 @@ from smooth_operator.study.analysis.frame import (
     frame_of,
     outcome_frames,
 )
+from smooth_operator.study.analysis.mixed import MixedFit
 from smooth_operator.study.analysis.models import WaldTest, fit_with
-from smooth_operator.study.analysis.outcomes import observed, split
+from smooth_operator.study.analysis.outcomes import observed, separated, without_separated
 from smooth_operator.study.analysis.results import (
     OUTCOMES,
     POOLED,
@@ -37,7 +38,8 @@ from smooth_operator.study.analysis.results import (
     plain,
     refusable,
 )
-from smooth_operator.study.data.rows import StudyData
+from smooth_operator.study.data.rows import StudyData, times
+from smooth_operator.study.design.protocol import ALPHA
 
 _PERMUTATIONS: Final = 20_000
 
@@ -112,19 +114,13 @@ def _friedman(sums: Float[np.ndarray, "*k r"], operators: int) -> Float[np.ndarr
     return np.asarray(12 * np.sum(apart**2, axis=-1) / (operators * count * (count + 1)))
 
 
-ALPHA: Final = 0.05
-
-
 def full_success(trials: pd.DataFrame, scope: str, baseline: str) -> ScopeResult:
     """Analyses success as a score of 1, by the model of success in mode small-sample."""
     frame = frame_of(trials.assign(value=(trials.score >= 1).astype(float)), scope, baseline)
     blank = ScopeResult(n=len(frame), operators=len(frame.operators), observed=observed(frame))
     try:
-        rest, separated = split(frame)
-        blank = replace(blank, separated=separated)
-        if rest is None:
-            raise StudyError("no retargeter has both full successes and other trials")
-        compared = fit_with("success", rest).compare()
+        blank = replace(blank, separated=separated(frame))
+        compared = fit_with("success", frame).compare()
     except StudyError as error:
         return replace(blank, refused=str(error))
     return replace(
@@ -132,8 +128,37 @@ def full_success(trials: pd.DataFrame, scope: str, baseline: str) -> ScopeResult
         emm=compared.emm,
         dunnett=compared.dunnett,
         pairs=compared.pairs,
-        n=len(rest),
-        operators=len(rest.operators),
+        warnings=compared.warnings,
+    )
+
+
+def log_time(trials: pd.DataFrame, scope: str, baseline: str) -> ScopeResult:
+    """Analyses the logarithm of times of successful trials, by the model of time.
+
+    Times have a floor and a long tail, so their logarithms are often nearer to normal. The
+    exponential of a mean is a geometric mean [s], that of a difference a ratio of times.
+
+    Returns:
+        Means and differences of ln(time / 1 s), mode small-sample; ``diagnostics`` has the skewness
+        of the residuals.
+    """
+    rows = times(trials)
+    frame = frame_of(rows.assign(value=np.log(rows.value)), scope, baseline)
+    blank = ScopeResult(n=len(frame), operators=len(frame.operators))
+    try:
+        fit = fit_with("time", frame)
+    except StudyError as error:
+        return replace(blank, refused=str(error))
+    compared = fit.compare()
+    facts = {}
+    if isinstance(fit.model, MixedFit):
+        facts["skewness"] = float(skew(fit.model.residuals))
+    return replace(
+        blank,
+        emm=compared.emm,
+        dunnett=compared.dunnett,
+        pairs=compared.pairs,
+        diagnostics=facts,
         warnings=compared.warnings,
     )
 
@@ -244,12 +269,14 @@ class Readings:
 
     Attributes:
         full_success: success as a score of 1, by scope.
+        log_time: logarithm of times, by scope.
         equivalence: equivalence tests by outcome, scope and pair.
         interaction: test of retargeter x task by outcome.
         preference: analysis of the rankings; None without rankings.
     """
 
     full_success: Mapping[str, ScopeResult]
+    log_time: Mapping[str, ScopeResult]
     equivalence: Mapping[Outcome, Mapping[str, Mapping[str, Equivalence]]]
     interaction: Mapping[Outcome, Interaction | Refused]
     preference: Preference | Refused | None = None
@@ -280,6 +307,7 @@ def read_further(
     rankings = {who: tuple(order) for who, order in data.ranking.items()}
     return Readings(
         full_success={scope: full_success(trials, scope, baseline) for scope in scopes},
+        log_time={scope: log_time(trials, scope, baseline) for scope in scopes},
         equivalence={
             outcome: {
                 scope: equivalences(results[outcome][scope], baseline, margins.get(outcome))
@@ -300,7 +328,7 @@ def interactions(data: StudyData, baseline: str) -> dict[Outcome, Interaction | 
     """
     frames = outcome_frames(data, POOLED, baseline)
     # without retargeters that never or always succeed
-    frames["success"] = split(frames["success"])[0] or frames["success"]
+    frames["success"] = without_separated(frames["success"]) or frames["success"]
     return {outcome: joint_interaction(outcome, frame) for outcome, frame in frames.items()}
 
 

@@ -79,30 +79,8 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class ExactTest:
-    """Exact test within operators of a retargeter that never or always succeeds against another.
-
-    Attributes:
-        difference: mean difference of the operators' success rates, the first minus the other.
-        operators: number of operators who did a task with both.
-        differing: number of operators for whom the two differ.
-        p_raw: exact two-sided p-value.
-        p_holm: p-value times the number of all pairs of retargeters, at most 1.
-        p_dunnett: p-value times the number of comparisons with the baseline; None if neither is
-            the baseline.
-    """
-
-    difference: float
-    operators: int
-    differing: int
-    p_raw: float
-    p_holm: float = float("nan")
-    p_dunnett: float | None = None
-
-
-@dataclass(frozen=True)
 class Separated:
-    """Retargeter that never or always succeeds, and is left out of the logistic model.
+    """Retargeter that never or always succeeds, for which success has Firth's model.
 
     Attributes:
         rate: observed success rate, 0 or 1.
@@ -111,7 +89,6 @@ class Separated:
         bound: exact one-sided 95 % bound of the success rate with operators as units (upper for a
             rate of 0, lower for 1).
         bound_if_independent: bound for independent trials (Clopper and Pearson).
-        against: tests against every other retargeter.
     """
 
     rate: float
@@ -119,7 +96,6 @@ class Separated:
     operators: int
     bound: float
     bound_if_independent: float
-    against: Mapping[str, ExactTest]
 
 
 @dataclass(frozen=True)
@@ -161,7 +137,7 @@ class ScopeResult:
         operators: number of operators of the model.
         model: facts of the fit: formula, variances, working correlation.
         diagnostics: results of the checks of assumptions.
-        separated: retargeters that never or always succeed; they are in no other table.
+        separated: retargeters that never or always succeed.
         observed: rows, mean and spread of each retargeter without a model.
         warnings: limitations of the result.
         refused: reason why there are no figures; None if there are.

@@ -21,6 +21,10 @@ POOLED: Final = "pooled"
 PRIMARY: Final = f"{OUTCOMES[0]}/{POOLED}"
 FEW_OPERATORS: Final = 6
 """With fewer operators only very large differences can be shown."""
+ALPHA: Final = 0.05
+"""Significance level of all tests."""
+TESTED_OPERATORS: Final = 5
+"""Smallest number of operators for which the error of the tests was checked by simulation."""
 PAPER_MARGINS: Final = {"success": 0.10, "time": 5.0, "tlx": 10.0}
 _LARGEST: Final = {"success": 1.0, "time": 86_400.0, "tlx": 100.0}
 

@@ -43,7 +43,7 @@ from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.data.rows import StudyData
 from smooth_operator.study.design.plan import make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_of, plan_table
-from smooth_operator.study.design.protocol import Protocol
+from smooth_operator.study.design.protocol import ALPHA, Protocol
 from smooth_operator.study.power.simulated_study import Assumptions, Simulator, Spread
 
 if TYPE_CHECKING:
@@ -222,7 +222,6 @@ def _chunks(settings: PowerSettings) -> Iterator[Chunk]:
                 yield Chunk(setting, operators, truth, first, count)
 
 
-ALPHA: Final = 0.05
 Counts = dict[str, int]
 """Name of a count (see ``count``) -> number of studies."""
 
@@ -254,22 +253,28 @@ class Verdict:
 
 
 def verdicts(
-    study: StudyData, baseline: str, scopes: Sequence[str] = (POOLED,)
+    study: StudyData,
+    baseline: str,
+    scopes: Sequence[str] = (POOLED,),
+    outcomes: Sequence[Outcome] = OUTCOMES,
 ) -> Iterator[Verdict]:
-    """Yields the verdicts on all outcomes of a study, in both modes.
+    """Yields the verdicts on the outcomes of a study, in both modes.
 
     Args:
         baseline: retargeter that the others are compared with.
         scopes: ``pooled`` and tasks.
+        outcomes: outcomes to analyse; one that the study lacks is left out.
     """
     for scope in scopes:
         for outcome, frame in outcome_frames(study, scope, baseline).items():
+            if outcome not in outcomes:
+                continue
             for mode, result in analyze(outcome, frame, decide=ALPHA).items():
                 yield _verdict(Verdict(outcome, scope, mode, {}, {}), result, baseline)
 
 
 def _verdict(blank: Verdict, result: ScopeResult, baseline: str) -> Verdict:
-    """Decides by the tests of a model, and by the exact tests of separated retargeters."""
+    """Decides by the tests of a model."""
     count = len(result.emm)
     if result.refused is not None or len(result.pairs) < count * (count - 1) // 2:
         return replace(blank, refused=result.refused or "a difference has no estimated error")
@@ -279,15 +284,6 @@ def _verdict(blank: Verdict, result: ScopeResult, baseline: str) -> Verdict:
         name: abs(one.difference) + one.se * quantile(one.df, ALPHA)
         for name, one in result.dunnett.items()
     }
-    for name, exact in result.separated.items():
-        for other, test in exact.against.items():
-            # Pairs of the analysis have the baseline first, then the order of names.
-            turned = other == baseline or (name != baseline and other < name)
-            sign = _sign(test.difference, test.p_holm)
-            pairs[(other, name) if turned else (name, other)] = -sign if turned else sign
-            if test.p_dunnett is not None:
-                sign = _sign(test.difference, test.p_dunnett)
-                against[name if other == baseline else other] = sign if other == baseline else -sign
     return replace(blank, against=against, pairs=pairs, smallest_margin=margins)
 
 

@@ -5,14 +5,25 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from smooth_operator.study.analysis.analyze import Analysis
 from smooth_operator.study.analysis.dunnett import holm
 from smooth_operator.study.analysis.frame import INDEX, INTERCEPT
+from smooth_operator.study.analysis.models import NOT_SHOWN
+from smooth_operator.study.analysis.outcomes import SKEW
 from smooth_operator.study.analysis.readings import Interaction
-from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED, Outcome, ScopeResult
-from smooth_operator.study.design.protocol import FEW_OPERATORS
+from smooth_operator.study.analysis.results import (
+    MODES,
+    OUTCOMES,
+    POOLED,
+    Against,
+    Outcome,
+    Pair,
+    ScopeResult,
+)
+from smooth_operator.study.design.protocol import ALPHA, FEW_OPERATORS, TESTED_OPERATORS
 
 MINUS: Final = "\N{MINUS SIGN}"
 DIGITS: Final[dict[Outcome, tuple[float, int, str]]] = {
@@ -98,36 +109,70 @@ def term_names(result: ScopeResult) -> dict[str, str]:
     return {name: names.get(name, name) for name in result.coefficients}
 
 
+@dataclass(frozen=True)
+class Slope:
+    """Slope of learning, in the units of the report.
+
+    Attributes:
+        scope: ``pooled`` or the task.
+        index: name of the index.
+        outcome: outcome that changes.
+        step: change per step of the index; percentage points for success.
+        se: standard error of the change.
+        p: uncorrected p-value.
+        p_holm: p-value corrected over all slopes of the study; None without a test.
+        refused: reason why there is no slope; empty if there is one.
+    """
+
+    scope: str
+    index: str
+    outcome: Outcome
+    step: float = math.nan
+    se: float = math.nan
+    p: float = math.nan
+    p_holm: float | None = None
+    refused: str = ""
+
+
+def learning_slopes(learning: Mapping[str, Any]) -> list[Slope]:
+    """Collects the slopes of all scopes, indices and outcomes, and corrects their p-values."""
+    slopes = []
+    for scope, indices in learning.items():
+        for index, outcomes in indices.items():
+            for outcome, one in outcomes.items():
+                if "refused" in one:
+                    slopes.append(Slope(scope, index, outcome, refused=one["refused"]))
+                    continue
+                se = one.get("se_mancl_derouen", one["se"])
+                if "slope_logit" in one:  # percentage points are better known than logits
+                    # The error of mode small-sample belongs to the p-value.
+                    wider = se / one["se"]
+                    step, se = 100 * one["ame_prob_per_unit"], 100 * one["ame_se"] * wider
+                else:
+                    step = one["slope"]
+                p = one.get("p_t", one.get("p_satterthwaite", math.nan))
+                slopes.append(Slope(scope, index, outcome, step, se, p))
+    tested = [i for i, one in enumerate(slopes) if not math.isnan(one.p)]
+    for i, p in zip(tested, holm([slopes[i].p for i in tested]), strict=True):
+        slopes[i] = replace(slopes[i], p_holm=p)
+    return slopes
+
+
 def learning_rows(learning: Mapping[str, Any]) -> tuple[list[tuple[str, str, list[str]]], int]:
-    """Makes rows of the slopes by scope and index, with p-values corrected over the whole table.
+    """Makes rows of the slopes by scope and index.
 
     Returns:
         Name, reason of a refusal and cells of each slope; and the number of tests.
     """
-    entries = [
-        (f"{scope_name(scope)}: {_OUTCOMES[outcome][0]} {_SLOPES.get(index, index)}", outcome, one)
-        for scope, indices in learning.items()
-        for index, outcomes in indices.items()
-        for outcome, one in outcomes.items()
-    ]
-    raw = [one.get("p_t", one.get("p_satterthwaite", math.nan)) for *_, one in entries]
-    tested = [i for i, p in enumerate(raw) if not math.isnan(p)]
-    adjusted = dict(zip(tested, holm([raw[i] for i in tested]), strict=True))
+    slopes = learning_slopes(learning)
     rows: list[tuple[str, str, list[str]]] = []
-    for i, (name, outcome, one) in enumerate(entries):
-        if "refused" in one:
-            rows.append((name, one["refused"], []))
-            continue
-        if "slope_logit" in one:  # percentage points are better known than logits
-            slope = 100 * one["ame_prob_per_unit"]
-            # The error of mode small-sample belongs to the p-value.
-            wider = one.get("se_mancl_derouen", one["se"]) / one["se"]
-            se = 100 * one["ame_se"] * wider
-        else:
-            slope, se = one["slope"], one.get("se_mancl_derouen", one["se"])
-        step = f"{signed(slope, 3)} {_OUTCOMES[outcome][1]}"
-        rows.append((name, "", [step, number(se, 3), p_text(raw[i]), p_text(adjusted.get(i))]))
-    return rows, len(tested)
+    for one in slopes:
+        title, unit = _OUTCOMES[one.outcome]
+        name = f"{scope_name(one.scope)}: {title} {_SLOPES.get(one.index, one.index)}"
+        cells = [f"{signed(one.step, 3)} {unit}", number(one.se, 3), p_text(one.p),
+                 p_text(one.p_holm)]  # fmt: skip
+        rows.append((name, one.refused, [] if one.refused else cells))
+    return rows, sum(one.p_holm is not None for one in slopes)
 
 
 def correlation_rows(spearman: Mapping[str, Any]) -> list[list[str]]:
@@ -161,12 +206,51 @@ def model_facts(result: ScopeResult) -> str:
             for name, value in variances.items()
         )
         parts.append(f"standard deviations: {', '.join(spreads)}")
+    if (least := result.diagnostics.get("least_p")) is not None:
+        shown = f"{least:.1e}" if least < 0.001 else number(least, 3)
+        parts.append(
+            f"least p that these rows can reach {shown} (one retargeter always succeeds, the "
+            "others never)"
+        )
     if "alpha" in facts:
         parts.append(f"working correlation {number(facts['alpha'], 3)}")
     return "; ".join(parts)
 
 
-_ALPHA: Final = 0.05
+SELECTED: Final = (
+    "Times are of successful trials only: a retargeter that fails in the hard trials looks faster"
+)
+"""Warning on every comparison of times."""
+
+
+def row_note(name: str, result: ScopeResult, baseline: str) -> str:
+    """Note next to the name of a retargeter: the baseline, or that it never or always succeeds."""
+    notes = ["baseline"] if name == baseline else []
+    if alone := result.separated.get(name):
+        notes.append(f"{'all' if alone.rate else 'none'} of {alone.trials} succeeded")
+    return ", ".join(notes)
+
+
+def effect_text(test: Against | Pair) -> str:
+    """Formats an effect size, with its word if the difference is shown."""
+    size = signed(test.effect)
+    return size if test.effect_words == NOT_SHOWN else f"{test.effect_words} ({size})"
+
+
+def ratio_rows(result: ScopeResult) -> list[list[str]]:
+    """Makes rows of geometric means and of ratios to the baseline, from means of logarithms."""
+    rows = []
+    for name, mean in result.emm.items():
+        row = [name, number(math.exp(mean.estimate)),
+               span(math.exp(mean.lower), math.exp(mean.upper))]  # fmt: skip
+        if test := result.dunnett.get(name):
+            row += [number(math.exp(test.difference)),
+                    span(math.exp(test.lower), math.exp(test.upper)),
+                    p_text(test.p_dunnett)]  # fmt: skip
+        rows.append(row + [""] * (6 - len(row)))
+    return rows
+
+
 NAMES: Final[dict[Outcome, str]] = {
     "success": "Success", "time": "Completion time", "tlx": "Workload",
 }  # fmt: skip
@@ -215,35 +299,34 @@ def _data(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
 def _outcome(analysis: Analysis, outcome: Outcome, scope: str, *, primary: bool) -> str:
     result = analysis.results[MODES[0]][outcome][scope]
     rank = "primary" if primary else "exploratory"
-    return f"{NAMES[outcome]} ({rank}): {_differences(outcome, result, analysis.baseline)}."
+    text = f"{NAMES[outcome]} ({rank}): {_differences(outcome, result)}."
+    return f"{text} {SELECTED}." if outcome == "time" and result.refused is None else text
 
 
-def _differences(outcome: Outcome, result: ScopeResult, baseline: str) -> str:
+def _differences(outcome: Outcome, result: ScopeResult) -> str:
     if result.refused is not None:
         return f"not tested: {with_minus(result.refused)}"
     scale, digits, unit = DIGITS[outcome]
+    few = result.operators < TESTED_OPERATORS
     shown_ones: list[str] = []
     open_: list[str] = []
-    for name, exact in result.separated.items():
-        test = exact.against.get(baseline)
-        always = "always" if exact.rate else "never"
-        if test is None or test.p_dunnett is None:
-            shown_ones.append(f"{name} {always} succeeds")
-            continue
-        shown = f"{name} {always} succeeds, exact {_p(test.p_dunnett)}"
-        (shown_ones if test.p_dunnett < _ALPHA else open_).append(shown)
     for name, one in result.dunnett.items():
+        alone = result.separated.get(name)
+        always = "" if alone is None else f" ({'always' if alone.rate else 'never'} succeeds)"
+        size = f"{name}{always} {signed(scale * one.difference, digits)}{_FIXED}{_unit(unit)}"
         low, high = (signed(scale * end, digits) for end in (one.lower, one.upper))
-        shown = (
-            f"{name} {signed(scale * one.difference, digits)}{_FIXED}{_unit(unit)} "
-            f"[{low}, {high}], {_p(one.p_dunnett)}"
-        )
-        if one.p_dunnett < _ALPHA:
+        shown = size if few else f"{size} [{low}, {high}], {_p(one.p_dunnett)}"
+        if one.p_dunnett < ALPHA and not few:
             shown_ones.append(f"{shown}, {one.effect_words}")
         else:
             open_.append(shown)
     if not shown_ones and not open_:
         return "no result, nothing to compare with the baseline"
+    if few:
+        return (
+            f"not tested with {result.operators} operators, since the tests were checked for "
+            f"{TESTED_OPERATORS} and more; estimated {'; '.join(open_)}"
+        )
     if not shown_ones:
         return f"no difference shown ({'; '.join(open_)})"
     return "; ".join(shown_ones) + (f"; not shown for {'; '.join(open_)}" if open_ else "")
@@ -263,6 +346,8 @@ def _limits(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
                 f"differences in {NAMES[one].lower()} depend on the task "
                 f"({_p(test.test.p)}), so their mean over tasks says little"
             )
+    parts += _learned(analysis)
+    parts += _logarithms(analysis, scope if outcome == "time" else POOLED)
     if outcome is not None:
         parts += _alike(analysis, outcome, scope)
     refused = [
@@ -276,6 +361,38 @@ def _limits(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
     parts.append("a difference that is not shown is no evidence of equality")
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}."
+
+
+def _learned(analysis: Analysis) -> list[str]:
+    """Names the outcomes that change over the trials of all tasks, corrected over all slopes."""
+    if len({str(name) for name in analysis.data.trials.operator}) < TESTED_OPERATORS:
+        return []
+    changes = [
+        f"{title} {signed(one.step, 3)}{_FIXED}{_unit(unit)} {_SLOPES[one.index]} "
+        f"({_p(one.p_holm)}, Holm)"
+        for one in learning_slopes(analysis.learning)
+        for title, unit in [_OUTCOMES[one.outcome]]
+        if one.scope == POOLED and one.index in ("trial_global", "tlx_index")
+        if one.p_holm is not None and one.p_holm < ALPHA
+    ]
+    if not changes:
+        return []
+    return [f"operators learn: {', '.join(changes)}; the differences are those at the mean trial"]
+
+
+def _logarithms(analysis: Analysis, scope: str) -> list[str]:
+    """Says where skewed times and their logarithms lead to other conclusions."""
+    result, logs = analysis.results[MODES[0]]["time"][scope], analysis.readings.log_time[scope]
+    if abs(result.diagnostics.get("skewness", 0.0)) <= SKEW or logs.refused is not None:
+        return []
+    other = [
+        f"{name} ({'shown' if logs.dunnett[name].p_dunnett < ALPHA else 'not shown'} there, "
+        f"{_p(logs.dunnett[name].p_dunnett)})"
+        for name, one in result.dunnett.items()
+        if (one.p_dunnett < ALPHA) != (logs.dunnett[name].p_dunnett < ALPHA)
+    ]
+    told = f"decides otherwise for {', '.join(other)}" if other else "decides the same"
+    return [f"times are skewed, and the model of their logarithms (Other readings) {told}"]
 
 
 def _alike(analysis: Analysis, outcome: Outcome, scope: str) -> list[str]:
