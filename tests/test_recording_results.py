@@ -4,7 +4,10 @@ import enum
 import errno
 import json
 import os
+import signal
 import stat
+import subprocess
+import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -158,6 +161,37 @@ def test_old_file_survives_a_failure(tmp_path):
         assert path.read_text() == "old"  # until the block ends
     assert path.read_text() == "new"
     assert list(tmp_path.iterdir()) == [path]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from smooth_operator.atomic_files import atomic_write
+from smooth_operator.episode_files.staging import staged_file, staged_folder
+at = Path(sys.argv[1])
+with atomic_write(at / "a.json"), staged_file(at / "a.h5") as file:
+  with staged_folder(at / "set") as folder:
+      file.write_bytes(b"half")
+      (folder / "part").write_bytes(b"half")
+      os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
+def test_what_a_killed_process_leaves_goes_with_the_next_write(tmp_path, monkeypatch):
+    run = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
+    assert run.returncode == -signal.SIGKILL
+    assert len(list(tmp_path.iterdir())) == 3
+    foreign = [".a.json.tmp", ".a.json.0123abcd.tmp", ".a.json.00000000-1.0123abcd.tmp"]
+    for name in foreign:  # no file of this package, or one of another machine
+        (tmp_path / name).touch()
+    with atomic_write(tmp_path / "b.json") as file:
+        file.write(b"{}")
+        monkeypatch.setattr("smooth_operator.atomic_files._swept", set())  # as another process
+        with atomic_write(tmp_path / "c.json"):
+            pass  # and what is being written stays
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [*sorted(foreign), "b.json", "c.json"]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")

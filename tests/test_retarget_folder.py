@@ -152,7 +152,7 @@ def killed_once(group: Sequence[Job]) -> tuple[Entry, ...]:
 
         def half(path: Path, *_: object) -> None:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.with_name(f".{path.name}.abc12345.tmp").write_bytes(b"half")
+            path.with_name(f".{path.name}.00000000-7.abc12345.tmp").write_bytes(b"half")
             mark.touch()
             os.kill(os.getpid(), signal.SIGKILL)
 
@@ -216,7 +216,7 @@ def test_a_killed_run_is_resumed(folder, expected, tmp_path):
     # What else a sudden end may leave: an unfinished file, half a result, one without the other.
     done = next(name for name in expected if (output / name).exists() and name.endswith(".npz"))
     (output / done).write_bytes(expected[done][:-100])
-    (output / f".{Path(done).name}.0123abcd.tmp").write_bytes(b"half")
+    (output / f".{Path(done).name}.00000000-7.0123abcd.tmp").write_bytes(b"half")
     missing = next(n for n in expected if n.endswith(".json") and not (output / n).exists())
     (output / missing).parent.mkdir(parents=True, exist_ok=True)
     (output / missing).write_bytes(expected[missing])

@@ -8,6 +8,7 @@ import hashlib
 import os
 import re
 import secrets
+import shutil
 import stat
 import sys
 from collections.abc import Iterable, Iterator
@@ -88,8 +89,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         # os.replace would happily put a plain file in the place of /dev/null.
         kind = "a folder" if os.path.isdir(target) else "not a plain file"
         raise OutputError(f"can't write {str(path)!r}: it is {kind}; give the name of a file")
-    # In the same folder, since only a rename within one file system is atomic.
-    temporary = target.with_name(f".{target.name[:32]}.{secrets.token_hex(4)}.tmp")
+    temporary = temporary_beside(target)
     try:
         file = temporary.open("xb")
     except OSError as error:
@@ -109,6 +109,43 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         with contextlib.suppress(OSError):
             temporary.unlink()
         raise
+
+
+_MACHINE = hashlib.sha256(os.uname().nodename.encode() if os.name != "nt" else b"").hexdigest()[:8]
+_TEMPORARY = re.compile(rf"\..{{1,32}}\.{_MACHINE}-(\d{{1,10}})\.[0-9a-f]{{8}}\.tmp", re.DOTALL)
+_swept: set[Path] = set()
+
+
+def temporary_beside(target: Path) -> Path:
+    """A new hidden path to write a file or folder at, before it takes the place of ``target``.
+
+    It is in the same folder, since only a rename within one file system is atomic. Its name has the
+    machine and the process. What killed processes of this machine left in the folder is deleted,
+    when a process writes there for the first time.
+    """
+    folder = target.parent
+    if os.name != "nt" and folder not in _swept:
+        _swept.add(folder)
+        with contextlib.suppress(OSError):
+            for path in list(folder.iterdir()):
+                match = _TEMPORARY.fullmatch(path.name)
+                if match is not None and not _runs(int(match[1])):
+                    if path.is_dir() and not path.is_symlink():
+                        shutil.rmtree(path, ignore_errors=True)
+                    else:
+                        path.unlink()
+    unique = f"{_MACHINE}-{os.getpid()}.{secrets.token_hex(4)}"
+    return target.with_name(f".{target.name[:32]}.{unique}.tmp")
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # another user's, or no number of a process
+        pass
+    return True
 
 
 def write_json(path: Path, content: object, indent: int | None = None) -> None:

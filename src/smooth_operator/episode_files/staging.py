@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from smooth_operator.atomic_files import output_error
+from smooth_operator.atomic_files import output_error, temporary_beside
 from smooth_operator.errors import OutputError, RecordingError, SmoothOperatorError
 
 
@@ -31,7 +30,7 @@ def staged_file(path: Path) -> Iterator[Path]:
     if target.exists() and not target.is_file():
         kind = "a folder" if target.is_dir() else "not a plain file"
         raise OutputError(f"can't write {str(path)!r}: it is {kind}; give the name of a file")
-    temporary = _beside(target)
+    temporary = temporary_beside(target)
     try:
         with _about(path, temporary):
             yield temporary
@@ -57,7 +56,7 @@ def staged_folder(path: Path) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_dir():
         raise OutputError(f"can't write {str(path)!r}: a file stands there; give a folder's name")
-    temporary = _beside(target)
+    temporary = temporary_beside(target)
     former = temporary.with_suffix(".old")
     try:
         with _about(path, temporary):
@@ -79,11 +78,6 @@ def staged_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
     shutil.rmtree(former, ignore_errors=True)
-
-
-def _beside(target: Path) -> Path:
-    # In the same folder, since only a rename within one file system is atomic.
-    return target.with_name(f".{target.name[:32]}.{secrets.token_hex(4)}.tmp")
 
 
 @contextlib.contextmanager

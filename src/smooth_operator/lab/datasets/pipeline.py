@@ -290,6 +290,8 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
                         finished[entry.item] = entry.kept
         if request.shard is not None:
             return Summary.of_shard(request.output, request.shard, finished, reasons)
+        if not request.merge:
+            Store(work).remove_superseded(finished)
         names = [item.name for item in items if item.name in finished]
         return write_episodes(
             Order(request, [(name, finished[name]) for name in names], work),

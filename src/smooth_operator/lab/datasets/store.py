@@ -111,6 +111,24 @@ class Store:
                     path.unlink()
         return packs
 
+    def remove_superseded(self, finished: Mapping[str, Kept]) -> int:
+        """Deletes the packs of which each item stands in another pack; returns their number.
+
+        A worker of a killed run may have ended its pack while the next run made the same clips.
+
+        Args:
+            finished: name of item -> the place that is used.
+        """
+        count = 0
+        for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+                with _Pack(path) as pack:
+                    names = [str(item["item"]) for item in pack.index["items"]]
+                if all(name in finished and finished[name].pack != path for name in names):
+                    path.unlink()
+                    count += 1
+        return count
+
     def read(self, stored: Kept) -> list[RobotClip]:
         """The clips of an item.
 

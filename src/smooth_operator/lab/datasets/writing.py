@@ -225,7 +225,7 @@ class Summary:
     ) -> Summary:
         """Summary of a run that retargets its share and writes no data set."""
         frames = sum(each.frames for each in packs.values())
-        return cls(output, shard, len(packs), frames, failed=dict(failed))
+        return cls(output, shard, len(packs), frames, failed=dict(sorted(failed.items())))
 
     def as_json(self) -> dict[str, Any]:
         """As ``report.json`` has it."""
@@ -332,7 +332,10 @@ def write_episodes(
         WorkerError: the cluster can't be reached, or gave up.
     """
     summary = Summary(
-        order.request.output, failed=dict(failed), passed_over=dict(passed_over), notes=[*notes]
+        order.request.output,
+        failed=dict(sorted(failed.items())),  # workers end in any order
+        passed_over=dict(passed_over),
+        notes=[*notes],
     )
     summary.clips = len(order.items)
     summary.frames = sum(pack.frames for _, pack in order.items)

@@ -32,8 +32,8 @@ _CODE: Final = (
 )
 """Files and folders of this package that commands depend on."""
 
-_LEFT_OVER: Final = re.compile(r"\..{1,32}\.[0-9a-f]{8}\.tmp", re.DOTALL)
-"""Names that ``atomic_write`` gives to what it works on."""
+_LEFT_OVER: Final = re.compile(r"\..{1,32}\.[0-9a-f]{8}-\d{1,10}\.[0-9a-f]{8}\.tmp", re.DOTALL)
+"""Names that ``temporary_beside`` gives, on any machine."""
 
 
 def read_configuration(path: Path) -> dict[str, Any] | None:
