@@ -272,18 +272,20 @@ def test_metrics_are_printed_group_by_group(capsys):
     assert ["index", "0.5"] in lines  # a figure of each finger has a row of its own
 
 
+SUMMED: dict[str, object] = {
+    "finger_direction_error_deg": 7.25,
+    "pinch_gap_excess_mm": 6.5,
+    "self_collision": {"share": 0.0175},
+    "jumps_per_1000": None,
+    "latency_ms": {"p99": 12.0},
+    "rate_hz": 100.0,
+}
+
+
 def test_a_summary_says_what_is_good_and_what_to_do(capsys):
     from smooth_operator.cli.console import print_summary
 
-    metrics: dict[str, object] = {
-        "finger_direction_error_deg": 7.25,
-        "pinch_gap_excess_mm": 6.5,
-        "self_collision": {"share": 0.0175},
-        "jumps_per_1000": None,
-        "latency_ms": {"p99": 12.0},
-        "rate_hz": 100.0,
-    }
-    print_summary("a title", metrics, ["Next: something"])
+    print_summary("a title", "smooth", SUMMED, ["Next: something"])
     lines = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
     assert [mark for mark, _ in lines[1:6]] == ["good", "look", "good", "–", "look"]
     text = "\n".join(sentence for _, sentence in lines)
@@ -293,6 +295,16 @@ def test_a_summary_says_what_is_good_and_what_to_do(capsys):
     assert text.count("calibrate") == 1
     assert "doctor" in text
     assert lines[-1] == ["Next:", "something"]
+
+
+@pytest.mark.parametrize(("method", "advised"), [("joint_angle", True), ("smooth", False)])
+def test_the_method_that_ran_is_not_advised(method, advised, capsys):
+    from smooth_operator.cli.console import print_summary
+
+    print_summary("a title", method, SUMMED | {"self_collision": {"share": 0.5}}, [])
+    said = capsys.readouterr().out
+    assert ("--method smooth" in said) == advised
+    assert "hands check" in said
 
 
 def test_retarget_replaces_a_result_only_with_overwrite(run, glove, tmp_path):

@@ -3,6 +3,7 @@
 import importlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -254,6 +255,20 @@ def test_other_limits_retarget_nothing(copy):
     assert contents(output).keys() != before.keys() or contents(output) != before
     make_dataset(request(folder, output))
     assert contents(output) == before
+
+
+def test_where_nothing_is_kept_it_is_said_which_limit_to_change(copy):
+    """And nothing stands there that could be taken for a data set."""
+    folder, output = copy
+    strict = replace(LIMITS, min_seconds=1000.0, max_gap=0.25)
+    summary = make_dataset(request(folder, output, limits=strict))
+    assert summary.episodes == 0
+    said = "\n".join(summary.notes)
+    assert "Nothing was kept, so no data set is written" in said
+    assert re.search(r"5 of 6 break --min-seconds 1000\.0; the parts have [\d.]+ to [\d.]+\n", said)
+    assert not (output / "dataset").exists()
+    assert make_dataset(request(folder, output)).notes == []
+    assert (output / "dataset").exists()
 
 
 def test_only_what_changed_is_done_again(copy):

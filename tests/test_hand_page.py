@@ -12,8 +12,11 @@ import pytest
 from browser_page import changed, nameless, new_page, settled
 from live_time import until as eventually
 
-from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.capsules import hand_capsules
+from smooth_operator.hands.hand import load_hand_spec
+from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.teleop.pages.hand_page import HandPage
+from smooth_operator.teleop.pages.hand_view import HandView
 
 WIDTH, HEIGHT = 700, 480
 SHOWN = 400  # the panel is to the right of this [px]
@@ -26,6 +29,31 @@ def listening(host: str, port: int) -> bool:
 
 def position(slider: Any) -> float:
     return float(slider.get_attribute("aria-valuenow") or "nan")
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_simple_shapes_are_those_that_self_collision_is_judged_by(name):
+    """Nothing of a part stands out of the picture, and the picture shows nothing else."""
+    hand = load_hand(name)
+    drawn = HandView(hand, simple=True).meshes
+    for body, mesh in drawn.items():
+        own = [capsule for capsule in hand_capsules(hand) if capsule.body == body]
+        low = np.min([c.ends.min(axis=0) - c.radius for c in own], axis=0)
+        high = np.max([c.ends.max(axis=0) + c.radius for c in own], axis=0)
+        np.testing.assert_allclose(mesh.bounds, [low, high], atol=0.002)
+    assert {capsule.body for capsule in hand_capsules(hand)} == set(drawn)
+
+
+def test_a_shape_without_a_surface_is_not_drawn(tmp_path):
+    """A tip's mesh of less than a millimetre is a capsule of no width."""
+    whole = load_hand("allegro_hand")
+    text = whole.spec.model.read_text(encoding="utf-8")
+    speck = f'<body name="{whole.spec.fingers[1].tip.body}"'
+    at = text.index(">", text.index(speck)) + 1
+    model = tmp_path / whole.spec.model.name
+    model.write_text(text[:at] + '<geom type="sphere" size="1e-8"/>' + text[at:], encoding="utf-8")
+    hand = load_hand_spec(replace(whole.spec, model=model))
+    assert set(HandView(hand, simple=True).meshes) == set(HandView(whole, simple=True).meshes)
 
 
 @pytest.mark.weekly

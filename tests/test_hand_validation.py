@@ -136,6 +136,12 @@ def index_bends_back(text: str) -> str:
     return root
 
 
+def palm_of_one_box(text: str) -> str:
+    """LEAP's palm as a box around it, which fills the room of the thumb, too."""
+    box = '<geom name="palm" type="box" size="0.045 0.065 0.015" pos="-0.065 -0.03 -0.0187"/>'
+    return re.sub(r'<geom name="palm" .*<geom name="palm_edge"[^\n]*', box, text, flags=re.DOTALL)
+
+
 WRONG: dict[str, tuple[str, Callable[[Path], HandSpec], str]] = {
     "side": ("side", lambda _: replace(ALLEGRO, side="left"), "this is a right hand"),
     "order": (
@@ -195,6 +201,11 @@ WRONG: dict[str, tuple[str, Callable[[Path], HandSpec], str]] = {
         "size",
         lambda _: replace(ALLEGRO, wrist=replace(ALLEGRO.wrist, offset=(0.0, 0.0, -0.9))),
         "metres",
+    ),
+    "palm too large": (
+        "shapes",
+        lambda p: retold(load_hand("leap_hand").spec, p, palm_of_one_box),
+        "as large as the real parts",
     ),
     "axes": ("flexion", lambda p: retold(ALLEGRO, p, index_bends_back), "sign"),
 }

@@ -17,6 +17,7 @@ from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.stand_ins import stand_in_links, stand_in_note, stand_ins
 from smooth_operator.lab.discovery import discover
+from smooth_operator.lab.validation.checks import Samples
 from smooth_operator.lab.validation.joints import check_shapes
 
 _GEOM = re.compile(r"<geom name=\"(\w+)\"[^>]*/>")
@@ -68,7 +69,7 @@ def test_only_links_that_lost_shapes_get_one(tmp_path):
     assert stand_in_links(whole) == ()
     assert stand_in_note(whole) == ""
     assert Retargeter(whole).notes == ()
-    assert check_shapes(whole).verdict == "ok"
+    assert check_shapes(Samples(whole)).verdict == "ok"
     geoms = [whole.model.geom(g).name for g in range(whole.model.ngeom)]
     lost = next(g for g in geoms if g.startswith("index") or "ff" in g.lower())
     hand = with_lost_meshes(whole, lost, tmp_path)
@@ -80,7 +81,7 @@ def test_only_links_that_lost_shapes_get_one(tmp_path):
     assert Retargeter(hand).notes == (note,)
     assert Retargeter(hand, method="sbr").notes == ()  # has no such term
     assert Retargeter(hand, config=method_config("smooth")).notes == (note,)
-    checked = check_shapes(hand)
+    checked = check_shapes(Samples(hand))
     assert (checked.verdict, checked.figures["estimated"]) == ("warning", [link])
     assert fingerprint(hand) != fingerprint(whole)
 

@@ -40,6 +40,7 @@ class Figure:
         sentence: format of a sentence with the value.
         absent: sentence if the value is unknown.
         advice: what to do if the value is larger than ``good``.
+        method: a method that does better; advised as well where another one ran.
     """
 
     metric: str
@@ -47,6 +48,7 @@ class Figure:
     sentence: str
     absent: str
     advice: str
+    method: str = ""
 
 
 _CALIBRATE: Final = "smooth-operator calibrate fits the robot hand to the operator's"
@@ -62,7 +64,8 @@ SUMMARY: Final = (
            "Parts of the robot hand are inside each other in {:.3g} % of the frames (good: up to "
            "{:.3g} %)",
            "Self-collision of this hand can't be measured",
-           "--method smooth avoids self-collision; hands check tests the hand's description"),
+           "hands check tests the hand's description: its collision shapes may be too large",
+           method="smooth"),
     Figure("jumps_per_1000", 1.0,
            "A robot fingertip jumps in {:.3g} of 1,000 frames (good: up to {:.3g})",
            "There are too few frames to find jumps",
@@ -224,10 +227,13 @@ def plain_table(
     return table
 
 
-def print_summary(title: str, metrics: Mapping[str, object], following: Sequence[str]) -> None:
+def print_summary(
+    title: str, method: str, metrics: Mapping[str, object], following: Sequence[str]
+) -> None:
     """Prints the figures of ``SUMMARY`` with their verdicts, and what to do next.
 
     Args:
+        method: name of the method that ran.
         metrics: result of ``evaluate``.
         following: commands that a user may try next, each with an explanation.
     """
@@ -247,6 +253,8 @@ def print_summary(title: str, metrics: Mapping[str, object], following: Sequence
             continue
         mark, style = ("good", "green") if value <= good else ("look", "yellow")
         if value > good:
+            if figure.method not in ("", method):
+                advice[f"--method {figure.method} keeps parts apart"] = None
             advice[figure.advice] = None
         times = 100 if "%" in figure.sentence else 1
         table.add_row(Text(mark, style), figure.sentence.format(times * value, times * good))

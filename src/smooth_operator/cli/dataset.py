@@ -40,7 +40,7 @@ def dataset(options: Dataset) -> None:
         print(printable(to_json(summary.as_json(), indent=2)))
     else:
         _print(summary)
-    if summary.failed:
+    if summary.failed or (summary.shard is None and summary.episodes == 0):
         raise SystemExit(1)
 
 
@@ -176,4 +176,5 @@ def _print(summary: Summary) -> None:
         f"({summary.episode_frames} frames) kept, {summary.dropped} parts "
         f"({summary.dropped_frames} frames) dropped, {len(summary.failed)} failed"
     )
-    say(f"data set: {summary.output / 'dataset'}; why: {summary.output / 'report.html'}")
+    written = f"data set: {summary.output / 'dataset'}; " if summary.episodes else ""
+    say(f"{written}why: {summary.output / 'report.html'}")

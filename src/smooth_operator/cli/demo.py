@@ -83,7 +83,7 @@ def demo(options: Demo) -> None:
     if options.all:
         print_metrics(heading, metrics)
     else:
-        print_summary(heading, metrics, _FOLLOWING)
+        print_summary(heading, todo.method, metrics, _FOLLOWING)
     progress.note(f"wrote {options.output}")
     if not options.no_view:
         drawn = hand_to_draw(todo.hand, options)

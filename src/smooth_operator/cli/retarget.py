@@ -154,7 +154,7 @@ def retarget(options: Retarget) -> None:
         return
     files = shlex.join(map(str, (options.output, options.recording)))
     look = f"Next: smooth-operator view {files} plays both in the browser; --all or --json prints"
-    print_summary(title, metrics, [f"{look} all figures"])
+    print_summary(title, todo.method, metrics, [f"{look} all figures"])
 
 
 _SHOWN_FAILURES = 40

@@ -44,6 +44,9 @@ _LIMIT_OF: Final = {
     "reach": "min_reach",
     "finger_motion_mm": "min_finger_motion",
 }
+_FIGURE_OF: Final = {limit: figure for figure, limit in _LIMIT_OF.items()} | {
+    "min_seconds": "seconds"
+}
 _SHOWN: Final = 200
 _KEPT: Final = "#0072B2"
 _DROPPED: Final = "#D55E00"
@@ -364,9 +367,36 @@ def write_episodes(
             summary.add(part.summary)
             figures.extend(part.figures)
             lines.write(b"".join(part.lines))
+    if summary.episodes == 0:  # an empty data set would be taken for one
+        shutil.rmtree(order.request.output / DATASET, ignore_errors=True)
+        summary.notes += _nothing_kept(summary, figures, order.request.limits)
     _mark(order, whole=True)
     _account(order, summary, figures)
     return summary
+
+
+def _nothing_kept(summary: Summary, figures: FigureTable, limits: Limits) -> list[str]:
+    """Why no episode is left: limits, what was found, and options to change."""
+    if not summary.reasons:
+        return []
+    lines = [
+        f"Nothing was kept, so no data set is written. Limits that the {summary.dropped} parts "
+        "break:"
+    ]
+    for name, count in sorted(summary.reasons.items(), key=lambda item: -item[1]):
+        line = f"{count} of {summary.dropped} break {name}"
+        if hasattr(limits, name):
+            option = f"--{name.replace('_', '-')} {getattr(limits, name)}"
+            line = f"{count} of {summary.dropped} break {option}"
+        found = figures.dropped.get(_FIGURE_OF.get(name, ""))
+        if found:
+            line += f"; the parts have {min(found):.2g} to {max(found):.2g}"
+        lines.append(line)
+    lines.append(
+        "Look at report.html, then give other limits: nothing is retargeted again. "
+        "--no-limits keeps every clip whole."
+    )
+    return lines
 
 
 def _parts(order: Order) -> list[Order]:

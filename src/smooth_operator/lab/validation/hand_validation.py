@@ -391,7 +391,7 @@ def _checks(
         failed = palm.verdict == "failed"
         yield _after("palm tilt", palm) if failed else check_tilt(samples)
         yield check_neutral(hand)
-        yield check_shapes(hand)
+        yield check_shapes(samples)
         axes = find_flexion_axes(samples, sound)
         yield check_flexion(axes)
         yield check_side(samples, axes, sound)

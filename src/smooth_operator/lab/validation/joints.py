@@ -8,14 +8,15 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from smooth_operator.hands.collision import solid_shapes
+from smooth_operator.hands.collision import PALM, owners, solid_shapes
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.penetration import neutral_overlaps
+from smooth_operator.hands.penetration import crowded_links, neutral_overlaps
 from smooth_operator.hands.stand_ins import stand_in_links
 from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
 from smooth_operator.human.flat_hand import palm_tilt_deg
 from smooth_operator.lab.validation.checks import Check, Samples, Verdict, worst
 from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.metrics.safety import COLLISION_DEPTH
 
 _TURN: Final = 2 * np.pi  # no finger joint turns further; degrees read as radians do [rad]
 _WIDE: Final = 3.6  # [rad]; LEAP's widest has 3.2
@@ -28,6 +29,11 @@ _STEPS: Final = 9
 _ROUNDING: Final = 1e-6  # of spec files [rad]
 _TOUCH: Final = 3e-3  # overlap in the neutral pose that shapes drawn too fat explain [m]
 _DEEP: Final = 0.01  # overlap that no shape explains [m]
+_CROWDED_PALM: Final = 0.25
+"""Share of random poses in which a finger's link and the palm may overlap: joint limits keep most
+fingers out of the palm, and published models have up to 0.1, the built-in hands 0.17."""
+_CROWDED_FINGERS: Final = 0.5
+"""The same of two fingers: neighbours that spread freely cross often (Tesollo's in 0.44)."""
 
 
 def check_ranges(hand: Hand) -> Check:
@@ -145,20 +151,46 @@ def check_neutral(hand: Hand) -> Check:
     return Check("neutral pose", worst(*verdicts), "; ".join(texts), "; ".join(advice), figures)
 
 
-def check_shapes(hand: Hand) -> Check:
-    """Checks that links have shapes for self-collision, or estimates in their place."""
-    links = stand_in_links(hand)
-    solid = int(solid_shapes(hand).sum())
-    figures = {"shapes": solid, "estimated": list(links)}
-    check = partial(Check, "shapes", figures=figures)
-    if not links:
-        return check("ok", f"{solid} shapes that collide")
-    return check(
-        "warning",
-        f"{solid} shapes that collide; those of {_list(list(links))} can't be read or are missing: "
-        "estimated capsules along the bones take their place",
-        "put the mesh files where the model file names them, and add the hand again",
-    )
+def check_shapes(samples: Samples) -> Check:
+    """Checks that links have shapes for self-collision, or estimates in their place, and that no
+    two of them are in each other in a large share of random poses."""
+    hand = samples.hand
+    links, solid = stand_in_links(hand), int(solid_shapes(hand).sum())
+    owner = owners(hand)
+    shares = crowded_links(hand, samples.poses, COLLISION_DEPTH)
+    crowded = {}
+    for (one, other), share in shares.items():
+        palm = any(owner[hand.model.body(name).id] == PALM for name in (one, other))
+        if share > (_CROWDED_PALM if palm else _CROWDED_FINGERS):
+            crowded[f"{one} and {other}"] = round(share, 3)
+    texts, advice, verdicts = [f"{solid} shapes that collide"], [], list[Verdict]()
+    if links:
+        texts.append(
+            f"those of {_list(list(links))} can't be read or are missing: estimated capsules along "
+            "the bones take their place"
+        )
+        advice.append("put the mesh files where the model file names them, and add the hand again")
+        verdicts.append("warning")
+    if crowded:
+        most = max(crowded.values())
+        texts.append(
+            f"in up to {most:.0%} of random poses {_list(list(crowded))} are inside each other"
+        )
+        advice.append(
+            "make these shapes as large as the real parts; if the parts can't touch, exclude the "
+            'pair in the model file: <exclude body1="..." body2="..."/>'
+        )
+        verdicts.append("failed")
+    elif shares:
+        (one, other), share = next(iter(shares.items()))
+        texts.append(f"{one} and {other} touch in {share:.0%} of random poses, others in fewer")
+    figures = {
+        "shapes": solid,
+        "estimated": list(links),
+        "crowded": crowded,
+        "largest_share": round(max(shares.values(), default=0.0), 3),
+    }
+    return Check("shapes", worst(*verdicts), "; ".join(texts), "; ".join(advice), figures)
 
 
 def _slides(hand: Hand, name: str) -> bool:

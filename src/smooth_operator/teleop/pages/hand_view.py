@@ -15,10 +15,9 @@ from trimesh import intersections
 from trimesh.graph import smooth_shade
 
 from smooth_operator import landmarks
-from smooth_operator.hand_files.vendor_model import has_meshes
-from smooth_operator.hands.collision import Capsule, shape_capsules, solid_shapes
+from smooth_operator.hands.capsules import hand_capsules
+from smooth_operator.hands.collision import Capsule
 from smooth_operator.hands.hand import Hand, landmark_points
-from smooth_operator.hands.stand_ins import finger_bones, finger_radius, stand_ins
 from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 
@@ -121,25 +120,18 @@ class HandView:
 
 
 def simple_meshes(hand: Hand) -> dict[int, trimesh.Trimesh]:
-    """The surfaces of a hand's simple shapes, by body, each in its body's frame [m].
+    """The surfaces of a hand's parts as self-collision knows them, by body, in its frame [m].
 
-    A model without meshes gets tapered fingers on a rounded palm, by the measures of its
-    kinematics. Of one with meshes, as a user's own, or with links that lack shapes, the capsules
-    are drawn that self-collision is judged by; each mesh is about one capsule.
+    The capsules of one shape are drawn as one.
     """
-    estimated = stand_ins(hand)
-    if not has_meshes(hand) and not estimated.capsules:
-        return _tapered(hand) or body_meshes(hand.model, hand.bodies)
-    part = hand.model.body_weldid[hand.model.geom_bodyid]
-    shapes = solid_shapes(hand) & ~np.isin(part, list(estimated.replaced))
-    capsules = [
-        capsule
-        for geom in np.flatnonzero(shapes)
-        for capsule in shape_capsules(hand.model, int(geom))
-    ]
+    shapes: dict[tuple[int, int], list[Capsule]] = {}
+    for number, capsule in enumerate(hand_capsules(hand)):
+        if capsule.radius > _VISIBLE:
+            own = capsule.geom if capsule.geom >= 0 else -1 - number
+            shapes.setdefault((capsule.body, own), []).append(capsule)
     parts: dict[int, list[trimesh.Trimesh]] = {}
-    for capsule in [*capsules, *estimated.capsules]:
-        parts.setdefault(capsule.body, []).append(_surface(capsule))
+    for (body, _), capsules in shapes.items():
+        parts.setdefault(body, []).append(_surface(capsules))
     merged: dict[int, trimesh.Trimesh] = {}
     for body, pieces in parts.items():
         whole: Any = trimesh.util.concatenate(pieces)  # of meshes, it returns a mesh
@@ -147,67 +139,15 @@ def simple_meshes(hand: Hand) -> dict[int, trimesh.Trimesh]:
     return merged or body_meshes(hand.model, hand.bodies)
 
 
-_SLIM: Final = 0.85  # radius of a fingertip over that of its last link
-_BEYOND: Final = 0.9  # a tip landmark lies about this share of a radius beyond the last sphere
-_RADII: Final = (0.6, 1.5)  # of a link, over the one that the finger's length tells
-_PALM_RADIUS: Final = 1.2  # of the palm's edge, over a finger's
-_HEEL: Final = 0.55  # width of the palm at the wrist, over that at the knuckles
+_VISIBLE: Final = 1e-4  # radius of the smallest capsule that is drawn [m]
 
 
-def _tapered(hand: Hand) -> dict[int, trimesh.Trimesh]:
-    """Tapered links along the bones of the fingers, and the hull of a palm; by body."""
-    model, data = hand.model, mujoco.MjData(hand.model)
-    data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
-    mujoco.mj_kinematics(model, data)
-    bones = finger_bones(hand, data)
-    usual, palm = finger_radius(hand, bones), int(model.body(hand.spec.palm).id)
-    least, most = (usual * factor for factor in _RADII)
-    own: dict[int, float] = {}
-    for geom in np.flatnonzero(solid_shapes(hand)):
-        for capsule in shape_capsules(model, int(geom)):
-            own[capsule.body] = max(own.get(capsule.body, 0.0), capsule.radius)
-    balls: dict[int, list[list[tuple[np.ndarray, float]]]] = {}
-    for finger in bones.values():
-        pieces = [piece for bone in finger for piece in bone]
-        radii = [min(max(own.get(body, usual), least), most) for body, *_ in pieces]
-        for number, (body, start, end) in enumerate(pieces):
-            before, here = radii[max(number - 1, 0)], radii[number]
-            after = radii[number + 1] if number + 1 < len(radii) else _SLIM * here
-            thin = float(min(here, after))
-            if number + 1 == len(pieces) and (length := float(np.linalg.norm(end - start))) > 0:
-                end = end - (end - start) * min(_BEYOND * thin / length, 1.0)
-            ends = [(start, float(min(before, here))), (end, thin)]
-            balls.setdefault(body, []).append(ends)
-    first = [finger[0][0][1] for finger in bones.values()]
-    wrist = data.xpos[palm] + data.xmat[palm].reshape(3, 3) @ hand.wrist
-    knuckles = np.array(first[1:])
-    heel = _HEEL * (knuckles - knuckles.mean(axis=0)) + wrist
-    balls.setdefault(palm, []).append([(point, _PALM_RADIUS * usual) for point in (*first, *heel)])
+def _surface(capsules: list[Capsule]) -> trimesh.Trimesh:
+    """The hull of capsules."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0).vertices
-    meshes: dict[int, trimesh.Trimesh] = {}
-    for body, hulls in balls.items():
-        turn, at = data.xmat[body].reshape(3, 3), data.xpos[body]
-        parts = [
-            trimesh.convex.convex_hull(
-                np.concatenate([(point + radius * ball - at) @ turn for point, radius in hull])
-            )
-            for hull in hulls
-        ]
-        whole: Any = trimesh.util.concatenate(parts)  # of meshes, it returns a mesh
-        meshes[body] = whole
-    return meshes
-
-
-def _surface(capsule: Capsule) -> trimesh.Trimesh:
-    first, second = capsule.ends
-    axis, length = second - first, float(np.linalg.norm(second - first))
-    mesh = trimesh.creation.capsule(height=length, radius=capsule.radius, count=[16, 16])
-    mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    if length > 0:
-        geometry: Any = trimesh.geometry  # untyped
-        mesh.apply_transform(geometry.align_vectors((0.0, 0.0, 1.0), axis / length))
-    mesh.apply_translation((first + second) / 2)
-    return mesh
+    points = [end + capsule.radius * ball for capsule in capsules for end in capsule.ends]
+    hull: trimesh.Trimesh = trimesh.convex.convex_hull(np.concatenate(points))
+    return hull
 
 
 VISIBLE_GROUPS = 3
