@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -70,3 +71,26 @@ def test_tests_of_pictures_skip_with_that_sentence(monkeypatch):
     monkeypatch.setattr(pictures, "opencv", broken)
     with pytest.raises(pytest.skip.Exception, match="OpenCV can't be loaded: why"):
         pictures.opencv_or_skip()
+
+
+def test_tests_of_mediapipe_skip_where_a_library_of_the_system_is_missing(monkeypatch, tmp_path):
+    """MediaPipe can be imported without libgles2, and fails when it makes a landmarker."""
+    import pictures
+
+    from smooth_operator.errors import SourceError
+    from smooth_operator.teleop.sources.webcam import picture_tracker
+
+    model = tmp_path / "hand_landmarker.task"
+    model.write_bytes(b"")
+    vision, problem = MagicMock(), "libGLESv2.so.2: cannot open shared object file"
+    vision.HandLandmarker.create_from_options.side_effect = lambda _: raise_error(OSError(problem))
+    monkeypatch.setattr(picture_tracker, "_mediapipe", lambda: (None, vision, MagicMock()))
+    with pytest.raises(pytest.skip.Exception, match=r"apt install .*libgles2"):
+        pictures.landmarker_or_skip(model)
+    problem = "not a model"
+    with pytest.raises(SourceError, match="not a model"):
+        pictures.landmarker_or_skip(model)
+
+
+def raise_error(error: Exception) -> None:
+    raise error

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from live_time import until as wait_for
-from pictures import opencv_or_skip
+from pictures import landmarker_or_skip, opencv_or_skip
 
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, MissingExtraError, RecordingError, SourceError
@@ -289,7 +289,7 @@ def test_no_camera_says_what_was_tried(captures, fake):
 
 @pytest.fixture(scope="module")
 def media(shared_folder) -> Path:
-    pytest.importorskip("mediapipe", reason="the extra webcam is not installed")
+    landmarker_or_skip(shared_folder / "media" / "hand_landmarker.task")
     return shared_folder / "media"
 
 
