@@ -4,15 +4,22 @@ On a real robot the source is a tracker (``webcam``, ``webxr``, ``manus``) and a
 ``smooth-operator teleop`` is the same with a page in the browser.
 """
 
-import threading
-
-from smooth_operator.teleop import LimitsConfig, TeleopLoop, read_log, teleoperate
+from smooth_operator.teleop import LimitsConfig, TeleopLoop, Tick, read_log, teleoperate
 
 
 def pause_for_a_moment(loop: TeleopLoop) -> None:
     """A foot pedal could do this: the controls may be used from any thread."""
-    threading.Timer(1.0, loop.controls.pause).start()
-    threading.Timer(1.5, loop.controls.resume).start()
+    controls, commands = loop.controls, 0
+    presses = {100: controls.pause, 150: controls.resume, 300: controls.quit}
+
+    def watch(tick: Tick) -> None:
+        nonlocal commands
+        if commands or tick.status is not None:  # counted from the first frame that was answered
+            commands += 1
+            if commands in presses:
+                presses[commands]()
+
+    loop.watch = watch
 
 
 summary = teleoperate(
@@ -20,7 +27,6 @@ summary = teleoperate(
     sinks=["mujoco", "record:take.mcap"],
     hand="mimic_p050",
     rate=100.0,
-    duration=3.0,
     limits=LimitsConfig(velocity=8.0, acceleration=400.0),
     started=pause_for_a_moment,
 )

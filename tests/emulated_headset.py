@@ -47,7 +47,7 @@ def fetch_emulator(folder: Path) -> str:
             raise NoEmulator(f"npm is not installed, so {PACKAGE} can't be had")
         command = [npm, "pack", PACKAGE, "--silent", "--pack-destination", str(folder)]
         try:
-            run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+            run = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
         except subprocess.TimeoutExpired:
             raise NoEmulator(f"npm did not bring {PACKAGE} within a minute") from None
         if run.returncode or not archive.exists():

@@ -81,6 +81,10 @@ class Rig:
         """How many targets came."""
         return len(self.hand.servos.targets)
 
+    def powered(self) -> bool | None:
+        """True if the motors have torque; None for a hand that can't switch it off."""
+        return None
+
     def stick(self, motor: int) -> None:
         """Block a motor."""
         self.hand.servos.stuck.add(motor)
@@ -204,6 +208,9 @@ class Allegro(Rig):
     def targets(self) -> int:
         return int(self.hand.torque_frames) if any(self.hand.switched) else 0
 
+    def powered(self) -> bool:
+        return bool(self.hand.servo_on)
+
     def restart(self) -> None:
         self.hand.period_s, self.hand.servo_on = 0.0, False
 
@@ -235,6 +242,9 @@ class Ability(Rig):
         port = _linked(self.folder / "ttyAbility", self.hand.port)
         self.sink = f"ability:{port},baud=115200"  # macOS has no other bauds on a pty
 
+    def powered(self) -> bool:
+        return bool(self.hand.servos.powered)
+
     def lose(self) -> None:
         self.hand.close()
 
@@ -253,6 +263,9 @@ class Wuji(Rig):
         self.hand = self.hand or WujiWorld()
         self.sink = f"wuji:{self.folder.name}-{os.getpid()}"  # a serial number of its own
         self.monkeypatch.setitem(sys.modules, "wujihandpy", self.hand.module)
+
+    def powered(self) -> bool:
+        return bool(self.hand.servos.powered)
 
     def limits(self) -> list[float]:
         return self.hand.effort_limit.ravel().tolist()

@@ -103,5 +103,5 @@ class LinkerHand:
 
     def close(self) -> None:
         self._closed = True
-        self._thread.join(1.0)
+        self._thread.join(60.0)
         self.bus.shutdown()

@@ -7,6 +7,10 @@ from typing import Any
 from smooth_operator.teleop.sources.live import Arrival, Mailbox, Running
 from smooth_operator.types import HandFrame
 
+PATIENCE_S = 600.0
+"""Longest wait for something that comes about on an idle machine at once [s]. A wait that is over
+early costs nothing, and a machine with twenty programs for each core is slow."""
+
 
 class Kept(Mailbox):
     """A mailbox that also keeps all that was ever posted."""
@@ -61,7 +65,7 @@ def started(waits: Waits) -> tuple[Running, Kept]:
     return running, mailbox
 
 
-def until(condition: Callable[[], Any], timeout: float = 90.0) -> Any:
+def until(condition: Callable[[], Any], timeout: float = PATIENCE_S) -> Any:
     """Wait until something is true; its value. A busy machine takes long.
 
     Raises:

@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from live_time import PATIENCE_S
+
 from smooth_operator.study.console.server import Console, ConsoleAuth
 from smooth_operator.study.console.session_service import Command, SessionService
 from smooth_operator.study.design.plan import Plan, make_plan
@@ -22,8 +24,6 @@ from smooth_operator.study.design.protocol import Condition, Protocol, RubricLin
 from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator.study.store.progress import Progress
 from smooth_operator.web.listening import listen
-
-PATIENCE_S = 180.0  # a busy machine, and processes that are stopped for a while
 
 
 def console_plan(trials: int = 3, *, seconds: float = 0.0, resets: int = 1) -> Plan:

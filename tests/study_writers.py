@@ -77,6 +77,7 @@ def due(progress: Progress, rng: random.Random) -> Event | None:
 
 
 def write(target: str, operator: str, most: int, acknowledged: Path, seed: int) -> None:
+    """Appends that many events, or all that are left."""
     rng = random.Random(seed)
     with open_study(target) as store, acknowledged.open("a") as file:
         for _ in range(most):
@@ -88,12 +89,16 @@ def write(target: str, operator: str, most: int, acknowledged: Path, seed: int) 
             file.flush()
 
 
-def fork_writer(target: str, operator: str, most: int, folder: Path, seed: int) -> int:
+def fork_writer(
+    target: str, operator: str, most: int, folder: Path, seed: int, waits: bool = False
+) -> int:
     child = os.fork()
     if child:
         return child
     try:
         write(target, operator, most, folder / f"{operator}.txt", seed)
+        while waits:
+            time.sleep(60.0)
     except BaseException as error:
         print(f"{operator}: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
         os._exit(1)
@@ -101,7 +106,10 @@ def fork_writer(target: str, operator: str, most: int, folder: Path, seed: int) 
 
 
 def main(what: str, target: str, folder: str, count: int, most: int) -> None:
-    """``together``: that many operators at once. ``killed``: one, killed that many times."""
+    """``together``: that many operators at once. ``killed``: one, killed that many times.
+
+    Who is to be killed waits for it after its events.
+    """
     codes = small_plan().codes
     if what == "together":
         made = [
@@ -114,17 +122,12 @@ def main(what: str, target: str, folder: str, count: int, most: int) -> None:
     kills = 0
     while kills < count:
         size = notes.stat().st_size
-        child = fork_writer(target, codes[0], most, Path(folder), kills)
+        child = fork_writer(target, codes[0], most, Path(folder), kills, waits=True)
         while notes.stat().st_size == size and os.waitpid(child, os.WNOHANG)[0] == 0:
             time.sleep(0.001)
-        time.sleep(rng.uniform(0.0, 0.03))
-        try:
-            os.kill(child, signal.SIGKILL)
-            status = os.waitpid(child, 0)[1]
-        except (ProcessLookupError, ChildProcessError):  # it came to the end of the protocol
-            break
-        kills += os.WIFSIGNALED(status)
-    print(kills)
+        time.sleep(10 ** rng.uniform(-4.0, -1.5))  # on quick machines and slow ones in an event
+        os.kill(child, signal.SIGKILL)
+        kills += os.WIFSIGNALED(os.waitpid(child, 0)[1])
 
 
 if __name__ == "__main__":

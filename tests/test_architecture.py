@@ -414,7 +414,7 @@ def test_what_a_retargeter_loads_is_small():
         f"print([m.__file__ for n, m in sys.modules.items() if n.split('.')[0] == '{PACKAGE}'])"
     )
     run = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=300
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=1200
     )
     lines = {
         file: len(Path(file).read_text(encoding="utf-8").splitlines())

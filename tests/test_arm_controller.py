@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from live_time import PATIENCE_S
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
@@ -294,7 +295,7 @@ def test_the_sink_carries_the_hand_and_reads_the_arm_back():
         sink.send(
             Tick("right", hand.name, command, np.zeros(len(q)), Mode.TRACKING, 0.0, 0, arm=arm)
         )
-        end = time.monotonic() + 20.0
+        end = time.monotonic() + PATIENCE_S
         while np.abs(sink.measured_arm("right") - wanted).max() > 5e-3:
             assert time.monotonic() < end, "the arm does not go where it is sent"
             time.sleep(0.02)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import viser
+from live_time import PATIENCE_S
 
 PAGE = """
 import sys
@@ -71,7 +72,7 @@ class Server:
 
     @contextlib.contextmanager
     def connected(self) -> Iterator[socket.socket]:
-        with socket.create_connection(("127.0.0.1", self.port), timeout=20) as plain:
+        with socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S) as plain:
             if not self.tls:
                 yield plain
                 return
@@ -133,7 +134,7 @@ def server(request, tmp_path_factory) -> Iterator[Server]:
         path = {"console": "/link", "webxr": "/link"}.get(request.param, "/")
         tls = request.param == "webxr"
         yield Server(int(line[0]), "".join(line[1:]), tls, path)
-        printed = process.communicate(timeout=60)[0]
+        printed = process.communicate(timeout=PATIENCE_S)[0]
         assert printed + (tmp_path / "errors").read_bytes() == b""
     finally:
         process.kill()
@@ -170,7 +171,7 @@ def test_a_wrong_request_is_refused_and_prints_nothing(server):
     assert {statuses[name] for name in WRONG if name.startswith("two")} == {400}
     for data in UNFINISHED:
         for reset in (False, True):
-            with socket.create_connection(("127.0.0.1", server.port), timeout=20) as one:
+            with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE_S) as one:
                 if reset:
                     linger = struct.pack("ii", 1, 0)
                     one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)

@@ -1,11 +1,13 @@
 """The contributors' guide holds: paths exist, commands run, workflows parse."""
 
+import ast
 import os
 import re
 import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -276,3 +278,37 @@ def test_links_of_the_pages_for_contributors_exist():
         paths = [link for link in links if not link.startswith("https:")]
         assert paths
         assert [path for path in paths if not (PROJECT / path).exists()] == [], name
+
+
+def seconds_of(node: ast.AST) -> Iterator[float]:
+    """Numbers that a test waits for, or that a time on the machine's clock may be at most."""
+
+    def is_clock(call: ast.AST) -> bool:
+        return ast.unparse(call) in ("time.monotonic()", "time.perf_counter()", "time.time()")
+
+    bounds: list[ast.expr] = []
+    match node:
+        case ast.Compare(left=ast.BinOp(op=ast.Sub(), left=one, right=other), ops=[ast.Lt()]):
+            bounds = node.comparators if is_clock(one) or is_clock(other) else []
+        case ast.BinOp(op=ast.Add(), left=clock, right=bound) if is_clock(clock):
+            bounds = [bound]
+        case ast.Call(func=ast.Attribute(attr="join" | "wait" | "result"), args=[bound]):
+            bounds = [bound]
+        case ast.Call():
+            bounds = [k.value for k in node.keywords if k.arg in ("timeout", "open_timeout")]
+    for bound in bounds:
+        if isinstance(bound, ast.Constant) and isinstance(bound.value, int | float):
+            yield bound.value
+
+
+def test_tests_do_not_judge_the_speed_of_the_machine():
+    """Twenty programs for each core: what takes a second may take a minute, or ten."""
+    found = {
+        f"{path.name}:{node.lineno}: {seconds:g} s"
+        for folder in ("tests", "research/tests", "packages/smooth_hand_datasets/tests")
+        for path in (PROJECT / folder).glob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for seconds in seconds_of(node)
+        if 1.0 <= seconds < 60.0
+    }
+    assert sorted(found) == [], "wait with live_time.PATIENCE_S, or on a clock of the test's own"

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_time import until
+from live_time import PATIENCE_S, until
 from ticks import make_tick
 
 from smooth_operator import HandFrame, Retargeter, load_hand
@@ -34,7 +34,7 @@ from smooth_operator.teleop.sources.live import Arrival, Mailbox, SourceHealth
 zmq = pytest.importorskip("zmq")
 
 RATE = 100.0
-LONG = 60.0  # a busy machine
+LONG = PATIENCE_S
 HOSTILE = [
     b'{"do":' + b"[" * 20_000,
     b"{" * 20_000,

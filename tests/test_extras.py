@@ -230,7 +230,7 @@ def test_without_extras_a_command_works_or_names_what_it_lacks(tmp_path):
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=1200,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -72,7 +72,7 @@ def is_closed(one: socket.socket) -> bool:
 def works(mailbox: Kept, where: tuple[str, int], data: bytes) -> None:
     """A headset, whose bytes arrive one by one."""
     before = mailbox.received
-    with socket.create_connection(where, timeout=5) as headset:
+    with socket.create_connection(where, timeout=60) as headset:
         headset.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         for byte in data[:40]:
             headset.sendall(bytes([byte]))
@@ -85,7 +85,7 @@ def test_another_protocol_is_closed_for_good(text, apart):
     frame = SOURCES[text]
     with listening(text) as (source, mailbox, where):
         for header in HEADERS:
-            with socket.create_connection(where, timeout=5) as one:
+            with socket.create_connection(where, timeout=60) as one:
                 one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 if apart:
                     one.sendall(header)
@@ -111,7 +111,7 @@ def test_another_protocol_whose_bytes_come_one_by_one(text):
     frame = SOURCES[text]
     with listening(text) as (source, mailbox, where):
         for header in HEADERS:
-            with socket.create_connection(where, timeout=5) as one:
+            with socket.create_connection(where, timeout=60) as one:
                 one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 with pytest.raises(ConnectionError):  # noqa: PT012  (whichever byte is noticed)
                     for byte in header[:9] * 20:

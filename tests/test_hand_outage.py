@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_hand import write_fake_table
+from live_time import PATIENCE_S
 from ticks import make_tick
 
 from smooth_operator.errors import SinkError
@@ -157,7 +158,7 @@ class Run:
 
         self.patch.setattr(HandWorker, "_pace", pace)
         worker.start()
-        worker._thread.join(30.0)
+        worker._thread.join(PATIENCE_S)
         assert not worker._thread.is_alive()
         return worker
 

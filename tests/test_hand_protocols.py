@@ -18,7 +18,7 @@ from fake_hand_sdks import StarkContext, StarkWorld, WujiController, WujiHand, W
 from hand_rigs import RIGS, missing
 from inspire_simulator import InspireHand, TcpServer
 from linker_simulator import LinkerHand
-from live_time import until
+from live_time import PATIENCE_S, until
 from ticks import make_tick
 
 from smooth_operator import Hand, load_hand
@@ -229,7 +229,7 @@ def test_allegro_torques_have_the_sign_and_the_limit(version):
         hand.stuck.update(range(16))
         goal = start + np.where(np.arange(16) % 2, 0.5, -0.5)
         device.write(goal)
-        end = time.perf_counter() + 10
+        end = time.perf_counter() + PATIENCE_S
         while hand.torque.tolist().count(0) and time.perf_counter() < end:
             time.sleep(0.005)
         assert hand.servo_on

@@ -200,7 +200,7 @@ def test_over_tcp_each_hand_has_a_connection_and_may_come_back():
     source, mailbox = started("hts:port=0,transport=tcp")
     try:
         (where,) = ports(source)
-        right, left, head = (socket.create_connection(where, timeout=5) for _ in range(3))
+        right, left, head = (socket.create_connection(where, timeout=60) for _ in range(3))
         data = app.hts_packet("right", POSE, RIGHT) + b"\n"
         right.sendall(data[:40])  # a line in parts
         head.sendall(b"Head pose:, 0, 1.5, 0, 0, 0, 0, 1\n")
@@ -211,12 +211,12 @@ def test_over_tcp_each_hand_has_a_connection_and_may_come_back():
         check(last(mailbox, "right"), POSE, RIGHT)
         check(last(mailbox, "left"), LEVEL, LEFT)
         # The headset sleeps: its connection stays, and a new one comes when it wakes.
-        again = socket.create_connection(where, timeout=5)
+        again = socket.create_connection(where, timeout=60)
         again.sendall(data * 2)
         until(lambda: mailbox.received_of["right"] == 3)
         assert [a.session for a in mailbox.all if a.frame.side == "right"] == [0, 1, 1]
         left.close()
-        left = socket.create_connection(where, timeout=5)
+        left = socket.create_connection(where, timeout=60)
         left.sendall(app.hts_packet("left", LEVEL, LEFT) + b"\n")
         until(lambda: mailbox.received_of["left"] == 2)
         for one in (right, left, head, again):
@@ -229,8 +229,8 @@ def test_connections_that_never_end_make_room():
     source, mailbox = started("hts:port=0,transport=tcp")
     try:
         (where,) = ports(source)
-        idle = [socket.create_connection(where, timeout=5) for _ in range(12)]
-        with socket.create_connection(where, timeout=5) as one:
+        idle = [socket.create_connection(where, timeout=60) for _ in range(12)]
+        with socket.create_connection(where, timeout=60) as one:
             one.sendall(app.hts_packet("right", POSE, RIGHT) + b"\n")
             until(lambda: mailbox.received == 1)
             one.sendall(b"x" * 200_000)  # no line ends
@@ -295,7 +295,7 @@ def test_one_source_hears_both_protocols():
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
             one.sendto(app.hts_packet("right", POSE, RIGHT), udp)
             until(lambda: mailbox.received == 1)
-        with socket.create_connection(tcp, timeout=5) as one:
+        with socket.create_connection(tcp, timeout=60) as one:
             one.sendall(app.hts_packet("left", POSE, LEFT) + b"\n")
             until(lambda: mailbox.received == 2)
     finally:

@@ -9,6 +9,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 from lerobot_stand_in import REAL, ROBOT, use_plugins
+from live_time import PATIENCE_S
 
 from smooth_operator import load_hand
 from smooth_operator.errors import ConfigError
@@ -110,7 +111,7 @@ def test_the_robots_observations_have_pictures_of_its_simulated_hand(plugin):
         low, high = load_hand("mimic_p050").limits.T
         names = list(robot.action_features)
         goal = dict(zip(names, (low + 0.7 * (high - low)).tolist(), strict=True))
-        end, changed = time.perf_counter() + 30.0, False
+        end, changed = time.perf_counter() + PATIENCE_S, False
         while time.perf_counter() < end and not changed:
             robot.send_action(goal)
             time.sleep(0.02)

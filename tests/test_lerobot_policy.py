@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from free_port import free_port
 from lerobot_stand_in import ENVIRONMENT, REAL, ROBOT, TELEOPERATOR
+from live_time import PATIENCE_S
 
 from smooth_operator import load_hand
 from smooth_operator.cli import main
@@ -50,7 +51,7 @@ def run(module: str, folder: Path, options: dict[str, Any]) -> str:
     done = subprocess.run(
         [sys.executable, "-m", f"lerobot.scripts.{module}",
          *(f"--{name}={value}" for name, value in options.items())],
-        env=environment, cwd=folder, capture_output=True, encoding="utf-8", timeout=500,
+        env=environment, cwd=folder, capture_output=True, encoding="utf-8", timeout=3000,
     )  # fmt: skip
     assert done.returncode == 0, f"{module}: {done.stderr[-4000:]}"
     return done.stdout + done.stderr
@@ -112,7 +113,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 run("lerobot_record", folder, {**record, **where, **more})
         finally:
             operator.terminate()
-            operator.communicate(timeout=60)
+            operator.communicate(timeout=PATIENCE_S)
     return folder
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from free_port import free_port
 from lerobot_stand_in import REAL, ROBOT, TELEOPERATOR
+from live_time import PATIENCE_S
 
 from smooth_operator import load_hand
 from smooth_operator.cli import main
@@ -92,10 +93,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
             cwd=folder,
             capture_output=True,
             encoding="utf-8",
-            timeout=400,
+            timeout=3000,
         )
         operator.terminate()
-        said, _ = operator.communicate(timeout=60)
+        said, _ = operator.communicate(timeout=PATIENCE_S)
     assert done.returncode == 0, f"{done.stderr[-4000:]}\n{said[-2000:]}"
     return folder
 

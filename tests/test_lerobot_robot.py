@@ -13,6 +13,7 @@ import pytest
 from fake_hand import FakeHand, FakeHandSink, write_fake_table
 from free_port import free_port
 from lerobot_stand_in import REAL, ROBOT, use_plugins
+from live_time import PATIENCE_S
 
 from smooth_operator import Hand, load_hand
 from smooth_operator.signals import ENDING
@@ -61,9 +62,9 @@ def goal(hand: Hand, share: float, factor: float = 1.0) -> dict[str, float]:
     return dict(zip((f"{name}.pos" for name in hand.actuated_names), values.tolist(), strict=True))
 
 
-def go(device: Any, action: dict[str, float], near: float, seconds: float = 20.0) -> list[Any]:
+def go(device: Any, action: dict[str, float], near: float) -> list[Any]:
     """Send an action until the hand has come near to it; what was sent on the way."""
-    sent, end = [], time.perf_counter() + seconds
+    sent, end = [], time.perf_counter() + PATIENCE_S
     while time.perf_counter() < end:
         sent.append(device.send_action(action))
         seen = device.get_observation()

@@ -23,6 +23,7 @@ import pytest
 import viser
 from browser_page import changed, nameless, new_page, settled
 from hostile_texts import ATTACK, guarded_page, hostile_hand
+from live_time import PATIENCE_S
 from live_time import until as eventually
 
 from smooth_operator import HandFrame, Retargeter, load_hand
@@ -50,7 +51,6 @@ from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedS
 from smooth_operator.types import Side
 
 RATE = 50.0
-PATIENT_S = 30.0
 
 
 @dataclass
@@ -98,7 +98,7 @@ def stage(frames: list[HandFrame], tmp_path_factory: pytest.TempPathFactory) -> 
     retargeter = Retargeter(load_hand("mimic_p050"), config=asked.config)
     retargeter.warm_up()
     # a busy machine is late, which is no loss of the tracker here
-    config = LoopConfig(rate=RATE, safety=SafetyConfig(stale_s=PATIENT_S, lost_s=PATIENT_S))
+    config = LoopConfig(rate=RATE, safety=SafetyConfig(stale_s=PATIENCE_S, lost_s=PATIENCE_S))
     loop = TeleopLoop(
         {"right": HandPipeline(retargeter, config)}, Player(frames), SinkRunner(), config
     )
@@ -117,7 +117,7 @@ def stage(frames: list[HandFrame], tmp_path_factory: pytest.TempPathFactory) -> 
     eventually(lambda: built.ticks and built.mode() is Mode.TRACKING)
     yield built
     loop.controls.quit()
-    thread.join(10)
+    thread.join(PATIENCE_S)
     built.session.close()
     sys.setswitchinterval(turn)
     assert not thread.is_alive()
@@ -379,13 +379,15 @@ def test_the_quality_of_a_take(stage):
     eventually(lambda: take(stage)["open"])
     path, hand = Path(take(stage)["last"][0]), load_hand("mimic_p050")
     quality, log = take_quality(path, hand), read_log(path)
+    period = np.median(np.diff(log.loop.times))
     for seconds, mode in ((quality.paused_s, "paused"), (quality.stopped_s, "stopped")):
-        assert 0.2 < seconds == pytest.approx(log.loop.modes.count(mode) / RATE, rel=0.5)
+        assert seconds == pytest.approx(log.loop.modes.count(mode) * period)
+        assert log.loop.modes.count(mode) > 10
     assert take(stage)["kept"] == kept  # until it is decided
     assert 0 < quality.seconds < 60.0
     lost = sum(mode in ("waiting", "holding") for mode in log.loop.modes)
-    assert quality.lost_s == pytest.approx(lost / RATE, rel=0.5)
-    assert quality.lost_s > 0.1
+    assert quality.lost_s == pytest.approx(lost * period)
+    assert lost > 10
     assert quality.frames == log.loop.answers.sum() > 20
     assert quality.collision is not None
     text = plain(live_texts.take(take(stage), [quality]))
@@ -436,7 +438,7 @@ def test_the_page_cannot_ask_for_what_is_not_there(stage):
 
 
 def fetch(port: int, path: str = "/", **headers: str) -> tuple[int, dict[str, str]]:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
     connection.request("GET", path, headers=headers)
     response = connection.getresponse()
     response.read()
@@ -994,8 +996,9 @@ def test_another_hand_while_it_runs(monkeypatch, tmp_path):
         assert sum(line.startswith("page: ") for line in lines) == 1
         assert sessions[1].switcher.used.method == "joint_angle"
     finally:
-        sessions[-1].loop.controls.quit()
-        thread.join(60)
+        for session in sessions[-1:]:
+            session.loop.controls.quit()
+        thread.join(PATIENCE_S)
     assert len(ended) == 1
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from live_time import PATIENCE_S
 
 from smooth_operator.errors import ConfigError, MissingExtraError, WorkerError
 from smooth_operator.extras import install_command
@@ -73,7 +74,7 @@ def die_between_two_parts(size: int) -> bytes:
 def wait_and_clean_up(marker: Path) -> None:
     marker.touch()
     try:
-        time.sleep(60)
+        time.sleep(PATIENCE_S)
     finally:
         marker.unlink()
 
@@ -200,7 +201,7 @@ def close_when_there(running: Iterator[object], folder: Path) -> None:
         raise KeyboardInterrupt
 
     def watch() -> None:
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + PATIENCE_S
         while len(list(folder.iterdir())) < 2 and time.monotonic() < deadline:
             time.sleep(0.02)
         os.kill(os.getpid(), signal.SIGINT)  # of the process, so that it wakes the main thread
@@ -253,17 +254,17 @@ def test_signals_and_a_killed_parent_leave_no_process(tmp_path, how):
         if how != "SIGKILL":
             # as a terminal does: the workers get it as well
             os.killpg(process.pid, getattr(signal, how))
-            out, err = process.communicate(timeout=20)
+            out, err = process.communicate(timeout=PATIENCE_S)
             assert (out, err, process.returncode) == ("interrupted\n", "", 0)
             assert list(folder.iterdir()) == []
         else:
             process.kill()
-            process.communicate(timeout=20)
+            process.communicate(timeout=PATIENCE_S)
     wait_for(lambda: not group_alive(process.pid))
 
 
 def wait_for(condition: Any) -> None:
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.02)
@@ -351,7 +352,11 @@ def test_workers_that_do_not_start_say_why(tmp_path, code, reason, written, work
     script = tmp_path / "script.py"
     script.write_text(code.replace("WORKERS", str(workers)), encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, check=False, timeout=120
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
     )
     assert done.returncode != 0
     message = done.stderr.strip().splitlines()[-1]

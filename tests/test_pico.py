@@ -169,14 +169,14 @@ def test_a_headset_connects_repeats_itself_and_comes_back():
     try:
         assert source.health().detail.endswith("say pico:0.0.0.0")
         first, second = both(), both(STAMP + 14_000_000, move=0.001)
-        with socket.create_connection(where, timeout=5) as headset:
+        with socket.create_connection(where, timeout=60) as headset:
             headset.sendall(app.pico_packet(0x19, b"SN|-1") + app.pico_packet(0x6C, b"SN|1.0|1"))
             headset.sendall(app.pico_tracking(first["hands"], STAMP))
             # the left hand is lost: what was known of it is sent again
             headset.sendall(app.pico_tracking(second["hands"], STAMP + 14_000_000))
             until(lambda: mailbox.received_of["right"] == 2)
         assert mailbox.received_of["left"] == 1
-        with socket.create_connection(where, timeout=5) as headset:  # it slept
+        with socket.create_connection(where, timeout=60) as headset:  # it slept
             third = both(move=0.002)
             headset.sendall(app.pico_tracking(third["hands"], STAMP + 5 * 10**9))
             until(lambda: mailbox.received_of["right"] == 3)
@@ -191,7 +191,7 @@ def test_a_headset_connects_repeats_itself_and_comes_back():
 def test_a_frame_without_a_stamp_is_of_the_time_of_receipt():
     source, mailbox, where = started("pico:port=0,side=right")
     try:
-        with socket.create_connection(where, timeout=5) as headset:
+        with socket.create_connection(where, timeout=60) as headset:
             headset.sendall(app.pico_tracking(both()["hands"], None))
             until(lambda: mailbox.received == 1)  # the right hand alone
         assert mailbox.all[0].stamp == mailbox.all[0].received

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from live_time import PATIENCE_S
 
 ASKING = """
 import os, threading
@@ -33,7 +34,9 @@ def test_what_was_granted_is_what_is_said(allowed):
     drop = [] if allowed else ["prlimit", "--rtprio=0:0", "setpriv", "--bounding-set=-sys_nice"]
     command = [*drop, sys.executable, "-c", ASKING]
     try:
-        found = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        found = subprocess.run(
+            command, capture_output=True, text=True, check=False, timeout=PATIENCE_S
+        )
     except FileNotFoundError:
         pytest.skip("setpriv, which takes the right away, is not installed")
     if found.returncode != 0 and drop and "setpriv" in found.stderr:

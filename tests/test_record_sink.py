@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_time import until
+from live_time import PATIENCE_S, until
 from protobuf_log import rewritten
 from ticks import make_tick
 
@@ -187,7 +187,7 @@ def test_a_slow_disk_never_stops_the_loop_and_losses_are_told(hand, tmp_path, mo
     write = LogWriter.write_command
 
     def slow(self: LogWriter, *args: object, **more: object) -> None:
-        gate.wait(60.0)
+        gate.wait(PATIENCE_S)
         write(self, *args, **more)
         written.append(1)
 
@@ -282,7 +282,7 @@ def test_a_disk_that_is_really_full(hand, tmp_path):
         sink.open({"right": hand}, {})
         errors = []
         number = 0
-        end = time.perf_counter() + 10.0
+        end = time.perf_counter() + PATIENCE_S
         while not errors and time.perf_counter() < end:
             try:
                 sink.send(make_tick(hand, number))
@@ -344,7 +344,7 @@ def test_killed_at_ten_random_moments_all_but_the_last_second_is_there(tmp_path)
     rng = random.Random(0)
     kill_at: dict[Path, float] = {}  # by perf_counter, one clock for all processes of the machine
     lives: dict[Path, tuple[float, float]] = {}
-    give_up = time.perf_counter() + 60.0
+    give_up = time.perf_counter() + PATIENCE_S
     while len(lives) < 10:
         assert time.perf_counter() < give_up
         assert parent.poll() is None or len(kill_at) == 10, parent.communicate()[1]
@@ -355,7 +355,7 @@ def test_killed_at_ten_random_moments_all_but_the_last_second_is_there(tmp_path)
                 os.kill(int(pid), signal.SIGKILL)
                 lives[note] = float(began), time.perf_counter()
         time.sleep(0.002)
-    _, errors = parent.communicate(timeout=30)
+    _, errors = parent.communicate(timeout=PATIENCE_S)
     assert parent.returncode == 0, errors
     with_ticks = 0
     for note, (began, died) in lives.items():

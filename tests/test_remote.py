@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_time import until
+from live_time import PATIENCE_S, until
 from test_operator_profile import profile
 
 from smooth_operator import Retargeter, load_hand, method_names
@@ -51,7 +51,7 @@ from smooth_operator.teleop.sinks.tick import Driver, Mode, Tick
 
 zmq = pytest.importorskip("zmq")
 
-LONG = 120.0  # a busy machine
+LONG = PATIENCE_S
 LIFT = np.array([0.0, 0.0, 0.02])
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_time import until
+from live_time import PATIENCE_S, until
 from scipy.spatial.transform import Rotation
 from ticks import make_tick
 
@@ -74,7 +74,7 @@ def peer() -> Iterator[Peer]:
     other = Peer()
     yield other
     other.process.stdin.close()
-    other.process.wait(20)
+    other.process.wait(PATIENCE_S)
 
 
 @pytest.fixture

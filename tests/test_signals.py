@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dynamixel_bank import ServoBank
-from live_time import until
+from live_time import PATIENCE_S, until
 
 from smooth_operator import signals
 from smooth_operator.signals import ENDING, ended_by_signals
@@ -22,7 +22,7 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.control.switches import keys
 from smooth_operator.teleop.recording import read_log
 
-LONG_S = 120.0
+LONG_S = PATIENCE_S
 HIDDEN, SHOWN = "\x1b[?25l", "\x1b[?25h"
 posix = pytest.mark.skipif(os.name == "nt", reason="POSIX signals and pseudo-terminals")
 

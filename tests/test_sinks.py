@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from free_port import free_port
-from live_time import until
+from live_time import PATIENCE_S, until
 from rich.console import Console
 from ticks import make_tick
 
@@ -167,7 +167,7 @@ def test_the_watchdog_does_not_wait_for_a_sink_that_hangs(hand):
     class Hanging(Fake):
         def send(self, tick: Tick) -> None:
             inside.set()
-            gate.wait(60.0)
+            gate.wait(PATIENCE_S)
 
     gate, inside = threading.Event(), threading.Event()
     stuck, other = Hanging("stuck"), Fake("other")
@@ -175,7 +175,7 @@ def test_the_watchdog_does_not_wait_for_a_sink_that_hangs(hand):
     runner.open({"right": hand}, {})
     loop = threading.Thread(target=runner.send, args=(make_tick(hand),))
     loop.start()
-    assert inside.wait(60.0)
+    assert inside.wait(PATIENCE_S)
     runner.stalled(0.3)
     assert loop.is_alive()  # the one that hangs was not waited for
     assert other.calls == ["open", "stalled"]
@@ -217,7 +217,7 @@ def listen() -> Iterator[Callable[[str, bytes], Any]]:
 
 def _until_heard(sink: ZmqSink, socket: Any, tick: Tick) -> dict[str, Any]:
     """Send until a message is there: a subscriber needs a moment to connect."""
-    end = time.perf_counter() + 5.0
+    end = time.perf_counter() + PATIENCE_S
     while time.perf_counter() < end:
         sink.send(tick)
         if socket.poll(20):
@@ -235,7 +235,7 @@ def test_zmq_says_all_of_a_command(hands, listen):
     sink.send(tick)
     while (message := json.loads(socket.recv()))["number"] != 3:
         pass
-    assert message.pop("unix_time") == pytest.approx(time.time(), abs=5.0)
+    assert message.pop("unix_time") == pytest.approx(time.time(), abs=PATIENCE_S)
     assert message == {
         "side": "left",
         "type": "command",

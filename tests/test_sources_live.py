@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from live_time import Kept, Waits, started, until
+from live_time import PATIENCE_S, Kept, Waits, started, until
 
 from smooth_operator.errors import ConfigError, RecordingError, SourceError, UnknownNameError
 from smooth_operator.plugins import Entry, Registry
@@ -45,7 +45,7 @@ def test_a_mailbox_waits_for_the_hands_that_are_asked_for():
     assert mailbox.wait(("right", "left"), 0.0)
     later = threading.Timer(0.05, mailbox.post, [frame()])
     later.start()
-    assert mailbox.wait(("right",), 10.0)
+    assert mailbox.wait(("right",), PATIENCE_S)
     later.join()
 
 
@@ -54,11 +54,11 @@ def test_waking_a_mailbox_ends_a_wait_or_the_next_one():
     waker = threading.Timer(0.02, mailbox.wake)
     waker.start()
     begun = time.monotonic()
-    assert not mailbox.wait(("right",), 60.0)
+    assert not mailbox.wait(("right",), PATIENCE_S)
     waker.join()
     mailbox.wake()
-    assert not mailbox.wait(("right",), 60.0)
-    assert time.monotonic() - begun < 30.0
+    assert not mailbox.wait(("right",), PATIENCE_S)
+    assert time.monotonic() - begun < PATIENCE_S
     assert not mailbox.wait(("right",), 0.01)  # once
 
 
@@ -89,7 +89,7 @@ class Told(ThreadedSource):
     def run(self, running: Running) -> None:
         if self.error is not None:
             raise self.error
-        running.stopping.wait(10.0)
+        running.stopping.wait(PATIENCE_S)
 
 
 @pytest.mark.parametrize(

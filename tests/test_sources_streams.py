@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from glove_simulator import GloveFaults, messages, write_manus
-from live_time import Kept, until
+from live_time import PATIENCE_S, Kept, until
 
 from smooth_operator.errors import ConfigError, RecordingError, SourceError
 from smooth_operator.landmarks import FROM_MANUS_25, METACARPALS_MANUS_25
@@ -312,9 +312,7 @@ def running(source: ThreadedSource) -> Iterator[Kept]:
     try:
         yield mailbox
     finally:
-        begun = time.perf_counter()
         source.stop()
-        assert time.perf_counter() - begun < 2.0  # 0.1 s on a machine with nothing else to do
         assert source.health().state == "ended"
 
 
@@ -327,10 +325,9 @@ def test_datagrams_become_frames_and_bad_ones_are_counted():
                     (1e3 * POINTS).astype("<f8").tobytes(), text(side="left")]  # fmt: skip
         for k, message in enumerate(messages):
             sender.sendto(message, ("127.0.0.1", port))
-            sent = time.perf_counter()
             if k < 2:
                 until(lambda: len(mailbox.all) == k + 1)  # noqa: B023  (used at once)
-                assert mailbox.all[k].received - sent < 5.0
+                assert abs(mailbox.all[k].received - time.perf_counter()) < PATIENCE_S
         until(lambda: source.health().detail.startswith("2 of"))
         assert "millimetres" in source.health().detail
         assert source.health().state == "running"
@@ -390,7 +387,7 @@ class Publisher:
         self._context = zmq.Context()
         self._socket = self._context.socket(kind)
         self._socket.setsockopt(zmq.LINGER, 0)
-        end = time.monotonic() + 10.0
+        end = time.monotonic() + PATIENCE_S
         while True:  # an address that was just given back may need a moment
             try:
                 self._socket.bind(address)
@@ -497,7 +494,7 @@ def test_a_simulated_glove_s_faults_are_as_often_as_asked():
     assert len(found) / 2 / (found[-1][0] * 50) == pytest.approx(0.9, abs=0.04)
     seen = Counter(int(frame.valid.sum()) for frame in hands(1500, missing=0.1))
     assert set(seen) == {0, 17, 21}
-    assert [seen[0], seen[17]] == pytest.approx([75, 75], abs=30)
+    assert [seen[0], seen[17]] == pytest.approx([75, 75], abs=9)
     # a right hand's index is on the other side of its pinky than a left one's
     right = [(f.landmarks[5, 1] > f.landmarks[17, 1]) == (f.side == "right")
              for f in hands(swap=0.1)]  # fmt: skip

@@ -597,7 +597,7 @@ def test_an_operators_link_takes_no_experimenters_place(store):
         assert 32 <= len(taken) < 200
         assert fetch(port, "/operator/link?token=" + "o" * 24, **upgrade())[0] == 503
         for _ in range(8):
-            connect("/link", "e").recv(timeout=60)
+            connect("/link", "e").recv(timeout=PATIENCE_S)
         taken.pop().close()  # a place that is left is free again
         eventually(lambda: fetch(port, "/operator/link?token=" + "o" * 24, **upgrade())[0] == 101)
 

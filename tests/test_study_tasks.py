@@ -1,13 +1,14 @@
 """The study's tasks in simulation: scenes, scores, trials, and that they can be done."""
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
+from live_time import until
 from ticks import make_tick
 
 from smooth_operator.errors import (
@@ -591,14 +592,14 @@ def test_a_session_in_the_running_simulation(tmp_path):
     session.reset()
     with pytest.raises(StudyError, match="one reset"):
         session.reset()
-    wait(lambda: session.seconds > 0.3)
+    until(lambda: session.seconds > 0.3)
     session.finish()
     assert said == ["finished"]
     path = tmp_path / "trials" / "screwdriver-001.npz"
-    wait(path.exists)
+    until(path.exists)
     session.go(trial=2)
     session.finish()
-    wait((tmp_path / "trials" / "screwdriver-002.npz").exists)
+    until((tmp_path / "trials" / "screwdriver-002.npz").exists)
     back = read_trial(path)
     assert back.about == {"operator": "P01", "trial": 1}
     assert [word for _, word in back.events] == ["go", "reset", "finish"]
@@ -632,7 +633,7 @@ def test_any_source_of_commands_can_do_it_in_the_running_simulation():
     sim.watch("right", follow)
     session.go()
     end = float(demonstration.times[-1])
-    wait(lambda: bool(session.outcomes) or session.seconds > end)
+    until(lambda: bool(session.outcomes) or session.seconds > end)
     sim.close()
     session.close()  # after the simulation: nothing to look at any more
     (outcome,) = session.outcomes
@@ -645,23 +646,28 @@ def test_a_paused_scene_stands_still_and_goes_on():
     sim.open({"right": hand}, {})
     session = TaskSession(sim, "right")
     session.go()
-    wait(lambda: session.seconds > 0.05)
+    until(lambda: session.seconds > 0.05)
     session.pause(True)
-    time.sleep(0.05)  # what was under way
+
+    def heard() -> Any:
+        """The next state of the hand."""
+        before = sim.state("right").time
+        until(lambda: sim.state("right").time > before)
+        return sim.state("right")
+
+    heard()  # what was under way
+    hand_at = heard()
     seconds, state = session.seconds, sim.scene_state("right")
-    hand_at = sim.state("right")
     for _ in range(10):
         sim.send(make_tick(hand))
-        time.sleep(0.01)
-    later = sim.state("right")
-    assert later.time > hand_at.time  # it is heard of
+    later = heard()
     np.testing.assert_array_equal(later.positions, hand_at.positions)
     assert session.seconds == seconds
     session.reset()  # the object may be put back meanwhile
-    wait(lambda: sim.scene_state("right").starts > state.starts)
+    until(lambda: sim.scene_state("right").starts > state.starts)
     assert session.seconds == seconds
     session.pause(False)
-    wait(lambda: session.seconds > seconds + 0.05)
+    until(lambda: session.seconds > seconds + 0.05)
     session.close()
     sim.close()
 
@@ -674,7 +680,7 @@ def test_a_folder_keeps_its_trials(tmp_path):
         session = TaskSession(sim, "right", tmp_path)
         session.go()
         session.finish()
-        wait((tmp_path / f"card-{expected:03d}.npz").exists)
+        until((tmp_path / f"card-{expected:03d}.npz").exists)
         sim.close()
     assert len(list(tmp_path.glob("*.npz"))) == 2
 
@@ -702,17 +708,10 @@ def test_a_trial_with_the_keys_of_teleop(tmp_path, capsys):
     assert "right: 0 after" in said
     (outcome,) = trials.summary()["trials"]["right"]
     assert (outcome["ended"], outcome["resets"]) == ("finished", 1)
-    wait((tmp_path / "trials" / "screwdriver-001.npz").exists)
+    until((tmp_path / "trials" / "screwdriver-001.npz").exists)
     nothing = TaskTrials(sinks, ("right",), Progressing(False))
     nothing.begin()
     assert (nothing.keys, nothing.summary(), nothing.key_help) == ({}, {}, "")
-
-
-def wait(met: Callable[[], bool]) -> None:
-    end = time.perf_counter() + 30.0
-    while not met() and time.perf_counter() < end:
-        time.sleep(0.01)
-    assert met()
 
 
 def test_without_a_task_there_is_no_scene():

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from live_time import until
+from live_time import PATIENCE_S, until
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.errors import ConfigError, SinkError, SourceError, UnknownNameError
@@ -115,7 +115,7 @@ def test_another_thread_may_run_and_end_it():
     options: dict[str, Any] = {"started": quit_soon, "methods": ["joint_angle"], **METHOD}
     thread = threading.Thread(target=lambda: summaries.append(teleoperate(**options)))
     thread.start()
-    thread.join(120)
+    thread.join(PATIENCE_S)
     assert summaries[0]["frames_answered"] > 0
     assert not summaries[0]["interrupted"]
     assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == handlers
@@ -125,7 +125,7 @@ def test_the_robot_holds_until_the_method_is_compiled(monkeypatch):
     kept, go, warm_up = Kept(), threading.Event(), Retargeter.warm_up
 
     def slow(retargeter: Retargeter) -> float:
-        assert go.wait(60)
+        assert go.wait(PATIENCE_S)
         return warm_up(retargeter)
 
     def watch(loop: TeleopLoop) -> None:

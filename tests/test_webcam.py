@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from live_time import PATIENCE_S
 from live_time import until as wait_for
 from pictures import landmarker_or_skip, opencv_or_skip
 
@@ -461,7 +462,11 @@ source.start(Mailbox())
 time.sleep(0.5)
 """
     ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
     )
     assert ended.returncode == 0, ended.stderr
     assert "Traceback" not in ended.stderr

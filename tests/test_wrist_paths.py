@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from glove_simulator import write_manus
+from live_time import PATIENCE_S
 from protobuf_log import decoded
 from ticks import make_tick
 
@@ -98,7 +99,7 @@ def test_the_live_operator_moves_its_wrist_and_not_its_landmarks():
         box.post = keep
         source = SyntheticSource(duration=0.2, wrist=wrist)
         source.start(box)
-        source._running._thread.join(5)
+        source._running._thread.join(PATIENCE_S)
         source.stop()
     moved, still = seen
     assert len(moved) == len(still) == 20
@@ -117,7 +118,7 @@ def test_a_replay_has_the_wrist_of_its_recording(tmp_path):
     source, box, seen = Replay(tmp_path / "a.mcap", speed=100.0), Mailbox(), []
     box.post = lambda frame, **_: seen.append(frame)
     source.start(box)
-    source._running._thread.join(5)
+    source._running._thread.join(PATIENCE_S)
     source.stop()
     np.testing.assert_array_equal([f.T_world_wrist for f in seen], sent.recording.T_world_wrist)
 

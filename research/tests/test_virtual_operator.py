@@ -378,7 +378,7 @@ def test_a_stopped_simulation_goes_on_and_analyze_reads_it(tmp_path, monkeypatch
 def test_the_command_says_what_it_is_and_what_is_wrong(tmp_path):
     def command(*words: str) -> subprocess.CompletedProcess[str]:
         line = [sys.executable, "-m", "smooth_operator", "study", "simulate", *words]
-        return subprocess.run(line, capture_output=True, text=True, timeout=240, check=False)
+        return subprocess.run(line, capture_output=True, text=True, timeout=1200, check=False)
 
     lost = command(str(tmp_path / "nothing"))
     assert lost.returncode == 2

@@ -158,13 +158,16 @@ class Registry(Mapping[str, Entry]):
         """A name and what follows it.
 
         Args:
-            text: ``NAME``, ``NAME:REST``, ``package.module:attribute``, or this with ``:REST`` or
-                ``,REST`` after it.
+            text: ``NAME`` or ``package.module:attribute``, alone or with ``:REST`` or ``,REST``
+                after it.
 
         Returns:
             The name, which may be ``package.module:attribute``, and the rest, without the sign
             between them. A name that is in the registry goes before a module that is called so.
         """
+        name, comma, rest = text.partition(",")
+        if comma and name in self:
+            return name, rest
         name, _, rest = text.partition(":")
         target = _TARGET.match(text)
         if name in self or target is None or not is_target(target[0]):

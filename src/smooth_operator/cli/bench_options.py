@@ -43,6 +43,8 @@ Examples:
       pictures of poses, side by side
   smooth-operator bench recordings/ --hands all --workers 8 --output out
       a folder, on every hand, in eight processes
+  smooth-operator bench --physics --output out
+      what hands achieve in physics; of the distribution research/ (research/docs/physics.md)
 """
 
     rare: ClassVar[frozenset[str]] = RARE

@@ -44,7 +44,7 @@ Examples:
   smooth-operator convert recordings --commands results --task "pinch" --output dataset
   smooth-operator convert takes --columns robot --task "pinch" --output dataset
   smooth-operator convert dataset --episode 3 --output demo.h5
-  smooth-operator convert dataset --to npz --output episodes    (there and back)
+  smooth-operator convert dataset --to npz --output episodes
   smooth-operator convert clip.mp4 --side right --output clip.npz
 """
 

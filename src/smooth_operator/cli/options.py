@@ -194,7 +194,7 @@ class _Held(io.StringIO):
         return str(self._stream.encoding)
 
 
-_EXAMPLES = """Examples:
+EXAMPLES: Final = """Examples:
   smooth-operator demo
       a built-in operator, retargeted, measured and played in the browser
   smooth-operator sample hand.npz
@@ -348,7 +348,7 @@ def parse(arguments: Sequence[str]) -> Command:
             tyro.extras.subcommand_cli_from_dict(
                 {name: kind for name, kind in commands.items() if "." not in name},
                 prog="smooth-operator",
-                description=f"Retarget a tracked human hand onto a robot hand.\n\n{_EXAMPLES}",
+                description=f"Retarget a tracked human hand onto a robot hand.\n\n{EXAMPLES}",
                 args=list(arguments) or ["--help"],
                 config=flags,
             )

@@ -349,6 +349,8 @@ class Study(Group):
   smooth-operator study power my-study
   smooth-operator study run my-study --open
   smooth-operator study analyze trials.csv tlx.csv --baseline dexpilot --output out
+  smooth-operator study simulate my-study
+      virtual operators do the plan; of the distribution research/ (research/docs/study.md)
 
 Each has its own help: smooth-operator study analyze --help"""
 

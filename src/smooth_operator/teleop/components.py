@@ -38,10 +38,10 @@ def build_component(registry: Registry, text: str) -> Any:
 
     Args:
         registry: the parts by name, dataclasses whose first positional field is the argument.
-        text: ``NAME``, ``NAME:ARGUMENT`` or ``NAME:ARGUMENT,setting=value,...``; the argument is
-            the value of the class's first positional field, and may be left out where that has a
-            default. In place of a name, ``package.module:Class``; settings alone may follow it
-            after a comma.
+        text: ``NAME``, ``NAME:ARGUMENT``, ``NAME:ARGUMENT,setting=value,...`` or
+            ``NAME,setting=value,...``; the argument is the value of the class's first positional
+            field, and may be left out where that has a default. In place of a name,
+            ``package.module:Class``.
 
     Raises:
         UnknownNameError: there is no such name, or the class has no such setting.

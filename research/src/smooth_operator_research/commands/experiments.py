@@ -56,14 +56,13 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
     for side in {source.side for source in sources}:
         load_hand(options.hand, side)  # unknown, or not of this side: said before the long work
     outcomes: list[tuple[str, Outcome]] = []
+    trial = trial_note(settings.how_much)
 
     def done(name: str, outcome: Outcome) -> None:
         outcomes.append((name, outcome))
         held = sum(verdict.held == "held" for verdict in outcome.verdicts)
-        progress.note(
-            f"{len(outcomes)} of {len(names)} experiments done; {name}: {held} of "
-            f"{len(outcome.verdicts)} claims held"
-        )
+        judged = "" if trial else f"; {name}: {held} of {len(outcome.verdicts)} claims held"
+        progress.note(f"{len(outcomes)} of {len(names)} experiments done{judged}")
 
     with folder_for(options.output), claimed(options.output), jax_cache():
         try:
@@ -76,13 +75,14 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
     if options.quiet:
         return
     console, table = output_console(), plain_table()
-    for header in ("experiment", "claim", "paper", "here", "verdict"):
+    headers = ("experiment", "claim", "paper", "here", *([] if trial else ["verdict"]))
+    for header in headers:
         table.add_column(header, no_wrap=header in ("experiment", "verdict"))
     for line in verdict_lines(outcomes):
-        table.add_row(*line)
+        table.add_row(*line[: len(headers)])
     console.print(table)
-    if warning := trial_note(settings.how_much):
-        console.print(warning.strip(), markup=False, style="bold yellow")
+    if trial:
+        console.print(trial, markup=False, style="bold yellow")
     progress.note(f"wrote {options.output}: {', '.join(names)}, {REPORT}")
 
 

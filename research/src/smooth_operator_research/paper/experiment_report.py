@@ -116,7 +116,7 @@ def _overview(results: Mapping[str, Mapping[str, Any]]) -> Html:
             name_cell(verdict["claim"], note=name),
             escape(verdict["paper"]),
             escape(verdict["ours"]),
-            _verdict_cell(verdict["held"]),
+            _verdict_cell("" if content.get("warning") else verdict["held"]),
         )
         for name, content in results.items()
         for verdict in content["verdicts"]
@@ -140,12 +140,16 @@ def _verdict_cell(held: str) -> Html:
 def _section(content: Mapping[str, Any], folder: Path) -> Html:
     environment = content["environment"]
     parts = [paragraph(content["setup"], "soft")]
-    parts += [
-        Html(f"<p><b>{_MARKS.get(v['held'], '')} {escape(v['claim'])}.</b> "
-             f"The paper: {escape(v['paper'])}. Here: {escape(v['ours'])}. Verdict: "
-             f"{escape(v['held'])}. {escape(v.get('note', ''))}</p>")
-        for v in content["verdicts"]
-    ]  # fmt: skip
+    for v in content["verdicts"]:
+        held = "" if content.get("warning") else v["held"]
+        verdict = f"Verdict: {escape(held)}. " if held else ""
+        parts.append(
+            Html(
+                f"<p><b>{_MARKS.get(held, '')} {escape(v['claim'])}.</b> The paper: "
+                f"{escape(v['paper'])}. Here: {escape(v['ours'])}. {verdict}"
+                f"{escape(v.get('note', ''))}</p>"
+            )
+        )
     parts += [_picture(folder / f"{d['name']}.svg", d["caption"]) for d in content["drawings"]]
     for one in content["tables"]:
         shown = text_table(one["headers"], one["rows"])
