@@ -36,7 +36,7 @@ USERS = [
         ("docs", "how-to"), ("docs", "tutorials"), ("docs", "robots"), ("docs", "reference"),
     }
 ]  # fmt: skip
-QUICK = ("docs/how-to/hands.md", "docs/robots/hands-add.md")
+QUICK = ("docs/how-to/calibrate.md", "docs/how-to/lerobot.md", "docs/how-to/manus.md")
 """Pages that run in every run of the tests; the others once a week."""
 
 ELSEWHERE = {
