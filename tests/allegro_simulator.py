@@ -21,7 +21,15 @@ LIMIT = {"v4": 1200, "v5": 240}
 
 
 class AllegroHand:
-    """The hand on the bus, with a thread for its physics and its periodic reports."""
+    """The hand on the bus, with a thread for its physics and its periodic reports.
+
+    While it is controlled its time goes on by a period with each answer to a report, so that a busy
+    machine is slow motion, and no delay in the controller's loop. Without an answer for a second it
+    goes on with the machine's clock: then nobody controls it.
+
+    Attributes:
+        now: its time [s].
+    """
 
     def __init__(self, channel: str, version: str = "v5", *, left: bool = False) -> None:
         import can
@@ -40,6 +48,8 @@ class AllegroHand:
         self.stuck: set[int] = set()
         self.error: tuple[int, int] | None = None
         self.torque_frames = 0
+        self.now = time.perf_counter()
+        self._answered = True
         self._can: Any = can
         self.bus: Any = can.Bus(interface="virtual", channel=channel)
         self._closed = False
@@ -47,18 +57,24 @@ class AllegroHand:
         self._thread.start()
 
     def _run(self) -> None:
-        last = reported = time.perf_counter()
+        last = time.perf_counter()
         try:
             while not self._closed:
                 message = self.bus.recv(timeout=0.002)
                 if message is not None:
                     self._take(message)
-                now = time.perf_counter()
-                if now - last >= 0.001:
-                    self._move(now - last)
-                    last = now
-                if self.period_s and now - reported >= self.period_s:
-                    reported = now
+                waited = time.perf_counter() - last
+                if self.servo_on and self._answered and self.period_s:
+                    step = self.period_s
+                elif waited > (1.0 if self.servo_on else self.period_s or 0.001):
+                    step = waited
+                else:
+                    continue
+                last += waited
+                self._answered = False
+                self._move(step)
+                self.now += step
+                if self.period_s:
                     self._report()
         except Exception:
             if not self._closed:
@@ -76,6 +92,7 @@ class AllegroHand:
             self.torque_frames += 1
             self.largest_torque = max(self.largest_torque, *(abs(v) for v in values))
             self.torque[4 * (number - 0x60) : 4 * (number - 0x60) + 4] = values
+            self._answered |= number == 0x63
         elif number == 0x81:
             self.period_s = struct.unpack("<3h", message.data)[0] / 1000
         elif message.is_remote_frame and number == 0x80:

@@ -4,6 +4,8 @@ import importlib.util
 import itertools
 import os
 import sys
+import time
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
@@ -196,6 +198,8 @@ class Allegro(Rig):
     def start(self) -> None:
         self.channel = f"allegro-{next(_channels)}-{os.getpid()}"
         self.hand = AllegroHand(self.channel, self.version)
+        clock = types.SimpleNamespace(perf_counter=lambda: self.hand.now, sleep=time.sleep)
+        self.monkeypatch.setattr("smooth_operator.teleop.hardware.drivers.allegro.time", clock)
         self.sink = f"allegro:virtual:{self.channel},table={self.table}"
 
     def positions(self) -> np.ndarray:

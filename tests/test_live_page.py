@@ -575,7 +575,7 @@ class Clicked:
 
     def do(self, name: str, *values: Any) -> None:
         if name == "record":
-            self.goes_on.wait(PATIENT_S)
+            self.goes_on.wait(PATIENCE_S)
         if name == "keep":
             raise KeyError(name)
         self.done.append(name)
@@ -629,7 +629,7 @@ def test_a_stop_between_two_loops_stops_the_next(talk):
 def test_the_page_knows_within_half_a_second_that_the_loop_is_silent(talk, monkeypatch):
     eventually(lambda: talk.link.alive)
     hangs = threading.Event()
-    monkeypatch.setattr(talk.page, "_take", lambda message: hangs.wait(PATIENT_S))
+    monkeypatch.setattr(talk.page, "_take", lambda message: hangs.wait(PATIENCE_S))
     eventually(lambda: not talk.link.alive)
     hangs.set()
 
