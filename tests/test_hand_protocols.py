@@ -155,7 +155,7 @@ def test_linker_identifiers_are_those_of_the_makers_sdk(model, side, identifier)
     device = LinkerDevice(table(f"linker_{model}_{side}"), f"virtual:{wire}", model)
     try:
         device.open()
-        frame = spy.recv(timeout=1.0)
+        frame = spy.recv(timeout=PATIENCE_S)
         assert frame is not None
         assert frame.arbitration_id == identifier
     finally:

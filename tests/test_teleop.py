@@ -350,7 +350,7 @@ def computing(until: threading.Event) -> None:
         sum(range(100_000))
 
 
-LONG_S = 20.0
+LONG_S = PATIENCE_S
 """Time for which a method is held up if no stop ends it [s]; no test waits so long."""
 
 
