@@ -165,10 +165,7 @@ class Registry(Mapping[str, Entry]):
             The name, which may be ``package.module:attribute``, and the rest, without the sign
             between them. A name that is in the registry goes before a module that is called so.
         """
-        name, comma, rest = text.partition(",")
-        if comma and name in self:
-            return name, rest
-        name, _, rest = text.partition(":")
+        name, rest = [*re.split("[:,]", text, maxsplit=1), ""][:2]
         target = _TARGET.match(text)
         if name in self or target is None or not is_target(target[0]):
             return name, rest
