@@ -50,7 +50,7 @@ Examples:
 
 
 def demo(options: Demo) -> None:
-    """Records the operator, retargets, measures, writes the folder, serves the page."""
+    """Records the operator, retargets, measures, serves the page, writes the folder."""
     from smooth_operator.cli.console import Progressing, print_metrics, print_summary
     from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
     from smooth_operator.cli.page import hand_to_draw
@@ -64,7 +64,7 @@ def demo(options: Demo) -> None:
     check_demo_folder(options.output)
     if not options.no_view:  # before any work: an address or a port that can't be had
         from smooth_operator.teleop.pages import Playback, serve
-        from smooth_operator.teleop.pages.viser_server import free_port
+        from smooth_operator.teleop.pages.viser_server import free_port, until_interrupted
 
         free_port(options.host, options.port)
     request = requested(options, side=options.side)
@@ -75,20 +75,30 @@ def demo(options: Demo) -> None:
     with folder_for(options.output):
         outcome = execute_shown(todo, progress)
         trace, metrics = measure_shown(todo, outcome, options.definition, progress)
+        title = f"{todo.hand.name} {todo.hand.spec.side}: {todo.method} {todo.preset}"
+        page = None
+        if not options.no_view:  # files take seconds, and a person waits for the picture
+            playback = Playback(title, todo.hand, trace, hand_to_draw(todo.hand, options))
+            open_browser = not options.no_browser
+            page = serve(
+                playback,
+                host=options.host,
+                port=options.port,
+                open_browser=open_browser,
+                block=False,
+            )
         config = configuration("demo", todo, operator=operator, duration=options.duration)
         with progress.waiting("writing"), staged(options.output) as folder:
             _write(folder, todo, outcome, metrics, config)
-    title = f"{todo.hand.name} {todo.hand.spec.side}: {todo.method} {todo.preset}"
     heading = f"the built-in operator on {title}"
     if options.all:
         print_metrics(heading, metrics)
     else:
         print_summary(heading, todo.method, metrics, _FOLLOWING)
     progress.note(f"wrote {options.output}")
-    if not options.no_view:
-        drawn = hand_to_draw(todo.hand, options)
-        page = Playback(title, todo.hand, trace, drawn)
-        serve(page, host=options.host, port=options.port, open_browser=not options.no_browser)
+    if page is not None:
+        progress.note(f"the page plays at {page.url}; Ctrl-C ends")
+        until_interrupted(page)
 
 
 _FOLLOWING: Final = (

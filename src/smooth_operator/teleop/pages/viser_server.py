@@ -373,13 +373,18 @@ def serve_page(page: _Page, doing: str, *, open_browser: bool, block: bool) -> _
     if open_browser:
         open_page(page.url)
     if block:
-        try:
-            page.wait()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            page.stop()
+        until_interrupted(page)
     return page
+
+
+def until_interrupted(page: PageServer) -> None:
+    """Serves a page that was started until Ctrl-C, and stops it."""
+    try:
+        page.wait()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        page.stop()
 
 
 _TRIES = 100

@@ -111,6 +111,7 @@ class LivePanel:
             )
             self._slow.content = live_texts.slow(delay)
             self._slow.visible = bool(self._slow.content)
+        if "controls" in state:
             self._show_controls(state["controls"])
 
     # -- building -----------------------------------------------------------------------------

@@ -32,6 +32,8 @@ from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
 
+STARTING: Final = "starting"
+"""State of a page whose loop has not begun yet."""
 _NAME: Final = re.compile(r"[\w.-]{1,80}")
 
 
@@ -300,8 +302,11 @@ class LiveSession:
             shown["trial"] = dict(trial)
         if self._scenery is not None:
             shown["scenery"] = self._scenery.look(tuple(self.loop.pipelines), scenery)
-        if text:
+        if not self._ticks:  # it has not begun yet, and neither have its source and sinks
+            shown["notice"] = STARTING
+        elif text:
             shown["status"] = self._status(now)
+        if text:
             shown["controls"] = self._controls()
         return shown
 
