@@ -18,7 +18,11 @@ from mcap.writer import Writer
 
 from smooth_operator import read_commands, read_recording, write_commands
 from smooth_operator.episode_files.lerobot import write_dataset
-from smooth_operator.episode_files.lerobot.tables import column_statistics, joint_statistics
+from smooth_operator.episode_files.lerobot.tables import (
+    column_statistics,
+    joint_statistics,
+    standard_fps,
+)
 from smooth_operator.errors import ConfigError, MissingExtraError, OutputError, RecordingError
 from smooth_operator.extras import install_command
 from smooth_operator.formats.checks import reading_notes
@@ -209,6 +213,18 @@ def test_commands_on_a_clock_of_their_own(tmp_path, to):
     with pytest.raises(RecordingError, match=r"20 commands answer no frame.*\.mcap or \.h5"):
         write_dataset(tmp_path / "d", [lambda: value])
     assert not (tmp_path / "d").exists()
+
+
+@pytest.mark.parametrize(
+    ("rate", "fps"), [(95.3, 100), (97, 100), (29.97, 30), (118.5, 120), (22.7, 23), (44.0, 44)]
+)
+def test_a_data_set_has_a_usual_rate(tmp_path, rate, fps):
+    value = episode()
+    stamps = np.arange(len(value)) / rate
+    recording = replace(value.recording, stamps=stamps)
+    commands = replace(value.commands, stamps=stamps)
+    write_dataset(tmp_path / "d", [lambda: replace(value, recording=recording, commands=commands)])
+    assert json.loads((tmp_path / "d" / "meta" / "info.json").read_text())["fps"] == fps
 
 
 def test_held_commands_of_a_live_loop_are_no_rows_of_a_dataset(tmp_path):
@@ -429,7 +445,7 @@ def test_dataset_read_with_pyarrow_alone(tmp_path):
 
     fps = info["fps"]
     spans = [float(value.stamps[-1] - value.stamps[0]) for value in values]
-    assert fps == round(float(np.median([(FRAMES - 1) / span for span in spans])))
+    assert fps == standard_fps(float(np.median([(FRAMES - 1) / span for span in spans])))
     for number in (0, 1):
         rows = data.filter(pa.compute.equal(data["episode_index"], number))
         assert rows["frame_index"].to_pylist() == list(range(FRAMES))

@@ -18,6 +18,7 @@ from two_hands import LAYOUT, PAIRS, save_pair
 
 from smooth_operator import Retargeter, load_hand, plugins, poses, result_cache
 from smooth_operator.cli import main
+from smooth_operator.cli.dataset import _print
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.lab.datasets import pipeline
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip, RobotClip, in_frame
@@ -33,6 +34,7 @@ from smooth_operator.lab.datasets.sources import (
     parse_shard,
 )
 from smooth_operator.lab.datasets.store import Store
+from smooth_operator.lab.datasets.writers.registry import WritingOptions
 from smooth_operator.lab.datasets.writing import Summary
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.presets import PRESETS
@@ -244,6 +246,22 @@ def test_lerobot_has_no_columns_of_what_no_clip_has(copy):
     info = json.loads((out / "dataset" / "meta" / "info.json").read_text(encoding="utf-8"))
     assert "right_human_wrist" in info["features"]
     assert not [name for name in info["features"] if "camera" in name or "object" in name]
+
+
+def test_frames_are_counted_in_the_data_set(copy, capsys):
+    """Clips of 50 Hz at 25 Hz; a run that finds all written says the same as the first."""
+    sources, out = copy
+    slow = replace(request(sources, out), format="lerobot", writing=WritingOptions(rate=25.0))
+    summary = make_dataset(slow)
+    info = json.loads((out / "dataset" / "meta" / "info.json").read_text(encoding="utf-8"))
+    assert summary.written_frames == info["total_frames"] < summary.episode_frames
+    assert any("resampled to 25 frames a second" in note for note in summary.notes)
+    report = (out / "report.json").read_bytes()
+    make_dataset(slow)
+    assert (out / "report.json").read_bytes() == report
+    _print(summary)
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"({summary.episode_frames} frames, {summary.written_frames} in the data set)" in said
 
 
 def test_other_limits_retarget_nothing(copy):
@@ -586,7 +604,7 @@ def test_the_command(folder, tmp_path, capsys, monkeypatch):
     words += ["--output", str(tmp_path / "out"), "--format", "parquet", "--workers", "0"]
     assert main([*words, "--min-seconds", "0.2"]) == 1
     said = capsys.readouterr()
-    assert "1 clips (30 frames)" in said.out
+    assert "1 clip (30 frames)" in said.out
     assert "can't be read" in said.out
     assert "2 to retarget, 0 done already" in said.err
     assert main([*words, "--min-seconds", "0.2", "--json", "--quiet"]) == 1

@@ -80,7 +80,8 @@ Examples:
     """The task in words. Default: the task of the input."""
 
     fps: Annotated[int | None, arg(metavar="N")] = None
-    """Frames per second of a LeRobot data set. Default: the rounded median of the recordings."""
+    """Frames per second of a LeRobot data set. Default: the median of the recordings, as
+    a usual rate such as 30 or 100 where it is within 5 % of one."""
 
     columns: Annotated[
         Literal["all", "robot", "robot-wrist"], arg(metavar="all|robot|robot-wrist")

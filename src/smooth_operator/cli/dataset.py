@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.progress import Progress as Bar
 
-from smooth_operator.cli.console import Progressing, output_console, plain_table
+from smooth_operator.cli.console import Progressing, counted, output_console, plain_table
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.cli.session import requested
@@ -117,7 +117,7 @@ class _Shown(Progress):
         line = f"{items - kept} to retarget, {kept} done already"
         if found.passed_over:
             kinds = ", ".join(f"{count} {suffix}" for suffix, count in found.passed_over.items())
-            line += f"; passed over, as no layout knows them: {kinds}"
+            line += f"; skipped (unknown format): {kinds}"
         self._progress.note(line)
         if items > kept:
             extra = "{task.fields[frames]} frames, {task.fields[failed]} failed"
@@ -161,8 +161,9 @@ def _print(summary: Summary) -> None:
     if summary.shard is not None:
         number, count = summary.shard
         say(
-            f"share {number} of {count}: {summary.clips} clips ({summary.frames} frames), "
-            f"{len(summary.failed)} failed; when all shares are done, run with --merge"
+            f"share {number} of {count}: {counted(summary.clips, 'clip')} "
+            f"({counted(summary.frames, 'frame')}), {len(summary.failed)} failed; when all "
+            "shares are done, run with --merge"
         )
         return
     if summary.reasons:
@@ -171,10 +172,14 @@ def _print(summary: Summary) -> None:
         console.print(plain_table("dropped", ("limit", "episodes"), rows, left=1))
     for note in summary.notes:
         say(note)
+    kept = counted(summary.episode_frames, "frame")
+    if summary.written_frames != summary.episode_frames:
+        kept += f", {summary.written_frames} in the data set"
     say(
-        f"{summary.clips} clips ({summary.frames} frames): {summary.episodes} episodes "
-        f"({summary.episode_frames} frames) kept, {summary.dropped} parts "
-        f"({summary.dropped_frames} frames) dropped, {len(summary.failed)} failed"
+        f"{counted(summary.clips, 'clip')} ({counted(summary.frames, 'frame')}): "
+        f"{counted(summary.episodes, 'episode')} ({kept}) kept, "
+        f"{counted(summary.dropped, 'part')} ({counted(summary.dropped_frames, 'frame')}) "
+        f"dropped, {len(summary.failed)} failed"
     )
     written = f"data set: {summary.output / 'dataset'}; " if summary.episodes else ""
     say(f"{written}why: {summary.output / 'report.html'}")

@@ -349,6 +349,20 @@ def mean_rate(stamps: Float[np.ndarray, " T"]) -> float | None:
     return float(1.0 / usual.mean()) if len(usual) and usual.mean() > 0.0 else None
 
 
+STANDARD_FPS: Final = (
+    *(10, 15, 20, 24, 25, 30, 50, 60, 72, 90),
+    *(100, 120, 144, 200, 240, 250, 500, 1000),
+)
+"""Usual numbers of frames a second of cameras, headsets, gloves and control loops."""
+
+
+def standard_fps(rate: float) -> int:
+    """The usual number of frames a second that is within 5 % of a rate, or else the nearest whole
+    number: a loop of 100 Hz runs at 95 to 99 Hz on a busy machine."""
+    near = min(STANDARD_FPS, key=lambda fps: abs(fps / rate - 1.0))
+    return near if abs(near / rate - 1.0) <= 0.05 else max(1, round(rate))
+
+
 def tasks_table(tasks: Iterable[str]) -> Any:
     """The table of ``meta/tasks.parquet``; a task's row is its ``task_index``."""
     pa = arrow()

@@ -39,6 +39,7 @@ from smooth_operator.episode_files.lerobot.tables import (
     joint_statistics,
     mean_rate,
     parquet,
+    standard_fps,
     tasks_table,
 )
 from smooth_operator.episode_files.staging import staged_folder
@@ -91,7 +92,7 @@ def write_dataset(
         episodes: each gives an episode when called, and the same when called again: they are looked
             at twice, so that not all need to be in memory.
         fps: frames a second; None for the median over the episodes of their mean rate, pauses left
-            out, rounded, and 30 with the columns of a robot.
+            out, as ``standard_fps`` rounds it, and 30 with the columns of a robot.
         columns: ``all``, or those that LeRobot records of the robot ``smooth_hand``: ``robot``, or
             ``robot-wrist`` with its wrist; see ``columns``.
         environment_state: with ``observation.environment_state`` among those of the robot.
@@ -118,7 +119,7 @@ def write_dataset(
     if fps is None:
         if not survey.rates:
             raise ConfigError("no episode has two frames, so none has a rate; say it with --fps")
-        fps = max(1, round(float(np.median(survey.rates))))
+        fps = standard_fps(float(np.median(survey.rates)))
     notes = _Notes(fps)
     rows: list[dict[str, Any]] = []
     statistics: list[dict[str, Statistics]] = []
@@ -324,7 +325,8 @@ class _Notes:
         if self._drift > 1e-3:
             texts.append(
                 f"LeRobot needs regular timestamps (frame_index / {self._fps}): they differ by up "
-                f"to {self._drift:.3g} s from the recorded times, which are in the column 'stamp'"
+                f"to {self._drift:.3g} s from the recorded times, which are in the column 'stamp'; "
+                "another rate: --fps"
             )
         for count, what, flag in (
             (self._missing, "missing landmarks (NaN in landmarks)", "landmarks_valid"),

@@ -188,7 +188,8 @@ class Summary:
         clips: retargeted, by this run or earlier ones.
         frames: number of frames.
         episodes: that are in the data set.
-        episode_frames: number of episode frames.
+        episode_frames: number of their frames, as they were recorded.
+        written_frames: number of their frames in the data set, whose rate may be another.
         dropped: parts of clips that are not.
         dropped_frames: number of dropped frames.
         reasons: name of a limit -> episodes that broke it.
@@ -203,6 +204,7 @@ class Summary:
     frames: int = 0
     episodes: int = 0
     episode_frames: int = 0
+    written_frames: int = 0
     dropped: int = 0
     dropped_frames: int = 0
     reasons: dict[str, int] = field(default_factory=dict)
@@ -212,7 +214,8 @@ class Summary:
 
     def add(self, part: Summary) -> None:
         """Adds the episodes, reasons and notes of a part."""
-        for name in ("episodes", "episode_frames", "dropped", "dropped_frames"):
+        counts = ("episodes", "episode_frames", "written_frames", "dropped", "dropped_frames")
+        for name in counts:
             setattr(self, name, getattr(self, name) + getattr(part, name))
         reasons = Counter(self.reasons) + Counter(part.reasons)
         self.reasons = dict(sorted(reasons.items()))
@@ -449,7 +452,8 @@ def write_part(order: Order, written: Callable[[int], None] = lambda done: None)
                     part.figures.add(episode)
                     part.lines.append(to_json(_line(clip, episode)).encode() + b"\n")
             written(done)
-        part.summary.notes = [*writer.notes]
+    part.summary.notes = [*writer.notes]
+    part.summary.written_frames = getattr(writer, "frames", part.summary.episode_frames)
     part.summary.reasons = dict(reasons)
     return part
 

@@ -50,6 +50,7 @@ from smooth_operator.episode_files.lerobot.tables import (
     joint_statistics,
     mean_rate,
     parquet,
+    standard_fps,
     tasks_table,
 )
 from smooth_operator.errors import RecordingError, reason, require
@@ -457,7 +458,7 @@ class _Writer(ShardedWriter):
                 f"{clip.clip.name}: one frame has no rate, and the data set has none yet; say it "
                 "with --rate"
             )
-        return float(max(1, round(rate)))
+        return float(standard_fps(rate))
 
     def _head(self, clip: RobotClip) -> VideoHead | None:
         if self.options.videos == "none":

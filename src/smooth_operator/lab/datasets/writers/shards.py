@@ -63,6 +63,9 @@ class ShardedWriter(ABC):
         name: name of the format in ``WRITERS``.
         shard_mb: size of its shards, unless asked for otherwise [MB].
         fixed: those of its settings that all clips of a folder must share.
+
+    Attributes:
+        frames: number of frames in the data set of the clips that were given to ``write``.
     """
 
     most_clips = 10_000
@@ -83,7 +86,11 @@ class ShardedWriter(ABC):
         self._pending: list[dict[str, Any]] = []
         self._pending_keys: set[str] = set()
         self._configurations: dict[int, tuple[Mapping[str, Any], str]] = {}
+        self._facts: dict[str, tuple[int, tuple[str, ...]]] = {}
+        self._taken: set[str] = set()
+        self._notes: list[str] = []
         self._counts: dict[str, int] = {}
+        self.frames = 0
         self._open = False
         self._number = 0
         if output.exists() and not output.is_dir():
@@ -146,8 +153,18 @@ class ShardedWriter(ABC):
         ]
 
     def note(self, text: str) -> None:
-        """Counts a clip for which something holds."""
-        self._counts[text] = self._counts.get(text, 0) + 1
+        """Notes something about the clip that is being added."""
+        self._notes.append(text)
+
+    def _take(self, key: str) -> None:
+        """Counts the frames and notes of a clip, also of one that an earlier run has written."""
+        if key in self._taken:
+            return
+        self._taken.add(key)
+        frames, notes = self._facts.get(key, (0, ()))
+        self.frames += frames
+        for text in notes:
+            self._counts[text] = self._counts.get(text, 0) + 1
 
     def write(self, clip: RobotClip) -> None:
         """Adds a clip; one whose key was written before is passed over.
@@ -159,6 +176,7 @@ class ShardedWriter(ABC):
         """
         key = clip.key or clip_key(clip)
         if key in self._written or key in self._pending_keys:
+            self._take(key)
             return
         if not len(clip.clip):
             raise RecordingError(f"{clip.clip.name}: it holds no frames; leave it out")
@@ -172,9 +190,14 @@ class ShardedWriter(ABC):
             if not self._open:
                 self._begin(self._number)
                 self._open = True
+            self._notes = []
             self._add(clip, entry)
+            if self._notes:
+                entry["notes"] = self._notes
             self._pending.append(entry)
             self._pending_keys.add(key)
+            self._facts[key] = _facts(entry)
+            self._take(key)
             if self._size() >= self._limit or len(self._pending) >= self.most_clips:
                 self._finish()
         except (OSError, MemoryError) as error:
@@ -276,13 +299,14 @@ class ShardedWriter(ABC):
             for path in sorted((self.output / INDEX).glob(looked)):
                 try:
                     index = read_json(path, most_bytes=_MOST_INDEX)
-                    keys = {str(clip["key"]) for clip in index["clips"]}
+                    facts = {str(clip["key"]): _facts(clip) for clip in index["clips"]}
                 except (DocumentError, KeyError, TypeError) as error:
                     raise OutputError(
                         f"{path}: no index of a shard ({error}); remove it, and its clips are "
                         "written again"
                     ) from error
-                self._written |= keys
+                self._written |= facts.keys()
+                self._facts |= facts
                 if path.name.startswith(mine):
                     if path.stem != self.shard_name(self._number):
                         raise OutputError(
@@ -292,6 +316,11 @@ class ShardedWriter(ABC):
                     self._number += 1
                     self._resume(index)
             self._clean(self._number)
+
+
+def _facts(entry: Mapping[str, Any]) -> tuple[int, tuple[str, ...]]:
+    """Frames and notes of a clip, from its entry in an index."""
+    return int(entry["frames"]), tuple(map(str, entry.get("notes", ())))
 
 
 _KEPT: Final = 64
