@@ -375,3 +375,103 @@ def test_the_guard_moves_no_command_without_a_new_reading(run, hand):
     assert guard.step(wanted, reading, 0.01) == pytest.approx(moved)
     with pytest.raises(SinkError, match="a turn off"):
         guard.start(Reading(degrees(np.full(16, 7.0))))
+
+
+def test_an_exchange_as_long_as_a_silence_is_a_return(run):
+    """It is answered in the end, but nobody knows what the hand did meanwhile."""
+    run.wish = sine
+    run.bus.settings_s = 0.26  # SILENCE is 0.2 s; the settings are read back once a second
+    run(8.0)
+    rows, returns = run.since(102.0), 0
+    for k in range(1, len(rows) - 20):
+        if rows[k][0] - rows[k - 1][0] > SILENCE:
+            returns += 1
+            assert np.abs(rows[k][1] - rows[k][2]).max() < 0.01  # where the hand is
+            for earlier, later in zip(rows[k : k + 20], rows[k + 1 : k + 20], strict=False):
+                assert np.abs(later[1] - earlier[1]).max() <= 2 * PERIOD * APPROACH + 1e-9
+    assert returns >= 3
+
+
+class Guarded:
+    """A guard, asked once a period; angles are [rad] from the middle of the table's range."""
+
+    END = math.radians(60.0)
+
+    def __init__(self, folder: Path, hand: Hand) -> None:
+        table = write_fake_table(folder / "fake_right.toml", hand.actuated_names)
+        self.hand, bound = hand, BoundMap(read_table(table), hand)
+        self.guard = CommandGuard(bound, GuardSettings(APPROACH, SPEED))
+
+    def reading(self, at: float, current: float) -> Reading:
+        count = len(SIGNS)
+        return Reading(degrees(np.full(count, at)), None, np.full(count, current))
+
+    def start(self, at: float) -> None:
+        self.guard.start(self.reading(at, 0.0))
+
+    def step(self, wish: float, at: float, current: float = 0.0) -> float:
+        """The next command of all actuators, which are alike."""
+        target = self.hand.full_configuration(np.full(len(SIGNS), wish))
+        commands = radians(self.guard.step(target, self.reading(at, current), PERIOD))
+        assert np.ptp(commands) < 1e-9
+        return float(commands[0])
+
+    def approach(self, wish: float) -> float:
+        """Steps until the actuators have caught up with a wish; where they are."""
+        at = self.step(wish, wish)
+        for _ in range(1000):
+            at = self.step(wish, at)
+            if not self.guard.approaching.any() and abs(at - wish) < 1e-9:
+                return at
+        pytest.fail(f"it came to {at}, not to {wish}")
+
+    def squeeze(self, at: float, wish: float) -> float:
+        """Half a second against an object, with more current than the limit; the last command."""
+        return [self.step(wish, at, current=500.0) for _ in range(50)][-1]
+
+
+@pytest.fixture
+def guarded(tmp_path: Path, hand: Hand) -> Guarded:
+    return Guarded(tmp_path, hand)
+
+
+def test_a_squeezing_command_stays_a_tenth_of_a_radian_inside_the_object(guarded):
+    guarded.start(0.0)
+    guarded.approach(0.2)
+    assert guarded.squeeze(at=0.3, wish=1.0) == pytest.approx(0.4)
+    assert guarded.guard.contacts == len(SIGNS)
+
+
+def test_after_an_object_is_gone_the_hand_goes_on_slowly(guarded):
+    guarded.start(0.0)
+    guarded.approach(0.2)
+    command, at = guarded.squeeze(at=0.3, wish=1.0), 0.3 + 0.16
+    for _ in range(30):
+        before, command = command, guarded.step(1.0, at)
+        assert 0.0 < command - before <= APPROACH * PERIOD + 1e-9
+        at = max(at, command)
+
+
+def test_no_command_leaves_the_ends_of_the_table(guarded):
+    """A hand that is pushed beyond an end, with current, is not followed there."""
+    guarded.start(0.0)
+    end = guarded.approach(Guarded.END)
+    for _ in range(100):
+        assert guarded.step(end, end + 0.3, current=500.0) <= end + 1e-9
+    assert guarded.guard.contacts
+
+
+def test_a_hand_that_has_come_back_from_beyond_an_end_does_not_go_there_again(guarded):
+    guarded.start(Guarded.END + 0.3)
+    command = guarded.step(0.0, Guarded.END + 0.3)
+    assert command > Guarded.END  # it begins where the hand is
+    guarded.approach(0.0)
+    end = guarded.approach(Guarded.END)
+    for _ in range(100):
+        assert guarded.step(end, end + 0.3, current=500.0) <= end + 1e-9
+
+
+def test_a_hand_far_beyond_an_end_is_not_moved(guarded):
+    guarded.start(-Guarded.END - 0.34)
+    with pytest.raises(SinkError, match=r"0\.36 rad beyond its ends"):
+        guarded.start(-Guarded.END - 0.36)

@@ -268,6 +268,28 @@ def test_connections_that_say_nothing_do_not_push_a_headset_out():
         inbox.close()
 
 
+@pytest.mark.parametrize(
+    "beginning",
+    [b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"\x16\x03\x01\x02\x00", b"SSH-2.0-x\r\n"],
+)
+def test_what_comes_after_another_protocol_is_not_read(beginning):
+    """A web page can send any text after its HTTP request."""
+    inbox = TcpInbox("127.0.0.1", 0, split_lines, hts_lines.begins_line, "hts")
+    heard: list[Any] = []
+    try:
+        where = ("127.0.0.1", int(inbox.address.rpartition(":")[2]))
+        with socket.create_connection(where, timeout=5) as page:
+            page.sendall(beginning + app.hts_packet("right", POSE, RIGHT) + b"\n")
+            until(lambda: heard.extend(inbox.receive(0.01)) or heard)
+            assert len(inbox.sockets()) == 1  # it is closed
+        for _ in range(3):
+            heard.extend(inbox.receive(0.01))
+    finally:
+        inbox.close()
+    (message,) = heard
+    assert isinstance(message[0], RecordingError)
+
+
 def test_a_second_headset_is_not_used_while_the_first_sends():
     source = HtsSource(port=0)
     inbox, read = source.connect(), source.reader()

@@ -16,11 +16,13 @@ from smooth_operator.teleop.runtime.limiter import (
     LONGEST,
     MAX_STEP_S,
     SHORTEST,
+    JointLimiter,
     Limiter,
+    PoseLimiter,
     RateLimiter,
 )
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
-from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig
+from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, WristConfig
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
 
@@ -367,6 +369,22 @@ def test_a_command_that_keeps_the_pace_waits_for_a_frame_that_is_due():
         (frames if at in result.answered else others).append(at - before)
     assert min(frames[5:]) > 0.5 * PERIOD
     assert result.ages()[5:].max() < SLACK
+
+
+def test_a_state_that_was_set_from_outside_does_not_leave_the_range():
+    """The limiter itself never comes to such a speed so near to an end."""
+    ends = np.array([[-1.0, 1.0]] * 2)
+    limiter = JointLimiter(ends, np.full(2, 10.0), np.full(2, 50.0), np.zeros(2))
+    limiter.q, limiter.velocity = np.array([0.99, -0.99]), np.array([10.0, -10.0])
+    for _ in range(20):
+        assert np.abs(limiter.step(np.array([1.0, -1.0]), PERIOD)).max() <= 1.0
+    wrist = PoseLimiter(WristConfig())
+    wrist.pose = np.array([0.99, -0.99, 1.49, 1.0, 0.0, 0.0, 0.0])
+    wrist.velocity = np.array([1.0, -1.0, 1.0])
+    for _ in range(20):
+        place = wrist.step(np.array([1.0, -1.0, 1.5, 1.0, 0.0, 0.0, 0.0]), 0.1)[:3]
+        assert (place <= WristConfig().high).all()
+        assert (place >= WristConfig().low).all()
 
 
 def test_an_emergency_stop_waits_for_nothing_and_delays_what_follows_only_so_far():

@@ -324,10 +324,13 @@ def test_a_call_notices_units_order_and_side():
         np.testing.assert_array_equal(result.command.positions, first.command.positions)
     assert "metres" in result.status.reason
     assert all(usual(points).status == Status.OK for points in landmarks[1:60])
-    # another hand, later on: held from the next window of frames on, no end of the program
-    results = [usual(points * (-1, 1, 1)) for points in landmarks[60:150]]
-    assert results[-1].status == Status.IMPLAUSIBLE_HAND
-    assert [usual(points).status for points in landmarks[100:160]][-1] == Status.OK
+    # another hand, later on: held from its first frame on, no end of the program
+    last = usual(landmarks[60]).command.positions
+    for points in landmarks[60:150]:
+        result = usual(points * (-1, 1, 1))
+        assert result.status == Status.IMPLAUSIBLE_HAND
+        np.testing.assert_array_equal(result.command.positions, last)
+    assert [usual(points).status for points in landmarks[100:160]] == [Status.OK] * 60
     usual.reset()
     shuffled = landmarks[:5, np.random.default_rng(2).permutation(21)]
     for points in shuffled[:4]:

@@ -224,12 +224,53 @@ def test_what_cannot_be_opened_is_said_before_anything_moves(retargeters, frames
 
 
 def test_the_watchdog_tells_of_a_loop_that_hangs(retargeters, frames):
-    sink = Keeper()
+    """The loop hangs until the sink is told of it, so that no clock decides."""
+    told, ended = threading.Event(), []
+
+    class Told(Keeper):
+        def stalled(self, seconds: float) -> None:
+            super().stalled(seconds)
+            told.set()
+
+    sink = Told()
     config = LoopConfig(rate=RATE, safety=SafetyConfig(watchdog_s=0.1))
     loop = looped(retargeters, Player(frames), sink, config=config)
-    loop.controls.change(lambda hand: time.sleep(0.5) if len(sink.ticks) == 0 else None)
-    loop.run(duration=1.0)
-    assert max(sink.silences) > 0.2
+    loop.controls.change(lambda hand: ended.append(told.wait(LONG_S)))
+    loop.controls.change(lambda hand: loop.controls.quit())
+    loop.run(duration=2 * LONG_S)
+    assert ended == [True]
+    assert min(sink.silences) > 0.1
+
+
+class TurnedMailbox(Mailbox):
+    """A mailbox whose clock moves only while the loop sleeps in it, and then at once."""
+
+    def __init__(self, at: float, event: Callable[[], None]) -> None:
+        self.now, self._at, self._event = 100.0, at, event
+        super().__init__(lambda: self.now)
+
+    def sleep(self, timeout: float, received: int | None = None) -> None:
+        after = self.now + max(timeout, 1e-4)
+        if self.now < self._at <= after:
+            self.now = self._at
+            self._event()
+        else:
+            self.now = after
+
+
+@pytest.mark.parametrize("after", [0.01, 0.1, 0.24])
+def test_an_emergency_stop_does_not_wait_for_the_pace(retargeters, after):
+    """Just after a command, of which there is one a second; the clock is the test's."""
+    sink, config = Keeper(), LoopConfig(rate=1.0, safety=SafetyConfig(lost_s=60.0))
+    mailbox = TurnedMailbox(103.75 + after, lambda: loop.controls.stop())
+    pipelines = {"right": HandPipeline(retargeters["right"], config, mailbox.clock)}
+    loop = TeleopLoop(pipelines, Player([], 1.0), SinkRunner([sink]), config, mailbox=mailbox)
+    threading.Timer(LONG_S, loop.controls.quit).start()
+    loop.run(duration=5.0)
+    times = [tick.time for tick in sink.ticks if tick.mode is not Mode.STOPPED]
+    assert times[-1] == pytest.approx(103.75, abs=1e-3)
+    (first, *_) = [tick for tick in sink.ticks if tick.mode is Mode.STOPPED]
+    assert first.time == pytest.approx(103.75 + after)
 
 
 def test_the_end_of_a_source_ends_the_loop_after_its_policies(retargeters, frames):
@@ -408,6 +449,7 @@ def test_an_emergency_stop_does_not_wait_for_a_method_that_compiles(
     modes = [tick.mode for tick in sink.ticks]
     first = modes.index(Mode.STOPPED)
     assert set(modes[first:]) == {Mode.STOPPED}  # also after the method has answered
+    assert {tick.status for tick in sink.ticks[first:]} == {None}
     assert [tick.number for tick in sink.ticks] == list(range(len(modes)))
     assert np.ptp([tick.command.positions for tick in sink.ticks[-5:]], axis=0).max() == 0
     assert sink.ticks[first].events[-1].endswith(" -> stopped")
