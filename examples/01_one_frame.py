@@ -11,12 +11,12 @@ retargeter = Retargeter("mimic_p050", side="right", method="smooth")
 result = retargeter(frame)  # the first call compiles; a bare (21, 3) array works as well
 
 assert result.status is Status.OK, result.status.reason
-for name, position in zip(result.command.names, result.command.positions, strict=True):
+for name, position in zip(result.command.joint_names, result.command.joint_positions, strict=True):
     print(f"{name:24} {position:+.3f} rad")
 print(result)
 
 # A frame that is no use never moves the hand: the last good command comes with a status.
 lost = retargeter(HandFrame(np.full((21, 3), np.nan), stamp=frame.time + 0.01))
 assert lost.status is Status.INVALID_LANDMARKS
-assert np.array_equal(lost.command.positions, result.command.positions)
+assert np.array_equal(lost.command.joint_positions, result.command.joint_positions)
 print(lost.status.reason)

@@ -40,7 +40,7 @@ class CsvSink(teleop.Sink):
         self.names = hands["right"].joint_names
 
     def send(self, tick: teleop.Tick) -> None:  # in well under a millisecond: the disk can wait
-        self.rows.append([tick.time, *tick.command.positions])
+        self.rows.append([tick.time, *tick.command.joint_positions])
 
     def stalled(self, seconds: float) -> None:  # from the watchdog's thread
         print(f"no command for {seconds:.2f} s: a robot should hold or stop here")

@@ -28,7 +28,7 @@ for number, frame in enumerate(frames):
     # A step changes nothing but the state that it returns: keep the old one to go back.
     state, result = retargeter.step(state, frame)
     if result.status is Status.OK:
-        lost, wanted = 0, result.command.positions
+        lost, wanted = 0, result.command.joint_positions
     else:
         lost += 1
         held += lost <= HOLD_FRAMES

@@ -115,7 +115,7 @@ def test_the_answer_minimises_the_methods_own_cost(hand, method, expected):
     for _ in range(3):
         previous = q
         state, result = retargeter.step(state, human)
-        q = result.command.positions[columns].astype(float)
+        q = result.command.joint_positions[columns].astype(float)
     cost = expected(hand, human, previous)
     assert steepest(cost, q, hand.limits) < 2e-3
     pull = 2.5e-3 * ((q - hand.neutral) ** 2).sum()

@@ -123,7 +123,7 @@ def test_a_leap_hand_boots_approaches_and_is_read_back(bank, hand, fast):
         run.until(lambda: calm(run.sink) and run.at(0.5))
         first = bank.goals[0][1]
         assert all(abs(goal - 2048) < 10 * 0.04 * 652 for goal in first.values())
-        until(lambda: np.abs(_measured(run) - run.tick.command.positions).max() < 0.02)
+        until(lambda: np.abs(_measured(run) - run.tick.command.joint_positions).max() < 0.02)
         assert servo.get(98, 1) == 25  # the servos' own watchdog: half a second
         state = run.sink.state("right")
         assert set(state.temperatures.tolist()) == {33.0}

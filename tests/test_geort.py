@@ -536,15 +536,15 @@ def test_a_lost_fingertip_holds_the_command_and_leaves_no_trace(right):
     lost[12] = np.nan
     state, held = right.step(state, HandFrame(lost, recording[20].stamp))
     assert held.status == Status.INVALID_LANDMARKS
-    np.testing.assert_array_equal(held.command.positions, before.command.positions)
+    np.testing.assert_array_equal(held.command.joint_positions, before.command.joint_positions)
     _, after = right.step(state, recording[20])
     _, fresh = right.step(right.init(seed=9), recording[20])
     assert after.status == Status.OK
-    np.testing.assert_array_equal(after.command.positions, fresh.command.positions)
+    np.testing.assert_array_equal(after.command.joint_positions, fresh.command.joint_positions)
     no_joint_but_the_tips = recording[20].landmarks.copy()
     no_joint_but_the_tips[[2, 3, 6, 7, 10, 11, 14, 15, 18, 19]] = np.nan
     _, same = right.step(right.init(), HandFrame(no_joint_but_the_tips, 0.0))
-    np.testing.assert_array_equal(same.command.positions, fresh.command.positions)
+    np.testing.assert_array_equal(same.command.joint_positions, fresh.command.joint_positions)
 
 
 @pytest.mark.shared

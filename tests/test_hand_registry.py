@@ -394,12 +394,14 @@ def test_a_frame_is_retargeted(name, side, method):
     retargeter = Retargeter(hand, method=method)
     result = retargeter(HandFrame(human(side), side=side))
     assert result.status is Status.OK
-    assert result.command.names == hand.joint_names
-    q = result.command.positions[list(hand.actuated)]
+    assert result.command.joint_names == hand.joint_names
+    q = result.command.joint_positions[list(hand.actuated)]
     assert (q >= hand.limits[:, 0]).all()
     assert (q <= hand.limits[:, 1]).all()
     assert np.abs(q - hand.neutral).max() > 0.05
-    np.testing.assert_allclose(hand.full_configuration(q), result.command.positions, atol=1e-12)
+    np.testing.assert_allclose(
+        hand.full_configuration(q), result.command.joint_positions, atol=1e-12
+    )
 
 
 def test_the_documented_table_is_the_catalogue():

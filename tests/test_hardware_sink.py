@@ -305,7 +305,7 @@ def test_a_command_that_is_not_finite_holds_the_last_one(make, hand, value):
     sink = make(approach=20.0)
     with Driven(sink, hand) as driven:
         broken = tick_at(hand, 10.0)
-        positions = broken.command.positions.copy()
+        positions = broken.command.joint_positions.copy()
         positions[0] = value
         broken = replace(broken, command=JointCommand(positions, hand.joint_names))
         driven.tick = broken

@@ -324,7 +324,7 @@ def test_a_joint_that_bends_two_phalanges_bends_each_as_the_human_does(right):
     assert bend[1] - bend[0] == pytest.approx(0.6, abs=0.03)
     assert bend[2] - bend[0] == pytest.approx(0.3, abs=0.03)
     command = right(landmarks[1]).command
-    at = dict(zip(command.names, command.positions, strict=True))
+    at = dict(zip(command.joint_names, command.joint_positions, strict=True))
     assert at["index_mp2dp"] == at["index_pp2mp"] == pytest.approx(bend[1], abs=1e-5)
 
 
@@ -437,8 +437,8 @@ def test_commands_stay_within_limits(right):
         result = right(landmarks)
         assert result.status == Status.OK
         low, high = right.hand.joint_limits.T
-        assert (result.command.positions >= low).all()
-        assert (result.command.positions <= high).all()
+        assert (result.command.joint_positions >= low).all()
+        assert (result.command.joint_positions <= high).all()
 
 
 def test_fingers_follow_the_humans_fingers(right):
@@ -446,7 +446,7 @@ def test_fingers_follow_the_humans_fingers(right):
     frames = np.zeros((5, 20))
     for f in range(1, 5):
         frames[f, 4 * f + 1 : 4 * f + 4] = (0.5, 0.7, 0.45)
-    q = np.stack([right(landmarks).command.positions for landmarks in operator(frames)])
+    q = np.stack([right(landmarks).command.joint_positions for landmarks in operator(frames)])
     moved = q[1:] - q[0]
     for f, finger in enumerate(FINGERS[1:]):
         for joint, change in zip(right.hand.joint_names, moved[f], strict=True):
@@ -476,14 +476,16 @@ def test_a_left_hand_answers_as_the_right(right):
     for landmarks in operator(operator_poses(10)):
         mirrored = landmarks * (1, -1, 1)
         np.testing.assert_allclose(
-            left(mirrored).command.positions, right(landmarks).command.positions, atol=1e-4
+            left(mirrored).command.joint_positions,
+            right(landmarks).command.joint_positions,
+            atol=1e-4,
         )
 
 
 def test_nothing_is_remembered(right):
     first, second = operator(operator_poses(2))
-    fresh = right.step(right.init(), second)[1].command.positions
-    after = right.step(right.step(right.init(), first)[0], second)[1].command.positions
+    fresh = right.step(right.init(), second)[1].command.joint_positions
+    after = right.step(right.step(right.init(), first)[0], second)[1].command.joint_positions
     np.testing.assert_array_equal(fresh, after)
 
 
@@ -494,10 +496,10 @@ def test_bad_frames_hold_the_last_command(right):
     state, first = right.step(right.init(), good)
     state, held = right.step(state, bad)
     assert held.status == Status.INVALID_LANDMARKS
-    np.testing.assert_array_equal(held.command.positions, first.command.positions)
+    np.testing.assert_array_equal(held.command.joint_positions, first.command.joint_positions)
     state, again = right.step(state, other)
     assert again.status == Status.OK
-    assert np.abs(again.command.positions - first.command.positions).max() > 0.1
+    assert np.abs(again.command.joint_positions - first.command.joint_positions).max() > 0.1
 
 
 def test_a_human_finger_that_the_robot_lacks_may_be_missing(tmp_path):
@@ -507,7 +509,7 @@ def test_a_human_finger_that_the_robot_lacks_may_be_missing(tmp_path):
     landmarks[9:] = np.nan
     partial = retargeter(landmarks)
     assert partial.status == whole.status == Status.OK
-    np.testing.assert_array_equal(partial.command.positions, whole.command.positions)
+    np.testing.assert_array_equal(partial.command.joint_positions, whole.command.joint_positions)
 
 
 def test_tracking_loss_is_of_the_keyvectors(right):
@@ -515,7 +517,7 @@ def test_tracking_loss_is_of_the_keyvectors(right):
     result = right(landmarks)
     aligned = palm_alignment(landmarks, hand).apply(landmarks)
     human = np.stack([aligned[WRIST], *aligned[[4, 8, 12, 16, 20]]])
-    robot = np.stack([hand.wrist, *hand.tips(result.command.positions)])
+    robot = np.stack([hand.wrist, *hand.tips(result.command.joint_positions)])
     i, j = np.triu_indices(6, 1)
     size = np.abs((robot[j] - robot[i]) - (human[j] - human[i]))
     loss = np.where(size < 0.02, size**2 / 0.04, size - 0.01).sum()

@@ -123,7 +123,7 @@ class PerfectSink:
         pass
 
     def send(self, tick: Any) -> None:
-        self.positions = np.array(tick.command.positions)
+        self.positions = np.array(tick.command.joint_positions)
 
     def state(self, side: str) -> Any:
         return SimpleNamespace(time=0.0, positions=self.positions)

@@ -200,7 +200,9 @@ def test_an_emergency_stop_brakes_within_the_limits_and_then_stands():
         shown = replace(frames[(k * 37) % len(frames) if k % 9 < 5 else k], stamp=frame.stamp)
         ticks.append(pipeline.step(now, Arrival(shown, now)))
     actuated = list(hand.actuated)
-    holds(hand, limits, [t.time for t in ticks], [t.command.positions[actuated] for t in ticks])
+    holds(
+        hand, limits, [t.time for t in ticks], [t.command.joint_positions[actuated] for t in ticks]
+    )
     stops = [ticks[k : k + 15] for k in range(30, len(ticks) - 15, 50)]
     assert all(t.mode is Mode.STOPPED for stop in stops for t in stop)
     assert max(np.abs(stop[0].velocity).max() for stop in stops) > 0  # some were fast, and braked
@@ -211,7 +213,7 @@ def test_an_emergency_stop_brakes_within_the_limits_and_then_stands():
 def distance(stops: list[list[Tick]]) -> float:
     """The longest way of any joint after a stop [rad]."""
     return max(
-        float(np.abs(t.command.positions - stop[0].command.positions).max())
+        float(np.abs(t.command.joint_positions - stop[0].command.joint_positions).max())
         for stop in stops
         for t in stop
     )

@@ -135,7 +135,7 @@ def test_what_is_shown_is_what_the_loop_does(stage):
         return [
             tick
             for tick in stage.ticks[first:]
-            if np.allclose(hand["positions"], tick.command.positions, rtol=0, atol=1e-5)
+            if np.allclose(hand["positions"], tick.command.joint_positions, rtol=0, atol=1e-5)
         ]
 
     eventually(shown)  # the tick that is shown is kept a moment later
@@ -183,9 +183,9 @@ class LateHand(Sink):
         past = [tick for tick in self.sent[-200:] if tick.time <= now - 0.08]
         if not past:
             return None
-        q = past[-1].command.positions.copy()
+        q = past[-1].command.joint_positions.copy()
         q[0] = np.nan
-        return HandState(side, "late", past[-1].time + 0.08, past[-1].command.names, q)
+        return HandState(side, "late", past[-1].time + 0.08, past[-1].command.joint_names, q)
 
     def close(self) -> None: ...
 
@@ -670,7 +670,9 @@ def test_the_page_shows_the_loop_and_stops_it(page, stage):
     page.get_by_text("EMERGENCY STOP").click()
     eventually(lambda: stage.mode() is Mode.STOPPED)
     page.locator('[data-mode="stopped"]').wait_for()
-    held = np.array([t.command.positions for t in stage.ticks[first:] if t.mode is Mode.STOPPED])
+    held = np.array(
+        [t.command.joint_positions for t in stage.ticks[first:] if t.mode is Mode.STOPPED]
+    )
     assert np.ptp(held, axis=0).max() == 0
     page.get_by_text("Release the stop").click()
     eventually(lambda: stage.mode() is Mode.TRACKING)

@@ -73,7 +73,7 @@ def test_commands_for_a_hand_on_an_arm_name_the_hands_joints_only(tmp_path):
         answers.append([retargeter(frame).command for frame in frames])
     for with_arm, without in zip(*answers, strict=True):
         assert with_arm.names == without.names
-        np.testing.assert_array_equal(with_arm.positions, without.positions)
+        np.testing.assert_array_equal(with_arm.joint_positions, without.joint_positions)
     there = on_model(load_hand_spec(spec), path)
     assert there.joint_names == answers[0][0].names
     assert there.model.njnt == len(there.joint_names) + 6
@@ -181,8 +181,8 @@ def test_a_finger_that_is_left_out_stays_at_neutral_and_in_the_command(tmp_path,
     commands = [
         retargeter(frame).command for frame in SyntheticOperator(seed=1).record(duration=0.3)
     ]
-    at = [commands[0].names.index(part.actuated_names[i]) for i in left]
-    rest = np.stack([command.positions for command in commands])[:, at]
+    at = [commands[0].joint_names.index(part.actuated_names[i]) for i in left]
+    rest = np.stack([command.joint_positions for command in commands])[:, at]
     assert np.abs(rest - part.neutral[left])[settled:].max() < 0.1
 
 

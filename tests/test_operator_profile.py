@@ -216,7 +216,7 @@ def test_every_method_is_driven_by_the_corrected_hand(method, hand, recording):
         pairs = zip((driven, plain, plain), states, (frame, same, frame), strict=True)
         steps = [retargeter.step(state, seen) for retargeter, state, seen in pairs]
         states = [state for state, _ in steps]
-        ours, theirs, uncorrected = (result.command.positions for _, result in steps)
+        ours, theirs, uncorrected = (result.command.joint_positions for _, result in steps)
         np.testing.assert_allclose(ours, theirs, atol=0.02)
         apart.append(np.abs(ours - uncorrected).max())
     assert max(apart) > 1e-3

@@ -96,7 +96,7 @@ def test_a_method_of_ones_own_needs_only_what_is_abstract():
         assert result.status == Status.OK
         share = stamp % 1.0
         wanted = retargeter.hand.full_configuration(low + (high - low) * share)
-        np.testing.assert_allclose(result.command.positions, wanted, atol=1e-5)
+        np.testing.assert_allclose(result.command.joint_positions, wanted, atol=1e-5)
     assert retargeter.notes == ()
     assert MIRROR.without_pull() == MIRROR
 

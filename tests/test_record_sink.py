@@ -64,7 +64,7 @@ def test_all_of_a_session_comes_back(hand, tmp_path):
     assert log.truncated is False
     assert log.config == {"method": "sbr", "rate": 100}
     np.testing.assert_array_equal(
-        log.commands.joint_positions, [t.command.positions for t in ticks]
+        log.commands.joint_positions, [t.command.joint_positions for t in ticks]
     )
     np.testing.assert_array_equal(log.loop.numbers, np.arange(60))
     assert log.loop.modes == tuple(t.mode.value for t in ticks)

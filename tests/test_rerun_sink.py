@@ -61,7 +61,7 @@ def test_a_file_holds_hands_and_joints_on_the_loops_clock(tmp_path):
         return rows[key]
 
     command = np.array(values("right/command", "Scalars:scalars"))
-    np.testing.assert_allclose(command, [tick(k).command.positions for k in range(20)])
+    np.testing.assert_allclose(command, [tick(k).command.joint_positions for k in range(20)])
     np.testing.assert_allclose(values("right/measured", "Scalars:scalars"), command - 0.5)
     human = np.array(values("right/human/landmarks", "Points3D:positions"))
     assert human.shape == (20, 20, 3)  # without the one that was lost

@@ -67,7 +67,7 @@ def play(retargeter: Retargeter, frames: Sequence[np.ndarray | HandFrame]) -> li
 
 
 def positions(results: Sequence[Result]) -> np.ndarray:
-    return np.stack([result.command.positions for result in results])
+    return np.stack([result.command.joint_positions for result in results])
 
 
 def leaves_equal(a: RetargetState, b: RetargetState) -> bool:
@@ -148,7 +148,7 @@ def test_a_step_changes_nothing_but_what_it_returns(fresh, frames):
     np.testing.assert_array_equal(landmarks, frames[3])
     assert leaves_equal(state, copy)
     two_state, two = fresh.step(state, frames[3])  # an old state may be used again
-    np.testing.assert_array_equal(one.command.positions, two.command.positions)
+    np.testing.assert_array_equal(one.command.joint_positions, two.command.joint_positions)
     assert leaves_equal(one_state, two_state)
     assert not leaves_equal(state, one_state)
 
@@ -246,7 +246,9 @@ def test_a_bad_frame_never_taints_the_next(kind, request, frames, how, status):
     held, rest = results[8:10], results[:8] + results[10:]
     assert [result.status for result in held] == [status, status]
     for result in held:
-        np.testing.assert_array_equal(result.command.positions, results[7].command.positions)
+        np.testing.assert_array_equal(
+            result.command.joint_positions, results[7].command.joint_positions
+        )
     assert all(result.status == Status.OK for result in rest)
     np.testing.assert_array_equal(positions(rest), positions(clean))
 
@@ -257,7 +259,7 @@ def test_before_the_first_good_frame_the_hand_is_neutral(usual, frames, how):
     assert result.status != Status.OK
     hand = usual.hand
     np.testing.assert_allclose(
-        result.command.positions, hand.full_configuration(hand.neutral), atol=1e-6
+        result.command.joint_positions, hand.full_configuration(hand.neutral), atol=1e-6
     )
     # the first good frame is still the first: nothing but the time is remembered
     assert leaves_equal(replace(state, stamp=None), usual.init())
@@ -283,9 +285,9 @@ def test_nonsense_gives_finite_commands_within_the_limits(usual, frames):
     nonsense = [spoiled(frames[0], "huge"), *rng.normal(0, 10, (10, 21, 3)),
                 *rng.normal(0, 1e-6, (10, 21, 3)), *(frames[:5] * 1e-3), *frames[:3]]  # fmt: skip
     for result in play(usual, nonsense):
-        assert np.isfinite(result.command.positions).all()
-        assert (result.command.positions >= limits[:, 0]).all()
-        assert (result.command.positions <= limits[:, 1]).all()
+        assert np.isfinite(result.command.joint_positions).all()
+        assert (result.command.joint_positions >= limits[:, 0]).all()
+        assert (result.command.joint_positions <= limits[:, 1]).all()
     assert result.status == Status.OK
 
 
@@ -300,12 +302,12 @@ def test_commands_are_within_the_limits(kind, request, frames):
         )
     at_limit = 0
     for result in play(retargeter, [*frames, *exaggerated]):
-        q = result.command.positions
+        q = result.command.joint_positions
         assert q.shape == (20,)
         assert (q >= limits[:, 0]).all()
         assert (q <= limits[:, 1]).all()
         at_limit += (q == limits[:, 0]).sum() + (q == limits[:, 1]).sum()
-        named = dict(zip(result.command.names, q, strict=True))
+        named = dict(zip(result.command.joint_names, q, strict=True))
         for finger in ("index", "middle", "ring", "pinky"):
             assert named[f"{finger}_mp2dp"] == named[f"{finger}_pp2mp"]
     # the limits did bind; the default takes fingers of any length for its own
@@ -321,7 +323,7 @@ def test_a_call_notices_units_order_and_side():
     for points in 1e3 * landmarks[:40]:  # in millimetres: from the first frame on
         result = usual(points)
         assert result.status == Status.IMPLAUSIBLE_HAND
-        np.testing.assert_array_equal(result.command.positions, first.command.positions)
+        np.testing.assert_array_equal(result.command.joint_positions, first.command.joint_positions)
     assert "metres" in result.status.reason
     assert all(usual(points).status == Status.OK for points in landmarks[1:60])
     # another hand, later on: held from its first frame on, no end of the program
@@ -465,7 +467,7 @@ def test_the_left_hand_does_what_the_right_does(kind, request, frames):
 def test_the_stamp_is_the_frames(usual, frames):
     result = usual(HandFrame(frames[0], stamp=12.5))
     assert result.command.stamp == 12.5
-    assert result.command.names == usual.hand.joint_names
+    assert result.command.joint_names == usual.hand.joint_names
     assert result.latency_ms > 0
 
 

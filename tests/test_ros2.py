@@ -186,7 +186,7 @@ def test_another_process_gets_joints_mode_and_wrists(peer, domain, hand):
     )
     state = peer.of("rt/mimic_p050/right/joint_commands")[-1]
     assert state["name"] == list(hand.joint_names)
-    assert state["position"] == tick.command.positions.tolist()
+    assert state["position"] == tick.command.joint_positions.tolist()
     assert state["velocity"] == tick.velocity.tolist()
     assert state["effort"] == []
     assert abs(state["header"]["stamp"]["sec"] - time.time()) < 600
@@ -207,7 +207,7 @@ def test_controllers_get_the_actuated_joints_by_their_names(peer, domain):
     hand = load_hand("mimic_p050")
     assert len(hand.actuated) < len(hand.joint_names)
     tick = make_tick(hand, 7)
-    actuated = dict(zip(hand.joint_names, tick.command.positions.tolist(), strict=True))
+    actuated = dict(zip(hand.joint_names, tick.command.joint_positions.tolist(), strict=True))
     names = list(hand.actuated_names)
     for kind in ("JointTrajectory", "Float64MultiArray", "JointState"):
         peer.order(domain=domain, subscribe=f"rt/{kind}", type=kind)
@@ -403,7 +403,7 @@ def test_the_arm_and_the_measured_joints_go_along(hand, recorded):
 def test_a_command_that_is_not_finite_is_not_sent(hand, recorded):
     link = Ros2Sink("/x").connect({"right": hand}, {})
     tick = make_tick(hand)
-    bad = tick.command.positions.copy()
+    bad = tick.command.joint_positions.copy()
     bad[3] = np.nan
     with pytest.raises(SinkError, match="not finite"):
         link.deliver(replace(tick, command=replace(tick.command, positions=bad)))

@@ -135,12 +135,14 @@ def test_a_command_that_is_not_finite_repeats_the_last_one(retargeter, motion, p
             limiter = stage.limiter if part == "fingers" else stage.clutch.limiter
             limiter.velocity = limiter.velocity * np.nan
         ticks.append(stage.step(now, arrived(frame, now)))
-    every = [(t.command.positions, t.velocity, t.wrist.pose) for t in ticks]
+    every = [(t.command.joint_positions, t.velocity, t.wrist.pose) for t in ticks]
     assert all(np.isfinite(value).all() for tick in every for value in tick)
     assert [k for k, tick in enumerate(ticks) if NOT_FINITE in tick.events] == [60]
     for before, after in zip(every[59], every[60], strict=True):
         assert (after == before).all() or before is every[59][1]
-    assert np.ptp([tick.command.positions for tick in ticks[61:]], axis=0).max() > 0.01  # goes on
+    assert (
+        np.ptp([tick.command.joint_positions for tick in ticks[61:]], axis=0).max() > 0.01
+    )  # goes on
 
 
 def arrived(frame: HandFrame, at: float, session: int = 0, **changes: object) -> Arrival:
@@ -197,7 +199,7 @@ def test_a_missing_fingertip_does_not_hold_the_hand(hand, motion, tip):
             landmarks[tip] = np.nan
         stages[0].play([frame])
         stages[1].play([replace(frame, landmarks=landmarks, valid=None)])
-    whole, holes = (np.array([t.command.positions for t in stage.ticks]) for stage in stages)
+    whole, holes = (np.array([t.command.joint_positions for t in stage.ticks]) for stage in stages)
     ticks = stages[1].ticks
     assert {tick.status for tick in ticks} == {Status.OK}
     assert stages[1].pipeline.filled == {finger: len(lost)}
@@ -295,7 +297,7 @@ class Stage:
     @property
     def q(self) -> np.ndarray:
         actuated = list(self.pipeline.retargeter.hand.actuated)
-        return np.array([tick.command.positions[actuated] for tick in self.ticks])
+        return np.array([tick.command.joint_positions[actuated] for tick in self.ticks])
 
 
 def modes(ticks: list[Tick]) -> list[Mode]:
@@ -315,12 +317,14 @@ def test_silence_holds_then_eases_and_the_return_blends(hand, retargeter, motion
     assert modes(held) == [Mode.TRACKING, Mode.HOLDING]
     tracking = sum(t.mode is Mode.TRACKING for t in held)
     assert tracking == pytest.approx(LOOP.safety.stale_s / PERIOD, abs=1)  # the clock's rounding
-    np.testing.assert_array_equal(held[-1].command.positions, held[50].command.positions)
+    np.testing.assert_array_equal(
+        held[-1].command.joint_positions, held[50].command.joint_positions
+    )
     lost = stage.play([None] * 500)
     assert modes(lost) == [Mode.HOLDING, Mode.EASING]
     actuated = list(hand.actuated)
-    np.testing.assert_allclose(lost[-1].command.positions[actuated], hand.neutral, atol=1e-9)
-    eased = np.abs(np.diff([t.command.positions for t in lost], axis=0)).max() / PERIOD
+    np.testing.assert_allclose(lost[-1].command.joint_positions[actuated], hand.neutral, atol=1e-9)
+    eased = np.abs(np.diff([t.command.joint_positions for t in lost], axis=0)).max() / PERIOD
     assert eased <= LOOP.safety.ease_velocity * (1 + 1e-9)
     back = stage.play(frames[200:400])
     assert modes(back) == [Mode.BLENDING, Mode.TRACKING]
@@ -334,7 +338,9 @@ def test_tracking_is_the_methods_own_answer(retargeter, motion):
     assert followed.mode is Mode.TRACKING
     assert followed.status == Status.OK
     _, result = retargeter.step(retargeter.init(), frames[299])
-    np.testing.assert_allclose(followed.command.positions, result.command.positions, atol=1e-6)
+    np.testing.assert_allclose(
+        followed.command.joint_positions, result.command.joint_positions, atol=1e-6
+    )
     assert followed.command.stamp == frames[299].stamp
     assert list(followed.stages) == ["tracker", "receive", "solve", "limit"]
 
@@ -360,7 +366,9 @@ def test_a_robot_holds_while_a_method_is_compiled(retargeter, motion):
     stage.pipeline.hold()
     held = stage.play(frames[250:500])  # longer than a loss, which would ease
     assert modes(held) == [Mode.HOLDING]
-    np.testing.assert_array_equal(held[-1].command.positions, held[50].command.positions)
+    np.testing.assert_array_equal(
+        held[-1].command.joint_positions, held[50].command.joint_positions
+    )
     stage.pipeline.switch(retargeter)
     assert modes(stage.play(frames[500:700])) == [Mode.BLENDING, Mode.TRACKING]
     within(stage.pipeline.retargeter.hand, LOOP.limits, stage.q, PERIOD)
@@ -382,7 +390,9 @@ def test_the_clutch_holds_and_takes_over_where_the_operator_is(hand, retargeter,
     stage.pipeline.supervisor.pause()
     paused = stage.play(frames[100:200])
     assert modes(paused) == [Mode.PAUSED]
-    np.testing.assert_array_equal(paused[-1].command.positions, paused[20].command.positions)
+    np.testing.assert_array_equal(
+        paused[-1].command.joint_positions, paused[20].command.joint_positions
+    )
     stage.pipeline.supervisor.resume()
     back = stage.play(frames[200:300])
     assert modes(back) == [Mode.BLENDING, Mode.TRACKING]
@@ -396,7 +406,7 @@ def test_an_emergency_stop_stands_at_once_until_released(retargeter, motion):
     stopped = stage.play(frames[100:150])
     assert modes(stopped) == [Mode.STOPPED]
     for tick in stopped:
-        np.testing.assert_array_equal(tick.command.positions, before.command.positions)
+        np.testing.assert_array_equal(tick.command.joint_positions, before.command.joint_positions)
         assert (tick.velocity == 0).all()
     stage.pipeline.supervisor.resume()  # the clutch does not release a stop
     assert modes(stage.play(frames[150:160])) == [Mode.STOPPED]
@@ -414,7 +424,7 @@ def test_a_release_moves_nothing_before_a_frame_comes(retargeter, motion, switch
     released = stage.play([None] * 50)
     assert modes(released) == [Mode.WAITING]
     for tick in released:
-        np.testing.assert_array_equal(tick.command.positions, stopped.command.positions)
+        np.testing.assert_array_equal(tick.command.joint_positions, stopped.command.joint_positions)
     assert modes(stage.play(frames[150:152])) == [Mode.BLENDING]
 
 
@@ -446,16 +456,16 @@ def test_a_blend_goes_half_the_way_in_half_of_its_time(retargeter, motion):
     stage, frames = Stage(retargeter), list(motion)
     stage.play(frames[:100])
     stage.pipeline.supervisor.pause()
-    start = stage.play([None] * 30)[-1].command.positions
+    start = stage.play([None] * 30)[-1].command.joint_positions
     stage.pipeline.supervisor.resume()
     still = [replace(frame, landmarks=frames[300].landmarks) for frame in frames[130:330]]
     ticks = stage.play(list(still))
     count = sum(tick.mode is Mode.BLENDING for tick in ticks)
     assert count == pytest.approx(LOOP.safety.blend_s / PERIOD, abs=2)
-    way = ticks[-1].command.positions - start
+    way = ticks[-1].command.joint_positions - start
     assert np.abs(way).max() > 0.2
     for quarter, share in ((1, 0.15625), (2, 0.5), (3, 0.84375)):  # x^2 (3 - 2 x)
-        gone = ticks[count * quarter // 4].command.positions - start
+        gone = ticks[count * quarter // 4].command.joint_positions - start
         np.testing.assert_allclose(gone, share * way, atol=0.04 * np.abs(way).max())
 
 

@@ -265,7 +265,7 @@ def test_sink_follows_in_real_time_and_holds_when_commands_stop():
         state = sim.state("left")
         assert state.time <= time.perf_counter()
         age = time.perf_counter() - state.time
-        off = np.degrees(np.abs(state.positions - last.command.positions).max())
+        off = np.degrees(np.abs(state.positions - last.command.joint_positions).max())
         return bool(off < 10.0 and age < 0.2)
 
     until(arrived)

@@ -244,8 +244,8 @@ def test_zmq_says_all_of_a_command(hands, listen):
         "number": 3,
         "mode": "blending",
         "names": list(hands["left"].joint_names),
-        "positions": tick.command.positions.tolist(),
-        "velocities": [0.0] * len(tick.command.names),
+        "positions": tick.command.joint_positions.tolist(),
+        "velocities": [0.0] * len(tick.command.joint_names),
         "stamp": tick.command.stamp,
         "time": tick.time,
         "valid_for_s": 0.15,
@@ -317,7 +317,7 @@ def test_zmq_never_sends_what_is_not_finite(hand):
     sink = ZmqSink(f"tcp://127.0.0.1:{free_port()}")
     sink.open({"right": hand}, {})
     tick = make_tick(hand)
-    tick.command.positions[2] = np.nan
+    tick.command.joint_positions[2] = np.nan
 
     def raises() -> bool:
         try:
@@ -348,7 +348,7 @@ def test_table_shows_joints_mode_and_latency(hand):
     console.print(panel.table())
     text = console.file.getvalue()
     last = make_tick(hand, 199)
-    for name, q in zip(hand.joint_names, last.command.positions, strict=True):
+    for name, q in zip(hand.joint_names, last.command.joint_positions, strict=True):
         (row,) = [row for row in text.splitlines() if f"│{name} " in row]
         assert f"{q:+.3f}" in row
         low, high = hand.joint_limits[hand.joint_names.index(name)]

@@ -152,7 +152,7 @@ def test_round_trip_brings_the_tips_to_the_robots_own(hand, retargeter):
     frame = posed(hand, 0.25)
     for _ in range(15):  # AKO's velocity term lets it come no faster
         state, result = retargeter.step(state, frame)
-    tips = hand.tips(result.command.positions)
+    tips = hand.tips(result.command.joint_positions)
     error = np.linalg.norm(tips - hand.tips(hand.full_configuration(q)), axis=1)
     assert result.status == Status.OK
     assert error.max() < 0.008, error
@@ -168,8 +168,8 @@ def test_commands_stay_within_limits_and_bad_frames_hold(hand, retargeter):
         before = state
         state, result = retargeter.step(state, points)
         low, high = hand.joint_limits.T
-        assert (result.command.positions >= low - 1e-9).all()
-        assert (result.command.positions <= high + 1e-9).all()
+        assert (result.command.joint_positions >= low - 1e-9).all()
+        assert (result.command.joint_positions <= high + 1e-9).all()
         if result.status != Status.OK:
             held.append(i)
             assert state.others is before.others  # nothing of the frame is remembered
@@ -181,7 +181,7 @@ def test_the_same_frames_give_the_same_commands(retargeter):
     runs = []
     for _ in range(2):
         retargeter.reset()
-        runs.append([retargeter(frame).command.positions for frame in recording])
+        runs.append([retargeter(frame).command.joint_positions for frame in recording])
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
@@ -226,7 +226,7 @@ def test_both_sides(retargeter):
     retargeter.reset()
     for frame in right:
         mirrored = HandFrame(frame.landmarks * [-1, 1, 1], frame.stamp, "left")
-        a, b = retargeter(frame).command.positions, left(mirrored).command.positions
+        a, b = retargeter(frame).command.joint_positions, left(mirrored).command.joint_positions
         np.testing.assert_allclose(a, b, atol=0.02)
 
 

@@ -34,7 +34,7 @@ def commands(retargeter: Retargeter, of: HandRecording) -> np.ndarray:
     state, out = retargeter.init(), []
     for frame in (of[i] for i in range(len(of))):
         state, result = retargeter.step(state, frame)
-        out.append(result.command.positions)
+        out.append(result.command.joint_positions)
     return np.stack(out)
 
 
@@ -137,10 +137,10 @@ def test_a_bad_frame_holds_and_leaves_no_trace(smooth, motion):
     missing[TIPS[2]] = np.nan
     after, held = smooth.step(state, HandFrame(missing, motion[20].stamp))
     assert held.status == Status.INVALID_LANDMARKS
-    np.testing.assert_array_equal(held.command.positions, good.command.positions)
+    np.testing.assert_array_equal(held.command.joint_positions, good.command.joint_positions)
     _, straight = smooth.step(state, motion[21])
     _, resumed = smooth.step(after, motion[21])
-    np.testing.assert_array_equal(resumed.command.positions, straight.command.positions)
+    np.testing.assert_array_equal(resumed.command.joint_positions, straight.command.joint_positions)
 
 
 @pytest.mark.parametrize("rate", [30.0, 100.0])
@@ -155,7 +155,7 @@ def test_a_rate_stands_in_for_stamps(motion, rate):
         stepped.append(result.command)
     called = [counting(points).command for points in landmarks]
     for commands in (stepped, called):
-        positions = [command.positions for command in commands]
+        positions = [command.joint_positions for command in commands]
         np.testing.assert_array_equal(positions, stamped.joint_positions)
         np.testing.assert_allclose([c.stamp for c in commands], stamped.stamps, atol=1e-9)
 
@@ -168,7 +168,7 @@ def test_a_call_without_a_stamp_is_of_its_moment(motion):
     live = Retargeter(method="smooth", clock=lambda: next(clock))
     called = [live(points).command for points in landmarks]
     stamped, _ = Retargeter(method="smooth").run(HandRecording(landmarks, times, "right"))
-    np.testing.assert_array_equal([c.positions for c in called], stamped.joint_positions)
+    np.testing.assert_array_equal([c.joint_positions for c in called], stamped.joint_positions)
     assert [c.stamp for c in called] == times.tolist()
     # and it matters: as frames of 100 Hz they are another motion
     hurried, _ = Retargeter(method="smooth").run(recording(landmarks, rate=100.0))
@@ -180,7 +180,7 @@ def test_a_bad_frame_takes_its_time_too(motion):
     landmarks = motion.landmarks[:12].copy()
     landmarks[5] = np.nan
     counting = Retargeter(method="smooth", rate=30.0)
-    counted = [counting(points).command.positions for points in landmarks]
+    counted = [counting(points).command.joint_positions for points in landmarks]
     stamped, _ = Retargeter(method="smooth").run(recording(landmarks, rate=30.0))
     np.testing.assert_array_equal(counted, stamped.joint_positions)
 

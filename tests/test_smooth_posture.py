@@ -89,9 +89,9 @@ def test_a_finger_in_a_wrong_basin_finds_back(operator):
     for i in range(60):
         still = HandFrame(operator.landmarks[29], float(operator.stamps[30 + i]), "right")
         state, result = leap.step(state, still)
-        positions.append(result.command.positions)
+        positions.append(result.command.joint_positions)
     tips = hand.tips(np.array(positions))
-    target = hand.tips(before.command.positions[None])
+    target = hand.tips(before.command.joint_positions[None])
     assert np.linalg.norm(tips[0] - target[0], axis=-1).max() > 0.05
     assert np.linalg.norm(tips[-1] - target[0], axis=-1).max() < 0.005
     assert np.abs(np.diff(positions, axis=0)).max() < 0.44  # no faster than joints may

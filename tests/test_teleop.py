@@ -313,7 +313,7 @@ def test_switches_work_from_another_thread(retargeters, frames):
     modes = [tick.mode for tick in sink.ticks]
     stopped = [i for i, mode in enumerate(modes) if mode is Mode.STOPPED]
     assert stopped
-    held = np.array([sink.ticks[i].command.positions for i in stopped])
+    held = np.array([sink.ticks[i].command.joint_positions for i in stopped])
     assert np.ptp(held, axis=0).max() == 0
     assert Mode.BLENDING in modes[stopped[-1] :]
 
@@ -451,7 +451,7 @@ def test_an_emergency_stop_does_not_wait_for_a_method_that_compiles(
     assert set(modes[first:]) == {Mode.STOPPED}  # also after the method has answered
     assert {tick.status for tick in sink.ticks[first:]} == {None}
     assert [tick.number for tick in sink.ticks] == list(range(len(modes)))
-    assert np.ptp([tick.command.positions for tick in sink.ticks[-5:]], axis=0).max() == 0
+    assert np.ptp([tick.command.joint_positions for tick in sink.ticks[-5:]], axis=0).max() == 0
     assert sink.ticks[first].events[-1].endswith(" -> stopped")
 
 

@@ -67,7 +67,7 @@ def test_the_hand_may_be_an_object(side, tmp_path):
     teleoperate("synthetic", [kept], hand=hand, side=side, duration=0.4, **METHOD)
     assert kept.config["hand"] == hand.name
     assert {tick.side for tick in kept.ticks} == {side}
-    assert kept.ticks[-1].command.names == hand.joint_names
+    assert kept.ticks[-1].command.joint_names == hand.joint_names
     with temporary_spec(hand.spec.mirrored) as text:
         again = load_hand(text, side)
         assert (again.name, again.spec.side, again.fingers) == (hand.name, side, hand.fingers)
@@ -98,7 +98,7 @@ def test_a_run_is_one_call_from_text_or_objects_to_a_summary(tmp_path, caplog):
     assert kept.config["hand"] == "leap_hand"
     assert kept.config["sinks"] == ["kept", f"record:{log}"]
     recorded = read_log(log)
-    assert recorded.commands.joint_names == kept.ticks[-1].command.names
+    assert recorded.commands.joint_names == kept.ticks[-1].command.joint_names
     assert isinstance(loops[0], TeleopLoop)
     said = [record.message for record in caplog.records]
     assert any(text.startswith("compiling joint_angle for leap_hand right") for text in said)

@@ -211,7 +211,7 @@ class Run:
         tick = self.pipeline.step(self.now, arrival)
         self.sinks.send(tick)
         self.sent += 1
-        self.physics.command(tick.command.positions)
+        self.physics.command(tick.command.joint_positions)
         assert tick.arm is not None
         self.physics.command_arm(tick.arm.positions)
         self.physics.advance(dt)
@@ -233,7 +233,7 @@ class Run:
         low, high = spec.limits.T
         moved = (arm.positions - self.q) / dt
         change = spec.acceleration * min(dt, (self.dt_before + dt) / 2)
-        hand = tick.command.positions[list(self.hand.actuated)]
+        hand = tick.command.joint_positions[list(self.hand.actuated)]
         within = self.hand.limits
         poses = {
             "arm position [rad]": np.maximum(low - arm.positions, arm.positions - high).max(),
@@ -253,7 +253,7 @@ class Run:
             engaged = bool(tick.wrist and tick.wrist.engaged)
             lost = engaged and not (last.wrist and last.wrist.engaged)
             if back:  # the fingers follow the mode, the arm the clutch, too
-                step = np.abs(tick.command.positions - last.command.positions).max()
+                step = np.abs(tick.command.joint_positions - last.command.joint_positions).max()
                 self.fingers.append(float(step))
             if back or lost:
                 step = np.abs(arm.positions - last.arm.positions).max()

@@ -119,7 +119,7 @@ def walk(retargeter: Retargeter, clip: HandRecording, count: int) -> np.ndarray:
     rows = []
     for points, stamp in zip(clip.landmarks[:count], clip.stamps[:count], strict=True):
         state, result = retargeter.step(state, HandFrame(points, float(stamp), clip.side))
-        rows.append([*np.asarray(result.command.positions), float(result.status)])
+        rows.append([*np.asarray(result.command.joint_positions), float(result.status)])
     return np.array(rows)
 
 

@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if number not in options.frames:
             continue
         noise = rng.normal(0.0, SPREAD, (options.starts, len(hand.limits)))
-        starts = np.clip(result.command.positions + noise, *hand.limits.T).astype(np.float32)
+        starts = np.clip(result.command.joint_positions + noise, *hand.limits.T).astype(np.float32)
         inputs = (before, np.float32(frame.landmarks), frame.valid, tick_of(frame.stamp or 0.0))
         ends = [[run(start, *inputs) for start in starts] for run in runs]
         poses = np.array([[np.asarray(q) for q, _ in one] for one in ends])

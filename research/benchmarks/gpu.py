@@ -109,7 +109,7 @@ def answers(
         before = time.perf_counter()
         state, result = retargeter.step(state, frame)
         ms = (time.perf_counter() - before) * 1e3
-        rows.append((result.command.positions, result.tracking_loss, ms))
+        rows.append((result.command.joint_positions, result.tracking_loss, ms))
     q, losses, times = (np.array(values) for values in zip(*rows, strict=True))
     return q, losses, times
 

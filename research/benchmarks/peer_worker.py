@@ -32,7 +32,11 @@ def smooth_operator(hand: str, method: str, _: str) -> tuple[Prepare, Callable[[
     def prepare(landmarks: Any, stamps: Any) -> list[Any]:
         return [HandFrame(p, stamp=s) for p, s in zip(landmarks, stamps, strict=True)]
 
-    return prepare, lambda frame: retargeter(frame).command.positions, retargeter.hand.joint_names
+    return (
+        prepare,
+        lambda frame: retargeter(frame).command.joint_positions,
+        retargeter.hand.joint_names,
+    )
 
 
 def wuji_sdk(*_: str) -> tuple[Prepare, Callable[[Any], Any], Any]:

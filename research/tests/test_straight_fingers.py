@@ -75,7 +75,7 @@ def test_a_finger_stretched_too_far_is_not_left_straight():
     state, tips = retargeter.init(seed=0), []
     for frame in recording:
         state, result = retargeter.step(state, frame)
-        tips.append(hand.tips(result.command.positions) - hand.wrist)
+        tips.append(hand.tips(result.command.joint_positions) - hand.wrist)
     aligned = align_recording(recording, hand)
     asked = aligned[:, list(TIPS)] - aligned[:, :1]
     errors = np.linalg.norm(np.array(tips) - asked, axis=-1)

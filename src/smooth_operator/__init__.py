@@ -2,7 +2,7 @@
 
 retargeter = Retargeter("mimic_p050", side="right")
 result = retargeter(landmarks)  # (21, 3) in metres, of this moment
-result.command.positions        # (20,) in radians
+result.command.joint_positions        # (20,) in radians
 
 The public names are listed in ``__init__.pyi``, here and in each public subpackage.
 """

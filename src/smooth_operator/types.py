@@ -216,20 +216,22 @@ class JointCommand:
     """Joint positions for a robot hand at one moment.
 
     Attributes:
-        positions: (n,) joint positions [rad] of all joints, coupled ones included.
-        names: (n,) joint names, in the model's own order.
+        joint_positions: (n,) joint positions [rad] of all joints, coupled ones included.
+        joint_names: (n,) joint names, in the model's own order.
         stamp: stamp of the answered hand frame [s].
     """
 
-    positions: Float[np.ndarray, " n"]
-    names: tuple[str, ...]
+    joint_positions: Float[np.ndarray, " n"]
+    joint_names: tuple[str, ...]
     stamp: float = 0.0
 
     def __repr__(self) -> str:
-        joints = [f"{n} {q:+.3f}" for n, q in zip(self.names, self.positions, strict=False)]
+        joints = [
+            f"{n} {q:+.3f}" for n, q in zip(self.joint_names, self.joint_positions, strict=False)
+        ]
         more = [] if len(joints) <= 3 else ["..."]
         return (
-            f"<JointCommand: stamp {self.stamp:g} s, {len(self.positions)} joints [rad]: "
+            f"<JointCommand: stamp {self.stamp:g} s, {len(self.joint_positions)} joints [rad]: "
             f"{', '.join(joints[:3] + more)}>"
         )
 

@@ -22,7 +22,7 @@ class CsvSink(Sink):
         self.file.write("side,number,positions\n")
 
     def send(self, tick):
-        positions = " ".join(f"{q:.6f}" for q in tick.command.positions)
+        positions = " ".join(f"{q:.6f}" for q in tick.command.joint_positions)
         self.file.write(f"{tick.side},{tick.number},{positions}\n")
 
     def close(self):

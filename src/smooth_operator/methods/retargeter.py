@@ -316,7 +316,7 @@ class Retargeter:
             state, result = self.step(state, recording[i])
             results.append(result)
         commands = CommandTrajectory(
-            np.stack([r.command.positions for r in results]),
+            np.stack([r.command.joint_positions for r in results]),
             self.hand.joint_names,
             recording.stamps,
             np.array([r.latency_ms for r in results]),

@@ -149,7 +149,7 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
             arrival = Arrival(frame, self._now)
         tick = self._pipeline.step(self._now, arrival)
         for place, joint in enumerate(self._chosen):
-            outputs["hand_joints"][place] = float(tick.command.positions[joint])
+            outputs["hand_joints"][place] = float(tick.command.joint_positions[joint])
         outputs["hand_valid"][0] = float(tick.status is Status.OK)
         if wrist is not None:
             self._pose = wrist

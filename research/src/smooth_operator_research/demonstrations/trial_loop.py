@@ -233,7 +233,7 @@ def run_trial(
             return None
         frame = HandFrame(points, time, retargeter.hand.spec.side)
         state, result = retargeter.step(state, frame)
-        return result.command.positions
+        return result.command.joint_positions
 
     positions, moments = [], []
     run = TaskRun(task, scene)

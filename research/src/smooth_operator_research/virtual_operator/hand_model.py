@@ -503,5 +503,5 @@ def familiarise(model: HandModel, retargeter: Retargeter, seed: int = 0) -> Inte
     state, robot = retargeter.init(seed), []
     for k, landmarks in enumerate(points):
         state, result = retargeter.step(state, HandFrame(landmarks, k / _RATE_HZ, hand.spec.side))
-        robot.append(hand.tips(result.command.positions))
+        robot.append(hand.tips(result.command.joint_positions))
     return InternalModel(np.array(robot), points[:, [TIPS[row] for row in fingers]], fingers)

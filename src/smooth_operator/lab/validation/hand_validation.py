@@ -236,7 +236,7 @@ def round_trip(
         for i, points in enumerate(landmarks):
             frame = HandFrame(points, i * _PERIOD_S, hand.spec.side)
             state, result = retargeter.step(state, frame)
-            positions.append(result.command.positions)
+            positions.append(result.command.joint_positions)
             good += result.status == Status.OK
         run = np.array(positions)
         low, high = hand.joint_limits.T

@@ -165,7 +165,7 @@ class HandWorker:
         """
         if self._error is not None:
             raise SinkError(f"{self._label}: {self._error}") from self._error
-        if np.isfinite(tick.command.positions).all():
+        if np.isfinite(tick.command.joint_positions).all():
             self._finite = tick.command
         else:
             self.statistics.not_finite += 1
@@ -290,7 +290,7 @@ class HandWorker:
                         self._guard.start(reading)
                         moving, self._place = True, None
                     seconds = min(cycle - begun, 2 * period)
-                    positions = newest[0].command.positions
+                    positions = newest[0].command.joint_positions
                     self._commands = self._guard.step(positions, reading, seconds)
                     self._call(self._device.write, self._commands)
                     self._doing = "approaches" if self._guard.approaching.any() else "following"

@@ -193,8 +193,8 @@ class LogWriter:
                 that of the positions, or the stamp is not finite.
             OutputError: as for the class.
         """
-        positions = np.asarray(command.positions, np.float64)
-        names = tuple(command.names)
+        positions = np.asarray(command.joint_positions, np.float64)
+        names = tuple(command.joint_names)
         if positions.shape != (len(names),):
             raise RecordingError(
                 f"{self.path}: a command needs one position for each of its {len(names)} joints, "

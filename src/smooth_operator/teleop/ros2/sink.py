@@ -345,7 +345,7 @@ class _Publisher:
 
     def _command(self, tick: Tick, stamp: Message) -> Message:
         layout, sink = self._layouts[tick.side], self._sink
-        values, rates = layout.values(tick.command.positions), layout.rates(tick.velocity)
+        values, rates = layout.values(tick.command.joint_positions), layout.rates(tick.velocity)
         return joint_message(sink.message, stamp, layout.names, values, rates, sink.duration)
 
     def _arm(self, tick: Tick, stamp: Message) -> None:

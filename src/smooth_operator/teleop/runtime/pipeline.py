@@ -464,7 +464,7 @@ class HandPipeline:
             arm = self.arm.step(
                 None if wrist is None else wrist.pose,
                 dt,
-                command.positions,
+                command.joint_positions,
                 stop=mode is Mode.STOPPED,
             )
             if result is not None:
@@ -501,7 +501,7 @@ class HandPipeline:
             self._from = self.limiter.q
         self.supervisor.usable(now)
         self._driven = Driven(self.retargeter, answer.state)
-        self._target = result.command.positions[list(self.retargeter.hand.actuated)]
+        self._target = result.command.joint_positions[list(self.retargeter.hand.actuated)]
 
     def _follow(self, mode: Mode, now: float, dt: float) -> np.ndarray:
         """Joint positions that the limits allow in this mode since the last command."""

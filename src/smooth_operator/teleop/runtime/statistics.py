@@ -82,9 +82,9 @@ class MotionDelay:
         if tick.state is None:
             return
         if self._commands is None or self._states is None:
-            self._commands = _Track(len(tick.command.positions))
+            self._commands = _Track(len(tick.command.joint_positions))
             self._states = _Track(len(tick.state.positions))
-        self._commands.add(tick.time, tick.command.positions)
+        self._commands.add(tick.time, tick.command.joint_positions)
         if tick.state is not self._state:
             self._state = tick.state
             self._states.add(tick.state.stamp, tick.state.positions)

@@ -352,7 +352,7 @@ class _HandLog:
             self.log.write_state(tick.state)
         arrival = tick.arrival
         self.log.write_command(
-            JointCommand(tick.command.positions, tick.command.names, stamp),
+            JointCommand(tick.command.joint_positions, tick.command.joint_names, stamp),
             # Where no frame is answered none was bad; what the loop did then is its mode.
             Status.OK if tick.status is None else tick.status,
             float("nan") if arrival is None else (tick.time - arrival.received) * 1e3,

@@ -90,7 +90,7 @@ class _Stream:
         self._keypoints = {side: landmark_keypoints(hand) for side, hand in hands.items()}
 
     def deliver(self, tick: Tick) -> None:
-        side, positions = tick.side, np.asarray(tick.command.positions)
+        side, positions = tick.side, np.asarray(tick.command.joint_positions)
         self._stream.set_time("loop", duration=tick.time)
         self._skeleton(f"{side}/robot", self._keypoints[side](positions[None])[0])
         self._stream.log(f"{side}/command", self._rerun.Scalars(positions))

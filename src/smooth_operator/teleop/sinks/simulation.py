@@ -130,7 +130,7 @@ class Simulation(Sink):
         if self._world is None:
             raise SinkError("mujoco: it is not open")
         arm = None if tick.arm is None else tick.arm.positions
-        self._world.command(tick.side, tick.command.positions, arm)
+        self._world.command(tick.side, tick.command.joint_positions, arm)
 
     def stalled(self, seconds: float) -> None:
         """Let the hands hold their positions."""

@@ -131,7 +131,7 @@ class HandPanel:
         table.add_column("rad", justify="right")
         table.add_column("of its range", no_wrap=True)
         if tick is not None:
-            rows = zip(self._names, tick.command.positions, self._limits, strict=True)
+            rows = zip(self._names, tick.command.joint_positions, self._limits, strict=True)
             for name, q, (low, high) in rows:
                 table.add_row(name, f"{q:+.3f}", _bar(float(q), float(low), float(high)))
         return Group(Text(self.line(), style=colour), table)

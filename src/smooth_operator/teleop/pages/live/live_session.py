@@ -330,11 +330,11 @@ class LiveSession:
         pipeline = self.loop.pipelines[side]
         return {
             "mode": tick.mode.value,
-            "positions": _numbers(tick.command.positions),
+            "positions": _numbers(tick.command.joint_positions),
             "arm": None if tick.arm is None else _arm(tick.arm, tick.wrist),
             "simulated": None
             if state is None
-            else _numbers(np.where(np.isfinite(state), state, tick.command.positions)),
+            else _numbers(np.where(np.isfinite(state), state, tick.command.joint_positions)),
             "human": None
             if arrival is None or age is None or age > _SEEN_S
             else _numbers(_trusted(arrival).ravel()),
