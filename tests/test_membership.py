@@ -75,7 +75,7 @@ def test_commands_for_a_hand_on_an_arm_name_the_hands_joints_only(tmp_path):
         assert with_arm.joint_names == without.joint_names
         np.testing.assert_array_equal(with_arm.joint_positions, without.joint_positions)
     there = on_model(load_hand_spec(spec), path)
-    assert there.joint_names == answers[0][0].names
+    assert there.joint_names == answers[0][0].joint_names
     assert there.model.njnt == len(there.joint_names) + 6
 
 

@@ -305,7 +305,7 @@ def test_a_table_gives_names_order_and_commands(hand, recorded, tmp_path):
         q = np.zeros(len(hand.joint_names))
         q[5], q[1] = angle, 2.0
         moved = replace(
-            tick, command=replace(tick.command, positions=q), time=tick.time + angle + 1
+            tick, command=replace(tick.command, joint_positions=q), time=tick.time + angle + 1
         )
         link.deliver(moved)
         sent = recorded.sent["/x"][-1]
@@ -406,7 +406,7 @@ def test_a_command_that_is_not_finite_is_not_sent(hand, recorded):
     bad = tick.command.joint_positions.copy()
     bad[3] = np.nan
     with pytest.raises(SinkError, match="not finite"):
-        link.deliver(replace(tick, command=replace(tick.command, positions=bad)))
+        link.deliver(replace(tick, command=replace(tick.command, joint_positions=bad)))
     assert recorded.sent["/x"] == []
 
 

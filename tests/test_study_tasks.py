@@ -628,7 +628,7 @@ def test_any_source_of_commands_can_do_it_in_the_running_simulation():
         """By the scene's clock: a busy machine's simulation is slower than life."""
         session.observe(state, positions)
         command = hand.full_configuration(demonstration.pose(session.seconds + 0.01))
-        sim.send(replace(tick, command=replace(tick.command, positions=command)))
+        sim.send(replace(tick, command=replace(tick.command, joint_positions=command)))
 
     sim.watch("right", follow)
     session.go()

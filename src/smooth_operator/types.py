@@ -226,13 +226,11 @@ class JointCommand:
     stamp: float = 0.0
 
     def __repr__(self) -> str:
-        joints = [
-            f"{n} {q:+.3f}" for n, q in zip(self.joint_names, self.joint_positions, strict=False)
-        ]
-        more = [] if len(joints) <= 3 else ["..."]
+        pairs = zip(self.joint_names, self.joint_positions, strict=False)
+        joints = [f"{name} {q:+.3f}" for name, q in pairs]
         return (
             f"<JointCommand: stamp {self.stamp:g} s, {len(self.joint_positions)} joints [rad]: "
-            f"{', '.join(joints[:3] + more)}>"
+            f"{', '.join(joints[:3] + ['...'] * (len(joints) > 3))}>"
         )
 
 
