@@ -96,6 +96,13 @@ def test_common_options_fit_on_a_page_or_two(command, monkeypatch):
     assert len(printed(monkeypatch, command, "--help").split()) <= 700
 
 
+def test_the_help_of_a_group_names_the_commands_of_other_distributions(monkeypatch):
+    """Whether they are installed or not: both work from the same words."""
+    text = " ".join(printed(monkeypatch, "study", "--help").split())
+    assert "In another distribution: smooth-operator study simulate:" in text
+    assert "In another distribution" not in printed(monkeypatch, "hands", "--help")
+
+
 def test_no_option_has_none_for_a_default(monkeypatch):
     """The text says what happens without a value: the word None is no answer."""
     for words, kind in commands():

@@ -207,6 +207,25 @@ def test_after_a_reset_lines_above_the_cap_are_off(store):
     assert now["resets_left"] == 0
 
 
+def test_the_time_left_is_of_the_work_that_is_left(tmp_path):
+    """It neither rises from step to step nor falls while everybody waits for ten minutes."""
+    steady = 0.0
+    with open_study(tmp_path, console_plan(seconds=120.0)) as store:
+        store.clock = Clock(lambda: 1.7e9, lambda: steady)
+        service, shown = SessionService(store, operator="P01"), []
+        while True:
+            shown.append(service.look()[0]["now"]["minutes_left"])
+            if (asked := due_command(store.progress("P01"))) is None:
+                break
+            steady += 600.0 if asked.do in ("start_block", "start_familiarisation") else 20.0
+            service.carry_out(asked, "operator" if asked.do == "answer" else "experimenter")
+    assert shown == sorted(shown, reverse=True)
+    assert (shown[0], shown[-1]) == (18, 0)  # 2 x (180 s, 3 trials, 3 questionnaires), a break
+    assert "data-minutes" not in resources.files("smooth_operator.study.console").joinpath(
+        "page", "step.js"
+    ).read_text("utf-8")
+
+
 def test_free_movement_ends_by_itself_and_once(tmp_path):
     with open_study(tmp_path, console_plan(seconds=0.3)) as store:
         service = SessionService(store, operator="P01")

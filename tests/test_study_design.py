@@ -4,6 +4,7 @@ import csv
 import io
 import itertools
 import random
+import re
 from collections import Counter
 from dataclasses import replace
 from typing import Any
@@ -349,3 +350,20 @@ def test_study_new_refuses(tmp_path, arguments, says, capsys):
     assert run("new", str(tmp_path / "p"), *arguments) == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "p").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--tasks", "A:10", "--operators", "6"], r"can reach with this design is \de-\d+ in all"),
+        (
+            ["--tasks", "A:10", "B:10", "--operators", "8"],
+            "in all tasks, .* in task A, .* in task",
+        ),
+        (["--tasks", "A:3", "--operators", "2"], "no difference in success can be shown in all"),
+    ],
+)
+def test_study_new_says_the_least_p_of_the_design(tmp_path, options, says, capsys):
+    options = ["--conditions", "sbr", "dexpilot", "hybrid", *options]
+    assert main(["study", "new", str(tmp_path / "study"), *options]) == 0
+    assert re.search(says, capsys.readouterr().out)

@@ -176,6 +176,40 @@ def test_another_language_is_read_from_a_file(tmp_path, name):
 
 
 @pytest.mark.browser
+def test_a_number_out_of_range_is_named_and_marked(chromium, tmp_path):
+    """And a question that need not be answered, a consent too, does not keep a form back."""
+    consent = FormField("kept", "May it be kept?", "consent", required=False)
+    height = FormField("height", "Height [cm]", "number", least=100.0)
+    form = Form("who", "before", (consent, DEFAULT_FORMS[1].fields[0], height))
+    with open_study(tmp_path, form_plan(form)) as store:
+        service = SessionService(store, operator="P01")
+        with served(service) as port:
+            pages = Pages(chromium, port)
+            operator = pages.operator
+            send = operator.get_by_role("button", name="Send my answers")
+            said = operator.locator(".send [role=status]")
+            age = operator.get_by_label("Age [years]: 16 – 120")
+            age.wait_for()
+            assert said.inner_text() == "Nothing is missing."
+            assert send.is_enabled()
+            age.fill("180")
+            assert said.inner_text() == "Out of range: Age [years] (16 – 120)."
+            assert age.get_attribute("aria-invalid") == "true"
+            border = age.evaluate("field => getComputedStyle(field).borderTopWidth")
+            assert border == "2px"
+            assert send.is_disabled()
+            operator.get_by_label("Height [cm]: ≥ 100").fill("20")
+            assert said.inner_text() == "Out of range: Age [years] (16 – 120), Height [cm] (≥ 100)."
+            age.fill("80")
+            assert age.get_attribute("aria-invalid") == "false"
+            operator.get_by_label("Height").fill("180")
+            send.click()
+            pages.step("Calibration")
+            pages.context.close()
+        assert store.progress("P01").forms["who"][1] == {"age": 80, "height": 180}
+
+
+@pytest.mark.browser
 def test_an_operator_fills_in_forms_and_ranks(chromium, tmp_path):
     forms = (DEFAULT_FORMS[0], SURVEY)
     with open_study(tmp_path, form_plan(*forms)) as store:

@@ -321,6 +321,19 @@ def _in_research(arguments: Sequence[str]) -> list[str]:
     return words
 
 
+def _from_plugins(group: str) -> str:
+    """Help on the commands of a group that other distributions add, or would add if installed."""
+    texts = dict.fromkeys(RESEARCH, "with the research distribution (pip install ./research)")
+    for name, kind in COMMANDS.loadable(_command).items():
+        texts[name] = (kind.__doc__ or "").strip().partition("\n")[0]
+    lines = [
+        f"  smooth-operator {name.replace('.', ' ')}: {text}"
+        for name, text in texts.items()
+        if name.startswith(f"{group}.")
+    ]
+    return "\n\nIn another distribution:\n" + "\n".join(lines) if lines else ""
+
+
 def parse(arguments: Sequence[str]) -> Command:
     """The command that the arguments name.
 
@@ -359,12 +372,13 @@ def parse(arguments: Sequence[str]) -> Command:
         if not for_a_shell and not issubclass(kind, Group):
             _check_options(kind, name.replace(".", " "), rest)
         document(kind)
+        more = _from_plugins(name) if issubclass(kind, Group) else ""
         if not whole and {"-h", "--help"} & set(arguments):
             kind = without_rare(kind)
         chosen: Command = tyro.cli(
             kind,
             prog=f"smooth-operator {name.replace('.', ' ')}",
-            description=described(kind, whole),
+            description=described(kind, whole) + more,
             args=rest,
             config=flags,
         )

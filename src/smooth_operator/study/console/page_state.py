@@ -217,10 +217,8 @@ def step_view(progress: Progress, naming: Naming) -> dict[str, Any]:
         "form": step.title or None,
         "break_possible": can_happen(progress, BreakStarted()),
         "break_due": break_is_due(progress),
-        # counted from the last event, so that the page's clock runs
-        "ends": 1e3 * (progress.records[-1].at.timestamp() + time_left(progress))
-        if progress.records
-        else None,
+        # The time of the work that is left: while nobody works it does not run.
+        "minutes_left": round(time_left(progress) / 60),
         "scored": _scored_view(progress, naming),
         "withdrawn": left and {"keep": left.keep, "reason": left.reason},
         "undoable": last and {"number": last.number, "text": _text(progress, last, naming)},
@@ -256,7 +254,7 @@ def time_left(progress: Progress) -> float:
     protocol = progress.plan.protocol
     times = [t.time_s for t in progress.trials if t.counts and t.time_s is not None]
     answered = Counter((task, block) for task, block, _ in progress.answered)
-    left, blocks = 0.0, 0
+    left = 0.0
     for block in progress.blocks:
         if progress.over or progress.finished(block):
             continue
@@ -268,7 +266,6 @@ def time_left(progress: Progress) -> float:
         left += (len(block.questionnaires) - answered[key]) * QUESTIONNAIRE_S
         if progress.scored[key]:
             continue
-        blocks += 1
         begun = progress.step.block == block and progress.step.what not in _BEFORE_BLOCK
         if not begun:
             left += protocol.familiarisation_s + BLOCK_S
@@ -277,7 +274,11 @@ def time_left(progress: Progress) -> float:
     if not progress.over:
         left += QUESTIONNAIRE_S * sum(form.name not in progress.forms for form in protocol.forms)
     every = protocol.break_every
-    return left + (protocol.break_s * (blocks // every) if every else 0.0)
+    if every and not progress.over:
+        done = sum(progress.finished(block) for block in progress.blocks)
+        ahead = range(done + 1, len(progress.blocks))  # none after the last block
+        left += protocol.break_s * (sum(k % every == 0 for k in ahead) + break_is_due(progress))
+    return left
 
 
 def break_is_due(progress: Progress) -> bool:

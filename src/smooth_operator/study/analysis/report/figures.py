@@ -35,6 +35,8 @@ _INDICES: Final = {"trial_global": "trial of the task", "trial_in_block": "trial
 _ACROSS: Final = 4
 """Largest number of panels in a row."""
 _BINS: Final = 10
+_NARROWEST: Final = 7.0
+"""Smallest width of a figure [inch]: one of a single panel would be lost on the page."""
 
 
 def _panels(
@@ -49,9 +51,8 @@ def _panels(
 
     columns = min(len(scopes), across)
     rows = -(-len(scopes) // columns)
-    figure = Figure(
-        figsize=(size[0] * columns + more[0], size[1] * rows + more[1]), layout="constrained"
-    )
+    width = max(size[0] * columns + more[0], _NARROWEST)
+    figure = Figure(figsize=(width, size[1] * rows + more[1]), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False, **options)
     for axes in grid.flat[len(scopes) :]:
         axes.remove()

@@ -89,7 +89,7 @@ const actions = {
   endBlock: () => actions.inquire('end_block', PLACE.slice(0, 2), `End block ${link.state.now.block} of ${link.state.now.task} now?`,
     'What is left of it is not done, its questionnaires included. The next block follows.', [REASON], 'End the block'),
   recalibrate: () => actions.inquire('recalibrate', ['task'], 'Calibrate again', 'Calibrate, then enter the file. It is loaded into the running hand.',
-    [{ name: 'detail', label: 'File or remark', required: true, maxLength: 400 }], 'Calibrated'),
+    [{ name: 'detail', label: 'Calibration file or note', required: true, maxLength: 400 }], 'Calibrated'),
   withdraw: () => actions.inquire('withdraw', [], `Operator ${link.state.now.operator} withdraws`,
     'No further step is due. A trial that runs becomes void. To delete the data: smooth-operator study erase.', [
       { name: 'keep', label: 'The data so far', type: 'select', options: [
@@ -207,7 +207,6 @@ function tick() {
   for (const shown of document.querySelectorAll('[data-until]')) {
     const left = Math.max(0, (Number(shown.dataset.until) - link.now()) / 1000);
     if (shown.tagName === 'PROGRESS') shown.value = shown.max - left;
-    else if ('minutes' in shown.dataset) shown.textContent = left < 30 ? '' : `About ${Math.round(left / 60)} min left`;
     else shown.textContent = clock(Math.ceil(left - 1e-6));
   }
 }

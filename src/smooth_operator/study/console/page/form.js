@@ -12,11 +12,17 @@ export function form(place, state, { name, sending, send }) {
   const left = h('p', { class: 'soft', role: 'status' });
   const submit = h('button', { type: 'submit', class: 'main wide', 'data-key': 'submit' }, sending ? texts.sending : texts.send);
   const show = () => {
-    const missing = state.fields.filter((field) => !(field.name in answers) && (due(field) || begun.has(field.name)));
-    left.textContent = missing.length ? `${texts.form_missing} ${missing.map((field) => field.label).join(', ')}` : texts.form_complete;
-    submit.disabled = sending || missing.length > 0;
+    const open = state.fields.filter((field) => !(field.name in answers));
+    const wrong = open.filter((field) => field.kind === 'number' && begun.has(field.name));
+    const missing = open.filter((field) => !wrong.includes(field) && (due(field) || begun.has(field.name)));
+    const lines = [
+      wrong.length > 0 && `${texts.form_range} ${wrong.map((field) => field.label + (range(field) && ` (${range(field)})`)).join(', ')}.`,
+      missing.length > 0 && `${texts.form_missing} ${missing.map((field) => field.label).join(', ')}`,
+    ].filter(Boolean);
+    left.textContent = lines.join(' ') || texts.form_complete;
+    submit.disabled = sending || lines.length > 0;
   };
-  const due = (field) => (field.required || field.kind === 'consent') && (field.kind !== 'ranking' || field.ranked.length > 1);
+  const due = (field) => field.required && (field.kind !== 'ranking' || field.ranked.length > 1);
   const set = (field, value, partly = false) => {
     if (partly) begun.add(field.name);
     else begun.delete(field.name);
@@ -46,9 +52,12 @@ const DRAWN = {
   },
   number(field, value, set, off) {
     const id = `field-${field.name}`;
-    return [label(id, field), h('input', { id, type: 'number', inputMode: 'decimal', step: text(field.step) ?? 'any', disabled: off, min: text(field.least), max: text(field.most),
-      value: text(value) ?? '', oninput: ({ target }) => set(target.value === '' || !target.validity.valid ? null : Number(target.value), !target.validity.valid) }),
-    h('span', { class: 'soft' }, [field.least, field.most].map((bound) => text(bound) ?? '').join(' – '))];
+    return [label(id, field, range(field)), h('input', { id, type: 'number', inputMode: 'decimal', step: text(field.step) ?? 'any', disabled: off, min: text(field.least), max: text(field.most),
+      value: text(value) ?? '', oninput: ({ target }) => {
+        const { valid } = target.validity;
+        target.setAttribute('aria-invalid', String(!valid));
+        set(target.value === '' || !valid ? null : Number(target.value), !valid);
+      } })];
   },
   choice(field, value, set, off) {
     return choices(field, field.choices.map((one) => [one, one]), value, set, off);
@@ -79,8 +88,15 @@ const DRAWN = {
   },
 };
 
-function label(id, field) {
-  return h('label', { for: id }, field.label);
+function label(id, field, hint = '') {
+  return h('label', { for: id }, field.label, hint && `: ${hint}`);
+}
+
+/** Numbers that a field accepts, in signs that need no translation; empty without bounds. */
+function range({ least, most }) {
+  const [low, high] = [text(least), text(most)];
+  if (low && high) return `${low} – ${high}`;
+  return (low && `≥ ${low}`) || (high && `≤ ${high}`) || '';
 }
 
 function text(value) {

@@ -30,18 +30,18 @@ const STEPS = {
       h('h2', {}, 'Calibration'),
       h('p', {}, 'Calibrate tracker and hand to the operator, with the live page or smooth-operator calibrate. ',
         state.teleop && 'A file of it is loaded into the running hand.'),
-      h('p', {}, h('label', { for: 'detail' }, 'File or remark'), detail),
+      h('p', {}, h('label', { for: 'detail' }, 'Calibration file or note'), detail),
       h('div', { class: 'row' },
         main('Calibrated', 'Space', blocked, () => send(detail.value.trim())),
-        button('Left out', { id: 'left-out', kind: 'quiet', disabled: blocked, onclick: () => send('left out') })),
+        button('Skip', { id: 'left-out', kind: 'quiet', disabled: blocked, onclick: () => send('left out') })),
     ];
   },
   start_block(now, state, actions, blocked) {
     return [
       h('h2', {}, `Block ${now.block} of ${now.blocks}`),
       h('p', { class: 'condition' }, now.condition),
-      h('p', {}, state.teleop ? 'Starting the block switches the running hand to this.'
-        : 'Switch the hand to this, then start the block.',
+      h('p', {}, state.teleop ? 'Starting the block sets the running robot to this method.'
+        : 'Set the robot to this method, then start the block.',
         state.study.rate_hz && ` It is sent ${state.study.rate_hz} commands a second.`),
       h('div', { class: 'row' }, main('Start block', 'Space', blocked,
         () => actions.send('start_block', actions.place('task', 'block')))),
@@ -93,7 +93,7 @@ const STEPS = {
       sim && proposal(now, sim, actions, waiting),
       h('div', { class: 'row' },
         fixed === null && button(stopped ? 'Clock goes on' : 'Stop the clock', { key: 'Space', id: 'stop', kind: stopped ? 'quiet' : 'main', disabled: waiting, onclick: actions.stop }),
-        button('Object put back', { key: 'R', id: 'reset', kind: 'quiet', disabled: waiting || !actions.link.connected || now.resets_left === 0,
+        button('Object reset', { key: 'R', id: 'reset', kind: 'quiet', disabled: waiting || !actions.link.connected || now.resets_left === 0,
           onclick: () => actions.send('reset', actions.place('task', 'block', 'trial')) }),
         button('Pause', { key: 'P', id: 'pause', kind: 'quiet', disabled: waiting || !actions.link.connected, onclick: actions.pause }),
         button('Void', { key: 'V', id: 'void', kind: 'quiet', disabled: waiting || !actions.link.connected, onclick: actions.voidTrial })),
@@ -107,7 +107,7 @@ const STEPS = {
       h('p', { class: 'soft' }, 'Paused for ', h('span', { role: 'timer', 'data-since': String(now.since) }), '. That does not count.'),
       h('div', { class: 'row' },
         main('Clock goes on', 'Space', blocked, () => actions.send('resume', actions.place('task', 'block', 'trial'))),
-        button('Object put back', { key: 'R', id: 'reset', kind: 'quiet', disabled: blocked || now.resets_left === 0,
+        button('Object reset', { key: 'R', id: 'reset', kind: 'quiet', disabled: blocked || now.resets_left === 0,
           onclick: () => actions.send('reset', actions.place('task', 'block', 'trial')) }),
         button('Void', { key: 'V', id: 'void', kind: 'quiet', disabled: blocked, onclick: actions.voidTrial })),
     ];
@@ -184,7 +184,7 @@ function aside(now, actions, blocked) {
     now.can_calibrate && quiet('Calibrate again', 'recalibrate', actions.recalibrate),
     now.can_end_block && quiet('End block', 'end-block', actions.endBlock),
     !now.withdrawn && quiet('Withdraw', 'withdraw', actions.withdraw),
-    now.ends && h('span', { class: 'soft left', 'data-minutes': '', 'data-until': String(now.ends) }));
+    now.minutes_left > 0 && h('span', { class: 'soft left' }, `About ${now.minutes_left} min left`));
 }
 
 function tablet({ links, pages }) {
