@@ -327,11 +327,11 @@ def test_a_call_notices_units_order_and_side():
     assert "metres" in result.status.reason
     assert all(usual(points).status == Status.OK for points in landmarks[1:60])
     # another hand, later on: held from its first frame on, no end of the program
-    last = usual(landmarks[60]).command.positions
+    last = usual(landmarks[60]).command.joint_positions
     for points in landmarks[60:150]:
         result = usual(points * (-1, 1, 1))
         assert result.status == Status.IMPLAUSIBLE_HAND
-        np.testing.assert_array_equal(result.command.positions, last)
+        np.testing.assert_array_equal(result.command.joint_positions, last)
     assert [usual(points).status for points in landmarks[100:160]] == [Status.OK] * 60
     usual.reset()
     shuffled = landmarks[:5, np.random.default_rng(2).permutation(21)]

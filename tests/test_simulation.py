@@ -284,7 +284,9 @@ def test_sink_follows_in_real_time_and_holds_when_commands_stop():
         return bool(np.abs(sim.state("left").positions - before).max() < 1e-3)
 
     until(halted)
-    assert np.degrees(np.abs(sim.state("left").positions - far.command.positions).max()) > 10.0
+    assert (
+        np.degrees(np.abs(sim.state("left").positions - far.command.joint_positions).max()) > 10.0
+    )
     sim.close()
     sim.close()
     assert sim.state("left") is None
