@@ -21,9 +21,9 @@ ACTUATED = list(HAND.actuated)
 
 
 def episode(seconds: float = 2.0, wrist: bool = False, hand: str = "mimic_p050") -> Episode:
-    """Commands at 97 Hz that count up, measured 5 ms later, from 0.1 s on."""
+    """Commands at 97 Hz that count up in tenths, measured 5 ms later, from 0.1 s on."""
     stamps = 1e6 + np.arange(int(97 * seconds)) / 97
-    joints = np.arange(len(stamps))[:, None] + np.arange(len(HAND.joint_names)) / 100
+    joints = np.arange(len(stamps))[:, None] / 10 + np.arange(len(HAND.joint_names)) / 100
     count = len(stamps)
     commands = CommandTrajectory(
         joints, HAND.joint_names, stamps, np.zeros(count), np.zeros(count, int)
@@ -70,9 +70,9 @@ def test_a_row_is_a_moment_of_lerobots_clock(tmp_path):
     first = columns["episode_index"] == 0
     begin = takes[0].states.stamps[0]
     moments = begin + columns["frame_index"][first] / 30
-    sent = np.floor((moments - 1e6) * 97 + 1e-6)
-    np.testing.assert_allclose(columns["action"][first][:, 0], sent + ACTUATED[0] / 100, atol=1e-4)
-    seen = np.floor((moments - 1e6 - 0.005) * 97 + 1e-6) + 0.5
+    sent = np.floor((moments - 1e6) * 97 + 1e-6) / 10 + ACTUATED[0] / 100
+    np.testing.assert_allclose(columns["action"][first][:, 0], sent, atol=1e-4)
+    seen = np.floor((moments - 1e6 - 0.005) * 97 + 1e-6) / 10 + 0.5
     np.testing.assert_allclose(columns["observation.state"][first][:, 0], seen, atol=1e-4)
     np.testing.assert_array_equal(
         columns["observation.environment_state"][:, ACTUATED], columns["observation.state"]
