@@ -18,7 +18,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.penetration import penetration_depths
-from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.lab.discovery import discover
 from smooth_operator.lab.validation import HandValidation, check_hand, round_trip
@@ -29,6 +29,7 @@ from smooth_operator.lab.validation.hand_validation import (
     closest_pinch,
     reachable_poses,
 )
+from smooth_operator.lab.validation.joint_map import check_joint_map
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.registry import DEFAULT_METHOD
@@ -218,6 +219,20 @@ def test_a_fault_fails_its_check_and_no_other(fault, tmp_path):
     assert [check.name for check in found.failed] == [name], found
     assert advice in found[name].advice
     assert not found.ok
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_joint_angles_point_the_thumb_of_a_built_in_hand(name):
+    assert check_joint_map(load_hand(name)).verdict == "ok"
+
+
+def test_a_map_that_points_the_thumb_elsewhere_fails():
+    """The gains that are measured on LEAP's thumb, without the rows of its description."""
+    leap = load_hand("leap_hand")
+    found = check_joint_map(load_hand_spec(replace(leap.spec, joint_map=())))
+    assert found.verdict == "failed"
+    assert found.figures["thumb_deg"] > 60
+    assert "[joint_map]" in found.advice
 
 
 def test_a_palm_that_is_a_line():

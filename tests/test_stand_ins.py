@@ -149,5 +149,7 @@ def test_it_is_said_where_a_hand_is_added(shared, tmp_path, monkeypatch, capfd):
     assert main(["hands", "add", str(file), "--name", "bare_leap"]) == 0
     said = capfd.readouterr().out
     assert "could not be read; estimated capsules along their bones take their place" in said
+    added = load_hand("bare_leap", "right")  # with the map of the built-in hand's thumb
+    assert added.spec.joint_map == load_hand("leap_hand").spec.joint_map
     recording = tmp_path / "r.npz"
     assert main(["sample", str(recording), "--duration", "1"]) in (0, 2)

@@ -92,9 +92,10 @@ def add_hand(options: Add) -> None:
     discovery = discover(
         options.model, side=options.side, name=options.name, overrules=_overrules(options)
     )
+    twin = _built_in(discovery)
     discovery = replace(
         discovery,
-        spec=_named(discovery.spec, options),
+        spec=_named(_mapped(discovery.spec, twin), options),
         notes=(*discovery.notes, *_trial(discovery)),
     )
     file = user_hands_folder() / spec_name(discovery.spec.name, discovery.spec.side)
@@ -109,7 +110,7 @@ def add_hand(options: Add) -> None:
         files = {"file": str(file), "model_used": str(used)}
         print(json.dumps(discovery.to_json() | files, indent=2))
         return
-    _print(discovery, file, used, options.all)
+    _print(discovery, file, used, twin, options.all)
     if options.view:
         from smooth_operator.cli.hands_show import Show, show_hand
 
@@ -240,7 +241,21 @@ def _built_in(discovery: Discovery) -> str | None:
     return None
 
 
-def _print(discovery: Discovery, file: Path, used: Path, whole: bool) -> None:
+def _mapped(spec: HandSpec, twin: str | None) -> HandSpec:
+    """The description with the joint map of a built-in hand of the same joints, if that map points
+    the thumb better than the one that is measured."""
+    from smooth_operator.hands.hand import load_hand_spec
+    from smooth_operator.hands.registry import load_hand
+    from smooth_operator.lab.validation.joint_map import mapped_thumb_error
+
+    if twin is None:
+        return spec
+    mapped = replace(spec, joint_map=load_hand(twin, spec.side).spec.joint_map)
+    own, theirs = (mapped_thumb_error(load_hand_spec(one)) for one in (spec, mapped))
+    return mapped if theirs is not None and (own is None or theirs < own) else spec
+
+
+def _print(discovery: Discovery, file: Path, used: Path, twin: str | None, whole: bool) -> None:
     from rich.text import Text
 
     from smooth_operator.cli.console import output_console, plain_table
@@ -285,8 +300,8 @@ def _print(discovery: Discovery, file: Path, used: Path, whole: bool) -> None:
             "original may be moved or deleted; after a change to it, add it again"
         )
     say(f"Written to {file}, which you may edit")
-    if (name := _built_in(discovery)) is not None:
-        say(f"The built-in hand {name} has the same joints; it needs no file: --hand {name}")
+    if twin is not None:
+        say(f"The built-in hand {twin} has the same joints; it needs no file: --hand {twin}")
     say(f"Next: smooth-operator hands check {discovery.spec.name} --side {discovery.spec.side}")
     sys.stdout.flush()
 

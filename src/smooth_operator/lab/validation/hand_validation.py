@@ -26,6 +26,7 @@ from smooth_operator.lab.validation.fingers import (
     check_tips,
     find_flexion_axes,
 )
+from smooth_operator.lab.validation.joint_map import check_joint_map
 from smooth_operator.lab.validation.joints import (
     check_motion,
     check_neutral,
@@ -404,6 +405,8 @@ def _checks(
             continue
         bar = None if track is None else _named(track, name)
         yield check_method(hand, method, poses=poses, seed=seed, track=bar)
+    if "joint_angle" in methods:
+        yield _after("joint map", broken[0]) if broken else check_joint_map(hand)
 
 
 def _named(track: Track, name: str) -> Callable[[Iterable[int]], Iterable[int]]:
