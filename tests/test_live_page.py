@@ -31,6 +31,7 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import PageSettings, teleoperate
+from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, SIMULATED, css
 from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.drawing import LiveDrawing, Pace
@@ -425,6 +426,12 @@ def test_what_is_compiled_is_shown_with_its_seconds(stage):
     seen = stage.see()
     assert seen["hands"]["right"]["human"]  # the operator's own hand moves meanwhile
     assert "compiling for 0 s" in live_texts.modes(seen["hands"])
+    for mode, words in (("waiting", "compiling the method, robot holding"),
+                        ("holding", "compiling the method, robot holding"),
+                        ("stopped", "STOPPED")):  # fmt: skip
+        shown = live_texts.modes({"right": {**seen["hands"]["right"], "mode": mode}})
+        assert words in shown
+        assert "tracker" not in shown.split("wrist:")[0]
     stage.session.switcher.building = "compiling sbr paper"
     assert stage.see()["controls"]["building"] == "compiling sbr paper, 0 s"
     stage.session.switcher.building = ""
@@ -774,6 +781,15 @@ def test_nothing_is_cut_off_at_the_usual_sizes(page):
         page.set_viewport_size({"width": width, "height": height})
         page.wait_for_function(f"document.body.clientWidth === {width}")
         at = page.evaluate(boxes)
+        # an open list of choices leaves the stop button free
+        page.get_by_role("tab", name="Method").click()
+        choice = page.locator("input[role=combobox]:visible").first
+        choice.click()
+        page.get_by_role("option").first.wait_for()
+        listed = page.locator(".mantine-Select-dropdown:visible").bounding_box()
+        stop = page.locator("button:has(.icon-tabler-hand-stop)").bounding_box()
+        assert listed["y"] >= stop["y"] + stop["height"], (width, height)
+        choice.click()
         tops = {round(tab["top"]) for tab in at["tabs"]}
         assert len(at["tabs"]) == 3
         assert len(tops) == 1, f"the tabs stand in {len(tops)} rows at {width}"
@@ -853,6 +869,27 @@ def test_stop_keys_stop_whatever_has_the_focus_and_nothing_else_does(page, stage
     page.get_by_role("button", name="EMERGENCY STOP Space, Esc or X").wait_for()
     for name in ("Pause (P)", "Record (R)"):
         page.get_by_role("button", name=name).wait_for()
+
+
+def test_a_scene_begins_without_a_stray_finger_and_with_one_floor():
+    server = open_server("127.0.0.1", 0)
+    hands: dict[Side, Any] = {"right": load_hand("mimic_p050")}
+    try:
+        scene = LiveScene(server, hands, simulated=True)
+        assert scene._floor.visible
+        drawn = scene._sides["right"].robot.shown
+        assert drawn._second is not None
+        for body, node in drawn._second.nodes.items():  # inside the solid hand
+            for each in ("position", "wxyz"):
+                np.testing.assert_array_equal(
+                    getattr(node, each), getattr(drawn.first.nodes[body], each)
+                )
+        scene.remove()
+        assert not [name for name in server.scene._handle_from_node_name if "right" in name]
+        arm = LiveScene(server, hands, False, arm=ArmSettings("ur5e"), root="/second")
+        assert not arm._floor.visible  # the arm's room has its own
+    finally:
+        close_server(server)
 
 
 @pytest.mark.browser
@@ -993,6 +1030,11 @@ def test_another_hand_while_it_runs(monkeypatch, tmp_path):
         assert "can't go on with the hand 'no_such_hand'" in controls["message"]
         assert len(sessions) == 1
         first.do("hand", "leap_hand")
+        changing = first.look(text=True)  # nothing reads as ended or closed
+        assert changing == {
+            "hands": {}, "notice": "changing to leap_hand", "stopped": False
+        }  # fmt: skip
+        assert "changing to leap_hand …" in live_texts.modes({}, changing["notice"])
         eventually(lambda: len(sessions) == 2)
         eventually(lambda: sessions[1].look(text=False)["hands"])
         assert hands == ["mimic_p050", "leap_hand"]

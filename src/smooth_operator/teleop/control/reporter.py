@@ -80,7 +80,7 @@ def summarise(
             reporter.note(f"{side}: frames without a fingertip: {_counted(fingers)}", matters=True)
     if summary["frames_unusable"]:
         why = _counted(summary["frames_unusable_by_reason"])
-        reporter.note(f"frames of no use: {why}", matters=True)
+        reporter.note(f"unusable frames: {why}", matters=True)
     added = summary["added_latency_ms"]
     if added:
         reporter.note(

@@ -94,10 +94,14 @@ def _facts(quality: Any) -> list[tuple[bool, str]]:
     return [
         *[(True, f"{words} {s:.1f} s") for words, s in held if s >= _SHORTEST_S],
         (quality.lost_s >= _SHORTEST_S, f"{quality.lost_s:.1f} s without the tracker"),
-        (quality.unused > 0, f"{quality.unused} unusable frames"),
-        (quality.jumps > 0, f"{quality.jumps} jumps"),
+        (quality.unused > 0, _counted(quality.unused, "unusable frame")),
+        (quality.jumps > 0, _counted(quality.jumps, "jump")),
         (bool(quality.collision), collision),
     ]
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:

@@ -20,7 +20,7 @@ from smooth_operator.teleop.pages.viser_server import (
 )
 
 _STOP: Final = "EMERGENCY STOP\nSpace, Esc or X"
-_STOPPED: Final = "STOPPED\npress U to release"
+_STOPPED: Final = "STOPPED\nPress U to release"
 _KEYS: Final = "Stop in the terminal of the run: Space, Esc or X."
 _NO_KEYS: Final = "Stop in the terminal of the run: Ctrl-C."
 
