@@ -4,6 +4,8 @@ import functools
 import json
 import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -226,7 +228,7 @@ def test_a_path_by_way_of_other_folders(run, tmp_path, monkeypatch, way):
     }[way]
     status, out, err = run(path, "--name", "gadget")
     assert (status, "Traceback" in err) == (0, False), err
-    assert "Copied the model and its meshes" in out
+    assert "Copied the model" in out
     assert "could not be read" not in out
     (tmp_path / "vendor").rename(tmp_path / "gone")
     hand = load_hand("gadget")
@@ -278,6 +280,25 @@ def test_missing_meshes_are_a_note_and_no_obstacle(run, tmp_path, form):
     assert "could not be read" in note
     assert "--tip" in note
     assert load_hand("gadget").fingers[0] == "thumb"
+
+
+def test_a_deprecated_attribute_of_masses_is_no_news(tmp_path):
+    text = XML.replace('<compiler angle="radian"', '<compiler settotalmass="1" angle="radian"')
+    assert "settotalmass" in text
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets/robot.xml").write_text(text)
+    code = "import sys; from smooth_operator.cli import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "hands", "add", "assets/robot.xml"],
+        cwd=tmp_path,
+        env=os.environ | {"SMOOTH_OPERATOR_HANDS": str(tmp_path / "hands")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stderr == ""
+    (spec,) = (tmp_path / "hands").glob("*.toml")
+    assert not spec.name.startswith(("assets", "robot"))  # a name that says something
 
 
 def test_a_model_without_names_is_read_all_the_same(run, tmp_path):

@@ -44,7 +44,7 @@ from smooth_operator.types import Side, as_side
 _TURNS: Final = 4 * np.pi  # [rad]: no joint of a finger has such a range
 _GENERIC: Final = {
     *("right", "left", "rh", "lh", "r", "l", "hand", "robot", "model", "scene", "description"),
-    *("urdf", "mjcf", "kinematics", "only"),
+    *("urdf", "mjcf", "xml", "assets", "models", "kinematics", "only"),
 }
 
 
@@ -366,8 +366,8 @@ def _align(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _name(path: Path) -> str:
-    """A name from the file's, or its folder's where the file's says nothing."""
-    for text in (path.stem, path.resolve().parent.name):
+    """A name from the file's, or from a folder's above it where the file's says nothing."""
+    for text in (path.stem, *(folder.name for folder in path.resolve().parents[:3])):
         parts = [w for w in re.split(r"[^A-Za-z0-9]+", text.lower()) if w]
         name_words = [w for w in parts if w not in _GENERIC]
         if name_words:
