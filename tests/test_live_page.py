@@ -33,7 +33,7 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop import PageSettings, teleoperate
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, SIMULATED, css
-from smooth_operator.teleop.pages.live import live_texts
+from smooth_operator.teleop.pages.live import drawing, live_texts
 from smooth_operator.teleop.pages.live.drawing import LiveDrawing, Pace
 from smooth_operator.teleop.pages.live.live_page import Link, LivePage, LoopLink, PageSetup
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
@@ -895,6 +895,25 @@ def test_a_scene_begins_without_a_stray_finger_and_with_one_floor():
         close_server(server)
 
 
+def test_a_browser_gets_the_stop_while_the_hand_is_loaded(monkeypatch):
+    server = open_server("127.0.0.1", 0)
+    held_back: list[int] = []
+
+    def loaded(*args: Any, **more: Any) -> Any:
+        held_back.append(server._websock_server.get_message_buffer().atomic_counter)
+        return load_hand(*args, **more)
+
+    monkeypatch.setattr(drawing, "load_hand", loaded)
+    link: Any = SimpleNamespace(do=lambda *_: None)
+    setup = dataclasses.asdict(PageSetup("mimic_p050", details=False, meshes=False))
+    try:
+        page = LiveDrawing(server, link, setup, StopPanel(server, link.do, attended=True))
+        page._change({**setup, "hand": "leap_hand"})
+    finally:
+        close_server(server)
+    assert held_back == [0, 0]
+
+
 @pytest.mark.browser
 def test_after_another_hand_an_open_page_shows_what_a_new_one_shows(chromium):
     """Also where a pose of the new scene is one that the page's library does not send."""
@@ -903,18 +922,18 @@ def test_after_another_hand_an_open_page_shows_what_a_new_one_shows(chromium):
     link: Any = SimpleNamespace(do=lambda *_: None)
     try:
         stop = StopPanel(server, link.do, attended=True)
-        drawing = LiveDrawing(server, link, setup, stop)
-        drawing._panel._overlay.value = True
-        drawing._scene.set_overlay(True)
+        live = LiveDrawing(server, link, setup, stop)
+        live._panel._overlay.value = True
+        live._scene.set_overlay(True)
         pages = [new_page(chromium, 700, 480)[0]]
         pages[0].goto(page_url("127.0.0.1", server))
         first = settled(pages[0], 380, 480)
-        drawing._change({**setup, "hand": "mimic_p050"})  # it faces the viewer as it is
+        live._change({**setup, "hand": "mimic_p050"})  # it faces the viewer as it is
         for client in server.get_clients().values():
-            drawing._scene.aiming.aim(client)
-        assert drawing._panel._overlay.value  # the switches stay
-        assert not drawing._scene._sides["right"].row.labels["human"].visible
-        drawing._scene.set_overlay(False)
+            live._scene.aiming.aim(client)
+        assert live._panel._overlay.value  # the switches stay
+        assert not live._scene._sides["right"].row.labels["human"].visible
+        live._scene.set_overlay(False)
         pages.append(new_page(chromium, 700, 480)[0])
         pages[1].goto(page_url("127.0.0.1", server))
         new = settled(pages[1], 380, 480, lambda p: changed(p, first) > 0.02)

@@ -55,10 +55,10 @@ class LiveDrawing:
         self._wake = threading.Event()
         self._builds = 0
         self._trouble = ""
-        with server.atomic():
-            hands = self._hands_of(setup)
-            self._scene = self._built(setup, hands)
-            self._panel = LivePanel(server, hands, link.do, self._scene, stop, setup["blind"])
+        # Not as one update: it takes seconds, and until its end no browser would get the stop.
+        hands = self._hands_of(setup)
+        self._scene = self._built(setup, hands)
+        self._panel = LivePanel(server, hands, link.do, self._scene, stop, setup["blind"])
         self._see(setup, hands)
         self._server.on_client_connect(self._greet)
         self._server.on_client_disconnect(self._forget)
