@@ -13,7 +13,7 @@ from smooth_operator.cli.common_options import RARE, Common, HandSide, Ordered
 
 @dataclass(frozen=True, kw_only=True)
 class Bench(Ordered, Common):
-    """Measure methods on recordings and hands, side by side, and report which is how good."""
+    """Compare methods on recordings and hands: a table, results.json, an HTML report."""
 
     work: ClassVar[str] = "smooth_operator.cli.bench:bench"
     details: ClassVar[str] = """FOLDER gets results.json (a row for each recording, hand and

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Ordered, Common, Quiet):
-    """Fit a robot hand to its operator: poses found in a recording, into a file for --operator."""
+    """Fit a robot hand to its operator by poses in a recording; writes a file for --operator."""
 
     work: ClassVar[str] = "smooth_operator.cli.calibrate:calibrate_recording"
     details: ClassVar[

@@ -70,7 +70,7 @@ What: TypeAlias = (
 
 @dataclass(frozen=True, kw_only=True)
 class Hands(Group):
-    """The robot hands: list them, show one, draw one, add your own, check or remove it."""
+    """List, show and draw robot hands; add, check or remove your own."""
 
     details: ClassVar[str] = """Examples:
   smooth-operator hands list

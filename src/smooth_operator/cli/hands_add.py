@@ -55,7 +55,8 @@ Examples:
     """Any body or joint of the thumb."""
 
     finger: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY")] = ()
-    """Human finger that drives the one with this body or joint; may be given several times."""
+    """Human finger that drives the robot finger with this body or joint, also of a chain that was
+    left out; may be given several times."""
 
     tip: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY:x,y,z")] = ()
     """Fingertip: a body of the last link, and a point in its frame [m]; may be given several

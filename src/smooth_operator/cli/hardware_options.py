@@ -95,7 +95,7 @@ What: TypeAlias = (
 
 @dataclass(frozen=True, kw_only=True)
 class Hardware(Group):
-    """Real hands: list drivers and tables, check a hand and write its table, watch it."""
+    """List drivers and tables of real hands, check a hand and write its table, watch it."""
 
     details: ClassVar[str] = """Examples:
   smooth-operator hardware list

@@ -15,7 +15,7 @@ from smooth_operator.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Latency(Common):
-    """Print how long every stage took, from a log that teleop recorded."""
+    """Print the time of every stage, from a log that teleop recorded."""
 
     work: ClassVar[str] = "smooth_operator.cli.latency:latency"
     details: ClassVar[str] = """Stages of a frame:

@@ -342,7 +342,7 @@ Subcommand: TypeAlias = (
 
 @dataclass(frozen=True, kw_only=True)
 class Study(Group):
-    """A user study of retargeters: plan it, run it, and analyse its data."""
+    """Plan, run and analyse a user study of retargeters."""
 
     details: ClassVar[str] = """Examples:
   smooth-operator study new my-study

@@ -13,7 +13,7 @@ from smooth_operator.cli.common_options import Common
 
 @dataclass(frozen=True, kw_only=True)
 class Tune(Common):
-    """Search the numbers of a method's preset on recordings that will not be judged."""
+    """Tune the settings of a method's preset; held-out recordings are never used."""
 
     work: ClassVar[str] = "smooth_operator.cli.tune:tune"
     details: ClassVar[str] = """FOLDER gets preset.toml (for --preset, wherever there is one),

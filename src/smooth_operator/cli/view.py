@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class View(Common, Page, Ordered, Meshes):
-    """Play joint commands with the hand that they came from, in the browser."""
+    """Play joint commands and the recorded hand in the browser."""
 
     work: ClassVar[str] = "smooth_operator.cli.view:view"
     details: ClassVar[
