@@ -55,6 +55,15 @@ def ragged(text: str, width: int) -> Iterator[str]:
             yield f"{line} | {words[0]}"
 
 
+def test_every_order_of_landmarks_is_named_in_help(run):
+    from smooth_operator.landmarks import LAYOUTS
+
+    for command in ("retarget", "view", "convert", "calibrate"):
+        _, out, _ = run(command, "--help-all")
+        words = set(re.findall(r"[a-z_]+", out))
+        assert LAYOUTS.keys() - {"mediapipe", "openpose"} <= words, command
+
+
 def test_every_command_names_the_function_that_takes_its_options():
     for words, kind in commands():
         if issubclass(kind, Group):

@@ -453,6 +453,20 @@ def test_the_command_retargets_a_folder_and_says_what_failed(run, folder, expect
     assert "0 recordings to retarget, 7 done already" in err
 
 
+def test_notes_on_the_reading_are_told_by_the_run_that_made_a_result_and_later_ones(run, tmp_path):
+    one = hand(20)
+    (tmp_path / "in").mkdir()
+    np.savez(
+        tmp_path / "in" / "a.npz",
+        landmarks=one.landmarks, timestamps=one.stamps, side="right", is_tracked=np.ones(20, bool),
+    )  # fmt: skip
+    options = (tmp_path / "in", "--output", tmp_path / "out", *TINY_SBR, "--workers", 0)
+    for _ in range(2):
+        status, out, err = run(*options)
+        assert status == 0, err
+        assert "a.npz: not read: is_tracked" in out
+
+
 def test_what_the_command_refuses(run, folder, tmp_path):
     empty = tmp_path / "empty"
     empty.mkdir()

@@ -85,7 +85,7 @@ class Ordered:
 
     layout: Annotated[str | None, arg(metavar="NAME")] = None
     """Order of the 21 points in a plain .npy or .npz, where it is not MediaPipe's: mano,
-    minimal_ik, mano_fingers, rhd, interhand, fpha or pinky_first
+    minimal_ik, mano_fingers, rhd, interhand, fpha, pinky_first or aria
     (docs/reference/conventions.md). Other files' order is known."""
 
 

@@ -158,6 +158,7 @@ def retarget(options: Retarget) -> None:
 
 
 _SHOWN_FAILURES = 40
+_SHOWN_NOTES = 20
 
 
 def retarget_folder(options: Retarget) -> None:
@@ -334,6 +335,11 @@ def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
         if len(failures) > _SHOWN_FAILURES:
             left = len(failures) - _SHOWN_FAILURES
             console.print(f"and {left} more in {SUMMARY}", soft_wrap=True)
+    notes = [note for entry in recordings for note in entry["notes"]]
+    for note in notes[:_SHOWN_NOTES]:
+        console.print(note, markup=False, soft_wrap=True)
+    if len(notes) > _SHOWN_NOTES:
+        console.print(f"and {len(notes) - _SHOWN_NOTES} more notes in {SUMMARY}", soft_wrap=True)
     assumed = sum(entry["side_assumed"] for entry in recordings)
     if assumed:
         console.print(

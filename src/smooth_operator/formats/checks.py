@@ -326,7 +326,8 @@ def _repeats(
             f"all {len(stamps)} stamps are {float(stamps[0])!r}, so these are no times; say how "
             f"many {what}s a second it has, e.g. --rate 30 (in Python: rate=30)"
         )
-    first = f"{what}s {i - 1} and {i} have the same stamp, {float(stamps[i])!r} s ({count} repeats)"
+    repeats = "1 repeat" if count == 1 else f"{count} repeats"
+    first = f"{what}s {i - 1} and {i} have the same stamp, {float(stamps[i])!r} s ({repeats})"
     moved = np.zeros(steps, bool)
     if poses is not None:
         both = np.diff(np.asarray(poses, np.float64).reshape(len(poses), -1), axis=0)

@@ -18,7 +18,7 @@ import numpy as np
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
-from smooth_operator.formats.checks import frame_slice, stamps_from_rate
+from smooth_operator.formats.checks import frame_slice, reading_notes, stamps_from_rate
 from smooth_operator.formats.commands import config_path, encode_commands, write_encoded_commands
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.readers import rated_if_unstamped
@@ -233,6 +233,7 @@ class Entry:
         reason: why it failed.
         seconds: time that a worker took [s].
         attempts: number of attempts in this run.
+        notes: notes on how the recording was read, but for the side.
     """
 
     name: str
@@ -246,6 +247,7 @@ class Entry:
     reason: str | None = None
     seconds: float = 0.0
     attempts: int = 0
+    notes: tuple[str, ...] = ()
 
 
 def retarget_group(group: Sequence[Job]) -> tuple[Entry, ...]:
@@ -342,6 +344,7 @@ def _written(read: _Read, commands: CommandTrajectory, loss: np.ndarray) -> Entr
         tracking_loss=float(good.mean()) if len(good) else None,
         side=recording.side,
         side_assumed=bool(recording.meta.get("side_assumed")),
+        notes=tuple(_notes(recording, job.found.name)),
     )
     encoded = encode_commands(commands)
     config = configuration(
@@ -356,12 +359,19 @@ def _written(read: _Read, commands: CommandTrajectory, loss: np.ndarray) -> Entr
             "held": entry.held,
             "tracking_loss": entry.tracking_loss,
             "side_assumed": entry.side_assumed,
+            "notes": entry.notes,
         },
     )
     del config["created"]  # or a resumed run would not end in the same bytes
     job.output.parent.mkdir(parents=True, exist_ok=True)
     write_encoded_commands(job.output, encoded, config)
     return entry
+
+
+def _notes(recording: HandRecording, name: str) -> list[str]:
+    """Notes on how a recording was read; the sides that are assumed are counted apart."""
+    meta = {**recording.meta, "side_assumed": False}
+    return reading_notes(replace(recording, meta=meta), name)
 
 
 def _read(path: Path, request: RetargetRequest) -> tuple[HandRecording, float | None]:
@@ -524,4 +534,5 @@ def _finished_entry(item: Found, config: dict[str, Any]) -> Entry:
         commands["tracking_loss"],
         config["side"],
         commands["side_assumed"],
+        notes=tuple(commands["notes"]),
     )
