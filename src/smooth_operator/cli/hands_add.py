@@ -56,11 +56,10 @@ Examples:
 
     finger: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY")] = ()
     """Human finger that drives the robot finger with this body or joint, also of a chain that was
-    left out; may be given several times."""
+    left out."""
 
     tip: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY:x,y,z")] = ()
-    """Fingertip: a body of the last link, and a point in its frame [m]; may be given several
-    times."""
+    """Fingertip: a body of the last link, and a point in its frame [m]."""
 
     wrist: Annotated[str | None, arg(metavar="BODY:x,y,z")] = None
     """Wrist: a body fixed to the palm, and a point in its frame [m]."""

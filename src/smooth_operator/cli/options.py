@@ -80,9 +80,12 @@ def _document(kind: type) -> None:
     docs, hints = _field_docs(kind), get_type_hints(kind, include_extras=True)
     own = {field.name for field in dataclasses.fields(kind)} & kind.__annotations__.keys()
     for name in own:
-        settings: Any = arg(help_behavior_hint=_default_hint)
+        # tyro says itself that an option may be repeated
+        repeated = tyro.conf.UseAppendAction in getattr(hints[name], "__metadata__", ())
+        hint = None if repeated else _default_hint
+        settings: Any = arg(help_behavior_hint=hint)
         if name in docs:
-            settings = arg(help_behavior_hint=_default_hint, help=docs[name])
+            settings = arg(help_behavior_hint=hint, help=docs[name])
         kind.__annotations__[name] = Annotated[hints[name], settings]
 
 

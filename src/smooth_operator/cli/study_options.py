@@ -113,7 +113,7 @@ Examples:
 
     margin: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="OUTCOME=DIFFERENCE")] = ()
     """Difference below which two conditions count as equivalent: success as a share, time in
-    seconds, tlx in points; repeatable. If left out, those of the paper's design with its
+    seconds, tlx in points. If left out, those of the paper's design with its
     conditions (0.1, 5, 10), else none."""
 
     tasks: Annotated[tuple[str, ...], arg(metavar="NAME[:TRIALS[:OPERATORS]] ...")] = ()
@@ -309,7 +309,7 @@ Examples:
     where the data come without a plan."""
 
     exclude: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="OPERATOR=REASON")] = ()
-    """An operator to leave out, with the reason, which is reported; repeatable."""
+    """An operator to leave out, with the reason, which is reported."""
 
     output: Annotated[Path, arg(metavar="FOLDER")]
     """Folder to write, created if missing."""

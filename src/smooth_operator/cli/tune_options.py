@@ -49,8 +49,8 @@ Examples:
     """Folder to write, new, empty or of an earlier search."""
 
     vary: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=LOW:HIGH[:log]")] = ()
-    """A setting to vary, by its path in the configuration or the end of it; may be given more than
-    once. With log, equal steps are equal ratios."""
+    """A setting to vary, by its path in the configuration or the end of it. With log, equal steps
+    are equal ratios."""
 
     fix: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=VALUE")] = ()
     """Another value for a setting that is not varied."""
@@ -59,7 +59,7 @@ Examples:
     """Start of the search. Default: the default preset of the method."""
 
     held_out: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="RECORDING")] = ()
-    """A recording that must not be tuned on; may be given more than once."""
+    """A recording that must not be tuned on."""
 
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
     """Robot hand, by its catalogue name."""
