@@ -41,6 +41,7 @@ from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.synthetic import SyntheticOperator
 
 pytest.importorskip("pyarrow", reason="needs pyarrow: in the clone, pip install '.[datasets]'")
 
@@ -335,6 +336,20 @@ def test_a_damaged_pack_is_made_again(copy):
         make_dataset(request(folder, output))
     make_dataset(request(folder, output))
     assert contents(output) == before
+
+
+def test_notes_on_the_reading_of_recordings_are_in_the_report(tmp_path):
+    hand = SyntheticOperator(side="right", rate_hz=30).record(1.5)
+    (tmp_path / "in").mkdir()
+    for name in ("a", "b"):
+        np.savez(tmp_path / "in" / f"{name}.npz", landmarks=hand.landmarks, timestamps=hand.stamps,
+                 is_tracked=np.ones(len(hand), bool))  # fmt: skip
+    summary = make_dataset(request(tmp_path / "in", tmp_path / "out", layout="files"))
+    assert summary.clips == 2
+    assert summary.notes[:2] == [
+        "2 clips: not read: is_tracked",
+        "2 clips: the side is not stated; assuming right. Use --side left otherwise",
+    ]
 
 
 def test_a_bad_file_does_not_end_the_run(folder, tmp_path):

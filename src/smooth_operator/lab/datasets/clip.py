@@ -19,6 +19,9 @@ CAMERA: Final = "camera"
 """Name of the world of clips whose hands are known in the frame of the camera only: x right, y
 down, z into the picture [m]."""
 
+NOTES: Final = "notes"
+"""Entry of ``Clip.meta`` with a reader's notes for a person: a list of texts without the file."""
+
 SIDES: Final[tuple[Side, Side]] = ("right", "left")
 
 

@@ -18,7 +18,7 @@ from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import read_json
-from smooth_operator.lab.datasets.clip import SIDES, RobotClip
+from smooth_operator.lab.datasets.clip import NOTES, SIDES, RobotClip
 from smooth_operator.lab.datasets.quality import FIGURES, Dropped, Limits, select, worst
 from smooth_operator.lab.datasets.retargeting import Recipe
 from smooth_operator.lab.datasets.store import Kept, Store
@@ -438,6 +438,7 @@ def write_part(order: Order, written: Callable[[int], None] = lambda done: None)
     request = order.request
     part = Part(Summary(request.output), items=len(order.items))
     reasons: Counter[str] = Counter()
+    notes: Counter[str] = Counter()
     with (
         contextlib.closing(Store(order.store)) as store,
         WRITERS.load(order.request.format).open(
@@ -446,13 +447,15 @@ def write_part(order: Order, written: Callable[[int], None] = lambda done: None)
     ):
         for done, (_, pack) in enumerate(order.items, 1):
             for clip in store.read(pack):
+                notes.update(clip.clip.meta.get(NOTES, ()))
                 for episode in select(clip, order.request.limits):
                     episode = _written(episode, writer)
                     _count(part.summary, reasons, episode)
                     part.figures.add(episode)
                     part.lines.append(to_json(_line(clip, episode)).encode() + b"\n")
             written(done)
-    part.summary.notes = [*writer.notes]
+    read = [f"{count} clip{'s' * (count > 1)}: {text}" for text, count in sorted(notes.items())]
+    part.summary.notes = [*read, *writer.notes]
     part.summary.written_frames = getattr(writer, "frames", part.summary.episode_frames)
     part.summary.reasons = dict(reasons)
     return part

@@ -39,7 +39,7 @@ from smooth_operator.episode_files.hdf5_tree import (
     egodex_hand,
     read_tree,
 )
-from smooth_operator.errors import MissingExtraError, RecordingError
+from smooth_operator.errors import MissingExtraError, RecordingError, listed
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.checks import check_rate, check_stamps, stamps_from_rate
 from smooth_operator.formats.hand_arrays import (
@@ -52,7 +52,7 @@ from smooth_operator.formats.hand_arrays import (
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.formats.registry import AVP, HTS, Reader, recording_suffixes
 from smooth_operator.headsets.recordings import read_both_hands
-from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip, ObjectTrack
+from smooth_operator.lab.datasets.clip import CAMERA, NOTES, SIDES, Clip, ObjectTrack
 from smooth_operator.lab.datasets.readers.both_hands import (
     checked_hands,
     first_video,
@@ -86,7 +86,13 @@ class Files:
         recording, _ = rated_if_unstamped(
             lambda rate: read_recording(ref.path, rate=rate, side=options.side), options.rate
         )
-        return Clip(ref.name, {recording.side: recording}, "files", (ref.path,))
+        notes = []
+        if recording.meta.get("side_assumed"):
+            notes.append("the side is not stated; assuming right. Use --side left otherwise")
+        if ignored := recording.meta.get("ignored"):
+            notes.append(f"not read: {listed(ignored)}")
+        meta = {NOTES: notes} if notes else {}
+        return Clip(ref.name, {recording.side: recording}, "files", (ref.path,), meta=meta)
 
 
 FILES: Final = Files()
