@@ -5,7 +5,9 @@
 Null studies: all retargeters succeed alike, so often that one of them may never fail. Counted is
 how often any comparison is significant at 5 %, in all studies and in those with such a retargeter.
 Power: one retargeter never fails; the same studies are analysed again with one and with three of
-its trials failed. A study has a seed of its own. Only success is analysed, in mode small-sample.
+its trials failed. The other three are equally good, so every difference that is found between them
+is an error, although one retargeter does differ. A study has a seed of its own. Only success is
+analysed, in mode small-sample.
 """
 
 from __future__ import annotations
@@ -64,12 +66,18 @@ def main(settings: Settings) -> None:
                 errors.append([design, f"{100 * share:g}", f"{preference:g}", *_cells(counts)])
         for share in OTHERS:
             found = power_counts(design, share, settings)
-            cells = [_percent(found[failures], settings.studies) for failures in FAILURES]
+            cells = [
+                _percent(found[f"{what} {failures}"], settings.studies)
+                for what in ("power", "error")
+                for failures in FAILURES
+            ]
             powers.append([design, f"{100 * share:g}", *cells])
     titles = ("design", "success [%]", "preference [logit]", "studies with a separated retargeter",
               "Dunnett", "Holm", "Dunnett, separated", "Holm, separated", "refused")  # fmt: skip
     print(markdown(titles, errors), end="\n\n")
-    print(markdown(("design", "others succeed [%]", *(f"{k} failures" for k in FAILURES)), powers))
+    titles = ("design", "others succeed [%]", *(f"power, {k} failures" for k in FAILURES),
+              *(f"error among the others, {k} failures" for k in FAILURES))  # fmt: skip
+    print(markdown(titles, powers))
 
 
 def simulator(design: str, share: float, preference: float) -> Simulator:
@@ -106,9 +114,10 @@ def null_counts(design: str, share: float, preference: float, settings: Settings
     return counts
 
 
-def power_counts(design: str, share: float, settings: Settings) -> Counter[int]:
-    """Counts studies in which the perfect retargeter is better, by its number of failures."""
-    drawn, counts = simulator(design, share, PREFERENCES[0]), Counter[int]()
+def power_counts(design: str, share: float, settings: Settings) -> Counter[str]:
+    """Counts studies in which the perfect retargeter is better, and those in which one of the
+    others is found better than another, by the number of failures of the perfect one."""
+    drawn, counts = simulator(design, share, PREFERENCES[0]), Counter[str]()
     for number in range(settings.studies):
         rng = np.random.default_rng([settings.seed, number])
         study = drawn.draw(rng)
@@ -118,8 +127,13 @@ def power_counts(design: str, share: float, settings: Settings) -> Counter[int]:
             success = study.trials.success.where(study.trials.retargeter != PERFECT, other=True)
             success[lost[:failures]] = False
             trials = study.trials.assign(success=success, score=success.astype(float))
-            test = success_of(replace(study, trials=trials)).dunnett.get(PERFECT)
-            counts[failures] += test is not None and test.p_dunnett <= ALPHA and test.difference > 0
+            result = success_of(replace(study, trials=trials))
+            test = result.dunnett.get(PERFECT)
+            better = test is not None and test.p_dunnett <= ALPHA and test.difference > 0
+            counts[f"power {failures}"] += better
+            wrong = [one.p_dunnett for name, one in result.dunnett.items() if name != PERFECT]
+            wrong += [one.p_holm for one in result.pairs.values() if PERFECT not in (one.a, one.b)]
+            counts[f"error {failures}"] += any(p <= ALPHA for p in wrong)
     return counts
 
 
