@@ -614,8 +614,8 @@ def test_the_command_stops_resumes_and_ends_the_same(run, operator, tmp_path, mo
         patch.setattr(GeortTrainer, "epochs", impatient)
         status, err = run(*start, halted, "--quiet")
     assert status == 130
-    (told,) = [line for line in err.splitlines() if "go on with: " in line]
-    words = shlex.split(told.partition("go on with: ")[2])
+    (told,) = [line for line in err.splitlines() if "to continue: " in line]
+    words = shlex.split(told.partition("to continue: ")[2])
     assert words[:3] == ["smooth-operator", "train", "geort"]
     assert run(*words[3:])[0] == 0
     assert (halted / MODEL).read_bytes() == (whole / MODEL).read_bytes()
