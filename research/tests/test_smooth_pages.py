@@ -1,5 +1,6 @@
 """The constants on the pages about ``smooth`` are those of its presets."""
 
+import hashlib
 import re
 from dataclasses import asdict
 from pathlib import Path
@@ -69,3 +70,25 @@ def test_the_constants_of_the_offline_presets_are_the_pages(method):
     for row in rows("| | | `smooth` | `sbr` |", APPENDIX):
         assert numbers(row[2 if method == "smooth" else 3]) == values.pop(row[0])
     assert not values
+
+
+MARKED = ("docs/reference/benchmarks.md", "research/docs/looks.md", "research/docs/paper.md")
+"""Pages with figures of today's default, beside each of them a mark."""
+
+
+@pytest.mark.parametrize("name", MARKED)
+def test_figures_of_the_default_are_of_todays(name):
+    """Who changes its settings measures again, or names the commit in place of the mark."""
+    settings = repr(sorted(flat(asdict(method_config("smooth"))).items()))
+    today = hashlib.sha256(settings.encode()).hexdigest()[:8]
+    marks = re.findall(r"<!-- figures of smooth: (\w+) -->", (ROOT / name).read_text("utf-8"))
+    assert marks
+    assert set(marks) == {today}, "measure the figures of smooth beside these marks again"
+
+
+def test_the_table_of_the_readme_is_that_of_looks():
+    looks = (ROOT / "research/docs/looks.md").read_text("utf-8").partition("<!-- /headline -->")[0]
+    readme = (ROOT / "README.md").read_text("utf-8")
+    table = re.search(r"^\| method \|.*\n(?:\|.*\n)+", looks, re.MULTILINE)
+    assert table is not None
+    assert table[0] in readme
