@@ -75,9 +75,9 @@ def main(settings: Settings) -> None:
     titles = ("design", "success [%]", "preference [logit]", "studies with a separated retargeter",
               "Dunnett", "Holm", "Dunnett, separated", "Holm, separated", "refused")  # fmt: skip
     print(markdown(titles, errors), end="\n\n")
-    titles = ("design", "others succeed [%]", *(f"power, {k} failures" for k in FAILURES),
+    heading = ("design", "others succeed [%]", *(f"power, {k} failures" for k in FAILURES),
               *(f"error among the others, {k} failures" for k in FAILURES))  # fmt: skip
-    print(markdown(titles, powers))
+    print(markdown(heading, powers))
 
 
 def simulator(design: str, share: float, preference: float) -> Simulator:
