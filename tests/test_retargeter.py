@@ -1,7 +1,8 @@
 """The retargeter as a whole: state, bad frames, limits, both sides, few fingers, round trips."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, is_dataclass, replace
 
 import jax
 import numpy as np
@@ -383,11 +384,32 @@ def test_unknown_names_are_refused():
 
 
 def test_settings_are_checked():
-    with pytest.raises(ConfigError, match="settle_rounds must be 1 or more"):
+    with pytest.raises(ConfigError, match="settle_rounds must be positive"):
         SbrConfig(settle_rounds=0)
     for scale in (0.0, -1.0, 50.0):
         with pytest.raises(ConfigError, match=r"between 0\.1 and 10"):
             AlignmentConfig(scale=scale)
+
+
+def settings_of(config: object) -> Iterator[tuple[object, str, float]]:
+    """Each number of a configuration: the part that has it, its name and its value."""
+    for field in fields(config) if is_dataclass(config) else ():
+        value = getattr(config, field.name)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            yield config, field.name, value
+        yield from settings_of(value)
+
+
+@pytest.mark.parametrize("method", method_names())
+def test_no_setting_takes_what_no_program_can_use(method):
+    """A preset file or ``tune`` sets them, and an objective of NaN moves nothing, in silence."""
+    taken = []
+    for part, name, _ in (each for c in PRESETS[method].values() for each in settings_of(c)):
+        for bad in (np.nan, np.inf, -np.inf, -1.0):
+            with contextlib.suppress(ConfigError):
+                replace(part, **{name: bad})
+                taken.append((type(part).__name__, name, bad))
+    assert {*taken} <= {("SelfCollisionConfig", "margin", -1.0)}
 
 
 def test_who_names_no_method_gets_the_default_one(usual):

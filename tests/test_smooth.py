@@ -1,19 +1,32 @@
 """The method ``smooth`` as a whole: what it promises, whatever its settings are tuned to."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from trees import limited_poses
 
-from smooth_operator import Hand, HandFrame, HandRecording, Retargeter, Status, method_config
+from smooth_operator import (
+    Hand,
+    HandFrame,
+    HandRecording,
+    Retargeter,
+    Status,
+    SyntheticOperator,
+    method_config,
+)
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.human.landmark_filter import LandmarkFilterConfig
 from smooth_operator.landmarks import LANDMARKS, TIPS
-from smooth_operator.methods.smooth import SMOOTH_TELEOP, SmoothConfig
+from smooth_operator.methods import smooth as smooth_module
+from smooth_operator.methods.smooth import BUDGET, SMOOTH_TELEOP, SmoothConfig
 from smooth_operator.metrics.consistency import frozen_share, motion_preservation
 from smooth_operator.objective.smooth_terms import SelfCollisionConfig
+from smooth_operator.solvers.newton import damped_newton
 
 RATE = 115.0
 
@@ -214,6 +227,125 @@ def test_after_a_long_gap_the_basin_is_found_anew(smooth, hand):
     resumed = commands(smooth, HandRecording(landmarks, stamps, "right"))
     fresh = commands(smooth, recording(landmarks[5:]))
     np.testing.assert_allclose(hand.tips(resumed[-1]), hand.tips(fresh[-1]), atol=2e-3)
+
+
+@pytest.fixture(scope="module")
+def leap() -> Retargeter:
+    return Retargeter("leap_hand")
+
+
+POSES = SyntheticOperator(seed=3, rate_hz=10).record(30.0).landmarks
+"""Poses of a human hand in all gestures."""
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [(201, 241), (39, 13), (198, 18), (287, 166), (56, 19), (91, 5), (233, 212), (230, 4)],
+)
+def test_one_slip_of_the_tracker_does_not_last(leap, pair):
+    """It jumps to another pose and stays there: 1.5 s later the hand is where it would have begun.
+    Fingers used to stay where a descent from the old pose ended, up to 1.7 rad off."""
+    before, after = POSES[list(pair)]
+    slipped = commands(leap, recording(np.stack([before] * 20 + [after] * 150), 100.0))[-1]
+    fresh = commands(leap, recording(np.stack([after] * 40), 100.0))[-1]
+    assert np.abs(slipped - fresh).max() < 0.3
+    assert np.linalg.norm(leap.hand.tips(slipped) - leap.hand.tips(fresh), axis=-1).max() < 0.008
+
+
+def test_labels_of_fingers_that_swap_for_a_moment_leave_nothing(leap):
+    """A tracker that takes each finger for another for 50 ms, and then goes on as before: a second
+    later the fingertips are where they would be. They used to be up to 39 mm off."""
+    swapped = np.r_[0:5, 17:21, 13:17, 9:13, 5:9]
+    moving = SyntheticOperator(seed=3).record(6.0).landmarks
+    for at in (250, 325, 400):
+        right, wrong = moving[at - 60 : at + 101], moving[at - 60 : at + 101].copy()
+        wrong[60:65] = wrong[60:65][:, swapped]
+        ends = [leap.hand.tips(commands(leap, recording(p, 100.0))[-1]) for p in (right, wrong)]
+        assert np.linalg.norm(ends[0] - ends[1], axis=-1).max() < 0.006
+
+
+@pytest.fixture(scope="module")
+def descents() -> Iterator[tuple[Retargeter, list[int]]]:
+    """A retargeter that counts: Newton steps of each descent in a frame."""
+    steps: list[int] = []
+
+    def counted(*arguments: Any) -> Any:
+        result = damped_newton(*arguments)
+        jax.debug.callback(lambda count: steps.append(int(count)), result[2])
+        return result
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(smooth_module, "damped_newton", counted)
+        config = replace(SMOOTH_TELEOP, rate_hz=101.0)  # a program of its own
+        retargeter = Retargeter("leap_hand", config=config, cache=False)
+        retargeter.warm_up()
+        yield retargeter, steps
+
+
+def steps_of(descents: tuple[Retargeter, list[int]], of: HandRecording) -> list[list[int]]:
+    """Newton steps of each descent, frame by frame."""
+    retargeter, steps = descents
+    state, out = retargeter.init(), []
+    for frame in (of[i] for i in range(len(of))):
+        steps.clear()
+        state, _ = retargeter.step(state, frame)
+        jax.effects_barrier()
+        out.append(steps.copy())
+    return out
+
+
+def test_a_refused_frame_is_not_solved(descents):
+    """Landmarks that are no hand would take a solver longest."""
+    wrong = [POSES[0], *(np.random.default_rng(0).normal(0, 0.5, (10, 21, 3))), POSES[0]]
+    steps = steps_of(descents, recording(np.stack(wrong)))
+    assert steps[1:-1] == [[]] * 10
+    assert steps[0]
+    assert steps[-1]
+
+
+def test_the_steps_of_a_frame_are_bounded_whatever_comes(descents):
+    rng = np.random.default_rng(0)
+    poses = POSES[rng.integers(len(POSES), size=150)] + rng.normal(0, 0.004, (150, 21, 3))
+    after_gaps = HandRecording(poses, np.arange(150) * 0.3, "right")
+    for frames in (after_gaps, recording(poses)):
+        steps = steps_of(descents, frames)
+        assert max(map(sum, steps)) <= BUDGET
+    # a hand that moves on pays for one descent, and hardly any step
+    steadily = SyntheticOperator(seed=1).record(1.5)
+    usual = steps_of(descents, steadily)[1:]
+    assert max(map(len, usual)) == 1
+    assert np.median([sum(each) for each in usual]) <= 6
+
+
+def test_after_a_gap_nothing_of_the_past_counts(leap):
+    """Once an operator's lengths are known, a frame after a gap has one answer."""
+    known = [POSES[i] for i in np.random.default_rng(2).integers(len(POSES), size=200)]
+    ends = []
+    for last in (POSES[10], POSES[150], POSES[260]):
+        poses = np.stack([*known, *[last] * 10, POSES[80]])
+        stamps = np.arange(len(poses)) / 100.0
+        stamps[-1] += 1.0
+        state = leap.init()
+        for points, stamp in zip(poses, stamps, strict=True):
+            state, _ = leap.step(state, HandFrame(points, stamp))
+        ends.append(np.asarray(state.method.solved))
+    np.testing.assert_allclose(ends[1:], [ends[0]] * 2, atol=0.02)
+
+
+@pytest.mark.parametrize("gap", [4294.967296, 2 * 4294.967296, 4294.9])
+def test_no_length_of_a_gap_counts_as_none(leap, gap):
+    """Ticks of 2^32 microseconds are equal; the frames between are refused, or there are none."""
+    flat, fist = POSES[0], POSES[30]
+    for between in ([], [gap / 2]):
+        state, stamps = leap.init(), [0.0, 0.01, *between, gap + 0.01]
+        poses = [flat, flat, *[np.full((21, 3), np.nan)] * len(between), fist]
+        for points, stamp in zip(poses, stamps, strict=True):
+            state, _ = leap.step(state, HandFrame(points, stamp))
+        fresh = leap.step(leap.init(), HandFrame(fist, 0.0))[0]
+        # an old answer would still be near the flat hand, 2 mm into its way
+        tips = [leap.hand.tips(leap.hand.full_configuration(np.asarray(s.method.solved, float)))
+                for s in (state, fresh)]  # fmt: skip
+        assert np.linalg.norm(tips[0] - tips[1], axis=-1).max() < 0.01
 
 
 def crossing(hand: Hand) -> HandRecording:

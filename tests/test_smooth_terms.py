@@ -21,7 +21,8 @@ from smooth_operator.human.landmark_filter import (
     filter_landmarks,
 )
 from smooth_operator.landmarks import FINGERS
-from smooth_operator.methods.program import ticks_of
+from smooth_operator.methods.method import FrameClock
+from smooth_operator.methods.program import tick_after, ticks_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,
@@ -248,7 +249,7 @@ def test_the_descent_reaches_a_bounded_minimum():
                 still=1e-9,
             )
         )
-        found, reached = run(jnp.asarray(hand.neutral, float))
+        found, reached, _ = run(jnp.asarray(hand.neutral, float))
         cost, gradient, _ = jax.jit(lambda q: smooth.value_grad_hess(q, goal))(found)
         np.testing.assert_allclose(reached, cost, rtol=1e-9)
         low, high = hand.limits.T
@@ -272,11 +273,11 @@ def test_the_cost_never_rises():
     for iterations in (1, 5):
         bare = NewtonConfig(iterations=iterations, damping=(0.0,))
         start = jnp.array([1.5, 1.2])
-        held, cost = damped_newton(derivatives, values, start, limits, bare)
+        held, cost, _ = damped_newton(derivatives, values, start, limits, bare)
         np.testing.assert_array_equal(held, np.float32([1.5, 1.2]))
         np.testing.assert_allclose(cost, values(start), rtol=1e-6)
     helped = NewtonConfig(iterations=20, damping=(0.0, 1.0))
-    found, _ = damped_newton(derivatives, values, jnp.array([1.5, 1.2]), limits, helped)
+    found, *_ = damped_newton(derivatives, values, jnp.array([1.5, 1.2]), limits, helped)
     np.testing.assert_allclose(found, 0, atol=1e-3)
 
 
@@ -528,4 +529,33 @@ def test_ticks_tell_short_times_apart_at_any_time_of_day():
     wrapped = ticks_of(np.array([4294.967, 4294.969]))  # 2^32 microseconds lie between them
     assert wrapped[1] < wrapped[0]
     assert np.diff(wrapped).astype(np.int32) == 2000
-    assert ticks_of(np.nan) == 0
+    assert ticks_of([np.nan]) == [0]
+
+
+def test_no_gap_counts_as_a_short_one():
+    """2^32 microseconds are 71.6 minutes; a difference of ticks is that modulo 2^32."""
+    for gap in (0.01, 0.3, 1800.0, 2147.4, 2148.0, 4294.967, 4295.0, 8589.93, 1e6):
+        stamps = np.array([1.7e9, 1.7e9 + 0.01, 1.7e9 + 0.01 + gap])
+        one_by_one, answered = [], None
+        for stamp in stamps.tolist():
+            ticks = tick_after(answered, stamp)
+            answered = (stamp, ticks)
+            one_by_one.append(ticks)
+        for ticks in (ticks_of(stamps), np.array(one_by_one, np.uint32)):
+            passed = np.diff(ticks).astype(np.int32) * 1e-6
+            np.testing.assert_allclose(passed, [0.01, min(gap, 2147.483647)], rtol=1e-6, atol=2e-6)
+    back = np.diff(ticks_of([5.0, 4.0, 4.01])).astype(np.int32)
+    np.testing.assert_array_equal(back, [-1, 10000])
+
+
+def test_a_clock_of_frames_believes_stamps_at_every_rate():
+    def dt(ticks: int, frames: int = 5) -> float:
+        period = np.float32(0.001)
+        clock = FrameClock.of(np.uint32(ticks), np.uint32(frames), period, 100.0, 0.25)
+        return float(clock.dt)
+
+    for ticks in (500, 600, 999, 1000, 1001, 8000):  # 2 kHz is the fastest tracker
+        assert dt(ticks) == pytest.approx(ticks * 1e-6)
+    assert dt(0) == pytest.approx(0.01)  # stamps that stand still do not tell
+    assert dt(20) == pytest.approx(0.00025)  # frames that arrive in a bunch
+    assert dt(500, frames=0) == pytest.approx(0.01)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jax import Array
 from trees import float64, limited_poses
 
@@ -12,7 +13,7 @@ from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_con
 from smooth_operator.geometry import AnyKind
 from smooth_operator.objective import LeastSquaresTerm, ObjectiveConfig
 from smooth_operator.objective.loss import Objective
-from smooth_operator.objective.terms import FrameGoal, JointTerm
+from smooth_operator.objective.terms import FrameGoal, JointTerm, smooth_l1
 
 
 @dataclass(frozen=True)
@@ -36,9 +37,6 @@ class EvenBend(JointTerm):
 
     def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
         return self.weight * (q**4).sum(axis=-1)
-
-    def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
-        return self.weight * q**4
 
     def derivatives(self, q: Array, goal: FrameGoal) -> tuple[Array, Array]:
         return 4 * self.weight * q**3, 12 * self.weight * q**2
@@ -66,6 +64,26 @@ def test_terms_of_points_and_of_joints_add_to_eq_1_in_both_forms():
         ends = [[near(poses[1] + s * e) for s in (1e-6, -1e-6)] for e in np.eye(len(gradient))]
         np.testing.assert_allclose(gradient, [(a[0] - b[0]) / 2e-6 for a, b in ends], atol=1e-6)
         np.testing.assert_allclose(hessian, [(a[1] - b[1]) / 2e-6 for a, b in ends], atol=1e-5)
+
+
+@pytest.mark.parametrize("loss", ["squared", "smooth_l1"])
+def test_a_velocity_weight_of_each_joint_is_that_joints_in_all_forms(loss):
+    hand = load_hand()
+    objective = Objective(hand, ObjectiveConfig(velocity_loss=loss))
+    rng = np.random.default_rng(1)
+    poses, count = limited_poses(rng, hand.limits, 3), len(objective.layout.vectors)
+    weights = rng.uniform(0, 2, poses.shape[1])
+    goal = FrameGoal(rng.normal(0, 0.05, (count, 3)), rng.uniform(0, 2, count), poses[0], weights)
+    with float64():
+        goal = goal._replace(velocity_weight=jnp.asarray(weights))
+        still = goal._replace(velocity_weight=jnp.zeros(len(weights)))
+        many = jax.jit(lambda q, goal: objective(list(q.T), goal, within_limits=False))
+        few = jax.jit(objective.values)
+        np.testing.assert_allclose(many(poses, goal), few(poses, goal), rtol=1e-9)
+        change = poses - poses[0]
+        squares = (weights * change**2).sum(axis=1)
+        expected = squares if loss == "squared" else smooth_l1(weights * change, 0.02).sum(axis=1)
+        np.testing.assert_allclose(many(poses, goal) - many(poses, still), expected, atol=1e-9)
 
 
 def test_a_heavy_term_wins():

@@ -21,7 +21,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.methods.frame import align_frame
 from smooth_operator.methods.presets import method_config
-from smooth_operator.methods.program import tick_of
+from smooth_operator.methods.program import ticks_of
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.smooth import Smooth, SmoothConfig
 from smooth_operator.solvers.newton import STILL, NewtonConfig, damped_newton
@@ -44,9 +44,8 @@ def descent(method: Smooth, newton: NewtonConfig, still: float) -> Callable[...,
 
     def run(start: Any, state: Any, landmarks: Any, valid: Any, ticks: Any) -> Any:
         aligned = align_frame(method, method.config.alignment, landmarks, valid).aligned
-        _, _, goal, moves, places = method._observed(state, aligned, ticks)
-        tips, near, pose = method.rest_pose(state.solved, aligned, places, moves)
-        goal = goal._replace(tips=tips + moves, rest=pose, near=near)
+        frame = method._observed(state, aligned, ticks)
+        goal, places = method._goal_of(state, frame, aligned), frame.places
         limits = method.straight_fingers.limits(method.hand.limits, goal.vectors[: len(places)])
         return damped_newton(
             lambda one: method.objective.value_grad_hess(one, goal),
@@ -54,8 +53,8 @@ def descent(method: Smooth, newton: NewtonConfig, still: float) -> Callable[...,
             jnp.clip(start, limits[:, 0], limits[:, 1]),
             limits,
             newton,
-            still,
-        )
+            still=still,
+        )[:2]
 
     return jax.jit(run)
 
@@ -83,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             continue
         noise = rng.normal(0.0, SPREAD, (options.starts, len(hand.limits)))
         starts = np.clip(result.command.joint_positions + noise, *hand.limits.T).astype(np.float32)
-        inputs = (before, np.float32(frame.landmarks), frame.valid, tick_of(frame.stamp or 0.0))
+        inputs = (before, np.float32(frame.landmarks), frame.valid, ticks_of([frame.time])[0])
         ends = [[run(start, *inputs) for start in starts] for run in runs]
         poses = np.array([[np.asarray(q) for q, _ in one] for one in ends])
         costs = np.array([[float(cost) for _, cost in one] for one in ends])

@@ -17,7 +17,7 @@ import nlopt
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError
+from smooth_operator.settings import check_numbers
 
 ValueAndGradient: TypeAlias = Callable[[np.ndarray], np.ndarray]
 """(m,) float64 to (1 + m,): the value, then the gradient."""
@@ -56,17 +56,8 @@ class SlsqpConfig:
     optimality: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.tolerance <= 0 or self.max_evaluations < 1:
-            raise ConfigError(
-                "SLSQP needs tolerance > 0 and max_evaluations >= 1, not "
-                f"tolerance={self.tolerance}, max_evaluations={self.max_evaluations}"
-            )
-        if not self.optimality >= 0:
-            raise ConfigError(f"optimality must not be negative, not {self.optimality}")
-        if self.time_budget_ms is not None and not self.time_budget_ms > 0:
-            raise ConfigError(
-                f"time_budget_ms must be positive, or None for no limit, not {self.time_budget_ms}"
-            )
+        numbers = ("tolerance", "max_evaluations", "time_budget_ms")
+        check_numbers(self, positive=numbers, not_negative=("optimality",))
 
 
 class SlsqpResult(NamedTuple):
@@ -163,11 +154,7 @@ class ScipySlsqpConfig:
     max_iterations: int = 20
 
     def __post_init__(self) -> None:
-        if self.tolerance <= 0 or self.max_iterations < 1:
-            raise ConfigError(
-                "SciPy's SLSQP needs tolerance > 0 and max_iterations >= 1, not "
-                f"tolerance={self.tolerance}, max_iterations={self.max_iterations}"
-            )
+        check_numbers(self, positive=("tolerance", "max_iterations"))
 
 
 def scipy_slsqp_minimise(

@@ -41,7 +41,7 @@ from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.published import DexPilotTargets, PlainTargets, StatelessTargets
 from smooth_operator.objective.targets import Targets
 from smooth_operator.objective.terms import FrameGoal
-from smooth_operator.settings import check_choice
+from smooth_operator.settings import check_choice, check_numbers
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 
 
@@ -297,7 +297,10 @@ class AkoTargets(StatelessTargets[PinchLayout]):
     switch_pinch: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.contact < self.release:
+        lengths = ("switch_distance", "switch_scale", "release")
+        weights = ("w_thumb_wrist", "w_wrist", "w_pinch", "w_distal", "contact")
+        check_numbers(self, "targets.", positive=lengths, not_negative=weights)
+        if not self.contact < self.release:
             raise ConfigError(
                 f"pinch distances must satisfy 0 <= contact < release, not contact={self.contact}, "
                 f"release={self.release} [m]"
@@ -357,6 +360,9 @@ class TipTargets(StatelessTargets[TipLayout]):
     """
 
     beta: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self, "targets.", positive=("beta",))
 
     def layout(self, fingers: tuple[str, ...]) -> TipLayout:
         """Vectors from the palm's origin to each tip."""

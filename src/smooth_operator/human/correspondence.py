@@ -138,13 +138,12 @@ class Correspondence:
         names, points = self.hand.tree.names, self.hand.landmark_positions(straight.q)
         rows = [names.index(LANDMARKS[chain[0]]) for chain in self._chains]
         lengths = straight.reach.astype(np.float32)
-        if "thumb" in self.hand.fingers:
-            thumb = self.hand.fingers.index("thumb")
-            low, high = self.hand.limits.T
-            poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
-            landmarks = [LANDMARKS[i] for i in self._chains[thumb] if LANDMARKS[i] in names]
-            joints = self.hand.landmark_positions(poses)[:, [names.index(i) for i in landmarks]]
-            lengths[thumb] = np.linalg.norm(np.diff(joints, axis=1), axis=-1).sum(axis=-1).mean()
+        thumb = self.hand.fingers.index("thumb")
+        low, high = self.hand.limits.T
+        poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
+        landmarks = [LANDMARKS[i] for i in self._chains[thumb] if LANDMARKS[i] in names]
+        joints = self.hand.landmark_positions(poses)[:, [names.index(i) for i in landmarks]]
+        lengths[thumb] = np.linalg.norm(np.diff(joints, axis=1), axis=-1).sum(axis=-1).mean()
         return points[rows].astype(np.float32), lengths
 
     def _turned(self, rays: Float[Array, "F 3"]) -> Float[Array, "F 3"]:
@@ -179,9 +178,10 @@ class Correspondence:
         measured: Float[Array, "F 3"],
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
-    ) -> tuple[CorrespondenceState, Float[Array, "F 3"]]:
-        """The state after a frame, and (F, 3) steps of the fingertips' places in it [m], in the
-        human's direction; traceable.
+    ) -> tuple[CorrespondenceState, Float[Array, "F 3"], Float[Array, " F"]]:
+        """The state after a frame; (F, 3) steps of the fingertips' places in it [m], in the human's
+        direction; and (F,) the distance that each place still has to go, since its speed is
+        limited [m]. Traceable.
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
@@ -205,10 +205,12 @@ class Correspondence:
         shorter = jnp.minimum((steps * steps).sum(-1), (measured * measured).sum(-1))
         most = jnp.sqrt(shorter)[:, None] + self.config.faster * dt
         last = jnp.where(restart, places, before.places)
-        places = last + _shortened(places - last, most)
+        way = places - last
+        places = last + _shortened(way, most)
+        behind = last + way - places
         steps = steps + (1 - nearest)[:, None] * (self._turned(steps) - steps)
         moves = _shortened(gain[:, None] * steps, most)
-        return operator._replace(places=places), moves
+        return operator._replace(places=places), moves, jnp.sqrt((behind * behind).sum(-1))
 
     def _measured(
         self,

@@ -98,7 +98,7 @@ class StateLayout:
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["words", "others", "stamp"],
+    data_fields=["words", "others", "stamp", "answered"],
     meta_fields=["layout"],
 )
 @dataclass(frozen=True, eq=False)
@@ -111,12 +111,15 @@ class RetargetState:
         layout: places of the arrays of the state in ``words`` and ``others``.
         stamp: stamp of the last frame [s], where the retargeter counts frames by a rate; else None.
             It stays on the host.
+        answered: stamp [s] and ticks (``tick_after``) of the last frame that got a command; None
+            before the first. They stay on the host, in the precision of a stamp.
     """
 
     words: Float[Array, " n"] | Float[np.ndarray, " n"]
     others: tuple[Any, ...]
     layout: StateLayout
     stamp: float | None = None
+    answered: tuple[float, int] | None = None
 
     @classmethod
     def of(cls, state: FrameState, joined: bool = True) -> RetargetState:

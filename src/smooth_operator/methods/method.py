@@ -8,7 +8,6 @@ whose ``build`` gives the method for one hand; and the method, derived from ``Me
 from __future__ import annotations
 
 import dataclasses
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.settings import LARGEST, RATE_RANGE_HZ, check_numbers
 
 if TYPE_CHECKING:
     from smooth_operator.human.operator import Component, OperatorProfile
@@ -42,8 +42,9 @@ class MethodOutput(NamedTuple):
 
     Attributes:
         q: (m,) positions of the actuated joints, within their limits [rad].
-        tracking_loss: the method's own weighted tracking loss at q, without regularisation: for
-            keyvector methods the first term of Eq. (1).
+        tracking_loss: the method's own weighted tracking loss, without regularisation: for
+            keyvector methods the first term of Eq. (1). It is that of the solver's answer, which
+            ``q`` may follow at a limited speed.
     """
 
     q: Float[Array, " m"] | Float[np.ndarray, " m"]
@@ -238,25 +239,16 @@ class TrajectoryConfig:
     acceleration_weight: float
     motion_weight: float = 0.0
     motion_speed: float = 0.0
-    speed_limit: float = math.inf
+    speed_limit: float = LARGEST
     iterations: int = 40
     tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
-        if not 0 < self.acceleration_weight < math.inf:
-            raise ConfigError(
-                f"acceleration_weight must be positive, not {self.acceleration_weight}"
-            )
-        for name in ("motion_weight", "motion_speed"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ConfigError(f"{name} must not be negative, not {getattr(self, name)}")
-        if not self.speed_limit > 0:
-            raise ConfigError(f"speed_limit must be positive [rad/s], not {self.speed_limit}")
-        if self.iterations < 1 or not self.tolerance > 0:
-            raise ConfigError(
-                "a trajectory needs iterations >= 1 and tolerance > 0, not "
-                f"iterations={self.iterations}, tolerance={self.tolerance}"
-            )
+        check_numbers(
+            self,
+            positive=("acceleration_weight", "speed_limit", "iterations", "tolerance"),
+            not_negative=("motion_weight", "motion_speed"),
+        )
 
 
 FUTURE: Final = TrajectoryConfig(
@@ -286,9 +278,7 @@ class TrajectoryMethodConfig(MethodConfig):
     noise: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, unit in (("jump", "a step [m]"), ("noise", "a factor"), ("bridge", "a time [s]")):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise ConfigError(f"{name} must be {unit} of 0 or more, not {getattr(self, name)}")
+        check_numbers(self, not_negative=("bridge", "jump", "noise"))
 
     @property
     def alignment(self) -> AlignmentConfig:  # type: ignore[override]
@@ -341,8 +331,9 @@ def _replaced(config: C, **changes: Any) -> C:
 _ADAPTS: Final = 0.05
 """By how much of the difference the usual time between frames adapts in each of them."""
 
-_SHORTEST: Final = 1e-3
-"""Time between frames that counts as some; stamps that stand still don't tell [s]."""
+_SHORTEST: Final = 0.5 / RATE_RANGE_HZ[1]
+"""Shortest time between frames [s], half a period of the fastest tracker: frames that arrive in a
+bunch count as this far apart."""
 
 
 class FrameClock(NamedTuple):
@@ -382,7 +373,7 @@ class FrameClock(NamedTuple):
         first = frames == 0
         # a stamp that goes back belongs to another recording
         restart = first | (elapsed > gap) | (elapsed < 0)
-        stamped = (elapsed >= _SHORTEST) & ~restart
-        dt = jnp.where(stamped, elapsed, 1 / rate_hz).astype(jnp.float32)
+        stamped = (passed > 0) & ~restart
+        dt = jnp.where(stamped, jnp.maximum(elapsed, _SHORTEST), 1 / rate_hz).astype(jnp.float32)
         share = jnp.where(frames > 1, _ADAPTS, 1.0)
         return cls(dt, jnp.where(stamped, period + share * (dt - period), period), first, restart)

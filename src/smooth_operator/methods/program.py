@@ -18,6 +18,7 @@ from typing import Any, Final, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Bool, Float, UInt32
 from numpy.typing import ArrayLike
 
@@ -62,19 +63,25 @@ def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
         ticks: UInt32[Array, ""],
     ) -> tuple[FrameState, FrameResult]:
         frame = align_frame(method, alignment, landmarks, valid)
-        after, output = method.step(state.method, frame.aligned, ticks)
-        solved = jnp.isfinite(output.q).all()
-        status = jnp.where(
-            (frame.status == Status.OK) & ~solved, Status.SOLVER_FAILED, frame.status
-        )
-        # a frame changes nothing unless its status is OK
-        state = jax.tree.map(
-            lambda new, old: jnp.where(status == Status.OK, new, old),
-            FrameState(after, jnp.asarray(output.q)),
-            state,
-        )
-        loss = jnp.asarray(output.tracking_loss)
-        return state, FrameResult(state.q, status, loss, frame.scale)
+
+        def solved() -> tuple[FrameState, Array, Array]:
+            after, output = method.step(state.method, frame.aligned, ticks)
+            finite = jnp.isfinite(output.q).all()
+            # a frame changes nothing unless its status is OK
+            following = jax.tree.map(
+                lambda new, old: jnp.where(finite, new, old).astype(old.dtype),
+                FrameState(after, jnp.asarray(output.q)),
+                state,
+            )
+            status = jnp.where(finite, int(Status.OK), int(Status.SOLVER_FAILED))
+            return following, status, jnp.asarray(output.tracking_loss, jnp.float32)
+
+        def refused() -> tuple[FrameState, Array, Array]:
+            return state, frame.status, jnp.asarray(jnp.nan, jnp.float32)
+
+        # a solver would take longest with landmarks that are no hand
+        following, status, loss = lax.cond(frame.status == Status.OK, solved, refused)
+        return following, FrameResult(following.q, status, loss, frame.scale)
 
     return step
 
@@ -119,20 +126,37 @@ def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> 
     return program
 
 
-def ticks_of(stamp: Float[ArrayLike, "*n"]) -> UInt32[np.ndarray, "*n"]:
-    """Time as the programs take it: microseconds modulo 2^32, whose differences are right for half
-    an hour, where a float32 of the time of day is not good to a minute.
+LONGEST_TICKS: Final = 2**31 - 1
+"""Longest time between two frames in ticks, 36 minutes: a longer one counts as this. Differences
+are modulo 2^32, so that without a bound a gap of 72 minutes would count as none."""
+
+
+def ticks_of(stamps: Float[ArrayLike, "*R T"]) -> UInt32[np.ndarray, "*R T"]:
+    """Time as the programs take it: microseconds modulo 2^32, whose differences are right, where a
+    float32 of the time of day is not good to a minute.
 
     Args:
-        stamp: [s]; one that is not finite counts as 0.
+        stamps: (..., T) times of the frames of recordings [s]. One that is not finite counts as 0.
+            A step back counts as -1 tick, one over ``LONGEST_TICKS`` as that.
     """
-    whole = np.round(np.nan_to_num(np.asarray(stamp, float), posinf=0.0, neginf=0.0) * 1e6)
-    return np.asarray(np.mod(whole, 2.0**32)).astype(np.uint32)
+    whole = np.round(np.nan_to_num(np.asarray(stamps, float), posinf=0.0, neginf=0.0) * 1e6)
+    passed = np.diff(whole, axis=-1, prepend=whole[..., :1])
+    ticks = whole[..., :1] + np.cumsum(np.clip(passed, -1, LONGEST_TICKS), axis=-1)
+    return np.asarray(np.mod(ticks, 2.0**32)).astype(np.uint32)
 
 
-def tick_of(stamp: float) -> np.uint32:
-    """``ticks_of`` of one stamp [s], in a tenth of its time."""
-    return np.uint32(round(stamp * 1e6) % 2**32 if math.isfinite(stamp) else 0)
+def tick_after(answered: tuple[float, int] | None, stamp: float) -> int:
+    """``ticks_of`` for frames that come one by one.
+
+    Args:
+        answered: stamp [s] and ticks of the last frame that got a command; None for the first.
+        stamp: stamp of the frame [s].
+    """
+    if answered is None:
+        return round(stamp * 1e6) % 2**32 if math.isfinite(stamp) else 0
+    passed = (stamp - answered[0]) * 1e6
+    whole = round(min(passed, LONGEST_TICKS)) if passed >= 0 else -1  # of NaN, too
+    return (answered[1] + whole) % 2**32
 
 
 _KEPT: Final = 16

@@ -21,7 +21,7 @@ from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.frame import FrameState, RetargetState
 from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
-from smooth_operator.methods.program import shared_program, tick_of
+from smooth_operator.methods.program import shared_program, tick_after
 from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.settings import check_frame_rate
 from smooth_operator.types import (
@@ -155,10 +155,14 @@ class Retargeter:
         self.check_side(frame.side)
         assert frame.valid is not None  # filled in on construction
         landmarks = self.program_landmarks(frame.landmarks)
-        state, output = self.shared.run(state, landmarks, frame.valid, tick_of(stamp))
-        if self.rate is not None:
-            state = replace(state, stamp=stamp)
+        ticks = tick_after(state.answered, stamp)
+        after, output = self.shared.run(state, landmarks, frame.valid, np.uint32(ticks))
         q, status = np.asarray(output.q, float), Status(int(output.status))
+        state = replace(
+            after,
+            stamp=None if self.rate is None else stamp,
+            answered=(stamp, ticks) if status == Status.OK else state.answered,
+        )
         if status == Status.OK and not self.shared.compiled.is_set():
             self.shared.compiled.set()
         # float32 may round a limit outwards: the last word is in float64

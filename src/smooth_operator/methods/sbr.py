@@ -12,7 +12,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, UInt32
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.human.correspondence import (
@@ -33,7 +32,7 @@ from smooth_operator.objective.keyvectors import tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.published import DexPilotTargets
 from smooth_operator.objective.terms import FrameGoal
-from smooth_operator.settings import is_off
+from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
@@ -74,10 +73,7 @@ class SbrConfig(ObjectiveMethodConfig):
     )
 
     def __post_init__(self) -> None:
-        if self.settle_rounds < 1:
-            raise ConfigError(f"settle_rounds must be 1 or more, not {self.settle_rounds}")
-        if self.settle_sigma <= 0:
-            raise ConfigError(f"settle_sigma must be positive [rad], not {self.settle_sigma}")
+        check_numbers(self, positive=("settle_rounds", "settle_sigma"))
 
     @property
     def one_thread(self) -> bool:
@@ -227,7 +223,7 @@ class Sbr(Method):
         at = np.array(tips_of(self.hand.fingers))
         tips = aligned[at]
         steps = jnp.where(clock.restart, 0.0, tips - before.tips)
-        fingers, _ = self.correspondence.step(
+        fingers, _, _ = self.correspondence.step(
             before.fingers, aligned, tips, steps, steps, clock.dt, clock.restart
         )
         wrist = jnp.asarray(self.hand.wrist, aligned.dtype)

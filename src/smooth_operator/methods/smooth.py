@@ -72,6 +72,14 @@ RESTING: Final = 0.01
 """Speed of a place at which its finger counts as half at rest [m/s]."""
 HELD: Final = 0.1
 """Share of the motion weight of a finger at rest far from its place."""
+JUMP: Final = 0.4
+"""Targets have jumped where the landmark filter holds back more than this share of the step of a
+fingertip that it follows. Of ten recordings 3 frames in a thousand have more than 0.3; of jumps to
+another pose of a recording, nine in ten have more than 0.4."""
+ARRIVED: Final = 0.002
+"""Distance of the places from where they belong at which they have caught up with a jump [m]."""
+BUDGET: Final = 60
+"""Newton steps of all descents of a frame, at most: they bound its time."""
 
 
 @dataclass(frozen=True)
@@ -168,6 +176,7 @@ class SmoothState(NamedTuple):
         ticks: time of the last frame, in microseconds modulo 2^32.
         period: usual time between frames [s].
         frames: frames answered so far.
+        slipped: True from a jump of the targets until their places have caught up.
     """
 
     q: Float[Array, " m"]
@@ -179,15 +188,52 @@ class SmoothState(NamedTuple):
     ticks: UInt32[Array, ""]
     period: Float[Array, ""]
     frames: UInt32[Array, ""]
+    slipped: Bool[Array, ""]
+
+
+class _Observed(NamedTuple):
+    """A frame after the filters.
+
+    Attributes:
+        state: the state after its landmarks.
+        clock: its time.
+        goal: its goal, without the rest pose and the motion of fingertips.
+        moves: (F, 3) steps of the fingertips' places [m].
+        weights: (F,) weights of that motion.
+        places: (F, 3) places of the fingertips in the palm frame [m].
+        arrived: True if targets jumped before, and their places have caught up in this frame.
+    """
+
+    state: SmoothState
+    clock: FrameClock
+    goal: FrameGoal
+    moves: Float[Array, "F 3"]
+    weights: Float[Array, " F"]
+    places: Float[Array, "F 3"]
+    arrived: Bool[Array, ""]
 
 
 class _Descents(NamedTuple):
-    """Descents in this frame so far, the best pose (m,), its cost, and True for one more."""
+    """Descents of a frame.
 
-    done: Int[Array, ""]
+    Attributes:
+        start: start of the next one: 0 the last answer, with the terms about the past; without
+            them, 1 the end of that, 2 the table's pose, 3 the neutral pose. After a restart the
+            first is 2.
+        pose, tips, cost: the best pose so far (m,), its fingertips (F, 3) and its cost.
+        left: Newton steps that are left in this frame.
+        again: True for one more descent.
+    """
+
+    start: Int[Array, ""]
     pose: Float[Array, " m"]
+    tips: Float[Array, "F 3"]
     cost: Float[Array, ""]
+    left: Int[Array, ""]
     again: Bool[Array, ""]
+
+
+_TABLE: Final = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,6 +312,7 @@ class Smooth(Method):
             put(np.uint32(0)),
             put(np.float32(1 / self.config.rate_hz)),
             put(np.uint32(0)),
+            put(np.bool_(False)),
         )
 
     def latched(self, state: SmoothState) -> Bool[Array, " P"] | None:
@@ -288,33 +335,33 @@ class Smooth(Method):
         self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SmoothState, MethodOutput]:
         """One frame."""
-        state, clock, goal, moves, places = self._observed(
-            state, aligned, jnp.asarray(ticks, jnp.uint32)
-        )
+        frame = self._observed(state, aligned, jnp.asarray(ticks, jnp.uint32))
+        goal = self._goal_of(state, frame, aligned)
+        solved, tips = self._solve(state.solved, goal, frame)
+        after = self._commanded(frame.state, frame.clock, solved)
+        keyvectors = self.objective.keyvectors
+        errors = keyvectors.vectors.at(tips) - goal.vectors
+        return after, MethodOutput(after.q, keyvectors.slopes(errors, goal).cost)
+
+    def _goal_of(
+        self, state: SmoothState, frame: _Observed, aligned: Float[Array, "21 3"]
+    ) -> FrameGoal:
+        """The whole goal of a frame."""
+        goal, moves = frame.goal, frame.moves
         if is_off(self.config.rest_pose.reach):
             tips = self.motion.tips(state.solved)
-            goal = goal._replace(tips=tips + moves)
-        else:
-            tips, near, pose = self.rest_pose(state.solved, aligned, places, moves)
-            neutral = jnp.asarray(self.hand.neutral, moves.dtype)
-            goal = goal._replace(
-                tips=tips + moves,
-                rest=jnp.where(clock.restart, neutral, pose),
-                near=jnp.where(clock.restart, 0.0, near),
-            )
-            if state.operator and goal.motion_weights is not None:
-                resting = 1 / (1 + (moves * moves).sum(-1) / (RESTING * clock.dt) ** 2)
-                holds = 1 - (1 - HELD) * resting * (1 - near)
-                goal = goal._replace(motion_weights=holds * goal.motion_weights)
-        solved = self._solve(state.solved, goal, places, clock.restart)
-        state = self._commanded(state, clock, solved)
-        return state, MethodOutput(state.q, self.objective.tracking_at(state.q, goal))
+            return goal._replace(tips=tips + moves, motion_weights=frame.weights)
+        tips, near, pose = self.rest_pose(state.solved, aligned, frame.places, moves)
+        weights = frame.weights
+        if state.operator:
+            resting = 1 / (1 + (moves * moves).sum(-1) / (RESTING * frame.clock.dt) ** 2)
+            weights = (1 - (1 - HELD) * resting * (1 - near)) * weights
+        return goal._replace(tips=tips + moves, rest=pose, near=near, motion_weights=weights)
 
     def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
-    ) -> tuple[SmoothState, FrameClock, FrameGoal, Float[Array, "F 3"], Float[Array, "F 3"]]:
-        """The state after a frame's landmarks, its clock and goal, (F, 3) steps of the fingertips'
-        places, and (F, 3) the places in the palm frame [m]."""
+    ) -> _Observed:
+        """The landmarks of a frame, filtered, and what they ask."""
         config = self.config
         clock = FrameClock.of(
             now - state.ticks, state.frames, state.period, config.rate_hz, config.gap
@@ -327,21 +374,29 @@ class Smooth(Method):
         )
         points, tips = filtered.points, [TIPS[FINGERS.index(f)] for f in self.hand.fingers]
         at, wrist = np.array([self.needs.index(i) for i in tips]), self.needs.index(WRIST)
-        moves, places = steps[at] - steps[wrist], points[at] - points[wrist]
+        moves = steps[at] - steps[wrist]
         goal_points, operator, speeds = points, state.operator, moves
+        origin = jnp.asarray(self.hand.wrist, points.dtype)
+        late, followed = (filtered.measured - points)[at], steps[at]
+        behind = jnp.sqrt((late * late).sum(-1))
+        share = JUMP + config.landmarks.time_constant / clock.dt
+        jumped = behind > share * jnp.sqrt((followed * followed).sum(-1)) + ARRIVED
         if operator:  # a tuple of arrays; empty without a correspondence
             measured_steps = filtered.step[at] - filtered.step[wrist]
-            operator, moves = self.correspondence.step(
+            operator, moves, way = self.correspondence.step(
                 operator, aligned, points[at], moves, measured_steps, clock.dt, clock.restart
             )
-            origin = jnp.asarray(self.hand.wrist, points.dtype)
-            places = operator.places - origin
-            corners = jnp.concatenate([operator.places, origin[None]])
+            behind, places = behind + way, operator.places
+            corners = jnp.concatenate([places, origin[None]])
             goal_points = points.at[np.array([*at, wrist])].set(corners)
-        goal, policy = self._goal(state, goal_points, speeds, clock)
-        places = places + jnp.asarray(self.hand.wrist, points.dtype)
+        else:
+            places = points[at] - points[wrist] + origin
+        goal, weights, policy = self._goal(state, goal_points, speeds, clock)
+        slipped = (state.slipped | jumped.any()) & ~clock.restart
+        arrived = slipped & (behind < ARRIVED).all()
         state = state._replace(operator=operator, noise=noise, filtered=filtered, targets=policy)
-        return state._replace(ticks=now, period=clock.period), clock, goal, moves, places
+        state = state._replace(slipped=slipped & ~arrived, ticks=now, period=clock.period)
+        return _Observed(state, clock, goal, moves, weights, places, arrived)
 
     def _commanded(
         self, state: SmoothState, clock: FrameClock, solved: Float[Array, " m"]
@@ -360,8 +415,9 @@ class Smooth(Method):
         points: Float[Array, "L 3"],
         moves: Float[Array, "F 3"],
         clock: FrameClock,
-    ) -> tuple[FrameGoal, Any]:
-        """The goal of a frame but for the rest pose, and the target policy's state after it."""
+    ) -> tuple[FrameGoal, Float[Array, " F"], Any]:
+        """The goal of a frame but for rest pose and motion, (F,) weights of the motion of
+        fingertips, and the target policy's state after the frame."""
         config, layout = self.config, self.objective.layout
         at = [self.needs.index(i) if i in self.needs else -1 for i in range(NUM_LANDMARKS)]
         human = layout.human(points[np.array(at)])  # from landmarks that are needed
@@ -380,52 +436,63 @@ class Smooth(Method):
             damped = (pinching[:, None] * jnp.asarray(self.rest_pose.moves)).max(axis=0)
             velocity = velocity + config.pinch_damping * holds * damped
         goal = FrameGoal(targets.vectors, targets.weights, state.solved, velocity)
-        return goal._replace(motion_weights=motion), policy_state
+        return goal, motion, policy_state
 
     def _solve(
-        self,
-        last: Float[Array, " m"],
-        goal: FrameGoal,
-        places: Float[Array, "F 3"],
-        restart: Bool[Array, ""],
-    ) -> Float[Array, " m"]:
-        """(m,) the solver's answer.
+        self, last: Float[Array, " m"], goal: FrameGoal, frame: _Observed
+    ) -> tuple[Float[Array, " m"], Float[Array, "F 3"]]:
+        """(m,) the solver's answer, and (F, 3) its fingertips [m].
 
-        A descent from the last answer. Where a finger then is astray, and where there is no last
-        answer, two descents without its terms: from where the first one ended, and from the table's
-        pose. The lower cost counts.
+        A descent from the last answer. Where a finger then is astray, where targets have arrived
+        after a jump, and where there is no last answer, more descents of a goal that knows no past:
+        from the first one's end, the table's pose and the neutral pose. The lowest cost counts.
         """
+        places, restart = frame.places, frame.clock.restart
         limits = self.straight_fingers.limits(self.hand.limits, goal.vectors[: len(places)])
         lengths = jnp.asarray(self.correspondence.lengths, last.dtype)
         corresponds = not is_off(self.config.correspondence.share)  # its places are within reach
         table, possible = self.pose_table.nearest(places)
+        neutral = jnp.asarray(self.hand.neutral, last.dtype)
+        none = jnp.zeros_like(possible)
+        free = goal._replace(
+            velocity_weight=jnp.zeros_like(goal.velocity_weight),
+            motion_weights=none,
+            rest=None if goal.rest is None else neutral,
+            near=None if goal.near is None else none,
+        )
 
         def descent(before: _Descents) -> _Descents:
-            holds = jnp.where(before.done == 0, 1.0, 0.0)
-            held = goal._replace(velocity_weight=holds * goal.velocity_weight)
-            if goal.motion_weights is not None:
-                held = held._replace(motion_weights=holds * goal.motion_weights)
-            begin = jnp.where(before.done == 2, table, before.pose)
-            pose, cost = damped_newton(
-                lambda one: self.objective.value_grad_hess(one, held),
-                lambda few: self.objective.values(few, held),
-                jnp.clip(begin, limits[:, 0], limits[:, 1]),
+            held = before.start == 0
+            now = jax.tree.map(lambda a, b: jnp.where(held, a, b), goal, free)
+            starts = jnp.stack([last, before.pose, table, neutral])
+            pose, cost, steps = damped_newton(
+                lambda one: self.objective.value_grad_hess(one, now),
+                lambda few: self.objective.values(few, now),
+                jnp.clip(starts[before.start], limits[:, 0], limits[:, 1]),
                 limits,
                 self.config.polish,
+                before.left,
             )
-            worse = (before.done == 2) & (cost >= before.cost)
-            off = self.motion.tips(pose) - places
+            tips = self.motion.tips(pose)
+            off = tips - places
             excess = jnp.sqrt((off * off).sum(-1)) - possible
-            astray = restart | (corresponds & (excess > ASTRAY * lengths).any())
+            lost = corresponds & (excess > ASTRAY * lengths).any()
+            better = cost <= before.cost
             return _Descents(
-                before.done + 1,
-                jnp.where(worse, before.pose, pose),
-                jnp.where(worse, before.cost, cost),
-                (before.done == 1) | ((before.done == 0) & astray),
+                before.start + 1,
+                jnp.where(better, pose, before.pose),
+                jnp.where(better, tips, before.tips),
+                # costs with and without the past do not compare
+                jnp.where(held, jnp.inf, jnp.minimum(cost, before.cost)),
+                before.left - steps,
+                jnp.where(held, lost | frame.arrived, before.start < len(starts) - 1),
             )
 
-        begin = _Descents(jnp.int32(0), last, jnp.float32(jnp.inf), jnp.bool_(True))
-        return lax.while_loop(lambda now: now.again, descent, begin).pose
+        worst, left, again = jnp.float32(jnp.inf), jnp.int32(BUDGET), jnp.bool_(True)
+        start = jnp.where(restart, _TABLE, 0)
+        begin = _Descents(start, last, jnp.zeros_like(places), worst, left, again)
+        end = lax.while_loop(lambda now: now.again, descent, begin)
+        return end.pose, end.tips
 
 
 SMOOTH_TELEOP: Final = SmoothConfig()

@@ -172,15 +172,11 @@ class Objective:
         total = self._point_costs(self.point_terms, q, goal, within_limits)
         squares = [s for s in (term.square(goal) for term in self.joint_terms) if s is not None]
         if len(squares) < len(self.joint_terms):
-            for joint, row in enumerate(q):
-                for term in self.joint_terms:
-                    total = total + term.joint_cost(row, joint, goal)
-            return total
+            return total + self.regularisation(jnp.stack(q, axis=-1), goal)
         # Squares about several poses are one about their mean, and a constant.
         squares = [s._replace(centre=jnp.asarray(s.centre, q[0].dtype)) for s in squares]
-        weight, centre, constant = functools.reduce(Square.plus, squares)
-        pull = [(row - centre[i]) ** 2 for i, row in enumerate(q)]
-        return total + (weight * functools.reduce(operator.add, pull) + constant)
+        square = functools.reduce(Square.plus, squares)
+        return total + (square.of_joints(q) + square.constant)
 
     def _point_costs(
         self, terms: Sequence[PointTerm], q: Sequence[Array], goal: FrameGoal, within_limits: bool
@@ -215,13 +211,6 @@ class Objective:
         return first, functools.reduce(operator.add, [diagonal for _, diagonal in both])
 
     # One pose, with derivatives
-
-    def tracking_at(self, q: Float[Array, " m"], goal: FrameGoal) -> Float[Array, ""]:
-        """``tracking`` of one pose, through the small program."""
-        term = self.keyvectors
-        kinematics = PointKinematics(self.hand.tree, term.points())
-        motion = kinematics(all_joints(self.hand, q))
-        return term.expand(motion.points, kinematics.jacobian(motion), goal).cost
 
     @cached_property
     def tree(self) -> KinematicTree:

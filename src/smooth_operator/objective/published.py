@@ -18,7 +18,13 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.targets import LayoutT, TargetPolicy, Targets, base_weights
-from smooth_operator.objective.terms import FrameGoal, JointTerm, smooth_l1, smooth_l1_slopes
+from smooth_operator.objective.terms import (
+    FrameGoal,
+    JointTerm,
+    smooth_l1,
+    smooth_l1_slopes,
+)
+from smooth_operator.settings import check_numbers
 
 if TYPE_CHECKING:
     from smooth_operator.human.operator import OperatorProfile
@@ -47,6 +53,10 @@ class PlainTargets(StatelessTargets[KeyvectorLayout]):
     w_wrist: float = 1.0
     w_thumb: float = 1.0
     w_between: float = 1.0
+
+    def __post_init__(self) -> None:
+        weights = ("w_wrist", "w_thumb", "w_between")
+        check_numbers(self, "targets.", positive=("beta",), not_negative=weights)
 
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
         """The paper's keyvectors."""
@@ -109,6 +119,13 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
     blend: float = 1.0
 
     def __post_init__(self) -> None:
+        weights = ("w_set1", "w_set2", "w_default", "w_thumb", "w_between")
+        check_numbers(
+            self,
+            "targets.",
+            positive=("escape", "beta"),
+            not_negative=("eta1", "eta2", *weights),
+        )
         if not 0 < self.blend <= 1:
             raise ConfigError(f"blend must be in (0, 1], not {self.blend}")
         if not 0 < self.project <= self.escape:
@@ -184,10 +201,6 @@ class SmoothL1Velocity(JointTerm):
         """See ``JointTerm``."""
         change: Any = q - goal.previous
         return smooth_l1(goal.velocity_weight * change, self.transition).sum(axis=-1)  # type: ignore
-
-    def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
-        """See ``JointTerm``."""
-        return smooth_l1(goal.velocity_weight * (q - goal.previous[joint]), self.transition)
 
     def derivatives(
         self, q: Float[Array, " m"], goal: FrameGoal

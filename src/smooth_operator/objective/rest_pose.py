@@ -110,7 +110,7 @@ class RestPose:
         Args:
             q: (m,) last answer of the actuated joints [rad].
             aligned: (21, 3) human landmarks in the palm frame [m]; NaN where one is not known.
-            places: (F, 3) where the human's fingertips are, from the robot's wrist [m].
+            places: (F, 3) where the robot's fingertips belong, in the palm frame [m].
             moves: (F, 3) their step since the last answer [m].
         """
         config, hand, count = self.config, self.hand, len(self.hand.fingers)

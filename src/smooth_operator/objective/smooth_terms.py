@@ -224,7 +224,8 @@ class SelfCollisionConfig:
     grip: float = 0.006
 
     def __post_init__(self) -> None:
-        check_numbers(self, "self_collision.", not_negative=("weight", "grip"))
+        weights = ("weight", "grip")
+        check_numbers(self, "self_collision.", not_negative=weights, finite=("margin",))
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +247,7 @@ class SelfCollision(PointTerm):
         bodies = [self.pairs.ends[name][0] for name in self.pairs.names[::2]]
         rows = {FINGERS.index(name): f for f, name in enumerate(fingers)}
         of = np.array([rows.get(int(owner[body]), -1) for body in bodies])[self.pairs.pairs]
-        thumb = fingers.index("thumb") if "thumb" in fingers else -2
+        thumb = fingers.index("thumb")
         opposing = (of >= 0).all(axis=1) & ((of == thumb).sum(axis=1) == 1)
         return np.maximum(of, 0), opposing
 

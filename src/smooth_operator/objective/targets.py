@@ -123,7 +123,9 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
     escape: float = 0.02
 
     def __post_init__(self) -> None:
-        check_numbers(self, positive=("at", "floor", "project"), not_negative=("apart",))
+        weights = ("w_wrist", "w_thumb", "w_between", "focus", "focus_between")
+        lengths = ("at", "floor", "project", "escape")
+        check_numbers(self, "targets.", positive=lengths, not_negative=("apart", *weights))
         if isinstance(self.project, float) and not self.project <= self.escape:
             raise ConfigError(f"project {self.project} must not exceed escape {self.escape} [m]")
         for finger, gap in self.pinch_gaps:

@@ -8,11 +8,13 @@ adds a term to a preset. The terms of Eq. (1) are here, those of ``smooth`` in `
 
 from __future__ import annotations
 
+import functools
+import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeAlias, TypeVar, cast
+from typing import ClassVar, Final, Literal, NamedTuple, TypeAlias, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -170,10 +172,6 @@ class JointTerm(Term, ABC):
         """(..., m) joint positions [rad] to their (...) costs; NumPy or JAX."""
 
     @abstractmethod
-    def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
-        """The share of one joint, for positions of any shape [rad]."""
-
-    @abstractmethod
     def derivatives(
         self, q: Float[Array, " m"], goal: FrameGoal
     ) -> tuple[Float[Array, " m"], Float[Array, " m"] | Float[Array, ""] | float]:
@@ -186,14 +184,15 @@ class JointTerm(Term, ABC):
 
 
 class Square(NamedTuple):
-    """weight |q - centre|^2 + constant.
+    """sum over joints of weight (q - centre)^2, plus a constant.
 
     Attributes:
-        weight, constant: numbers, traced or not.
+        weight: weight of all joints, or (m,) of each; traced or not.
         centre: (m,) [rad].
+        constant: traced or not.
     """
 
-    weight: Float[Array, ""] | float
+    weight: Float[Array, ""] | Float[Array, " m"] | float
     centre: Float[AnyArray, " m"]
     constant: Float[Array, ""] | float = 0.0
 
@@ -202,12 +201,21 @@ class Square(NamedTuple):
         weight = self.weight + other.weight
         share = other.weight / jnp.maximum(weight, 1e-12)
         gap = self.centre - other.centre
-        constant = self.weight * share * (gap**2).sum()
+        constant = (self.weight * share * gap**2).sum()
         return Square(
             weight,
             self.centre + share * (other.centre - self.centre),
             self.constant + other.constant + constant,
         )
+
+    def of_joints(self, q: Sequence[Array]) -> Array:
+        """The sum for m arrays of positions of any common shape [rad], without the constant."""
+        centre = jnp.asarray(self.centre, q[0].dtype)
+        pull = [(row - centre[joint]) ** 2 for joint, row in enumerate(q)]
+        if not jnp.ndim(self.weight):  # one product instead of m
+            return jnp.asarray(self.weight * functools.reduce(operator.add, pull))
+        weights = jnp.asarray(self.weight)
+        return functools.reduce(operator.add, [weights[j] * each for j, each in enumerate(pull)])
 
 
 class SquaredJointTerm(JointTerm):
@@ -220,16 +228,11 @@ class SquaredJointTerm(JointTerm):
     def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
         """See ``JointTerm``."""
         weight, centre, _ = self.square(goal)
-        return weight * ((q - centre.astype(q.dtype, copy=False)) ** 2).sum(axis=-1)  # type: ignore
-
-    def joint_cost(self, q: Array, joint: int, goal: FrameGoal) -> Array:
-        """See ``JointTerm``."""
-        weight, centre, _ = self.square(goal)
-        return jnp.asarray(weight * (q - centre.astype(q.dtype)[joint]) ** 2)
+        return (weight * (q - centre.astype(q.dtype, copy=False)) ** 2).sum(axis=-1)  # type: ignore
 
     def derivatives(
         self, q: Float[Array, " m"], goal: FrameGoal
-    ) -> tuple[Float[Array, " m"], Float[Array, ""] | float]:
+    ) -> tuple[Float[Array, " m"], Float[Array, ""] | Float[Array, " m"] | float]:
         """See ``JointTerm``."""
         weight, centre, _ = self.square(goal)
         return 2 * weight * (q - centre.astype(q.dtype)), 2 * weight
@@ -260,12 +263,6 @@ class Velocity(SquaredJointTerm):
     def square(self, goal: FrameGoal) -> Square:
         """About the last command."""
         return Square(goal.velocity_weight, goal.previous)
-
-    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
-        """See ``JointTerm``."""
-        weight: Any = goal.velocity_weight
-        each: AnyKind = weight * (q - goal.previous) ** 2
-        return each.sum(axis=-1) if jnp.ndim(weight) else super().cost(q, goal)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,10 +15,11 @@ from typing import Final, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import on_gpu
+from smooth_operator.settings import LARGEST, check_numbers
 
 ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
 """(c, m) candidates to their costs (c,), gradients (c, m) and Hessians (c, m, m); or one point
@@ -47,9 +48,8 @@ class NewtonConfig:
     damping: tuple[float, ...] = (0.0, 0.1, 1.0, 10.0)
 
     def __post_init__(self) -> None:
-        if self.iterations < 0:
-            raise ConfigError(f"iterations must not be negative, not {self.iterations}")
-        if not self.damping or min(self.damping) < 0:
+        check_numbers(self, not_negative=("iterations",))
+        if not self.damping or not all(0 <= each <= LARGEST for each in self.damping):
             raise ConfigError(f"damping needs one or more values >= 0, not {self.damping}")
 
 
@@ -165,8 +165,9 @@ def damped_newton(
     start: Float[Array, " m"],
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     config: NewtonConfig,
+    most: Int[Array, ""] | int | None = None,
     still: float = STILL,
-) -> tuple[Float[Array, " m"], Float[Array, ""]]:
+) -> tuple[Float[Array, " m"], Float[Array, ""], Int[Array, ""]]:
     """Descend from a start within bounds, with derivatives once per step; the cost never rises.
 
     Args:
@@ -175,10 +176,12 @@ def damped_newton(
         start: (m,) a point within the bounds.
         limits: (m, 2) bounds.
         config: settings; its iterations are the most that are made, none give the start back.
+        most: fewer iterations than the settings allow; None for those.
         still: see ``STILL``.
 
     Returns:
-        (m,) the best point found, and its cost; infinite without iterations.
+        (m,) the best point found, its cost, which is infinite without iterations, and the number of
+        iterations.
     """
 
     def better(q: Array, cost: Array, candidates: Array, costs: Array) -> tuple[Array, ...]:
@@ -194,9 +197,10 @@ def damped_newton(
 
     def goes_on(carry: tuple[Array, ...]) -> Array:
         count, *_, moved = carry
-        return (count < config.iterations) & moved
+        return (count < limit) & moved
 
+    limit = config.iterations if most is None else jnp.minimum(most, config.iterations)
     worst = jnp.asarray(jnp.inf, start.dtype)
     begin = (jnp.int32(0), start, worst, jnp.bool_(True))
     last_state: tuple[Array, ...] = jax.lax.while_loop(goes_on, step, begin)
-    return last_state[1], last_state[2]
+    return last_state[1], last_state[2], last_state[0]

@@ -20,7 +20,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.settings import check_choice
+from smooth_operator.settings import check_choice, check_numbers
 from smooth_operator.solvers.newton import gpu_kernels
 from smooth_operator.solvers.random_words import random_words
 
@@ -113,20 +113,17 @@ class SamplingConfig:
     draws: Literal["fresh", "quasi"] = "fresh"
 
     def __post_init__(self) -> None:
-        if self.samples < 1 or self.cycles < 1 or not 1 <= self.elites <= self.samples:
+        numbers = ("samples", "elites", "cycles", "sigma", "temperature", "jitter")
+        check_numbers(self, "sampling.", positive=numbers)
+        if self.elites > self.samples:
             raise ConfigError(
-                "sampling needs samples >= elites >= 1 and cycles >= 1, not "
-                f"samples={self.samples}, elites={self.elites}, cycles={self.cycles}"
+                "sampling needs samples >= elites, not "
+                f"samples={self.samples}, elites={self.elites}"
             )
         if self.samples > MOST_SAMPLES or self.cycles > MOST_CYCLES:
             raise ConfigError(
                 f"sampling takes at most {MOST_SAMPLES} samples and {MOST_CYCLES} cycles, not "
                 f"samples={self.samples}, cycles={self.cycles}; the paper has 8192 and 20"
-            )
-        if self.sigma <= 0 or self.temperature <= 0 or self.jitter <= 0:
-            raise ConfigError(
-                "sigma, temperature and jitter must be positive, not "
-                f"sigma={self.sigma}, temperature={self.temperature}, jitter={self.jitter}"
             )
         check_choice(self, "draws", ("fresh", "quasi"))
 
