@@ -8,7 +8,7 @@ import fuzzing
 import headset_apps as app
 import numpy as np
 import pytest
-from live_time import Kept, until
+from live_time import PATIENCE_S, Kept, until
 
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError, SourceError
 from smooth_operator.headsets import hts_lines
@@ -250,12 +250,12 @@ def test_connections_that_say_nothing_do_not_push_a_headset_out():
         heard.extend(inbox.receive(0.01))
 
     try:
-        with socket.create_connection(where, timeout=5) as headset:
+        with socket.create_connection(where, timeout=PATIENCE_S) as headset:
             headset.sendall(b"Head pose:, 0, 1.5, 0, 0, 0, 0, 1\n")
             until(lambda: turn() or len(heard) == 1)
             others = []
             for k in range(40):
-                others.append(socket.create_connection(where, timeout=5))
+                others.append(socket.create_connection(where, timeout=PATIENCE_S))
                 if k % 2:
                     others[-1].sendall(b"Hea")  # no message is complete
                 turn()
@@ -278,7 +278,7 @@ def test_what_comes_after_another_protocol_is_not_read(beginning):
     heard: list[Any] = []
     try:
         where = ("127.0.0.1", int(inbox.address.rpartition(":")[2]))
-        with socket.create_connection(where, timeout=5) as page:
+        with socket.create_connection(where, timeout=PATIENCE_S) as page:
             page.sendall(beginning + app.hts_packet("right", POSE, RIGHT) + b"\n")
             until(lambda: heard.extend(inbox.receive(0.01)) or heard)
             assert len(inbox.sockets()) == 1  # it is closed
