@@ -379,7 +379,7 @@ def test_ctrl_c_keeps_what_is_finished(recordings, tmp_path, monkeypatch):
     monkeypatch.setattr(suite, "measure_cell", stopped)
     status, stdout, stderr = captured(arguments)
     assert (status, stdout) == (130, "")
-    assert "the same command goes on" in stderr
+    assert "run the same command to continue" in stderr
     assert not (out / "results.json").exists()
     assert len(list((out / "cells").glob("*.npz"))) == 1
     status, stdout, stderr = captured(arguments)
