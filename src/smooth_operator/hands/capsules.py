@@ -9,7 +9,7 @@ read has estimated ones (``smooth_operator.hands.stand_ins``).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -66,12 +66,40 @@ class CapsulePairs:
     reach: Float[np.ndarray, " P"]
     shapes: Int[np.ndarray, "P 2"]
 
-    def depths(self, hand: Hand, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T P"]:
-        """Overlap of each pair [m] at (T, n) positions of all joints [rad]; minus infinity where
-        they are far apart."""
-        ends = capsule_ends(self, q)
-        lengths = np.linalg.norm(ends[0, :, 1] - ends[0, :, 0], axis=-1)
-        return -_clearances(ends, lengths, self.pairs, self.reach)
+    def depths(
+        self, q: Float[np.ndarray, "T n"]
+    ) -> Iterator[tuple[slice, Float[np.ndarray, "t P"]]]:
+        """Overlap of each pair [m] at (T, n) positions of all joints [rad], for some poses at a
+        time, so that a model of many shapes fits into memory; minus infinity where two capsules
+        are far apart."""
+        if not len(self.pairs):
+            return
+        size = max(1, _BLOCK // len(self.pairs))
+        for start in range(0, len(q), size):
+            rows = slice(start, min(start + size, len(q)))
+            yield rows, self._depths(capsule_ends(self, q[rows]))
+
+    def _depths(self, ends: Float[np.ndarray, "n C 2 3"]) -> Float[np.ndarray, "n P"]:
+        middles, out = ends.mean(axis=2), np.full((len(ends), len(self.pairs)), -np.inf)
+        bodies, at = np.unique([c.body for c in self.capsules], return_inverse=True)
+        spread = 0.5 * np.linalg.norm(ends[0, :, 1] - ends[0, :, 0], axis=-1)
+        spread += [capsule.radius for capsule in self.capsules]
+        own = [np.flatnonzero(at == body) for body in range(len(bodies))]
+        centres = np.stack([middles[:, these].mean(axis=1) for these in own], axis=1)
+        away = np.linalg.norm(middles[0] - centres[0, at], axis=-1) + spread
+        sizes = np.array([away[these].max() for these in own])
+        two, of = np.unique(np.sort(at[self.pairs], axis=1), axis=0, return_inverse=True)
+        a, b = two.T
+        near = np.linalg.norm(centres[:, a] - centres[:, b], axis=-1) < sizes[a] + sizes[b] + _SLACK
+        pose, pair = np.nonzero(near[:, of.reshape(-1)])
+        one, other = self.pairs[pair].T
+        apart = np.linalg.norm(middles[pose, one] - middles[pose, other], axis=-1)
+        close = apart < spread[one] + spread[other] + _SLACK
+        pose, pair, one, other = (each[close] for each in (pose, pair, one, other))
+        first, second = ends[pose, one], ends[pose, other]
+        between, _, _ = segments_apart((first[:, 0], first[:, 1]), (second[:, 0], second[:, 1]))
+        out[pose, pair] = self.reach[pair] - np.linalg.norm(between, axis=-1)
+        return out
 
 
 def hand_capsules(hand: Hand) -> list[Capsule]:
@@ -106,7 +134,7 @@ def parts_apart(hand: Hand) -> CapsulePairs:
     shapes = np.where(shapes < 0, hand.model.ngeom + np.arange(len(shapes)), shapes)
     two = np.sort(shapes[pairs], axis=1)
     every = chosen_pairs(hand, capsules, pairs)
-    neutral = every.depths(hand, hand.full_configuration(hand.neutral)[None])[0]
+    neutral = pose_depths(every, hand, hand.neutral)
     touching = {tuple(at) for at in two[neutral > _ROUNDING].tolist()}
     return chosen_pairs(hand, capsules, pairs[[tuple(at) not in touching for at in two.tolist()]])
 
@@ -218,19 +246,29 @@ def _meeting(hand: Hand, every: CapsulePairs) -> np.ndarray:
     low, high = hand.limits.T
     poses = _POSES if len(every.pairs) <= _MANY else _POSES // 4
     q = np.random.default_rng(0).uniform(low, high, (poses, len(low)))
-    clear = -every.depths(hand, hand.full_configuration(q))
     parts = np.array([hand.model.body_weldid[capsule.body] for capsule in every.capsules], int)
     links = np.sort(parts[every.pairs], axis=1)
+    groups = [np.flatnonzero((links == two).all(axis=1)) for two in np.unique(links, axis=0)]
+    meet, counts = np.zeros(len(links), bool), np.zeros(len(links), int)
+    for _, depths in every.depths(hand.full_configuration(q)):
+        meet |= depths.max(axis=0) > -_SLACK
+        for these in groups:
+            first = depths[:, these].argmax(axis=1)[depths[:, these].max(axis=1) > -_SLACK]
+            counts[these] += np.bincount(first, minlength=len(these))
     ranked: list[tuple[int, int, int]] = []  # rank within its links, minus its count, pair
-    for two in np.unique(links, axis=0):
-        these = np.flatnonzero((links == two).all(axis=1))
-        near = clear[:, these]
-        meet = near.min(axis=0) < _SLACK
-        first = near.argmin(axis=1)[near.min(axis=1) < _SLACK]
-        counts = np.bincount(first, minlength=len(these))
-        order = [k for k in np.argsort(-counts, kind="stable") if meet[k]]
-        ranked += [(rank, -int(counts[k]), int(these[k])) for rank, k in enumerate(order)]
+    for these in groups:
+        order = [k for k in these[np.argsort(-counts[these], kind="stable")] if meet[k]]
+        ranked += [(rank, -int(counts[k]), int(k)) for rank, k in enumerate(order)]
     return np.array(sorted(which for *_, which in sorted(ranked)[:MOST]), int)
+
+
+def pose_depths(
+    pairs: CapsulePairs, hand: Hand, pose: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, " P"]:
+    """(P,) overlap of each pair [m] at positions of the actuated joints [rad]."""
+    for _, depths in pairs.depths(hand.full_configuration(pose)[None]):
+        return np.asarray(depths[0])
+    return np.empty(0)
 
 
 def capsule_ends(pairs: CapsulePairs, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T C 2 3"]:
@@ -238,30 +276,6 @@ def capsule_ends(pairs: CapsulePairs, q: Float[np.ndarray, "T n"]) -> Float[np.n
     points = np.asarray(pairs.tree.positions(q))
     rows = [pairs.tree.names.index(name) for name in pairs.names]
     return points[:, rows].reshape(len(q), len(pairs.capsules), 2, 3)
-
-
-def _clearances(
-    ends: Float[np.ndarray, "n C 2 3"],
-    lengths: Float[np.ndarray, " C"],
-    pairs: Int[np.ndarray, "P 2"],
-    reach: Float[np.ndarray, " P"],
-) -> Float[np.ndarray, "n P"]:
-    """Distance of the capsules of each pair in each pose [m].
-
-    It is infinite where already the spheres around the capsules are further apart than the slack.
-    """
-    one, other = pairs.T
-    middles, out = ends.mean(axis=2), np.full((len(ends), len(pairs)), np.inf)
-    least = 0.5 * (lengths[one] + lengths[other]) + reach + _SLACK
-    block = max(1, _BLOCK // max(len(pairs), 1))
-    for start in range(0, len(ends), block):
-        rows = slice(start, start + block)
-        apart = np.linalg.norm(middles[rows][:, one] - middles[rows][:, other], axis=-1)
-        pose, pair = np.nonzero(apart < least)
-        a, b = ends[rows][pose, one[pair]], ends[rows][pose, other[pair]]
-        between, _, _ = segments_apart((a[:, 0], a[:, 1]), (b[:, 0], b[:, 1]))
-        out[rows][pose, pair] = np.linalg.norm(between, axis=-1) - reach[pair]
-    return out
 
 
 def _names(capsules: Sequence[Capsule]) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from smooth_operator.landmarks import FINGERS
 PALM: Final = -1
 """Value of ``owners`` for the palm and all else that belongs to no finger."""
 _FLAT: Final = 1.5  # width over thickness from which a mesh is a row of capsules
+_APART: Final = 0.006  # distance of a thin plate's rods, between which no finger fits [m]
 _SLENDER: Final = 0.02  # largest radius of a cylinder that is one capsule [m]
 _RIM: Final = 0.35  # radius of a wide cylinder's outer capsules, over the cylinder's
 _RING: Final = 10  # number of them
@@ -151,7 +152,7 @@ def _strips(
     thin, wide, long = axes
     thick = float(half[thin])
     spread = float(half[wide]) - thick
-    rows = 1 + int(np.ceil(2 * spread / thick)) if spread > 0.1 * thick else 1
+    rows = 1 + int(np.ceil(2 * spread / max(thick, _APART))) if spread > 0.1 * thick else 1
     rods = []
     for shift in np.linspace(-spread, spread, rows) if rows > 1 else (0.0,):
         at = middle + shift

@@ -13,6 +13,7 @@ from smooth_operator.hands.capsules import (
     chosen_pairs,
     hand_capsules,
     parts_apart,
+    pose_depths,
 )
 from smooth_operator.hands.hand import Hand
 
@@ -44,8 +45,8 @@ def penetration_depths(hand: Hand, joint_positions: ArrayLike) -> Float[np.ndarr
         return None
     depths = np.full(len(q), np.nan)
     sound = np.isfinite(q).all(axis=1)
-    if sound.any():
-        depths[sound] = np.maximum(apart.depths(hand, q[sound]).max(axis=1), 0.0)
+    for rows, found in apart.depths(q[sound]):
+        depths[np.flatnonzero(sound)[rows]] = np.maximum(found.max(axis=1), 0.0)
     return depths
 
 
@@ -62,15 +63,17 @@ def crowded_links(
         The links that overlap in any of the poses, those with the largest share first.
     """
     model, apart = hand.model, parts_apart(hand)
-    deep = apart.depths(hand, hand.full_configuration(poses)) > depth
     names = [str(model.body(c.body).name) for c in apart.capsules]
     of: dict[tuple[str, str], list[int]] = {}
     for number, (a, b) in enumerate(apart.pairs):
         one, other = sorted((names[a], names[b]))
         of.setdefault((one, other), []).append(number)
-    shares = {links: float(deep[:, these].any(axis=1).mean()) for links, these in of.items()}
-    found = sorted(shares.items(), key=lambda item: -item[1])
-    return {links: share for links, share in found if share > 0}
+    counts = dict.fromkeys(of, 0)
+    for _, found in apart.depths(hand.full_configuration(poses)):
+        for links, these in of.items():
+            counts[links] += int((found[:, these] > depth).any(axis=1).sum())
+    order = sorted((links for links in of if counts[links]), key=lambda links: -counts[links])
+    return {links: counts[links] / len(poses) for links in order}
 
 
 def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
@@ -84,7 +87,7 @@ def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
     """
     model, capsules = hand.model, hand_capsules(hand)
     pairs = chosen_pairs(hand, capsules, candidate_pairs(hand, capsules))
-    depths = pairs.depths(hand, hand.full_configuration(hand.neutral)[None])[0]
+    depths = pose_depths(pairs, hand, hand.neutral)
     out: dict[tuple[str, str], float] = {}
     for number in np.flatnonzero(depths > 0):
         bodies = [pairs.capsules[c].body for c in pairs.pairs[number]]

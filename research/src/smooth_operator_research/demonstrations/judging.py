@@ -57,9 +57,10 @@ def excess(demonstration: Demonstration) -> float:
     hand, times = demonstration.robot, demonstration.times
     every = np.sort(np.concatenate([times, (times[1:] + times[:-1]) / 2]))
     poses = hand.full_configuration([demonstration.pose(float(time)) for time in every])
-    apart = parts_apart(hand)
-    beyond = (apart.depths(hand, poses) - _allowed(hand)).max(axis=1)
-    return float(np.maximum(beyond, 0.0).sum())
+    return sum(
+        float(np.maximum((depths - _allowed(hand)).max(axis=1), 0.0).sum())
+        for _, depths in parts_apart(hand).depths(poses)
+    )
 
 
 @cache
