@@ -17,13 +17,24 @@ import pytest
 from two_hands import LAYOUT, PAIRS, save_pair
 
 from smooth_operator import Retargeter, load_hand, plugins, poses, result_cache
+from smooth_operator.baselines.joint_angle import JointAngleMap
 from smooth_operator.cli import main
 from smooth_operator.cli.dataset import _print
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.lab.datasets import pipeline
 from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip, RobotClip, in_frame
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
-from smooth_operator.lab.datasets.quality import NO_LIMITS, Dropped, Limits, select
+from smooth_operator.lab.datasets.quality import (
+    NO_LIMITS,
+    REACHED,
+    Dropped,
+    Limits,
+    hand_length,
+    quality_tracks,
+    select,
+)
 from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.lab.datasets.sources import (
@@ -37,11 +48,13 @@ from smooth_operator.lab.datasets.store import Store
 from smooth_operator.lab.datasets.writers.registry import WritingOptions
 from smooth_operator.lab.datasets.writing import Summary
 from smooth_operator.lab.offline.finished import digest
+from smooth_operator.landmarks import BASES
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.types import CommandTrajectory
 
 pytest.importorskip("pyarrow", reason="needs pyarrow: in the clone, pip install '.[datasets]'")
 
@@ -554,6 +567,30 @@ def test_what_breaks_a_limit_is_dropped(answered, limits, reason):
     far = {**answered.tracks, "right.reached": np.zeros(len(answered.clip))}
     assert episodes(replace(answered, tracks=far)) == [("deep/c", ())]
     assert episodes(replace(answered, tracks=far), **limits) == [("deep/c", (reason,))]
+
+
+@pytest.mark.parametrize("short", [1.0, 0.45])
+def test_a_robot_in_the_posture_of_an_operator_of_shorter_fingers_reaches(short):
+    """Its tips are elsewhere, as its fingers are long; those of a closed hand are not right."""
+    hand, recording = load_hand("mimic_p050"), SyntheticOperator(side="right").record(0.1)
+    landmarks = recording.landmarks.copy()
+    for base in BASES:
+        fingers = landmarks[:, base : base + 4]
+        fingers[:] = fingers[:, :1] + short * (fingers - fingers[:, :1])
+    recording = replace(recording, landmarks=landmarks)
+    posture = JointAngleMap(hand).positions(align_recording(recording, hand))
+    shares, count = [], len(recording)
+    for poses_ in (np.clip(posture, *hand.limits.T), np.tile(hand.limits[:, 1], (count, 1))):
+        commands = CommandTrajectory(
+            hand.full_configuration(poses_), hand.joint_names, recording.stamps,
+            np.zeros(count), np.zeros(count, np.int8),
+        )  # fmt: skip
+        loss = [np.zeros(count)]
+        (tracks,) = quality_tracks([recording], [commands], loss, hand, AlignmentConfig())
+        shares.append((float(tracks["tip_error_max"].max()), float(tracks["reached"].mean())))
+    (error, open_), (_, closed) = shares
+    assert (open_, closed) == (1.0, 0.0)
+    assert (error > REACHED * hand_length(hand)) == (short < 0.5)
 
 
 def test_a_clip_whose_fingers_never_move_is_dropped(answered):

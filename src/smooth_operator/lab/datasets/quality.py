@@ -18,7 +18,7 @@ from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.lab.datasets.clip import RobotClip, robot_part
-from smooth_operator.landmarks import FINGERS, TIPS, WRIST
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
 from smooth_operator.metrics import summary
 from smooth_operator.metrics.consistency import second_derivative
 from smooth_operator.metrics.joints import max_joint_step
@@ -26,8 +26,9 @@ from smooth_operator.metrics.safety import COLLISION_DEPTH
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 REACHED: Final = 0.25
-"""A robot fingertip that is nearer to the human's than this share of the robot hand's length is
-taken to reach it. The hands have other proportions: some are never nearer than a fifth."""
+"""A robot fingertip reaches the human's if it is nearer to it than this share of the robot hand's
+length, or as near to where a finger as long as the robot's has its tip: the hands have other
+proportions, and an open robot hand whose fingers are twice as long is right, too."""
 
 COLLISION_RATE_HZ: Final = 5.0
 """How often self-collision is looked at [Hz]: a look takes as long as a tenth of a command."""
@@ -94,8 +95,8 @@ def quality_tracks(
     Returns:
         for each: ``speed`` [m/s] from the frame before, of the wrist or of a fingertip to the
         wrist, the faster; ``tip_error`` [m] mean over fingertips; ``tip_error_max`` [m];
-        ``reached``, 1 where every fingertip is within ``REACHED``, or else 0; ``penetration`` [m],
-        at ``COLLISION_RATE_HZ``; ``loss``.
+        ``reached``, 1 where every fingertip reaches the human's (``REACHED``), or else 0;
+        ``penetration`` [m], at ``COLLISION_RATE_HZ``; ``loss``.
     """
     joined = _joined(recordings)
     human = align_recording(joined, hand, alignment)
@@ -103,10 +104,13 @@ def quality_tracks(
     names = hand.tree.names
     columns = [names.index(name) for name in hand.tip_names]
     positions = np.concatenate([each.joint_positions for each in commands])
-    error = np.linalg.norm(np.asarray(hand.tree.positions(positions))[:, columns] - tips, axis=-1)
+    robot = np.asarray(hand.tree.positions(positions))
+    error = np.linalg.norm(robot[:, columns] - tips, axis=-1)
     error[np.concatenate([each.status for each in commands]) != Status.OK] = np.nan
     worst_tip = error.max(axis=-1)
-    reached = np.where(np.isnan(worst_tip), np.nan, worst_tip <= REACHED * hand_length(hand))
+    from_place = np.linalg.norm(robot[:, columns] - _places(hand, human, robot), axis=-1)
+    nearest = np.fmin(error, from_place).max(axis=-1)
+    reached = np.where(np.isnan(worst_tip), np.nan, nearest <= REACHED * hand_length(hand))
     looks = [_looks(recording) for recording in recordings]
     depths = penetration_depths(
         hand, np.concatenate([c.joint_positions[at] for c, at in zip(commands, looks, strict=True)])
@@ -131,6 +135,19 @@ def quality_tracks(
             }
         )
     return tracks
+
+
+def _places(
+    hand: Hand, human: Float[np.ndarray, "T 21 3"], robot: Float[np.ndarray, "T k 3"]
+) -> Float[np.ndarray, "T f 3"]:
+    """Where fingers of the human's posture and the robot's lengths have their tips [m]."""
+    names, numbers = hand.tree.names, [FINGERS.index(name) for name in hand.fingers]
+    bases = robot[:, [names.index(LANDMARKS[BASES[finger]]) for finger in numbers]]
+    points = human[:, [[BASES[finger] + i for i in range(4)] for finger in numbers]]
+    bones = np.linalg.norm(np.diff(points, axis=2), axis=-1).sum(axis=-1)
+    gain = hand.straight_pose.reach / np.maximum(bones, 1e-6)
+    places: np.ndarray = bases + gain[..., None] * (points[:, :, 3] - points[:, :, 0])
+    return places
 
 
 def hand_length(hand: Hand) -> float:
