@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations, product
 from typing import Final
 
 import mujoco
@@ -21,7 +20,6 @@ _APART: Final = 0.006  # distance of a thin plate's rods, between which no finge
 _SLENDER: Final = 0.02  # largest radius of a cylinder that is one capsule [m]
 _RIM: Final = 0.35  # radius of a wide cylinder's outer capsules, over the cylinder's
 _RING: Final = 10  # number of them
-_TINY: Final = 1e-9  # [m]
 
 
 def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
@@ -111,10 +109,14 @@ def shape_capsules(model: mujoco.MjModel, geom: int) -> Iterator[Capsule]:
         if kind == kinds.mjGEOM_MESH:
             middle, half = np.array(model.geom_aabb[geom]).reshape(2, 3)
         thin, wide, axis = (int(i) for i in np.argsort(half))
-        flat = kind != kinds.mjGEOM_ELLIPSOID and half[wide] > _FLAT * half[thin]
-        if flat or kind == kinds.mjGEOM_BOX:
-            edges = _mesh_edges(model, geom) if kind == kinds.mjGEOM_MESH else _box_edges(half)
-            rods = _strips(edges, (thin, wide, axis), float(middle[wide]), half)
+        thick, flat = float(half[thin]), half[wide] > _FLAT * half[thin]
+        shifts = strip_shifts(thick, float(half[wide]))
+        if kind == kinds.mjGEOM_BOX:
+            rods = [(s * np.eye(3)[wide], float(half[axis]) - thick, thick) for s in shifts]
+        elif kind == kinds.mjGEOM_MESH and flat:
+            from smooth_operator.hands.flat_meshes import mesh_rods  # few hands have meshes
+
+            rods = mesh_rods(model, geom, (thin, wide, axis), middle[wide] + shifts, thick)
         else:  # rounder than a box: one capsule of a mean width
             radius = float(np.sqrt(half[thin] * half[wide]))
             rods = [(middle, max(float(half[axis]) - radius, 0.0), radius)]
@@ -135,65 +137,9 @@ def _cylinder_rods(radius: float, half: float) -> list[tuple[np.ndarray, float, 
     return [(np.zeros(3), half - core, core), *((at, half - thin, thin) for at in ring)]
 
 
-def _strips(
-    edges: Float[np.ndarray, "e 2 3"],
-    axes: tuple[int, int, int],
-    middle: float,
-    half: Float[np.ndarray, "3"],
-) -> list[tuple[np.ndarray, float, float]]:
-    """Parallel rods across a flat part, each as thick and long as the part is in its strip.
-
-    Args:
-        edges: the part's straight edges [m]; they tell how far it reaches within a strip.
-        axes: its thin, its wide and its long axis.
-        middle: middle of the part along its wide axis [m].
-        half: half its measures [m].
-    """
-    thin, wide, long = axes
-    thick = float(half[thin])
-    spread = float(half[wide]) - thick
-    rows = 1 + int(np.ceil(2 * spread / max(thick, _APART))) if spread > 0.1 * thick else 1
-    rods = []
-    for shift in np.linspace(-spread, spread, rows) if rows > 1 else (0.0,):
-        at = middle + shift
-        points = _within(edges, wide, at - thick, at + thick)
-        if not len(points):
-            continue
-        low, high = points.min(axis=0), points.max(axis=0)
-        place, radius = (low + high) / 2, float(high[thin] - low[thin]) / 2
-        place[wide] = at
-        if radius > 0:
-            rods.append((place, max(float(high[long] - low[long]) / 2 - radius, 0.0), radius))
-    return rods
-
-
-def _within(
-    edges: Float[np.ndarray, "e 2 3"], axis: int, low: float, high: float
-) -> Float[np.ndarray, "n 3"]:
-    """Ends of what is left of the edges between two planes."""
-    first, last = edges[:, 0], edges[:, 1]
-    run = last[:, axis] - first[:, axis]
-    steep = np.where(np.abs(run) < _TINY, np.inf, run)
-    shares = (np.array([[low], [high]]) - first[:, axis]) / steep
-    start, end = np.clip(shares.min(axis=0), 0, 1), np.clip(shares.max(axis=0), 0, 1)
-    flat = np.isinf(steep)
-    start, end = np.where(flat, 0.0, start), np.where(flat, 1.0, end)
-    inside = np.where(flat, (first[:, axis] >= low) & (first[:, axis] <= high), end > start)
-    start, end = start[inside, None], end[inside, None]
-    first, last = first[inside], last[inside]
-    return np.concatenate([first + start * (last - first), first + end * (last - first)])
-
-
-def _box_edges(half: Float[np.ndarray, "3"]) -> Float[np.ndarray, "12 2 3"]:
-    corners = np.array(list(product((-1, 1), repeat=3)))
-    ends = [(a, b) for a, b in combinations(corners, 2) if np.abs(a - b).sum() == 2]
-    edges: np.ndarray = half * np.array(ends, float)
-    return edges
-
-
-def _mesh_edges(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "e 2 3"]:
-    mesh = int(model.geom_dataid[geom])
-    start, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    faces = model.mesh_face[start : start + count]
-    vertices = model.mesh_vert[int(model.mesh_vertadr[mesh]) :]
-    return np.asarray(vertices[faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)], float)
+def strip_shifts(thick: float, wide: float) -> Float[np.ndarray, " n"]:
+    """Middles of parallel rods across a flat part, by half its thickness and half its width [m]."""
+    spread = wide - thick
+    if spread <= 0.1 * thick:
+        return np.zeros(1)
+    return np.linspace(-spread, spread, 1 + int(np.ceil(2 * spread / max(thick, _APART))))
