@@ -72,15 +72,17 @@ class CapsulePairs:
         """Overlap of each pair [m] at (T, n) positions of all joints [rad], for some poses at a
         time, so that a model of many shapes fits into memory; minus infinity where two capsules
         are far apart."""
-        if not len(self.pairs):
-            return
-        size = max(1, _BLOCK // len(self.pairs))
+        at = [self.tree.names.index(name) for name in self.names]
+        size = max(1, _BLOCK // max(len(self.pairs), 1))
         for start in range(0, len(q), size):
             rows = slice(start, min(start + size, len(q)))
-            yield rows, self._depths(capsule_ends(self, q[rows]))
+            points = np.asarray(self.tree.positions(q[rows]))[:, at]
+            yield rows, self._depths(points.reshape(len(points), len(self.capsules), 2, 3))
 
     def _depths(self, ends: Float[np.ndarray, "n C 2 3"]) -> Float[np.ndarray, "n P"]:
         middles, out = ends.mean(axis=2), np.full((len(ends), len(self.pairs)), -np.inf)
+        if not len(self.pairs):
+            return out
         bodies, at = np.unique([c.body for c in self.capsules], return_inverse=True)
         spread = 0.5 * np.linalg.norm(ends[0, :, 1] - ends[0, :, 0], axis=-1)
         spread += [capsule.radius for capsule in self.capsules]
@@ -134,7 +136,7 @@ def parts_apart(hand: Hand) -> CapsulePairs:
     shapes = np.where(shapes < 0, hand.model.ngeom + np.arange(len(shapes)), shapes)
     two = np.sort(shapes[pairs], axis=1)
     every = chosen_pairs(hand, capsules, pairs)
-    neutral = pose_depths(every, hand, hand.neutral)
+    ((_, (neutral,)),) = every.depths(hand.full_configuration(hand.neutral)[None])
     touching = {tuple(at) for at in two[neutral > _ROUNDING].tolist()}
     return chosen_pairs(hand, capsules, pairs[[tuple(at) not in touching for at in two.tolist()]])
 
@@ -260,22 +262,6 @@ def _meeting(hand: Hand, every: CapsulePairs) -> np.ndarray:
         order = [k for k in these[np.argsort(-counts[these], kind="stable")] if meet[k]]
         ranked += [(rank, -int(counts[k]), int(k)) for rank, k in enumerate(order)]
     return np.array(sorted(which for *_, which in sorted(ranked)[:MOST]), int)
-
-
-def pose_depths(
-    pairs: CapsulePairs, hand: Hand, pose: Float[np.ndarray, " m"]
-) -> Float[np.ndarray, " P"]:
-    """(P,) overlap of each pair [m] at positions of the actuated joints [rad]."""
-    for _, depths in pairs.depths(hand.full_configuration(pose)[None]):
-        return np.asarray(depths[0])
-    return np.empty(0)
-
-
-def capsule_ends(pairs: CapsulePairs, q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T C 2 3"]:
-    """First and second end of each capsule in the palm frame [m], at positions of all joints."""
-    points = np.asarray(pairs.tree.positions(q))
-    rows = [pairs.tree.names.index(name) for name in pairs.names]
-    return points[:, rows].reshape(len(q), len(pairs.capsules), 2, 3)
 
 
 def _names(capsules: Sequence[Capsule]) -> tuple[str, ...]:

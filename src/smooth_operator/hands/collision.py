@@ -109,16 +109,15 @@ def shape_capsules(model: mujoco.MjModel, geom: int) -> Iterator[Capsule]:
         if kind == kinds.mjGEOM_MESH:
             middle, half = np.array(model.geom_aabb[geom]).reshape(2, 3)
         thin, wide, axis = (int(i) for i in np.argsort(half))
-        thick, flat = float(half[thin]), half[wide] > _FLAT * half[thin]
-        shifts = strip_shifts(thick, float(half[wide]))
+        thick, shifts = float(half[thin]), strip_shifts(float(half[thin]), float(half[wide]))
         if kind == kinds.mjGEOM_BOX:
             rods = [(s * np.eye(3)[wide], float(half[axis]) - thick, thick) for s in shifts]
-        elif kind == kinds.mjGEOM_MESH and flat:
+        elif kind == kinds.mjGEOM_MESH and half[wide] > _FLAT * thick:
             from smooth_operator.hands.flat_meshes import mesh_rods  # few hands have meshes
 
             rods = mesh_rods(model, geom, (thin, wide, axis), middle[wide] + shifts, thick)
         else:  # rounder than a box: one capsule of a mean width
-            radius = float(np.sqrt(half[thin] * half[wide]))
+            radius = float(np.sqrt(thick * half[wide]))
             rods = [(middle, max(float(half[axis]) - radius, 0.0), radius)]
     for middle, length, radius in rods:
         ends = middle + length * np.outer((-1, 1), np.eye(3)[axis])

@@ -62,7 +62,6 @@ def _within(
 
 def _mesh_edges(model: mujoco.MjModel, geom: int) -> Float[np.ndarray, "e 2 3"]:
     mesh = int(model.geom_dataid[geom])
-    start, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    faces = model.mesh_face[start : start + count]
+    faces = model.mesh_face[int(model.mesh_faceadr[mesh]) :][: int(model.mesh_facenum[mesh])]
     vertices = model.mesh_vert[int(model.mesh_vertadr[mesh]) :]
     return np.asarray(vertices[faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)], float)

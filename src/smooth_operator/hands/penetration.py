@@ -13,7 +13,6 @@ from smooth_operator.hands.capsules import (
     chosen_pairs,
     hand_capsules,
     parts_apart,
-    pose_depths,
 )
 from smooth_operator.hands.hand import Hand
 
@@ -87,7 +86,7 @@ def neutral_overlaps(hand: Hand) -> dict[tuple[str, str], float]:
     """
     model, capsules = hand.model, hand_capsules(hand)
     pairs = chosen_pairs(hand, capsules, candidate_pairs(hand, capsules))
-    depths = pose_depths(pairs, hand, hand.neutral)
+    ((_, (depths,)),) = pairs.depths(hand.full_configuration(hand.neutral)[None])
     out: dict[tuple[str, str], float] = {}
     for number in np.flatnonzero(depths > 0):
         bodies = [pairs.capsules[c].body for c in pairs.pairs[number]]
