@@ -365,6 +365,15 @@ def test_landmarks_of_another_shape_are_refused(fresh, shape):
         fresh(np.zeros(shape))
 
 
+def test_a_stamp_that_stands_still_is_refused(frames):
+    """The time of day in float32 changes every two minutes."""
+    for whole in (0.0, 1.5, 900.0):
+        assert HandFrame(frames[0], stamp=np.float32(whole)).stamp == whole
+    with pytest.raises(RecordingError, match=r"a float32, which near .* counts in steps of 128"):
+        HandFrame(frames[0], stamp=np.float32(1.7e9))
+    assert HandFrame(frames[0], stamp=np.float64(1.7e9)).stamp == 1.7e9
+
+
 def test_the_other_hand_is_refused(fresh, frames):
     with pytest.raises(ConfigError, match="a left human hand can't drive the right hand"):
         fresh(HandFrame(frames[0], side="left"))

@@ -88,7 +88,8 @@ class HandFrame:
         world: name of that world frame.
 
     Raises:
-        RecordingError: an array has the wrong shape.
+        RecordingError: an array has the wrong shape, or the stamp is of a type whose steps are over
+            1 ms at this time.
     """
 
     landmarks: Float[np.ndarray, "21 3"]
@@ -102,6 +103,12 @@ class HandFrame:
 
     def __post_init__(self) -> None:
         _set(self, "landmarks", _shaped(self.landmarks, (NUM_LANDMARKS, 3), "landmarks"))
+        stamp: object = self.stamp
+        if isinstance(stamp, np.floating) and (step := np.spacing(stamp)) > 1e-3:
+            raise RecordingError(
+                f"the stamp is a {stamp.dtype}, which near {stamp:g} s counts in steps of {step:g} "
+                "s: keep stamps as float64, or count from the start of the recording"
+            )
         _set(self, "stamp", None if self.stamp is None else float(self.stamp))
         _set(self, "side", as_side(self.side))
         finite = np.isfinite(self.landmarks).all(axis=-1)
