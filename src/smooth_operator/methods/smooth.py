@@ -233,9 +233,6 @@ class _Descents(NamedTuple):
     again: Bool[Array, ""]
 
 
-_TABLE: Final = 2
-
-
 @dataclass(frozen=True, eq=False)
 class Smooth(Method):
     """``smooth`` for one hand."""
@@ -489,7 +486,7 @@ class Smooth(Method):
             )
 
         worst, left, again = jnp.float32(jnp.inf), jnp.int32(BUDGET), jnp.bool_(True)
-        start = jnp.where(restart, _TABLE, 0)
+        start = jnp.where(restart, 2, 0)
         begin = _Descents(start, last, jnp.zeros_like(places), worst, left, again)
         end = lax.while_loop(lambda now: now.again, descent, begin)
         return end.pose, end.tips

@@ -119,13 +119,8 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
     blend: float = 1.0
 
     def __post_init__(self) -> None:
-        weights = ("w_set1", "w_set2", "w_default", "w_thumb", "w_between")
-        check_numbers(
-            self,
-            "targets.",
-            positive=("escape", "beta"),
-            not_negative=("eta1", "eta2", *weights),
-        )
+        weights = ("eta1", "eta2", "w_set1", "w_set2", "w_default", "w_thumb", "w_between")
+        check_numbers(self, "targets.", positive=("escape", "beta"), not_negative=weights)
         if not 0 < self.blend <= 1:
             raise ConfigError(f"blend must be in (0, 1], not {self.blend}")
         if not 0 < self.project <= self.escape:
