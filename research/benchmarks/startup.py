@@ -105,6 +105,7 @@ def first_command(job: Mapping[str, object], state: str, cache: Path) -> dict[st
         }
     elif state == "kept":
         environment["SMOOTH_OPERATOR_CACHE"] = str(cache / "kept")
+        environment["JAX_ENABLE_COMPILATION_CACHE"] = None  # the package keeps XLA's programs there
     start = time.time()  # wall clock: the child's own counters start with the child
     text = json.dumps({**job, "start": start})
     stages: dict[str, float] = child_json([sys.executable, CHILD], environment, text)
