@@ -129,6 +129,8 @@ def prepare(words: list[str]) -> None:
             before.append(["calibrate", "glove.npz", "--output", word])
     if "my_hand" in words and "add" not in words and "my_hand" not in hand_names():
         before.append(["hands", "add", "my_hand.urdf"])
+    if words[:2] == ["study", "power"] and not Path("my-study").exists():
+        before.append(["study", "new", "my-study", "--from", "draft.toml"])
     if words[0] == "study" and words[1] not in ("new", "power"):
         do_study(Path("my-study"))
     for command in before:
