@@ -222,7 +222,7 @@ class Allegro(Rig):
         self.hand.stuck.add(motor)
 
     def slow(self) -> None:
-        self.hand.friction *= 4
+        self.hand.friction *= 8
 
     def lose(self) -> None:
         self.faults.mute = True

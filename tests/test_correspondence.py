@@ -49,7 +49,7 @@ def follow(
         tips = jnp.asarray(points[list(TIPS)])
         steps = jnp.asarray(np.nan_to_num(points - last)[list(TIPS)])
         arguments = (jnp.asarray(points), tips, steps, steps, DT, jnp.bool_(i in restarts))
-        state, _ = step(state, *arguments)
+        state, *_ = step(state, *arguments)
         lengths.append(np.asarray(state.lengths))
         places.append(np.asarray(state.places))
         last = points

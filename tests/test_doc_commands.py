@@ -26,6 +26,7 @@ from test_docs import PAGES, PROJECT, README, relative_name
 
 from smooth_operator.cli.common_options import described
 from smooth_operator.cli.options import EXAMPLES, parse
+from smooth_operator.errors import ConfigError
 from smooth_operator.teleop.components import SINKS, SOURCES, build_sink, build_source
 
 LINES = {page: lines for page in PAGES if (lines := list(command_lines(page.read_text("utf-8"))))}
@@ -106,7 +107,7 @@ def test_what_does_not_run_is_in_a_page():
 def test_an_unknown_option_is_found():
     (line,) = command_lines("```bash\nsmooth-operator retarget a.npz --nope 3   # text\n```\n")
     assert line.words == ["retarget", "a.npz", "--nope", "3"]
-    with pytest.raises(SystemExit):
+    with pytest.raises(ConfigError, match="unknown option '--nope'"):
         parse(line.words)
 
 
