@@ -39,7 +39,11 @@ def test_a_result():
 
 def test_a_trajectory():
     commands = CommandTrajectory(
-        np.zeros((3, 4)), COMMAND.joint_names, np.array([0.0, 0.1, 0.2]), np.ones(3), np.array([0, 1, 0])
+        np.zeros((3, 4)),
+        COMMAND.joint_names,
+        np.array([0.0, 0.1, 0.2]),
+        np.ones(3),
+        np.array([0, 1, 0]),
     )
     assert repr(commands) == "<CommandTrajectory: 3 commands, 4 joints, 0.2 s, 2 with status OK>"
 
