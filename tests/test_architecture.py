@@ -94,10 +94,10 @@ is gone and still listed."""
 START = "methods.retargeter"
 """Module of ``Retargeter``, where the closure begins."""
 
-CLOSURE_LINES = 15_400
+CLOSURE_LINES = 15_500
 """Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
 
-LOADED_LINES = 9_950
+LOADED_LINES = 10_000
 """Most lines of the modules that a program has loaded when it has a default ``Retargeter``."""
 
 MAX_LINES = 700

@@ -24,9 +24,11 @@ from smooth_operator.landmarks import FINGERS
 from smooth_operator.methods.method import FrameClock
 from smooth_operator.methods.program import tick_after, ticks_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.rest_pose import spread_joints
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
+    FingerSpread,
     FingertipMotion,
     SelfCollision,
     SelfCollisionConfig,
@@ -334,6 +336,36 @@ def test_latches_close_near_and_open_far_and_change_no_target():
 
 class EveryVector(DirectionLength):
     part = "all"
+
+
+def test_fingers_spread_a_little_at_no_cost():
+    hand = load_hand("leap_hand")
+    term, index = FingerSpread(hand, 2.0), hand.joint_names.index("0")  # the index finger's spread
+    for name, off, cost in (("0", 0.15, 0.0), ("0", -0.5, 2 * 0.3**2), ("1", 0.9, 0.0)):
+        q = hand.neutral.copy()
+        q[hand.joint_names.index(name)] += off
+        assert float(term.cost(q, NO_GOAL)) == pytest.approx(cost, abs=1e-6)
+    slope, bend = term.derivatives(jnp.asarray(hand.neutral).at[index].add(-0.5), NO_GOAL)
+    expected = np.zeros(len(hand.neutral))
+    expected[index] = 2 * 2 * -0.3
+    np.testing.assert_allclose(slope, expected, atol=1e-5)
+    np.testing.assert_allclose(bend, np.where(expected != 0, 4.0, 0.0), atol=1e-6)
+    assert FingerSpread(load_hand("inspire_hand"), 2.0).is_off  # its fingers do not spread
+
+
+@pytest.mark.parametrize(
+    ("name", "joints"),
+    [
+        ("leap_hand", ["0", "4", "8"]),
+        ("shadow_hand", ["rh_FFJ4", "rh_MFJ4", "rh_RFJ4", "rh_LFJ5", "rh_LFJ4"]),
+        ("tesollo_dg5f", [f"rj_dg_{f}_1" for f in (2, 3, 4, 5)] + ["rj_dg_5_2"]),
+        ("ability_hand", []),
+    ],
+)
+def test_joints_that_spread_fingers_are_known(name, joints):
+    hand = load_hand(name)
+    names = np.array(hand.joint_names)[list(hand.actuated)]
+    assert names[spread_joints(hand)].tolist() == joints
 
 
 def slopes_of(

@@ -50,6 +50,7 @@ from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig, Straig
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
+    FingerSpread,
     FingertipMotion,
     FingertipPosition,
     FingertipPositionConfig,
@@ -97,6 +98,8 @@ class SmoothConfig(ObjectiveMethodConfig):
             the targets have latched to it, for fingers that move roll out what they hold. It falls
             as the motion weight does, so that a hand that opens is not held back.
         rest_pose: where the pull of Eq. (1) goes where fingertips are near their targets.
+        spread_weight: cost of a long finger that spreads by over 0.2 rad to a side, per squared
+            radian beyond.
         fingertip_position: cost of fingertips that are nearly where the human's are.
         self_collision: cost of parts of the hand inside each other.
         direction_length: cost of direction and length of the thumb-to-tip vectors.
@@ -120,6 +123,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     motion_speed: float = 0.1
     pinch_damping: float = 100.0
     rest_pose: RestPoseConfig = field(default_factory=RestPoseConfig)
+    spread_weight: float = 1.0
     fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
     self_collision: SelfCollisionConfig = field(
         default_factory=lambda: SelfCollisionConfig(weight=12000.0, grip=0.001)
@@ -148,7 +152,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         check_numbers(
             self,
             positive=("joint_speed", "rate_hz", "gap"),
-            not_negative=("motion_weight", "motion_speed", "pinch_damping"),
+            not_negative=("motion_weight", "motion_speed", "pinch_damping", "spread_weight"),
         )
 
     def build(self, hand: Hand) -> Smooth:
@@ -242,7 +246,7 @@ class Smooth(Method):
 
     @cached_property
     def objective(self) -> Objective:
-        """The terms that are minimised: those of Eq. (1), and four more."""
+        """The terms that are minimised: those of Eq. (1), and five more."""
         config = self.config
         vectors = Objective(self.hand, config.objective).keyvectors.vectors
         return Objective(
@@ -253,6 +257,7 @@ class Smooth(Method):
                 FingertipPosition(vectors, config.fingertip_position),
                 DirectionLength(vectors, config.direction_length),
                 SelfCollision(self.hand, config.self_collision),
+                FingerSpread(self.hand, config.spread_weight),
             ),
         )
 
@@ -504,6 +509,7 @@ SMOOTH_PRECISE: Final = replace(
     ),
     motion_weight=1300.0,
     pinch_damping=0.0,
+    spread_weight=0.0,
     direction_length=DirectionLengthConfig(),
     self_collision=SelfCollisionConfig(),
 )

@@ -97,7 +97,7 @@ class Objective:
 
     hand: Hand
     config: ObjectiveConfig
-    more: tuple[PointTerm, ...] = ()
+    more: tuple[PointTerm | JointTerm, ...] = ()
 
     @cached_property
     def layout(self) -> VectorLayout:
@@ -127,13 +127,13 @@ class Objective:
 
     @cached_property
     def point_terms(self) -> tuple[PointTerm, ...]:
-        """Terms of where points are: keyvectors, the method's, the preset's own."""
-        terms = (self.keyvectors, *self.more, *(t for t in self._own if isinstance(t, PointTerm)))
-        return tuple(term for term in terms if not term.is_off)
+        """Terms of where points are: keyvectors, then the method's and the preset's own."""
+        own = (term for term in self._own if isinstance(term, PointTerm))
+        return (self.keyvectors, *own)
 
     @cached_property
     def joint_terms(self) -> tuple[JointTerm, ...]:
-        """Terms of joint positions: neutral pose, velocity, the preset's own."""
+        """Terms of joints: neutral pose, velocity, then the method's and the preset's own."""
         neutral: np.ndarray = self.hand.neutral
         centre = neutral if self.config.pose_centre == "neutral" else np.zeros_like(neutral)
         velocity: JointTerm = Velocity()
@@ -141,12 +141,13 @@ class Objective:
             from smooth_operator.objective.published import SmoothL1Velocity  # of AKO alone
 
             velocity = SmoothL1Velocity(self.config.transition)
-        own = (t for t in self._own if isinstance(t, JointTerm) and not t.is_off)
+        own = (term for term in self._own if isinstance(term, JointTerm))
         return (NeutralPose(self.config.pose_weight, centre), velocity, *own)
 
     @cached_property
     def _own(self) -> tuple[Term, ...]:
-        return tuple(term.build(self.hand) for term in self.config.terms)
+        terms = (*self.more, *(term.build(self.hand) for term in self.config.terms))
+        return tuple(term for term in terms if not term.is_off)
 
     # Many poses, batch last
 

@@ -186,28 +186,19 @@ class StraightFingers:
 
     def __init__(self, hand: Hand) -> None:
         self.bends: list[tuple[int, int, float, float]] = []
-        centres, swept = [], []
-        straight = hand.straight_pose.q
-        for joint, (low, high) in enumerate(hand.limits):
-            q = np.tile(straight, (_POSES, 1))
-            q[:, joint] = np.linspace(low, high, _POSES)
-            swept.append((q[:, joint], hand.tips(hand.full_configuration(q)) - hand.wrist))
+        centres = []
         for f, name in enumerate(hand.fingers):
-            circles = []
-            for joint, (positions, every) in enumerate(swept):
-                tips = every[:, f]
-                if np.ptp(tips, axis=0).max() > _MOVES:
-                    circles.append((*_circle(tips), joint, positions, tips))
-            circles.sort(key=lambda one: -one[0])
-            parallel = [one for one in circles if abs(one[2] @ circles[-1][2]) > _PARALLEL]
+            circles = _circles(hand, f)
+            parallel = [one for one in circles if abs(one.axis @ circles[-1].axis) > _PARALLEL]
             if len(parallel) < 2 or name == "thumb":  # the thumb's other joint moves about
                 continue
-            centre = parallel[0][1]
-            for _, _, _, joint, positions, tips in parallel[1:]:
-                length = np.linalg.norm(tips - centre, axis=-1)
+            centre = parallel[0].centre
+            for one in parallel[1:]:
+                length = np.linalg.norm(one.tips - centre, axis=-1)
                 longest = int(np.argmax(length))
                 if longest < _POSES // 2 and length[longest] - length[0] > _SHORTER:
-                    self.bends.append((f, joint, float(positions[longest]), float(length[0])))
+                    angle = float(one.angles[longest])
+                    self.bends.append((f, one.joint, angle, float(length[0])))
                     centres.append(centre)
         self.centres = np.array(centres).reshape(-1, 3)
 
@@ -232,6 +223,51 @@ class StraightFingers:
         raised[joints] = longest
         low = jnp.where(bent, raised.astype(tips.dtype), limits[:, 0].astype(tips.dtype))
         return jnp.stack([low, jnp.asarray(limits[:, 1], tips.dtype)], axis=1)
+
+
+def spread_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
+    """(m,) mask of the actuated joints that turn a long finger sideways: their axis is across those
+    of two or more other joints, about which the finger bends."""
+    spread = np.zeros(len(hand.limits), bool)
+    for f, name in enumerate(hand.fingers):
+        circles = [] if name == "thumb" else _circles(hand, f)
+        axes = np.array([one.axis for one in circles]).reshape(-1, 3)
+        parallel = (np.abs(axes @ axes.T) > _PARALLEL).sum(axis=1)
+        if (parallel > 1).any():
+            spread[[one.joint for one in circles]] |= parallel == 1
+    return spread
+
+
+class _Circle(NamedTuple):
+    """Circle of a fingertip about an actuated joint of the straight hand.
+
+    Attributes:
+        radius: [m].
+        centre: (3,) from the robot's wrist [m].
+        axis: (3,) unit vector.
+        joint: number of the joint.
+        angles: (N,) positions of the joint [rad].
+        tips: (N, 3) fingertip at these, from the robot's wrist [m].
+    """
+
+    radius: float
+    centre: np.ndarray
+    axis: np.ndarray
+    joint: int
+    angles: np.ndarray
+    tips: np.ndarray
+
+
+def _circles(hand: Hand, finger: int) -> list[_Circle]:
+    """The circles of a finger's tip about each joint that moves it, the largest first."""
+    circles = []
+    for joint, (low, high) in enumerate(hand.limits):
+        q = np.tile(hand.straight_pose.q, (_POSES, 1))
+        q[:, joint] = angles = np.linspace(low, high, _POSES)
+        tips = hand.tips(hand.full_configuration(q))[:, finger] - hand.wrist
+        if np.ptp(tips, axis=0).max() > _MOVES:
+            circles.append(_Circle(*_circle(tips), joint, angles, tips))
+    return sorted(circles, key=lambda one: -one.radius)
 
 
 def _circle(points: Float[np.ndarray, "N 3"]) -> tuple[float, np.ndarray, np.ndarray]:

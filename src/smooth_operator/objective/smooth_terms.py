@@ -1,4 +1,5 @@
-"""Cost terms of ``smooth``: fingertip motion and position, direction and length, self-collision."""
+"""Cost terms of ``smooth``: motion and position of fingertips, direction and length, spread,
+self-collision."""
 
 from __future__ import annotations
 
@@ -11,13 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from smooth_operator.geometry import AnyKind
 from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments_apart
 from smooth_operator.hands.collision import owners
 from smooth_operator.hands.differential import PointKinematics, contracted
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
+from smooth_operator.objective.rest_pose import spread_joints
 from smooth_operator.objective.terms import (
     FrameGoal,
+    JointTerm,
     PointTerm,
     Quadratic,
     VectorSlopes,
@@ -129,6 +133,56 @@ class FingertipPosition(VectorTerm):
         return VectorSlopes(
             cost, weights[:, None] * errors, jnp.repeat(weights, 3).reshape(errors.shape)
         )
+
+
+SPREAD: Final = 0.2
+"""Angle to either side of neutral to which a finger may spread at no cost [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class FingerSpread(JointTerm):
+    """Long fingers that spread far have a cost: weight times the squared excess over ``SPREAD``.
+
+    The tip of a bent finger hardly moves with the joint that spreads it. Where that joint has a
+    wide range, as LEAP's of 1.05 rad, it would drift to its limit, from where the finger opens
+    along another way than the human's, and then leaps.
+
+    Attributes:
+        hand: the robot hand.
+        weight: cost per squared radian beyond ``SPREAD``.
+    """
+
+    hand: Hand
+    weight: float
+
+    @property
+    def is_off(self) -> bool:
+        """Without weight, or if no finger can spread as far."""
+        return is_off(self.weight) or not self._weights.any()
+
+    @cached_property
+    def _weights(self) -> Float[np.ndarray, " m"]:
+        beyond = np.abs(self.hand.limits - self.hand.neutral[:, None]).max(axis=1) > SPREAD
+        weights: np.ndarray = np.where(spread_joints(self.hand) & beyond, self.weight, 0.0)
+        return weights.astype(np.float32)
+
+    def _excess(self, q: AnyKind) -> AnyKind:
+        off = q - self.hand.neutral.astype(np.float32)
+        excess: AnyKind = off - off.clip(-SPREAD, SPREAD)
+        return excess
+
+    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+        """See ``JointTerm``."""
+        cost: AnyKind = (self._weights * self._excess(q) ** 2).sum(axis=-1)
+        return cost
+
+    def derivatives(
+        self, q: Float[Array, " m"], goal: FrameGoal
+    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+        """See ``JointTerm``."""
+        slopes = 2 * jnp.asarray(self._weights)
+        excess = self._excess(q)
+        return slopes * excess, jnp.where(excess == 0, 0.0, slopes)
 
 
 @dataclass(frozen=True)
