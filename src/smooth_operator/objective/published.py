@@ -18,12 +18,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.targets import LayoutT, TargetPolicy, Targets, base_weights
-from smooth_operator.objective.terms import (
-    FrameGoal,
-    JointTerm,
-    smooth_l1,
-    smooth_l1_slopes,
-)
+from smooth_operator.objective.terms import FrameGoal, JointTerm, smooth_l1, smooth_l1_slopes
 from smooth_operator.settings import check_numbers
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ of them is kept. It takes the human's direction of the last finger segments, whi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Final, NamedTuple
 
 import jax
@@ -187,8 +187,7 @@ class StraightFingers:
     def __init__(self, hand: Hand) -> None:
         self.bends: list[tuple[int, int, float, float]] = []
         centres = []
-        for f, name in enumerate(hand.fingers):
-            circles = _circles(hand, f)
+        for f, (name, circles) in enumerate(zip(hand.fingers, _circles(hand), strict=True)):
             parallel = [one for one in circles if abs(one.axis @ circles[-1].axis) > _PARALLEL]
             if len(parallel) < 2 or name == "thumb":  # the thumb's other joint moves about
                 continue
@@ -229,11 +228,10 @@ def spread_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
     """(m,) mask of the actuated joints that turn a long finger sideways: their axis is across those
     of two or more other joints, about which the finger bends."""
     spread = np.zeros(len(hand.limits), bool)
-    for f, name in enumerate(hand.fingers):
-        circles = [] if name == "thumb" else _circles(hand, f)
+    for name, circles in zip(hand.fingers, _circles(hand), strict=True):
         axes = np.array([one.axis for one in circles]).reshape(-1, 3)
         parallel = (np.abs(axes @ axes.T) > _PARALLEL).sum(axis=1)
-        if (parallel > 1).any():
+        if name != "thumb" and (parallel > 1).any():
             spread[[one.joint for one in circles]] |= parallel == 1
     return spread
 
@@ -258,16 +256,20 @@ class _Circle(NamedTuple):
     tips: np.ndarray
 
 
-def _circles(hand: Hand, finger: int) -> list[_Circle]:
-    """The circles of a finger's tip about each joint that moves it, the largest first."""
-    circles = []
+@lru_cache(maxsize=8)
+def _circles(hand: Hand) -> tuple[list[_Circle], ...]:
+    """For each finger, the circles of its tip about the joints that move it, the largest first."""
+    circles: tuple[list[_Circle], ...] = tuple([] for _ in hand.fingers)
     for joint, (low, high) in enumerate(hand.limits):
         q = np.tile(hand.straight_pose.q, (_POSES, 1))
         q[:, joint] = angles = np.linspace(low, high, _POSES)
-        tips = hand.tips(hand.full_configuration(q))[:, finger] - hand.wrist
-        if np.ptp(tips, axis=0).max() > _MOVES:
-            circles.append(_Circle(*_circle(tips), joint, angles, tips))
-    return sorted(circles, key=lambda one: -one.radius)
+        every = hand.tips(hand.full_configuration(q)) - hand.wrist
+        for own, tips in zip(circles, np.swapaxes(every, 0, 1), strict=True):
+            if np.ptp(tips, axis=0).max() > _MOVES:
+                own.append(_Circle(*_circle(tips), joint, angles, tips))
+    for own in circles:
+        own.sort(key=lambda one: -one.radius)
+    return circles
 
 
 def _circle(points: Float[np.ndarray, "N 3"]) -> tuple[float, np.ndarray, np.ndarray]:

@@ -266,14 +266,12 @@ class TeleopLoop:
                             self._command_stop()
                     done.wait(self.config.period)
 
-        thread = threading.Thread(target=stand_in, name="stop", daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
+        def end() -> None:
             done.set()
             self.controls.stops.put(None)
-            thread.join()
+
+        with _thread(stand_in, "stop", end):
+            yield
 
     def _command_stop(self) -> None:
         """Send each hand the next command of an emergency stop."""
@@ -295,13 +293,20 @@ class TeleopLoop:
                 if silence > self.config.safety.watchdog_s:
                     self.sinks.stalled(silence)
 
-        thread = threading.Thread(target=watch, name="watchdog", daemon=True)
-        thread.start()
-        try:
+        with _thread(watch, "watchdog", done.set):
             yield
-        finally:
-            done.set()
-            thread.join()
+
+
+@contextlib.contextmanager
+def _thread(work: Callable[[], None], name: str, end: Callable[[], None]) -> Iterator[None]:
+    """A thread that works inside the block; ``end`` makes it return."""
+    thread = threading.Thread(target=work, name=name, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        end()
+        thread.join()
 
 
 Change: TypeAlias = Callable[["HandPipeline"], None]
