@@ -65,9 +65,9 @@ def main(settings: Settings) -> None:
                 counts = null_counts(design, share, preference, settings)
                 errors.append([design, f"{100 * share:g}", f"{preference:g}", *_cells(counts)])
         for share in OTHERS:
-            found = power_counts(design, share, settings)
+            counts = power_counts(design, share, settings)
             cells = [
-                _percent(found[f"{what} {failures}"], settings.studies)
+                _percent(counts[f"{what} {failures}"], settings.studies)
                 for what in ("power", "error")
                 for failures in FAILURES
             ]

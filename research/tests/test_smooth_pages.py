@@ -73,7 +73,7 @@ def test_the_constants_of_the_offline_presets_are_the_pages(method):
 
 
 MARKED = ("docs/reference/benchmarks.md", "research/docs/looks.md", "research/docs/paper.md")
-"""Pages with figures of today's default, beside each of them a mark."""
+"""Pages with figures of today's default; a mark stands above each table."""
 
 
 @pytest.mark.parametrize("name", MARKED)

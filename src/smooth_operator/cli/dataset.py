@@ -172,12 +172,12 @@ def _print(summary: Summary) -> None:
         console.print(plain_table("dropped", ("limit", "episodes"), rows, left=1))
     for note in summary.notes:
         say(note)
-    kept = counted(summary.episode_frames, "frame")
+    frames = counted(summary.episode_frames, "frame")
     if summary.written_frames != summary.episode_frames:
-        kept += f", {summary.written_frames} in the data set"
+        frames += f", {summary.written_frames} in the data set"
     say(
         f"{counted(summary.clips, 'clip')} ({counted(summary.frames, 'frame')}): "
-        f"{counted(summary.episodes, 'episode')} ({kept}) kept, "
+        f"{counted(summary.episodes, 'episode')} ({frames}) kept, "
         f"{counted(summary.dropped, 'part')} ({counted(summary.dropped_frames, 'frame')}) "
         f"dropped, {len(summary.failed)} failed"
     )

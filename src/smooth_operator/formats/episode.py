@@ -372,7 +372,7 @@ def _check_positions(commands: CommandTrajectory, where: str) -> None:
     """Positions are numbers of joints, but where the status says that there is no command.
 
     Raises:
-        RecordingError: with the first command and joint that is none.
+        RecordingError: a position is not finite or too large; names the first command and joint.
     """
     positions = np.asarray(commands.joint_positions, np.float64)
     good = np.abs(positions) <= MOST_RAD  # NaN compares as False

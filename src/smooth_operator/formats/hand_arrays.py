@@ -167,7 +167,7 @@ def own_stamps(
     """Stamps of a file; those of a rate where one is given and all stamps are equal, so no times.
 
     Raises:
-        ConfigError: the rate is none that a tracker has.
+        ConfigError: the rate is outside the range of trackers.
     """
     if rate is not None and len(stamps) > 2 and (stamps == stamps[0]).all():
         return stamps_from_rate(len(stamps), rate, where)

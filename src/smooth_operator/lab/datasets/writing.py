@@ -391,9 +391,9 @@ def _nothing_kept(summary: Summary, figures: FigureTable, limits: Limits) -> lis
         if hasattr(limits, name):
             option = f"--{name.replace('_', '-')} {getattr(limits, name)}"
             line = f"{count} of {summary.dropped} break {option}"
-        found = figures.dropped.get(_FIGURE_OF.get(name, ""))
-        if found:
-            line += f"; the parts have {min(found):.2g} to {max(found):.2g}"
+        values = figures.dropped.get(_FIGURE_OF.get(name, ""))
+        if values:
+            line += f"; the parts have {min(values):.2g} to {max(values):.2g}"
         lines.append(line)
     lines.append(
         "Look at report.html, then give other limits: nothing is retargeted again. "
