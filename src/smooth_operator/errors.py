@@ -157,3 +157,8 @@ def listed(names: Iterable[object], most: int = 12) -> str:
     words = [str(name) for name in names]
     shown = [word if len(word) <= 40 else f"{word[:37]}..." for word in words[:most]]
     return ", ".join(shown) + (f" and {len(words) - most} more" if len(words) > most else "")
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 frame``, ``2 frames``; for nouns with a regular plural."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -79,11 +79,6 @@ SUMMARY: Final = (
 """The five figures of ``demo`` and ``retarget``: shape, pinches, collision, steadiness, speed."""
 
 
-def counted(number: int, noun: str) -> str:
-    """``1 frame``, ``2 frames``; for nouns with a regular plural."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
 class Progressing:
     """Notes and a progress bar on standard error.
 

@@ -149,9 +149,9 @@ def convert(options: Convert) -> None:
 def _write_dataset(
     options: Convert, loads: list[functools.partial[Episode]], progress: Progressing
 ) -> None:
-    from smooth_operator.cli.console import counted
     from smooth_operator.cli.outputs import folder_for
     from smooth_operator.episode_files.lerobot import write_dataset
+    from smooth_operator.errors import counted
     from smooth_operator.formats.registry import is_dataset
     from smooth_operator.teleop.recording.convert import check_target
 
@@ -324,7 +324,7 @@ def _track(path: Path, options: Convert) -> Episode:
 
 
 def _described(episode: Episode) -> str:
-    from smooth_operator.cli.console import counted
+    from smooth_operator.errors import counted
 
     parts = []
     if episode.recording is not None:

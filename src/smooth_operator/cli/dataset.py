@@ -7,11 +7,11 @@ from typing import Any
 
 from rich.progress import Progress as Bar
 
-from smooth_operator.cli.console import Progressing, counted, output_console, plain_table
+from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.cli.session import requested
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, counted
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
 from smooth_operator.lab.datasets.quality import NO_LIMITS, Limits

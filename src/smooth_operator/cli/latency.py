@@ -60,7 +60,8 @@ def latency(options: Latency) -> None:
 
 
 def _print(path: Path, timing: Mapping[str, Any]) -> None:
-    from smooth_operator.cli.console import counted, output_console, plain_table
+    from smooth_operator.cli.console import output_console, plain_table
+    from smooth_operator.errors import counted
 
     console = output_console()
     rows = {**timing["stages_ms"], "added: received to sent": timing.get("added_latency_ms", {})}

@@ -21,7 +21,7 @@ from smooth_operator.cli.common_options import (
     Ordered,
     Retargeting,
 )
-from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.errors import ConfigError, OutputError, RecordingError, counted
 from smooth_operator.terminal import printable
 
 if TYPE_CHECKING:
@@ -277,17 +277,17 @@ def summarise(entries: Iterable[Entry], seconds: float) -> dict[str, Any]:
 
 def _tell(todo: Survey, progress: Progressing) -> None:
     finished = sum(entry.state == "kept" for entry in todo.settled)
-    line = f"{_count(len(todo.jobs), 'recording')} to retarget"
+    line = f"{counted(len(todo.jobs), 'recording')} to retarget"
     if finished:
         line += f", {finished} done already"
     if todo.commands:
-        line += f"; passed over {_count(todo.commands, 'file')} with commands and no hand"
+        line += f"; passed over {counted(todo.commands, 'file')} with commands and no hand"
     progress.note(line)
     if todo.leftovers:
-        progress.note(f"deleted {_count(todo.leftovers, 'unfinished file')} of a run that died")
+        progress.note(f"deleted {counted(todo.leftovers, 'unfinished file')} of a run that died")
     if todo.remade:
         progress.note(
-            f"making {_count(todo.remade, 'result')} again: damaged, or of another configuration, "
+            f"making {counted(todo.remade, 'result')} again: damaged, or of another configuration, "
             "recording or version of the code",
             matters=True,
         )
@@ -323,7 +323,7 @@ def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
 
     console = output_console(250)
     speed = summary["frames_per_s"]
-    line = f"{_count(summary['done'], 'recording')} done"
+    line = f"{counted(summary['done'], 'recording')} done"
     if speed is not None:
         line += f" ({summary['frames']} frames in {summary['seconds']:.1f} s, {speed:.0f} a second)"
     line += f", {summary['kept']} kept, {summary['failed']} failed"
@@ -343,17 +343,13 @@ def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
     assumed = sum(entry["side_assumed"] for entry in recordings)
     if assumed:
         console.print(
-            f"{_count(assumed, 'recording')} do not state the side; assuming right. Use --side "
+            f"{counted(assumed, 'recording')} do not state the side; assuming right. Use --side "
             "left otherwise",
             soft_wrap=True,
         )
     if summary["held"]:
         console.print(
-            f"repeating the last good command: {_count(summary['held'], 'frame')}", soft_wrap=True
+            f"repeating the last good command: {counted(summary['held'], 'frame')}", soft_wrap=True
         )
     console.print(line, markup=False, soft_wrap=True)
     console.print(f"result of each: {output / SUMMARY}", markup=False, soft_wrap=True)
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" + ("" if number == 1 else "s")

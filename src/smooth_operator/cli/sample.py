@@ -45,8 +45,9 @@ _SUFFIXES: Final = (".npz", ".mcap", ".h5", ".hdf5")
 
 def sample(options: Sample) -> None:
     """Records the operator and writes the file."""
-    from smooth_operator.cli.console import Progressing, counted
+    from smooth_operator.cli.console import Progressing
     from smooth_operator.cli.outputs import folder_for
+    from smooth_operator.errors import counted
     from smooth_operator.formats.episode import Episode
     from smooth_operator.teleop.recording import write_episode
 

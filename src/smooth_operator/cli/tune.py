@@ -6,11 +6,11 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 
-from smooth_operator.cli.console import Progressing, counted, output_console, plain_table
+from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.cli.tune_options import Tune
 from smooth_operator.compilation.start import dispatch_here
-from smooth_operator.errors import ConfigError
+from smooth_operator.errors import ConfigError, counted
 from smooth_operator.lab import tuning
 from smooth_operator.lab.offline.finished import claimed
 from smooth_operator.lab.tuning.search_plan import Bound, figure

@@ -9,6 +9,7 @@ import numpy as np
 
 from smooth_operator.baselines.slsqp import ScipySlsqpConfig
 from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
+from smooth_operator.errors import counted
 from smooth_operator.methods.sbr import SBR_PAPER
 from smooth_operator_research.paper.compared_solvers import Slsqp
 from smooth_operator_research.paper.experiment import (
@@ -16,7 +17,6 @@ from smooth_operator_research.paper.experiment import (
     ExperimentContext,
     Outcome,
     Table,
-    counted,
 )
 from smooth_operator_research.paper.figures import compute_figure
 from smooth_operator_research.paper.intervals import Estimate, Samples, contrast, typical

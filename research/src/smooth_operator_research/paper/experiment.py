@@ -14,7 +14,7 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
-from smooth_operator.errors import DocumentError, UnknownNameError
+from smooth_operator.errors import DocumentError, UnknownNameError, counted
 from smooth_operator.formats.environment import environment
 from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
@@ -376,11 +376,6 @@ Advance: TypeAlias = Callable[[str, float], None]
 
 Track: TypeAlias = Callable[[str, float], AbstractContextManager[Advance]]
 """Opens the display of a phase: its name, and how much work it is [ms, about]."""
-
-
-def counted(count: int, noun: str) -> str:
-    """A number with its noun."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def recordings_of(units: Sequence[str]) -> str:

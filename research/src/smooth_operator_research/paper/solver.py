@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from smooth_operator.baselines.slsqp import ScipySlsqpConfig
 from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
+from smooth_operator.errors import counted
 from smooth_operator.metrics.consistency import JOINTS_STILL
 from smooth_operator.reporting.drawing import INK
 from smooth_operator_research.paper.compared_solvers import Sampling, Slsqp, Solver, Starts
@@ -23,7 +24,6 @@ from smooth_operator_research.paper.experiment import (
     Outcome,
     Size,
     Table,
-    counted,
     recordings_of,
 )
 from smooth_operator_research.paper.figures import (

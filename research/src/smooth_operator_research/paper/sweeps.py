@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from smooth_operator.errors import RecordingError
+from smooth_operator.errors import RecordingError, counted
 from smooth_operator.synthetic.tracker import TrackerModel
 from smooth_operator_research.paper.experiment import (
     Drawing,
     ExperimentContext,
     Outcome,
     Table,
-    counted,
 )
 from smooth_operator_research.paper.figures import Column, Row, sweep_figure
 from smooth_operator_research.paper.follow import (

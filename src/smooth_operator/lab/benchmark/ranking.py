@@ -9,6 +9,7 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 from scipy.stats import rankdata
 
+from smooth_operator.errors import counted
 from smooth_operator.lab.benchmark.suite import (
     Row,
     row_key,
@@ -154,7 +155,7 @@ def sample_text(rows: Iterable[Row]) -> str:
         tracker: len({row_unit(row) for row in own}) for tracker, own in by_tracker(rows).items()
     }
     total = sum(counts.values())
-    words = f"{total} recording{'' if total == 1 else 's'}"
+    words = counted(total, "recording")
     parts = len({row["recording"] for row in rows})
     words += f" in {parts} parts" if parts > total else ""
     listed = ", ".join(f"{count} {tracker}" for tracker, count in counts.items())

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, file_name
+from smooth_operator.errors import counted
 from smooth_operator.hands.hand import Hand
 from smooth_operator.lab.benchmark import figures, ranking
 from smooth_operator.lab.benchmark.cells import Settings, method_label
@@ -242,7 +243,7 @@ def _heading(rows: Sequence[Row], failed: int) -> Html:
         ("hand", len(ranking.by_hand(rows))),
         ("method", len({row_method(row) for row in rows})),
     )
-    text = f"{', '.join(_count(n, what) for what, n in counts)}: {_count(len(rows), 'cell')}"
+    text = f"{', '.join(counted(n, what) for what, n in counts)}: {counted(len(rows), 'cell')}"
     text += f", {failed} of them failed" if failed else ""
     text += f". Measured {dates[-1][:16].replace('T', ' ')} UTC" if dates else ""
     return join([element("h1", "Retargeting benchmark"), paragraph(text, "soft")])
@@ -255,7 +256,7 @@ def _hand(
     good = [row for row in rows if row["status"] == "ok"]
     count, several = len({row_unit(row) for row in good}), len({r["recording"] for r in good}) > 1
     lines, trackers = overall(rows), ranking.by_tracker(rows)
-    mind = f" {_count(count, 'recording')}: on others the order may be another."
+    mind = f" {counted(count, 'recording')}: on others the order may be another."
     with styled():
         drawn = figures.tradeoff_figure(rows, colors)
     caption = "Accuracy against smoothness: the lower left corner is best. "
@@ -459,7 +460,3 @@ def _words(value: object) -> str:
     if isinstance(value, (list, tuple)):
         return ", ".join(_words(inner) for inner in value)
     return "–" if value is None else str(value)
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import PurePath
 from typing import Any, Final
 
+from smooth_operator.errors import counted
 from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, SIMULATED, css, finger_colors
 
 _SLOW_S: Final = 0.25
@@ -94,14 +95,10 @@ def _facts(quality: Any) -> list[tuple[bool, str]]:
     return [
         *[(True, f"{words} {s:.1f} s") for words, s in held if s >= _SHORTEST_S],
         (quality.lost_s >= _SHORTEST_S, f"{quality.lost_s:.1f} s without the tracker"),
-        (quality.unused > 0, _counted(quality.unused, "unusable frame")),
-        (quality.jumps > 0, _counted(quality.jumps, "jump")),
+        (quality.unused > 0, counted(quality.unused, "unusable frame")),
+        (quality.jumps > 0, counted(quality.jumps, "jump")),
         (bool(quality.collision), collision),
     ]
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
