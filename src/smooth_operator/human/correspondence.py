@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
-from smooth_operator.settings import check_numbers, is_off
+from smooth_operator.settings import check_numbers
 
 _SUDDEN: Final = 0.2  # share of a length by which one frame may differ and count in full
 _SETTLED: Final = 1.0  # time after which small differences no longer count [s]
@@ -47,8 +47,6 @@ class CorrespondenceConfig:
         thumb_share: weight of a near finger in the thumb's place; that of the thumb's own is 1.
         thumb_follows: the same of a finger at any distance: the thumb's side of the hand stays the
             human's.
-        tilt: share of the palm's tilt (``palm_tilt_deg``) by which long fingers that do not pinch
-            are turned back: 1 lays a flat human hand on the robot's flat hand.
         faster: by how much a fingertip's place may move faster than the human's fingertip [m/s].
         span: averaging time of the operator's lengths [s].
     """
@@ -60,7 +58,6 @@ class CorrespondenceConfig:
     folded: float = 0.35
     thumb_share: float = 0.6
     thumb_follows: float = 0.1
-    tilt: float = 0.0
     faster: float = 0.2
     span: float = 10.0
 
@@ -69,17 +66,14 @@ class CorrespondenceConfig:
             self,
             "correspondence.",
             positive=("longest", "far", "faster", "span"),
-            not_negative=("share", "near", "folded", "thumb_share", "thumb_follows", "tilt"),
+            not_negative=("share", "near", "folded", "thumb_share", "thumb_follows"),
         )
         if not self.near < self.far:
             raise ConfigError(
                 f"correspondence.near {self.near} must be less than correspondence.far {self.far}"
             )
-        for name in ("share", "tilt"):
-            if getattr(self, name) > 1:
-                raise ConfigError(
-                    f"correspondence.{name} must be 0 to 1, not {getattr(self, name)}"
-                )
+        if self.share > 1:
+            raise ConfigError(f"correspondence.share must be 0 to 1, not {self.share}")
 
 
 class CorrespondenceState(NamedTuple):
@@ -146,20 +140,6 @@ class Correspondence:
         lengths[thumb] = np.linalg.norm(np.diff(joints, axis=1), axis=-1).sum(axis=-1).mean()
         return points[rows].astype(np.float32), lengths
 
-    def _turned(self, rays: Float[Array, "F 3"]) -> Float[Array, "F 3"]:
-        """Vectors of the fingers, those of the long ones turned back by the palm's tilt."""
-        if is_off(self.config.tilt):
-            return rays
-        from smooth_operator.human.flat_hand import human_palm_axes, palm_tilt_deg
-
-        axes = human_palm_axes(self.hand)
-        angle = self.config.tilt * np.deg2rad(palm_tilt_deg(self.hand))
-        palmar, distal = (np.asarray(axis, rays.dtype) for axis in (axes.palmar, axes.distal))
-        flat = np.outer(palmar, palmar) + np.outer(distal, distal)  # the plane of the turn
-        turn = np.eye(3, dtype=rays.dtype) + (jnp.cos(angle) - 1) * flat
-        turn = turn + jnp.sin(angle) * (np.outer(distal, palmar) - np.outer(palmar, distal))
-        return jnp.concatenate([rays[:1], (rays[1:] @ turn.T).astype(rays.dtype)])
-
     def init(self) -> CorrespondenceState:
         """State of an operator before the first frame."""
         count = len(self.hand.fingers)
@@ -199,7 +179,7 @@ class Correspondence:
             lengths=jnp.where(unseen, lengths, before.lengths),
         )
         operator = self._measured(before, aligned, dt, restart)
-        places, gain, nearest = self._places(operator, tips)
+        places, gain = self._places(operator, tips)
         # a finger of twice the length moves twice as fast, which is more than a robot can follow;
         # and it doubles what the landmark filter catches up with after the human has stopped
         shorter = jnp.minimum((steps * steps).sum(-1), (measured * measured).sum(-1))
@@ -208,7 +188,6 @@ class Correspondence:
         way = places - last
         places = last + _shortened(way, most)
         behind = last + way - places
-        steps = steps + (1 - nearest)[:, None] * (self._turned(steps) - steps)
         moves = _shortened(gain[:, None] * steps, most)
         return operator._replace(places=places), moves, jnp.sqrt((behind * behind).sum(-1))
 
@@ -247,22 +226,19 @@ class Correspondence:
 
     def _places(
         self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
-    ) -> tuple[Float[Array, "F 3"], Float[Array, " F"], Float[Array, " F"]]:
-        """Places of the fingertips, with a continuous slope, the gain of their motion, and their
-        nearness to a pinch.
+    ) -> tuple[Float[Array, "F 3"], Float[Array, " F"]]:
+        """Places of the fingertips, with a continuous slope, and the gain of their motion.
 
         Of the human's vectors h_i from thumb to finger i, places T by the fingers alone, gains g,
         closeness c_i and nearness n_i (closeness of an unfolded finger) of 0 to 1, and weights
         w_i = thumb_follows + thumb_share c_i, the places P are
         P_0 = (T_0 + sum w_i (T_i - h_i (g_i - c_i (g_i - 1)))) / (1 + sum w_i),
         P_i = T_i + n_i (P_0 + h_i - T_i).
-        With a tilt, T_i is turned, and h_i in P_0 too, the less the closer.
         """
         config = self.config
         bases, reach = (jnp.asarray(part, tips.dtype) for part in self._robot)
         gain = jnp.minimum(reach / operator.lengths, config.longest)
-        turn = self._turned(tips - operator.bases) - (tips - operator.bases)
-        alone = bases + gain[:, None] * (tips - operator.bases + turn)
+        alone = bases + gain[:, None] * (tips - operator.bases)
         alone = tips + config.share * (alone - tips)
         gain = 1 + config.share * (gain - 1)
         human = tips[1:] - tips[0]
@@ -273,13 +249,12 @@ class Correspondence:
         unfolded = jnp.clip(0.5 + (extension - config.folded) / _FOLDS, 0.0, 1.0)
         nearness = close * _smooth_step(unfolded)
         weights = (config.thumb_follows + config.thumb_share * close)[:, None]
-        far = human + (1 - close)[:, None] * turn[1:]
-        scaled = far * (gain[1:] - close * (gain[1:] - 1))[:, None]
+        scaled = human * (gain[1:] - close * (gain[1:] - 1))[:, None]
         thumb = (alone[0] + (weights * (alone[1:] - scaled)).sum(0)) / (1 + weights.sum(0))
         fingers = alone[1:] + nearness[:, None] * (thumb + human - alone[1:])
         # fingers that pinch move as one
         nearest = jnp.concatenate([nearness.max()[None], nearness])
-        return jnp.concatenate([thumb[None], fingers]), gain + nearest * (1 - gain), nearest
+        return jnp.concatenate([thumb[None], fingers]), gain + nearest * (1 - gain)
 
 
 def _smooth_step(share: Float[Array, " n"]) -> Float[Array, " n"]:
