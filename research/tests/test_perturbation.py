@@ -9,16 +9,18 @@ from smooth_operator.baselines.joint_angle import joint_angles
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.palm import palm_axes
-from smooth_operator.landmarks import BASES, BONES, LANDMARKS
+from smooth_operator.landmarks import BASES, BONES, LANDMARKS, TIPS
 from smooth_operator.simulation.scenes import SCENES, ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.scene import OBJECT
 from smooth_operator.simulation.tasks import TASKS
+from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator_research.demonstrations.demonstration import (
     DemonstrationLandmarks,
     load_demonstration,
 )
 from smooth_operator_research.demonstrations.perturbation import (
     RANGES,
+    Perturbation,
     PerturbationRanges,
     PerturbedLandmarks,
     draw_perturbation,
@@ -33,8 +35,9 @@ def test_a_world_depends_on_its_seed_and_number_alone():
     first, again, other = (draw_perturbation(3, seed) for seed in (0, 0, 1))
     assert repr(first) == repr(again)
     assert first.mass != other.mass != draw_perturbation(4).mass
-    fewer = draw_perturbation(3, 0, replace(RANGES, friction=0.0, noise=0.0))
-    assert (fewer.friction, fewer.tracker.noise) == (1.0, 0.0)
+    fewer = draw_perturbation(3, 0, replace(RANGES, friction=0.0), "headset")
+    assert fewer.friction == 1.0
+    assert fewer.tracker == tracker_model("headset", first.tracker.seed)
     assert (fewer.mass, fewer.tracker.seed) == (first.mass, first.tracker.seed)
     with pytest.raises(ConfigError, match="friction"):
         PerturbationRanges(friction=-0.1)
@@ -46,8 +49,6 @@ def test_worlds_fill_their_ranges_and_world_0_is_unperturbed():
     assert 0.9 <= bones.min() < 0.92
     assert 1.08 < bones.max() <= 1.1
     assert max(abs(world.shift).max() for world in worlds) == pytest.approx(0.002, rel=0.05)
-    noise = [world.tracker.noise for world in worlds]
-    assert 0.0 <= min(noise) < 0.0001 < 0.0009 < max(noise) <= 0.001
     none, points = draw_perturbation(0), np.random.default_rng(0).normal(size=(21, 3))
     scene = scene_for("card", HAND)
     np.testing.assert_array_equal(none.scene(scene).start[0], scene.start[0])
@@ -117,26 +118,28 @@ def test_another_operator_shows_the_same_angles_with_other_bones():
         assert ratio == pytest.approx(factor), LANDMARKS[child]
 
 
-def test_frames_are_noisy_and_dropped_as_the_world_says():
-    base = draw_perturbation(2)
-    world = replace(base, tracker=replace(
-        base.tracker, noise=0.001, frame_loss=0.1, frame_loss_burst=0.04))  # fmt: skip
+def test_frames_come_late_and_at_the_trackers_rate_with_its_shake():
+    base = draw_perturbation(2, tracker="headset")
+    world = replace(base, tracker=replace(base.tracker, frame_loss=0.1, frame_loss_burst=0.1))
     source = DemonstrationLandmarks(load_demonstration("card"))
     physics = ScenePhysics(HAND, scene_for("card", HAND))
     state = physics.observe()
 
-    def frames(count: int) -> list[np.ndarray | None]:
+    def frames(world: Perturbation, times: np.ndarray) -> list[np.ndarray | None]:
         tracked = PerturbedLandmarks(source, world)
-        return [tracked.landmarks(-1.0 + 0 * k, state, physics) for k in range(count)]
+        return [tracked.landmarks(float(time), state, physics) for time in times]
 
-    first, again = frames(3000), frames(50)
-    lost = np.array([points is None for points in first])
-    assert 0.07 < lost.mean() < 0.13
-    bursts = lost.sum() / (np.diff(lost.astype(int)) == 1).sum()
-    assert 3.0 < bursts < 5.0
-    kept = np.array([points for points in first if points is not None])
-    assert (kept - world.operator(source.at(-1.0))).std() == pytest.approx(0.001, rel=0.05)
-    for one, two in zip(first, again, strict=False):
-        assert (one is None) == (two is None)
-        if one is not None and two is not None:
-            np.testing.assert_array_equal(one, two)
+    times = -100.0 + 0.01 * np.arange(9000)  # the hand is still
+    points = frames(world, times)
+    seen = np.array([frame for frame in points if frame is not None])
+    assert len(seen) == pytest.approx(0.9 * 30.0 * 90.0, rel=0.03)
+    shake = seen[:, TIPS] - world.operator(source.at(-100.0))[list(TIPS)]
+    assert shake.std() == pytest.approx(world.tracker.shake, rel=0.05)
+    for one, two in zip(points, frames(world, times[:300]), strict=False):
+        np.testing.assert_array_equal(one, two)
+    still = replace(base, tracker=replace(base.tracker, shake=0.0))
+    moving = 0.01 * np.arange(200)
+    for time, frame in zip(moving, frames(still, moving), strict=True):
+        if frame is not None:
+            late = source.at(time - base.tracker.delay)
+            np.testing.assert_allclose(frame, base.operator(late), atol=1e-12)

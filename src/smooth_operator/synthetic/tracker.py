@@ -3,28 +3,52 @@
 from __future__ import annotations
 
 import operator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from smooth_operator.errors import ConfigError
-from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.landmarks import BASES, NUM_LANDMARKS, TIPS
 from smooth_operator.poses import from_rotation_vectors
 from smooth_operator.settings import LARGEST, check_range
 
 _POINTS = NUM_LANDMARKS + 4  # the metacarpal bases are measured too
 
 
+def check_seed(name: str, value: int) -> None:
+    """Refuse a seed that isn't a whole number from 0 on.
+
+    Raises:
+        ConfigError: the seed is refused; names the setting and the value.
+    """
+    try:
+        good = operator.index(value) >= 0
+    except TypeError:
+        good = False
+    if not good:
+        raise ConfigError(f"{name} must be a whole number from 0 on, not {value!r}")
+
+
 @dataclass(frozen=True)
 class TrackerModel:
     """Imperfections of a tracker; all are off by default.
 
-    Loss comes in bursts: a two-state Markov chain (E. N. Gilbert, "Capacity of a Burst-Noise
-    Channel", Bell System Technical Journal 39, 1960) with the given share of losses and mean
-    length of a burst. The motion underneath is the same whatever is set here.
+    The palm is rigid, as the hand models of real trackers have it: wrist and finger bases never
+    move against each other. Each fingertip shakes by a first-order autoregression, the joints
+    below it by a third and two thirds of that. Loss comes in bursts: a two-state Markov chain
+    (E. N. Gilbert, "Capacity of a Burst-Noise Channel", Bell System Technical Journal 39, 1960)
+    with the given share of losses and mean length of a burst. The motion underneath is the same
+    whatever is set here.
 
     Attributes:
+        rate_hz: frame rate [Hz].
+        shake: standard deviation of each coordinate of each fingertip in the palm's frame [m].
+        shake_time: correlation time of that shake [s]; 0 is white.
+        delay: how long ago the hand was as a frame shows it [s].
+        pinch_gap: the nearest that thumb and fingertip ever seem [m]. A distance d is shown as
+            (d^3 + gap^3)^(1/3).
         noise: standard deviation of each coordinate of each landmark and metacarpal base [m].
         noise_time: correlation time of that noise [s]; 0 is white noise.
         rate_jitter: standard deviation of a frame's time about its even place, over the period. It
@@ -40,6 +64,11 @@ class TrackerModel:
         ConfigError: a value is outside its range.
     """
 
+    rate_hz: float = 100.0
+    shake: float = 0.0
+    shake_time: float = 0.0
+    delay: float = 0.0
+    pinch_gap: float = 0.0
     noise: float = 0.0
     noise_time: float = 0.0
     rate_jitter: float = 0.0
@@ -50,6 +79,11 @@ class TrackerModel:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        check_range("tracker rate_hz", self.rate_hz, 1.0, 10_000.0, "Hz")
+        check_range("tracker shake", self.shake, 0.0, 0.05, "m")
+        check_range("tracker shake_time", self.shake_time, 0.0, LARGEST, "s")
+        check_range("tracker delay", self.delay, 0.0, 1.0, "s")
+        check_range("tracker pinch_gap", self.pinch_gap, 0.0, 0.1, "m")
         check_range("tracker noise", self.noise, 0.0, 0.05, "m")
         check_range("tracker noise_time", self.noise_time, 0.0, LARGEST, "s")
         check_range("tracker rate_jitter", self.rate_jitter, 0.0, 0.45)
@@ -60,21 +94,72 @@ class TrackerModel:
         check_seed("tracker seed", self.seed)
 
 
+TRACKERS: Final = {
+    "glove": TrackerModel(rate_hz=100.0, shake=0.0002, shake_time=0.02, delay=0.01),
+    "headset": TrackerModel(rate_hz=30.0, shake=0.0005, shake_time=0.05, delay=0.05),
+    "camera": TrackerModel(rate_hz=30.0, shake=0.001, shake_time=0.05, delay=0.1, pinch_gap=0.015),
+}
+"""Trackers by kind."""
+
+
+def tracker_model(name: str, seed: int = 0) -> TrackerModel:
+    """The tracker of a kind: ``glove``, ``headset`` or ``camera``.
+
+    Args:
+        seed: seed of its shake and losses.
+
+    Raises:
+        UnknownNameError: there is no such kind.
+    """
+    if name not in TRACKERS:
+        raise UnknownNameError("tracker", name, TRACKERS)
+    return replace(TRACKERS[name], seed=seed)
+
+
 @dataclass(frozen=True, eq=False)
 class Ticks:
     """Imperfections at n successive ticks of the tracker's clock.
 
     Attributes:
+        model: the tracker.
         stamps: (n,) strictly increasing times [s].
         arrives: (n,) False for a lost frame.
         noise: (n, 25, 3) noise of the 21 landmarks and the 4 metacarpal bases [m], or None.
+        shake: (n, 5, 3) displacement of the fingertips, thumb first [m], or None.
         lost: (n, 21) True for a lost landmark.
     """
 
+    model: TrackerModel
     stamps: Float[np.ndarray, " n"]
     arrives: Bool[np.ndarray, " n"]
     noise: Float[np.ndarray, "n 25 3"] | None
+    shake: Float[np.ndarray, "n 5 3"] | None
     lost: Bool[np.ndarray, "n 21"]
+
+    def shown(self, landmarks: Float[np.ndarray, "n 21 3"]) -> Float[np.ndarray, "n 21 3"]:
+        """Where the tracker shows landmarks [m], whether or not it loses them."""
+        shown = np.array(landmarks)
+        if self.model.pinch_gap:
+            apart = shown[:, TIPS[1:]] - shown[:, TIPS[:1]]
+            distance = np.linalg.norm(apart, axis=-1, keepdims=True)
+            farther = np.cbrt(distance**3 + self.model.pinch_gap**3) - distance
+            push = np.zeros((len(shown), len(TIPS), 3))
+            push[:, 1:] = farther * apart / np.maximum(distance, 1e-9)
+            _move_fingertips(shown, push)
+        if self.shake is not None:
+            _move_fingertips(shown, self.shake)
+        if self.noise is not None:
+            shown += self.noise[:, :NUM_LANDMARKS]
+        return shown
+
+
+def _move_fingertips(
+    landmarks: Float[np.ndarray, "n 21 3"], by: Float[np.ndarray, "n 5 3"]
+) -> None:
+    """Move fingertips in place, and the joints below them by a third and two thirds of it."""
+    for finger, base in enumerate(BASES):
+        for joint in (1, 2, 3):
+            landmarks[:, base + joint] += joint / 3.0 * by[:, finger]
 
 
 class TrackerStream:
@@ -82,22 +167,24 @@ class TrackerStream:
 
     Args:
         model: imperfections of the tracker.
-        rate_hz: frame rate [Hz].
+        rate_hz: frame rate [Hz]; None for the model's.
     """
 
-    def __init__(self, model: TrackerModel, rate_hz: float) -> None:
+    def __init__(self, model: TrackerModel, rate_hz: float | None = None) -> None:
         self._model = model
+        rate_hz = model.rate_hz if rate_hz is None else rate_hz
         self._period = 1.0 / rate_hz
         self._tick = 0
         # a generator for each imperfection, so that one does not change the draws of another
-        self._clock, self._noise, frame, landmark = (
-            np.random.default_rng([int(model.seed), 0x7C, k]) for k in range(4)
+        self._clock, noise, frame, landmark, shake = (
+            np.random.default_rng([int(model.seed), 0x7C, k]) for k in range(5)
         )
         self._frames = _Bursts(frame, model.frame_loss, model.frame_loss_burst * rate_hz, 1)
         self._landmarks = _Bursts(
             landmark, model.landmark_loss, model.landmark_loss_burst * rate_hz, NUM_LANDMARKS
         )
-        self._drift: Float[np.ndarray, "25 3"] | None = None
+        self._noise = _Drift(noise, model.noise, model.noise_time / self._period, _POINTS)
+        self._shake = _Drift(shake, model.shake, model.shake_time / self._period, len(TIPS))
 
     def next(self, count: int) -> Ticks:
         """The next ``count`` ticks."""
@@ -108,22 +195,35 @@ class TrackerStream:
             ticks = np.maximum(ticks + np.clip(offset, -0.45, 0.45), 0.0)
         arrives = ~self._frames.next(count)[:, 0]
         return Ticks(
-            ticks * self._period, arrives, self._next_noise(count), self._landmarks.next(count)
+            self._model,
+            ticks * self._period,
+            arrives,
+            self._noise.next(count),
+            self._shake.next(count),
+            self._landmarks.next(count),
         )
 
-    def _next_noise(self, count: int) -> Float[np.ndarray, "n 25 3"] | None:
-        if not self._model.noise:
+
+class _Drift:
+    """First-order autoregression of points; ``time`` is its correlation time in ticks."""
+
+    def __init__(self, rng: np.random.Generator, deviation: float, time: float, points: int):
+        self._rng, self._deviation, self._points = rng, deviation, points
+        self._keep = float(np.exp(-1.0 / time)) if time else 0.0
+        self._last: Float[np.ndarray, "points 3"] | None = None
+
+    def next(self, count: int) -> Float[np.ndarray, "n points 3"] | None:
+        if not self._deviation:
             return None
-        noise = self._noise.normal(0.0, self._model.noise, (count, _POINTS, 3))
-        if self._model.noise_time:
-            # First-order autoregression with the variance of the white noise that drives it.
-            keep = float(np.exp(-self._period / self._model.noise_time))
-            drift = noise[0] if self._drift is None else self._drift
+        noise = self._rng.normal(0.0, self._deviation, (count, self._points, 3))
+        if self._keep:
+            last = noise[0] if self._last is None else self._last
             for k in range(count):
-                if k or self._drift is not None:
-                    drift = keep * drift + np.sqrt(1.0 - keep**2) * noise[k]
-                noise[k] = drift
-            self._drift = drift.copy()
+                if k or self._last is not None:
+                    # the variance of the white noise that drives it
+                    last = self._keep * last + np.sqrt(1.0 - self._keep**2) * noise[k]
+                noise[k] = last
+            self._last = last.copy()
         return noise
 
 
@@ -149,20 +249,6 @@ class _Bursts:
                 lost[k] = self._lost
                 self._lost = np.where(self._lost, draws[k] >= self._recover, draws[k] < self._lose)
         return lost
-
-
-def check_seed(name: str, value: int) -> None:
-    """Refuse a seed that isn't a whole number from 0 on.
-
-    Raises:
-        ConfigError: the seed is refused; names the setting and the value.
-    """
-    try:
-        good = operator.index(value) >= 0
-    except TypeError:
-        good = False
-    if not good:
-        raise ConfigError(f"{name} must be a whole number from 0 on, not {value!r}")
 
 
 _TERMS = 4

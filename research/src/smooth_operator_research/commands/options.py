@@ -141,6 +141,9 @@ Examples:
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Hand side. Default: the side of each recording."""
 
+    trackers: Annotated[str, arg(metavar="A,B")] = "glove,headset,camera"
+    """Kinds of trackers of `demonstrations`, with commas between them."""
+
     seed: int = 0
     """Seed of the methods' random numbers and of the units."""
 

@@ -54,6 +54,7 @@ def physics(options: Physics) -> None:
         measures=tuple(dict.fromkeys(options.measures)),
         hands=hands,
         methods=comma_words(options.methods),
+        trackers=comma_words(options.trackers),
         side=options.side or only_side(hands) or "right",
         **{name: getattr(options, name) for name in _SAME},
     )

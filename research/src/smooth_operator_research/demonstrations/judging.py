@@ -4,22 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
+from functools import cache, lru_cache
 from typing import Any, Final, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from smooth_operator.hands.capsules import parts_apart
 from smooth_operator.hands.collision import owners
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.landmark_filter import NoiseState, remove_noise
-from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS
-from smooth_operator.methods.smooth import SmoothConfig
+from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.task_scenes import CardScene
 from smooth_operator.simulation.tasks.task import (
@@ -75,20 +71,16 @@ def _allowed(hand: Hand) -> Float[np.ndarray, " P"]:
 _DAMPING: Final = 0.006  # of the inverse kinematics; joints move tips by 0.02 to 0.1 [m/rad]
 _STEP: Final = 1e-4  # of numerical derivatives [rad]
 _EVERY: Final = 5  # frames that share their derivatives
-_BLOCK: Final = 200  # frames
 
 
-def tip_errors(
-    demonstration: Demonstration, world: Perturbation, filtered: bool = False
-) -> Float[np.ndarray, "t f 3"]:
+def tip_errors(demonstration: Demonstration, world: Perturbation) -> Float[np.ndarray, "t f 3"]:
     """Distance of the fingertips that the operator shows from the demonstration's.
 
-    The operator's bones differ from the robot's, and the tracker adds noise to the palm's landmarks
-    too; so the alignment to the robot's palm, frame by frame, turns and scales the whole hand.
+    The operator's bones differ from the robot's, and the tracker shakes. Its delay is left out: it
+    is the same for all that is shown.
 
     Args:
         world: who the operator is, and the tracker; the object does not matter.
-        filtered: see ``joint_errors``.
 
     Returns:
         (t, f, 3) for each period of the demonstration and robot finger [m], in the palm frame.
@@ -97,52 +89,24 @@ def tip_errors(
     human, index = _human(demonstration)
     shown = np.stack([world.operator(frame) for frame in human])
     ticks = TrackerStream(world.tracker, 1.0 / PERIOD_S).next(len(shown))
-    if ticks.noise is not None:
-        shown = shown + ticks.noise[:, :NUM_LANDMARKS]
+    shown = ticks.shown(shown)
     aligned = np.asarray(palm_alignment(shown, hand).apply(shown))
     last = np.maximum.accumulate(np.where(ticks.arrives, np.arange(len(aligned)), 0))
-    tips = _filtered(aligned[last], tuple(index)) if filtered else aligned[last][:, index]
-    return np.asarray(tips - (human if filtered else human[last])[:, index])
+    return np.asarray((aligned - human)[last][:, index])
 
 
-def joint_errors(
-    demonstration: Demonstration, world: Perturbation, filtered: bool = False
-) -> Float[np.ndarray, "t m"]:
+def joint_errors(demonstration: Demonstration, world: Perturbation) -> Float[np.ndarray, "t m"]:
     """By how much each actuated joint is off if each fingertip goes where the operator's is.
 
     Args:
         world: see ``tip_errors``.
-        filtered: as ``smooth`` removes a tracker's noise, which leaves less of it and adds lag.
 
     Returns:
         (t, m) for each period of the demonstration [rad].
     """
-    error = tip_errors(demonstration, world, filtered)
+    error = tip_errors(demonstration, world)
     inverse = _inverse(demonstration)[np.arange(len(error)) // _EVERY]
     return np.asarray(np.einsum("tmr,tr->tm", inverse, error.reshape(len(error), -1)))
-
-
-def _filtered(
-    aligned: Float[np.ndarray, "t 21 3"], index: tuple[int, ...]
-) -> Float[np.ndarray, "t f 3"]:
-    """Some of the landmarks after the removal of noise; frames that were dropped come again."""
-    count = -(-len(aligned) // _BLOCK) * _BLOCK  # of few lengths, since each is compiled
-    padded = np.concatenate([aligned, np.repeat(aligned[-1:], count - len(aligned), axis=0)])
-    return np.asarray(_removed(padded, index))[: len(aligned)]
-
-
-@partial(jax.jit, static_argnums=1)
-def _removed(aligned: Array, index: tuple[int, ...]) -> Array:
-    config = SmoothConfig().tracker_noise
-
-    def frame(state: NoiseState, inputs: tuple[Array, Array]) -> tuple[NoiseState, Array]:
-        landmarks, first = inputs
-        return remove_noise(state, landmarks, index, PERIOD_S, config, first)
-
-    first = jnp.arange(len(aligned)) == 0
-    return jax.lax.scan(frame, NoiseState.unseen(len(index)), (aligned.astype(jnp.float32), first))[
-        1
-    ]
 
 
 @lru_cache(maxsize=4)
@@ -302,7 +266,6 @@ class Candidate:
         centre: text of the demonstration by which the operators' errors are computed; the same for
             all candidates of a generation, which are near it.
         share: share of those errors that counts.
-        filtered: see ``joint_errors``.
         margin: what a success with the best margin is worth more than one with none.
     """
 
@@ -310,7 +273,6 @@ class Candidate:
     worlds: tuple[World, ...]
     centre: str
     share: float = 1.0
-    filtered: bool = False
     margin: float = MARGIN
 
 
@@ -324,7 +286,7 @@ def judge(candidate: Candidate) -> list[float]:
     for world in candidate.worlds:
         errors = None
         if world.operator:
-            errors = candidate.share * _errors(candidate.centre, world, candidate.filtered)
+            errors = candidate.share * _errors(candidate.centre, world)
         reached = tried(candidate.demonstration, world, errors)
         more = candidate.margin / MARGIN * (reached - 1.0)
         values.append((1.0 + more if reached >= 1.0 else (1.0 - _SUCCESS) * reached) - penalty)
@@ -364,6 +326,6 @@ def _centre(text: str) -> Demonstration:
 
 
 @lru_cache(maxsize=64)
-def _errors(centre: str, world: World, filtered: bool) -> Float[np.ndarray, "t m"]:
+def _errors(centre: str, world: World) -> Float[np.ndarray, "t m"]:
     drawn = draw_perturbation(world.operator, world.seed)
-    return joint_errors(_centre(centre), drawn, filtered)
+    return joint_errors(_centre(centre), drawn)

@@ -6,13 +6,13 @@ World 0 is the unperturbed one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.landmarks import BASES, NUM_LANDMARKS, WRIST
+from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.settings import check_numbers
 from smooth_operator.simulation.scenes.physics import (
     FRICTION,
@@ -23,8 +23,8 @@ from smooth_operator.simulation.scenes.physics import (
     ScenePhysics,
 )
 from smooth_operator.simulation.scenes.scene import SceneState
-from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
-from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, LandmarkSource
+from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream, tracker_model
+from smooth_operator_research.demonstrations.trial_loop import LandmarkSource
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,6 @@ class PerturbationRanges:
         mass: share by which its mass and inertia differ.
         hand: share by which all the operator's bones differ from the demonstration's.
         finger: share by which the bones of each finger differ further.
-        noise: largest standard deviation of the tracker's noise, of each coordinate [m].
-        noise_time: largest correlation time of that noise [s]; 0 is white noise.
-        frame_loss: largest share of dropped frames.
-        frame_loss_burst: largest mean length of a gap [s]; the least is a frame.
     """
 
     shift: float = SHIFT_M
@@ -50,17 +46,10 @@ class PerturbationRanges:
     mass: float = MASS_SHARE
     hand: float = 0.07
     finger: float = 0.03
-    noise: float = 0.001
-    noise_time: float = 0.05
-    frame_loss: float = 0.1
-    frame_loss_burst: float = 0.05
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            not_negative=("shift", "turn", "friction", "mass", "hand", "finger", "noise",
-                          "noise_time", "frame_loss", "frame_loss_burst"),
-        )  # fmt: skip
+        names = ("shift", "turn", "friction", "mass", "hand", "finger")
+        check_numbers(self, not_negative=names)
 
 
 RANGES: Final = PerturbationRanges()
@@ -79,7 +68,7 @@ class Perturbation(ObjectVariation):
         number: number of the world; 0 for the unperturbed one.
         palm: factor of the operator's palm, from the wrist to the bases of the fingers.
         bones: (5,) factor of the bones of each human finger, thumb first.
-        tracker: its noise and dropped frames.
+        tracker: through which the operator is seen; a perfect one by default.
     """
 
     number: int = 0
@@ -98,26 +87,25 @@ class Perturbation(ObjectVariation):
 
 
 def draw_perturbation(
-    number: int, seed: int = 0, ranges: PerturbationRanges = RANGES
+    number: int, seed: int = 0, ranges: PerturbationRanges = RANGES, tracker: str = "glove"
 ) -> Perturbation:
-    """World ``number`` of a seed; number 0 is the unperturbed world.
+    """World ``number`` of a seed; number 0 is the unperturbed world, with a perfect tracker.
 
     What is drawn does not depend on the ranges: a range of 0 leaves its quantity out and changes
     no other one.
+
+    Args:
+        tracker: kind of tracker: ``glove``, ``headset`` or ``camera``.
+
+    Raises:
+        UnknownNameError: there is no such kind of tracker.
     """
+    model = tracker_model(tracker)
     if number == 0:
         return Perturbation()
     rng = np.random.default_rng([seed, number])
     unit = rng.uniform(-1.0, 1.0, 5 + len(BASES) + 1)
-    amount = rng.uniform(0.0, 1.0, 4)
     hand = 1.0 + ranges.hand * float(unit[5])
-    tracker = TrackerModel(
-        noise=ranges.noise * float(amount[0]),
-        noise_time=ranges.noise_time * float(amount[1]),
-        frame_loss=ranges.frame_loss * float(amount[2]),
-        frame_loss_burst=ranges.frame_loss_burst * float(amount[3]),
-        seed=int(rng.integers(2**31)),
-    )
     return Perturbation(
         number=number,
         shift=ranges.shift * unit[:2],
@@ -126,32 +114,33 @@ def draw_perturbation(
         mass=1.0 + ranges.mass * float(unit[4]),
         palm=hand,
         bones=hand + ranges.finger * unit[6:],
-        tracker=tracker,
+        tracker=replace(model, seed=int(rng.integers(2**31))),
     )
 
 
 class PerturbedLandmarks:
-    """Another operator's bones and a tracker's noise and dropped frames. A ``LandmarkSource``.
+    """Another operator's bones, seen through a tracker. A ``LandmarkSource``.
 
-    For one trial: its noise goes on from frame to frame.
-
-    Args:
-        rate_hz: frames a second [Hz].
+    For one trial: the tracker goes on from frame to frame. Between its frames there are no
+    landmarks, and a loop holds its last command.
     """
 
-    def __init__(
-        self, source: LandmarkSource, world: Perturbation, rate_hz: float = RATE_HZ
-    ) -> None:
+    def __init__(self, source: LandmarkSource, world: Perturbation) -> None:
         self._source, self._world = source, world
-        self._tracker = TrackerStream(world.tracker, rate_hz)
+        self._tracker = TrackerStream(world.tracker)
+        self._next = self._tracker.next(1)
+        self._start: float | None = None
 
     def landmarks(
         self, time: float, state: SceneState, physics: ScenePhysics
     ) -> Float[np.ndarray, "21 3"] | None:
         """See ``LandmarkSource``."""
-        points = self._source.landmarks(time, state, physics)
-        tick = self._tracker.next(1)
-        if points is None or not tick.arrives[0]:
+        if self._start is None:
+            self._start = time
+        tick = None
+        while self._next.stamps[0] <= time - self._start + 1e-9:
+            tick, self._next = self._next, self._tracker.next(1)
+        if tick is None or not tick.arrives[0]:
             return None
-        points = self._world.operator(points)
-        return points if tick.noise is None else points + tick.noise[0, :NUM_LANDMARKS]
+        points = self._source.landmarks(time - self._world.tracker.delay, state, physics)
+        return None if points is None else tick.shown(self._world.operator(points)[None])[0]

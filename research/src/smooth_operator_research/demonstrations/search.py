@@ -219,7 +219,6 @@ class Search:
         count: candidates in a generation.
         sigma: first standard deviation of a joint in a key pose [rad].
         share: share of the operators' errors that counts.
-        filtered: whether noise is removed from them; see ``joint_errors``.
         margin: what a success with the best margin is worth more than one with none.
 
     Attributes:
@@ -231,10 +230,10 @@ class Search:
 
     def __init__(
         self, first: Demonstration, worlds: int, seed: int, count: int,
-        sigma: float = _SIGMA, share: float = 1.0, filtered: bool = False, margin: float = MARGIN,
+        sigma: float = _SIGMA, share: float = 1.0, margin: float = MARGIN,
     ) -> None:  # fmt: skip
         hand = first.robot
-        self._hand, self._worlds, self._errors = hand, worlds, (share, filtered, margin)
+        self._hand, self._worlds, self._errors = hand, worlds, (share, margin)
         self.enough = 1.0 + _ENOUGH * margin
         self._free = _joints_of(hand)
         self.best: list[tuple[float, Demonstration]] = []
@@ -357,10 +356,6 @@ def main(arguments: list[str] | None = None) -> None:
         "--errors", type=float, default=1.0, help="share of the operators' errors; 0: none"
     )
     parser.add_argument(
-        "--filtered", action="store_true",
-        help="remove the noise from those errors as smooth does",
-    )  # fmt: skip
-    parser.add_argument(
         "--margin", type=float, default=MARGIN,
         help="what a success with the best margin is worth more than one with none",
     )  # fmt: skip
@@ -371,7 +366,7 @@ def main(arguments: list[str] | None = None) -> None:
     search = Search(
         _first(options.first, options.task, options.hand),
         options.worlds, options.seed, options.candidates,
-        options.sigma, options.errors, options.filtered, options.margin,
+        options.sigma, options.errors, options.margin,
     )  # fmt: skip
     if options.state is not None and options.state.exists():
         search.resume(options.state)

@@ -97,7 +97,7 @@ class TrialResult:
         ended: ``success``, ``drop``, ``timeout`` (the task's limit), or ``finished`` (the source's
             time is over).
         frames: how many frames the retargeter received since 'go'.
-        dropped: how many were dropped.
+        dropped: how many periods had none: dropped, or between two frames of a slower tracker.
         diverged: how often the physics diverged and was reset; such a trial measures nothing.
         resets: how often the object was put back.
         trace: what happened; None unless asked for.

@@ -40,7 +40,7 @@ from smooth_operator_research.physics.page import interval_drawings
 from smooth_operator_research.physics.results import Figure, MeasureResults, Row
 
 WORLDS: Final = 100
-"""Perturbed worlds of each task."""
+"""Perturbed worlds of each task and tracker."""
 
 QUICK_WORLDS: Final = 5
 STAYS_S: Final = 2.0
@@ -85,12 +85,12 @@ class Demonstrations:
                share=True),
         Figure("tip_error_mm", "mm", "down", "Distance of the commanded fingertips from the "
                "demonstration's, mean; in perturbed worlds the operator's other bones and the "
-               "noise are in it.", short="tip error", main=False),
+               "tracker's shake and delay are in it.", short="tip error", main=False),
     )  # fmt: skip
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
-        """The tasks."""
-        return tuple(TASKS)
+        """Each task with each tracker, as ``card headset``."""
+        return tuple(f"{task} {tracker}" for task in TASKS for tracker in settings.trackers)
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
         """World 0, which is unperturbed, and as many perturbed ones as are asked for."""
@@ -102,12 +102,14 @@ class Demonstrations:
 
     def run(self, case: Case) -> Measured:
         """One trial."""
-        task = _task(case.condition, case.hand_name, case.side)
-        world = draw_perturbation(*case.unit.data)
+        name, tracker = case.condition.split()
+        task = _task(name, case.hand_name, case.side)
+        number, seed = case.unit.data
+        world = draw_perturbation(number, seed, tracker=tracker)
         result = run_trial(
             case.retargeter(),
             world.scene(task.scene),
-            TASKS[case.condition],
+            TASKS[name],
             PerturbedLandmarks(task.landmarks, world),
             seconds=task.seconds,
             seed=case.seed,
@@ -116,8 +118,10 @@ class Demonstrations:
         )
         assert result.trace is not None
         perturbed = world.number > 0
-        own = _own_score(case.condition, case.hand_name, case.side, *case.unit.data)
+        own = _own_score(name, case.hand_name, case.side, number, seed)
         row: Row = {
+            "task": name,
+            "tracker": tracker,
             "unperturbed": None if perturbed else result.score,
             "success": float(result.score == 1.0) if perturbed else None,
             "success_half": float(result.score >= 0.5) if perturbed else None,
@@ -181,10 +185,6 @@ def _quantities(world: Perturbation) -> Row:
         "mass": world.mass,
         "palm": world.palm,
         **{f"bones_{k}": float(factor) for k, factor in enumerate(world.bones)},
-        "noise_mm": 1e3 * world.tracker.noise,
-        "noise_time_s": world.tracker.noise_time,
-        "frame_loss": world.tracker.frame_loss,
-        "frame_loss_burst_s": world.tracker.frame_loss_burst,
     }
 
 

@@ -26,6 +26,7 @@ from smooth_operator.lab.offline import built_for, execute
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import Plan
+from smooth_operator.synthetic.tracker import TRACKERS, tracker_model
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 from smooth_operator_research.physics.results import Figure, MeasureResults, Row
 
@@ -45,6 +46,7 @@ class PhysicsSettings:
         frames: ``A:B``, of each recording that brings no range of its own.
         rate: frames a second of recordings without stamps [Hz].
         layout: order of the landmarks in plain arrays; None for the project's own.
+        trackers: kinds of trackers that ``demonstrations`` takes.
         units: how many independent units (seeds, worlds, operators) each measure takes; None for
             as many as it takes by itself.
         quick: take fewer and shorter cases, to try things out.
@@ -54,7 +56,7 @@ class PhysicsSettings:
 
     Raises:
         ConfigError: a number is out of its range, or there is nothing to measure.
-        UnknownNameError: there is no such hand, method or preset.
+        UnknownNameError: there is no such hand, method, preset or tracker.
     """
 
     output: Path
@@ -66,6 +68,7 @@ class PhysicsSettings:
     frames: str | None = None
     rate: float | None = None
     layout: str | None = None
+    trackers: tuple[str, ...] = tuple(TRACKERS)
     units: int | None = None
     quick: bool = False
     seed: int = 0
@@ -79,6 +82,8 @@ class PhysicsSettings:
             raise ConfigError(f"the seed must be 0 or more, not {self.seed}")
         object.__setattr__(self, "hands", select_hands(self.hands))
         select_methods(self.methods)
+        for tracker in self.trackers:
+            tracker_model(tracker)
 
     def count(self, default: int, quick: int) -> int:
         """Number of units that a measure takes.
