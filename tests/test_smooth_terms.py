@@ -582,8 +582,7 @@ def test_no_gap_counts_as_a_short_one():
 
 def test_a_clock_of_frames_believes_stamps_at_every_rate():
     def dt(ticks: int, frames: int = 5) -> float:
-        period = np.float32(0.001)
-        clock = FrameClock.of(np.uint32(ticks), np.uint32(frames), period, 100.0, 0.25)
+        clock = FrameClock.of(np.uint32(ticks), np.uint32(frames), 100.0, 0.25)
         return float(clock.dt)
 
     for ticks in (500, 600, 999, 1000, 1001, 8000):  # 2 kHz is the fastest tracker

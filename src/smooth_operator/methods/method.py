@@ -43,8 +43,7 @@ class MethodOutput(NamedTuple):
     Attributes:
         q: (m,) positions of the actuated joints, within their limits [rad].
         tracking_loss: the method's own weighted tracking loss, without regularisation: for
-            keyvector methods the first term of Eq. (1). It is that of the solver's answer, which
-            ``q`` may follow at a limited speed.
+            keyvector methods the first term of Eq. (1).
     """
 
     q: Float[Array, " m"] | Float[np.ndarray, " m"]
@@ -328,27 +327,20 @@ def _replaced(config: C, **changes: Any) -> C:
     return cast(C, dataclasses.replace(cast(Any, config), **changes))
 
 
-_ADAPTS: Final = 0.05
-"""By how much of the difference the usual time between frames adapts in each of them."""
-
 _SHORTEST: Final = 0.5 / RATE_RANGE_HZ[1]
 """Shortest time between frames [s], half a period of the fastest tracker: frames that arrive in a
 bunch count as this far apart."""
 
 
 class FrameClock(NamedTuple):
-    """Clock of frames: it turns their stamps into times.
+    """Time since the last frame.
 
     Attributes:
-        dt: time since the last frame [s].
-        period: usual time between frames [s].
-        first: nothing came before.
-        restart: nothing came before, or too long ago to count as motion.
+        dt: that time [s].
+        restart: True if no frame came before, or too long ago to count as motion.
     """
 
     dt: Float[Array, ""]
-    period: Float[Array, ""]
-    first: Bool[Array, ""]
     restart: Bool[Array, ""]
 
     @classmethod
@@ -356,7 +348,6 @@ class FrameClock(NamedTuple):
         cls,
         passed: UInt32[Array, ""],
         frames: UInt32[Array, ""],
-        period: Float[Array, ""],
         rate_hz: float,
         gap: float,
     ) -> FrameClock:
@@ -365,15 +356,12 @@ class FrameClock(NamedTuple):
         Args:
             passed: ticks since the last one, in microseconds modulo 2^32.
             frames: number of frames before it.
-            period: usual time between them [s].
             rate_hz: rate that is assumed where stamps stand still.
             gap: longest time between frames that counts as motion [s].
         """
         elapsed = passed.astype(jnp.int32) * 1e-6
-        first = frames == 0
         # a stamp that goes back belongs to another recording
-        restart = first | (elapsed > gap) | (elapsed < 0)
+        restart = (frames == 0) | (elapsed > gap) | (elapsed < 0)
         stamped = (passed > 0) & ~restart
         dt = jnp.where(stamped, jnp.maximum(elapsed, _SHORTEST), 1 / rate_hz).astype(jnp.float32)
-        share = jnp.where(frames > 1, _ADAPTS, 1.0)
-        return cls(dt, jnp.where(stamped, period + share * (dt - period), period), first, restart)
+        return cls(dt, restart)

@@ -92,13 +92,11 @@ class OperatorState(NamedTuple):
         fingers: lengths of the operator's fingers, and the last places of the robot's fingertips.
         tips: (F, 3) the human's fingertips in the last frame [m].
         ticks: time of the last frame, in microseconds modulo 2^32.
-        period: usual time between frames [s].
     """
 
     fingers: CorrespondenceState
     tips: Float[Array, "F 3"]
     ticks: UInt32[Array, ""]
-    period: Float[Array, ""]
 
 
 class SbrState(NamedTuple):
@@ -151,8 +149,7 @@ class Sbr(Method):
         operator: OperatorState | tuple[()] = ()
         if not is_off(self.config.correspondence.share):
             fingers = self.correspondence.init()
-            ticks, period = jax.device_put((np.uint32(0), np.float32(1 / _RATE)))
-            operator = OperatorState(fingers, fingers.places, ticks, period)
+            operator = OperatorState(fingers, fingers.places, jax.device_put(np.uint32(0)))
         seeds, frames = jax.device_put((seed_words(seed), np.uint32(0)))
         return SbrState(
             jax.device_put(self.hand.neutral.astype(np.float32)),
@@ -219,7 +216,7 @@ class Sbr(Method):
         before = state.operator
         if not before:  # a tuple of arrays; empty without a correspondence
             return aligned, ()
-        clock = FrameClock.of(now - before.ticks, state.frames, before.period, _RATE, _GAP)
+        clock = FrameClock.of(now - before.ticks, state.frames, _RATE, _GAP)
         at = np.array(tips_of(self.hand.fingers))
         tips = aligned[at]
         steps = jnp.where(clock.restart, 0.0, tips - before.tips)
@@ -228,7 +225,7 @@ class Sbr(Method):
         )
         wrist = jnp.asarray(self.hand.wrist, aligned.dtype)
         placed = aligned.at[at].set(fingers.places).at[WRIST].set(wrist)
-        return placed, OperatorState(fingers, tips, now, clock.period)
+        return placed, OperatorState(fingers, tips, now)
 
 
 SBR_PAPER: Final = SbrConfig()

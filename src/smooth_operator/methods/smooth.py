@@ -106,7 +106,6 @@ class SmoothConfig(ObjectiveMethodConfig):
         correspondence: where the robot's fingertips belong, by fingers of other lengths.
         tracker_noise: removal of the noise that the palm shows.
         landmarks: filter of the human landmarks.
-        joint_speed: largest speed of a joint, over the usual time between frames [rad/s].
         polish: Newton steps of a descent, at most. Most frames need two to four; where fingers
             touch and close fast, those that stop early end far from each other.
         rate_hz: rate that is assumed where stamps stand still.
@@ -138,7 +137,6 @@ class SmoothConfig(ObjectiveMethodConfig):
             time_constant=0.00175, jump_threshold=0.065, noise=115.0
         )
     )
-    joint_speed: float = 26.0
     polish: NewtonConfig = field(
         default_factory=lambda: NewtonConfig(
             iterations=50,
@@ -151,7 +149,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            positive=("joint_speed", "rate_hz", "gap"),
+            positive=("rate_hz", "gap"),
             not_negative=("motion_weight", "motion_speed", "pinch_damping", "spread_weight"),
         )
 
@@ -172,25 +170,21 @@ class SmoothState(NamedTuple):
 
     Attributes:
         q: (m,) last command of the actuated joints [rad].
-        solved: (m,) the solver's last answer, which the limit of speed may yet hold back [rad].
         operator: lengths of the operator's fingers; empty without a correspondence.
         noise: state of the removal of noise.
         filtered: the landmark filter's state, of the needed landmarks.
         targets: state of the target policy.
         ticks: time of the last frame, in microseconds modulo 2^32.
-        period: usual time between frames [s].
         frames: frames answered so far.
         slipped: True from a jump of the targets until their places have caught up.
     """
 
     q: Float[Array, " m"]
-    solved: Float[Array, " m"]
     operator: CorrespondenceState | tuple[()]
     noise: NoiseState
     filtered: FilterState
     targets: Any
     ticks: UInt32[Array, ""]
-    period: Float[Array, ""]
     frames: UInt32[Array, ""]
     slipped: Bool[Array, ""]
 
@@ -306,13 +300,11 @@ class Smooth(Method):
         neutral = put(self.hand.neutral.astype(np.float32))
         return SmoothState(
             neutral,
-            neutral,
             () if is_off(self.config.correspondence.share) else self.correspondence.init(),
             NoiseState.unseen(len(self.needs)),
             FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
             put(np.uint32(0)),
-            put(np.float32(1 / self.config.rate_hz)),
             put(np.uint32(0)),
             put(np.bool_(False)),
         )
@@ -339,11 +331,11 @@ class Smooth(Method):
         """One frame."""
         frame = self._observed(state, aligned, jnp.asarray(ticks, jnp.uint32))
         goal = self._goal_of(state, frame, aligned)
-        solved, tips = self._solve(state.solved, goal, frame)
-        after = self._commanded(frame.state, frame.clock, solved)
+        solved, tips = self._solve(state.q, goal, frame)
+        after = frame.state._replace(q=solved, frames=state.frames + jnp.uint32(1))
         keyvectors = self.objective.keyvectors
         errors = keyvectors.vectors.at(tips) - goal.vectors
-        return after, MethodOutput(after.q, keyvectors.slopes(errors, goal).cost)
+        return after, MethodOutput(solved, keyvectors.slopes(errors, goal).cost)
 
     def _goal_of(
         self, state: SmoothState, frame: _Observed, aligned: Float[Array, "21 3"]
@@ -351,9 +343,9 @@ class Smooth(Method):
         """The whole goal of a frame."""
         goal, moves = frame.goal, frame.moves
         if is_off(self.config.rest_pose.reach):
-            tips = self.motion.tips(state.solved)
+            tips = self.motion.tips(state.q)
             return goal._replace(tips=tips + moves, motion_weights=frame.weights)
-        tips, near, pose = self.rest_pose(state.solved, aligned, frame.places, moves)
+        tips, near, pose = self.rest_pose(state.q, aligned, frame.places, moves)
         weights = frame.weights
         if state.operator:
             resting = 1 / (1 + (moves * moves).sum(-1) / (RESTING * frame.clock.dt) ** 2)
@@ -365,9 +357,7 @@ class Smooth(Method):
     ) -> _Observed:
         """The landmarks of a frame, filtered, and what they ask."""
         config = self.config
-        clock = FrameClock.of(
-            now - state.ticks, state.frames, state.period, config.rate_hz, config.gap
-        )
+        clock = FrameClock.of(now - state.ticks, state.frames, config.rate_hz, config.gap)
         noise, measured = remove_noise(
             state.noise, aligned, self.needs, clock.dt, config.tracker_noise, clock.restart
         )
@@ -397,19 +387,8 @@ class Smooth(Method):
         slipped = (state.slipped | jumped.any()) & ~clock.restart
         arrived = slipped & (behind < ARRIVED).all()
         state = state._replace(operator=operator, noise=noise, filtered=filtered, targets=policy)
-        state = state._replace(slipped=slipped & ~arrived, ticks=now, period=clock.period)
+        state = state._replace(slipped=slipped & ~arrived, ticks=now)
         return _Observed(state, clock, goal, moves, weights, places, arrived)
-
-    def _commanded(
-        self, state: SmoothState, clock: FrameClock, solved: Float[Array, " m"]
-    ) -> SmoothState:
-        """The state with the command: the answer as far as joints may move."""
-        low, high = (jnp.asarray(side, solved.dtype) for side in self.hand.limits.T)
-        # after a lost frame no further than else
-        most = self.config.joint_speed * jnp.minimum(clock.dt, clock.period)
-        most = jnp.where(clock.first, jnp.inf, most)
-        q = jnp.clip(jnp.clip(solved, state.q - most, state.q + most), low, high)
-        return state._replace(q=q, solved=solved, frames=state.frames + jnp.uint32(1))
 
     def _goal(
         self,
@@ -437,7 +416,7 @@ class Smooth(Method):
             pinching = slow * jnp.concatenate([latched.any()[None], latched])
             damped = (pinching[:, None] * jnp.asarray(self.rest_pose.moves)).max(axis=0)
             velocity = velocity + config.pinch_damping * holds * damped
-        goal = FrameGoal(targets.vectors, targets.weights, state.solved, velocity)
+        goal = FrameGoal(targets.vectors, targets.weights, state.q, velocity)
         return goal, motion, policy_state
 
     def _solve(
