@@ -13,14 +13,12 @@ from trees import float64, limited_poses
 from smooth_operator import Hand, hand_names, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import MOST, capsule_pairs, parts_apart, segment_parameters
-from smooth_operator.hands.collision import owners
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.human.landmark_filter import (
     FilterState,
     LandmarkFilterConfig,
     filter_landmarks,
 )
-from smooth_operator.landmarks import FINGERS
 from smooth_operator.methods.method import FrameClock
 from smooth_operator.methods.program import tick_after, ticks_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
@@ -136,28 +134,6 @@ def test_the_price_is_that_of_the_depths():
         price = jax.jit(lambda one: term.expand(one, no_joints, NO_GOAL).cost)
         found = [price(jnp.asarray(one)) for one in ends]
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
-
-
-def test_thumb_and_finger_whose_tips_are_there_may_be_deeper_by_the_grip():
-    hand, config = load_hand(), SelfCollisionConfig(weight=7.0, margin=0.001, grip=0.004)
-    pairs, owner = capsule_pairs(hand), owners(hand)
-    near = {"thumb": 0.5, "index": 0.8}  # and no other
-    fingers = [FINGERS[finger] if (finger := owner[pairs.ends[name][0]]) >= 0 else "palm"
-               for name in pairs.names[::2]]  # fmt: skip
-    grip = np.array([0.004 * 0.4 * ({fingers[a], fingers[b]} == set(near)) for a, b in pairs.pairs])
-    assert (grip > 0).any()
-    q = np.random.default_rng(2).uniform(*hand.limits.T, (200, len(hand.limits)))
-    ends = ends_of(pairs, hand, q)
-    depth = depths(pairs, ends) + config.margin
-    closed = (depth > 0.001)[:, grip > 0].any(axis=1)
-    assert closed.sum() > 5
-    expected = 7.0 * (np.maximum(depth - grip, 0.0) ** 2).sum(axis=-1) / (2 * 0.02)
-    with float64():
-        goal = NO_GOAL._replace(near=jnp.array([near.get(name, 0.0) for name in hand.fingers]))
-        term, no_joints = SelfCollision(hand, config), jnp.zeros((len(pairs.names), 0, 3))
-        price = jax.jit(lambda one: term.expand(one, no_joints, goal).cost)
-        found = [price(jnp.asarray(one)) for one in ends[closed]]
-    np.testing.assert_allclose(found, expected[closed], rtol=1e-6, atol=1e-9)
 
 
 def problem(

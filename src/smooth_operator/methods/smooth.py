@@ -125,7 +125,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     spread_weight: float = 1.0
     fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
     self_collision: SelfCollisionConfig = field(
-        default_factory=lambda: SelfCollisionConfig(weight=12000.0, grip=0.001)
+        default_factory=lambda: SelfCollisionConfig(weight=12000.0)
     )
     direction_length: DirectionLengthConfig = field(
         default_factory=lambda: DirectionLengthConfig(direction=1.9)
@@ -350,7 +350,7 @@ class Smooth(Method):
         if state.operator:
             resting = 1 / (1 + (moves * moves).sum(-1) / (RESTING * frame.clock.dt) ** 2)
             weights = (1 - (1 - HELD) * resting * (1 - near)) * weights
-        return goal._replace(tips=tips + moves, rest=pose, near=near, motion_weights=weights)
+        return goal._replace(tips=tips + moves, rest=pose, motion_weights=weights)
 
     def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
@@ -434,12 +434,10 @@ class Smooth(Method):
         corresponds = not is_off(self.config.correspondence.share)  # its places are within reach
         table, possible = self.pose_table.nearest(places)
         neutral = jnp.asarray(self.hand.neutral, last.dtype)
-        none = jnp.zeros_like(possible)
         free = goal._replace(
             velocity_weight=jnp.zeros_like(goal.velocity_weight),
-            motion_weights=none,
+            motion_weights=jnp.zeros_like(possible),
             rest=None if goal.rest is None else neutral,
-            near=None if goal.near is None else none,
         )
 
         def descent(before: _Descents) -> _Descents:

@@ -10,14 +10,12 @@ from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
 from smooth_operator.geometry import AnyKind
 from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments_apart
-from smooth_operator.hands.collision import owners
 from smooth_operator.hands.differential import PointKinematics, contracted
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import FINGERS
 from smooth_operator.objective.rest_pose import spread_joints
 from smooth_operator.objective.terms import (
     FrameGoal,
@@ -268,18 +266,13 @@ class SelfCollisionConfig:
         weight: weight of a pair that is too near, in the units of a keyvector's weight: the cost is
             weight x d^2 / (2 x 20 mm) for a depth d; 0 leaves the term out.
         margin: distance below which a pair counts [m]. Negative lets soft parts sink in.
-        grip: further depth that is allowed between thumb and finger whose tips are where the
-            human's are [m]: a human who grips an object asks for a pose beyond its surface, and the
-            force comes from that.
     """
 
     weight: float = 7000.0
     margin: float = -0.00125
-    grip: float = 0.006
 
     def __post_init__(self) -> None:
-        weights = ("weight", "grip")
-        check_numbers(self, "self_collision.", not_negative=weights, finite=("margin",))
+        check_numbers(self, "self_collision.", not_negative=("weight",), finite=("margin",))
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,17 +286,6 @@ class SelfCollision(PointTerm):
     def pairs(self) -> CapsulePairs:
         """The P pairs of parts that could touch."""
         return capsule_pairs(self.hand)
-
-    @cached_property
-    def opposition(self) -> tuple[Int[np.ndarray, "P 2"], Bool[np.ndarray, " P"]]:
-        """(P, 2) fingers of each pair's capsules, and (P,) whether they are thumb and finger."""
-        owner, fingers = owners(self.hand), self.hand.fingers
-        bodies = [self.pairs.ends[name][0] for name in self.pairs.names[::2]]
-        rows = {FINGERS.index(name): f for f, name in enumerate(fingers)}
-        of = np.array([rows.get(int(owner[body]), -1) for body in bodies])[self.pairs.pairs]
-        thumb = fingers.index("thumb")
-        opposing = (of >= 0).all(axis=1) & ((of == thumb).sum(axis=1) == 1)
-        return np.maximum(of, 0), opposing
 
     @cached_property
     def carried(self) -> Float[np.ndarray, "P J"]:
@@ -336,9 +318,6 @@ class SelfCollision(PointTerm):
         apart, s, t = segments_apart(one, other)
         distance = jnp.sqrt((apart * apart).sum(-1) + 1e-12)
         depth = jnp.asarray(pairs.reach + 0.0, points.dtype) + config.margin - distance
-        if goal.near is not None and not is_off(config.grip):
-            at, opposing = self.opposition
-            depth = depth - config.grip * jnp.where(opposing, goal.near[at].prod(axis=-1), 0.0)
         inside = jnp.maximum(depth, 0.0)
         scale = config.weight / TRANSITION
         direction = -apart / distance[:, None]

@@ -52,7 +52,6 @@ class FrameGoal(NamedTuple):
             fingertip motion only.
         motion_weights: (F,) weights of that term, in the units of a keyvector's weight.
         rest: (m,) pose that joints are pulled to [rad]; None for the objective's own.
-        near: (F,) how nearly each fingertip is where the human's is, 0 to 1; None if not known.
     """
 
     vectors: Float[AnyArray, "K 3"]
@@ -62,7 +61,6 @@ class FrameGoal(NamedTuple):
     tips: Float[Array, "F 3"] | None = None
     motion_weights: Float[Array, " F"] | None = None
     rest: Float[Array, " m"] | None = None
-    near: Float[Array, " F"] | None = None
 
 
 class Quadratic(NamedTuple):
