@@ -47,7 +47,7 @@ QUALITY = {
     "motion_preservation": "motion",
     "flatness": "flatness [m²]",
     "lag_ms": "lag [ms]",
-    "pinch_error_mm": "pinch [mm]",
+    "pinch_touch_share": "pinches touch",
 }
 QUIET = {
     "WUJI_TELEMETRY_DISABLE": "1",

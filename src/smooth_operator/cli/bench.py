@@ -55,9 +55,10 @@ _MOST_NAMED: Final = 4
 _WIDTH_OF_NAME, _WIDTH_OF_COLUMN, _FEWEST = 20, 11, 5
 """About the width of a method's name and of a column [characters]; columns of any terminal."""
 _ORDER: Final = (
-    "finger_extension_error", "pinch_gap_excess_mm", "motion_preservation", "self_collision.share",
-    "latency_ms.p50", "finger_direction_error_deg", "jumps_per_1000", "cosine_similarity",
-    "thumb_direction_error_deg", "flatness", "scale_ratio", "workspace_utilisation",
+    "finger_extension_error", "pinch_touch_share", "pinch_deep_share", "motion_preservation",
+    "self_collision.share", "latency_ms.p50", "finger_direction_error_deg", "jumps_per_1000",
+    "cosine_similarity", "thumb_direction_error_deg", "flatness", "scale_ratio",
+    "workspace_utilisation",
 )  # fmt: skip
 """Columns that a narrow terminal shows first; the report has all."""
 _STYLES: Final = {"better": "green", "worse": "red", "same": ""}

@@ -36,10 +36,10 @@ class Figure:
 
     Attributes:
         metric: name of the metric.
-        good: the largest good value; None for the time between two frames [ms].
+        good: the worst value that is good; None for the time between two frames [ms].
         sentence: format of a sentence with the value.
         absent: sentence if the value is unknown.
-        advice: what to do if the value is larger than ``good``.
+        advice: what to do if the value is not good.
         method: a method that does better; advised as well where another one ran.
     """
 
@@ -56,9 +56,8 @@ SUMMARY: Final = (
     Figure("finger_direction_error_deg", 10.0,
            "Robot fingers point {:.3g}° away from the human's on average (good: up to {:.3g}°)",
            "No frame shows where the human's fingers point", _CALIBRATE),
-    Figure("pinch_gap_excess_mm", 5.0,
-           "In a pinch the robot's fingertips are {:.3g} mm further apart than the human's (good: "
-           "up to {:.3g} mm)",
+    Figure("pinch_touch_share", 0.8,
+           "Robot thumb and finger touch in {:.3g} % of the human's pinches (good: {:.3g} % or more)",
            "The human pinches in no frame", _CALIBRATE),
     Figure("self_collision.share", 0.05,
            "Parts of the robot hand are inside each other in {:.3g} % of the frames (good: up to "
@@ -246,8 +245,9 @@ def print_summary(
         if not isinstance(value, int | float) or good is None:
             table.add_row("–", figure.absent)
             continue
-        mark, style = ("good", "green") if value <= good else ("look", "yellow")
-        if value > good:
+        enough = value >= good if metric[figure.metric].goal == "up" else value <= good
+        mark, style = ("good", "green") if enough else ("look", "yellow")
+        if not enough:
             if figure.method not in ("", method):
                 advice[f"--method {figure.method} keeps parts apart"] = None
             advice[figure.advice] = None

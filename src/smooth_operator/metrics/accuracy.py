@@ -9,11 +9,6 @@ from jaxtyping import Float
 
 from smooth_operator.metrics import summary
 
-PINCH_DISTANCE: Final = 0.015
-"""Human thumb to fingertip distance below which the human pinches [m]."""
-PINCH_DISTANCE_STRICT: Final = 0.012
-"""The same for a firmer pinch [m]."""
-
 # Floors that keep coincident points finite without moving any other value.
 _AREA_FLOOR: Final = 1e-12  # [m^2]
 _LENGTH_FLOOR: Final = 1e-9  # [m]
@@ -56,25 +51,3 @@ def scale_ratio(
 ) -> float | None:
     """Mean of ``length_ratios`` over frames and keyvectors; towards 1, None without data."""
     return summary.mean(length_ratios(human, robot))
-
-
-def pinch_gaps(
-    human_thumb_vectors: Float[np.ndarray, "T P 3"],
-    robot_thumb_vectors: Float[np.ndarray, "T P 3"],
-    distance: float = PINCH_DISTANCE,
-) -> Float[np.ndarray, "T P"]:
-    """Distance between the robot's thumb tip and another tip while the human pinches with it.
-
-    The human's distance is judged after alignment, on the robot's scale: with an alignment scale of
-    0.77, 15 mm here are 19.5 mm on the operator's own hand.
-
-    Args:
-        human_thumb_vectors: (T, P, 3) aligned human thumb tip to tip vectors [m].
-        robot_thumb_vectors: (T, P, 3) the robot's [m].
-        distance: human distance below which it is a pinch [m].
-
-    Returns:
-        (T, P) [m], NaN where the human does not pinch with that finger; towards 0.
-    """
-    pinched = np.linalg.norm(human_thumb_vectors, axis=-1) < distance  # NaN compares as False
-    return np.where(pinched, np.linalg.norm(robot_thumb_vectors, axis=-1), np.nan)

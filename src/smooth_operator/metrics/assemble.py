@@ -10,9 +10,11 @@ from jaxtyping import Float
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
+from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import LANDMARKS, NUM_LANDMARKS
+from smooth_operator.metrics.pinches import pinched_frames
 from smooth_operator.metrics.trace import Trace
 from smooth_operator.types import CommandTrajectory, HandRecording
 
@@ -62,8 +64,10 @@ def assemble_trace(
     points = np.asarray(hand.tree.positions(q))
     landmarks = np.full((len(q), NUM_LANDMARKS, 3), np.nan)
     landmarks[:, [LANDMARKS.index(name) for name in hand.tree.names]] = points
+    human = align_recording(recording, hand, alignment or AlignmentConfig())
+    pinched = pinched_frames(human[:, [LANDMARKS.index(name) for name in hand.tip_names]])
     return Trace(
-        human=align_recording(recording, hand, alignment or AlignmentConfig()),
+        human=human,
         robot_tips=points[:, [hand.tree.names.index(name) for name in hand.tip_names]],
         robot_wrist=hand.wrist,
         fingers=hand.fingers,
@@ -77,6 +81,7 @@ def assemble_trace(
         robot_landmarks=landmarks,
         palm_landmarks=hand.align_indices,
         straight_lengths=hand.straight_pose.reach,
+        pinch_distances=tip_surface_distances(hand, q, pinched),
     )
 
 

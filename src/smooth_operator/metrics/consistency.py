@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from smooth_operator.metrics import summary
 
@@ -15,6 +16,12 @@ ROBOT_STILL: Final = 1e-9
 """A robot fingertip that moves no further than this in one frame rests [m]."""
 JOINTS_STILL: Final = 1e-5
 """A robot none of whose joints moves further than this in one frame is frozen [rad]."""
+REST_RANGE: Final = 0.008
+REST_TIME: Final = 0.6
+"""A human hand rests while no coordinate of a fingertip, from the wrist, covers more than
+``REST_RANGE`` [m] in ``REST_TIME`` [s]."""
+LEAST_RESTING: Final = 10
+"""Fewest steps at rest that are measured."""
 MAX_LAG_FRAMES: Final = 14
 """Longest delay that ``lag`` looks for [frames]."""
 MIN_LAG_OVERLAP: Final = 5
@@ -34,6 +41,37 @@ def motion_preservation(
     lh, lr = np.linalg.norm(dh, axis=-1), np.linalg.norm(dr, axis=-1)
     moving = (lh > HUMAN_STILL) & (lr > ROBOT_STILL)  # NaN compares as False
     return summary.mean(np.sum(dh * dr, axis=-1)[moving] / (lh * lr)[moving])
+
+
+def shake_at_rest(
+    human: Float[np.ndarray, "T F 3"],
+    robot: Float[np.ndarray, "T F 3"],
+    stamps: Float[np.ndarray, " T"],
+) -> float | None:
+    """The robot's fingertip steps over the human's while the human hand rests, root mean squares.
+
+    1 passes all of the tracker's shake on, 0 none of it; down.
+
+    Args:
+        human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
+        robot: (T, F, 3) robot wrist to tip vectors [m].
+        stamps: (T,) times [s].
+
+    Returns:
+        None if the human hand never rests (``REST_RANGE``), or rests without any motion.
+    """
+    if len(stamps) < 2:
+        return None
+    size = 2 * round(0.5 * REST_TIME / float(np.median(np.diff(stamps)))) + 1
+    known = np.where(np.isfinite(human), human, np.inf)
+    top, bottom = maximum_filter1d(known, size, axis=0), minimum_filter1d(known, size, axis=0)
+    resting = (top < np.inf).all(axis=(1, 2))
+    resting[resting] = (top - bottom)[resting].max(axis=(1, 2)) < REST_RANGE
+    steps = resting[1:] & resting[:-1]
+    if steps.sum() < LEAST_RESTING:
+        return None
+    own, answer = (np.square(np.diff(x, axis=0)[steps]).mean() for x in (human, robot))
+    return float(np.sqrt(answer / own)) if own > 0 else None
 
 
 def flatness(tips: Float[np.ndarray, "T F 3"]) -> float | None:

@@ -2,7 +2,9 @@
 
 All figures come from landmarks alone, and none depends on the size of either hand. A finger's
 extension is the distance from its base to its tip over the longest one that it has: of the human
-the sum of its bones, of the robot that of its straight finger.
+the sum of its bones, of the robot that of its straight finger. The robot's longest one over the
+human's is the finger's gain: a robot finger that is twice as long moves its tip twice as far when
+it bends as much, so steps of the two are compared by gain times the human's.
 """
 
 from __future__ import annotations
@@ -20,11 +22,22 @@ FLAT: Final = 0.92
 FIST: Final = 0.6
 """A hand none of whose long fingers is extended further than this is a fist."""
 JUMP: Final = 0.012
-"""A robot fingertip that goes this much further in a frame than the human's jumps [m]."""
+"""A robot fingertip that goes this much further in a frame than its gain times the human's step
+jumps [m]."""
 LARGE_STEP: Final = 0.003
 """A human fingertip that goes further than this in a frame makes a large step [m]."""
 STALLED: Final = 1 / 3
-"""A robot step under this share of the human's large step is a stall."""
+"""A robot step under this share of its gain times the human's large step is a stall."""
+CLOSED: Final = 0.65
+OPENED: Final = 0.88
+OPENING_TIME: Final = 0.25
+"""A human finger opens fast if its extension rises from ``CLOSED`` to ``OPENED`` in this time [s]."""
+SETTLED: Final = 0.04
+SETTLED_FOR: Final = 0.1
+"""A robot finger has settled when its extension has stayed within ``SETTLED`` of the human's for
+this time [s]."""
+LONGEST_SETTLING: Final = 0.8
+"""A finger that has not settled by then counts with this time [s]."""
 _TINY: Final = 1e-9
 
 
@@ -34,8 +47,7 @@ def human_extensions(fingers: Float[np.ndarray, "T L 4 3"]) -> Float[np.ndarray,
     Args:
         fingers: (T, L, 4, 3) landmarks of L fingers, base to tip [m].
     """
-    bones = np.linalg.norm(np.diff(fingers, axis=2), axis=-1).sum(axis=-1)
-    return np.asarray(_lengths(fingers) / np.maximum(bones, _TINY))
+    return np.asarray(_lengths(fingers) / np.maximum(_bone_lengths(fingers), _TINY))
 
 
 def robot_extensions(
@@ -109,25 +121,79 @@ def steps(tips: Float[np.ndarray, "T F 3"]) -> Float[np.ndarray, "S F"]:
     return np.asarray(np.linalg.norm(np.diff(tips, axis=0), axis=-1))
 
 
+def finger_gains(
+    human: Float[np.ndarray, "T F 4 3"], straight: Float[np.ndarray, " F"]
+) -> Float[np.ndarray, " F"]:
+    """(F,) length of each robot finger, ``straight`` [m], over that of the human's, which is the
+    median of its aligned bones [m]; NaN if the human was never seen."""
+    bones = _bone_lengths(human)
+    seen = bones[np.isfinite(bones).all(axis=1)]
+    if not len(seen):
+        return np.full(len(straight), np.nan)
+    return np.asarray(straight / np.maximum(np.median(seen, axis=0), _TINY))
+
+
 def jumps_per_1000(
-    human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"]
+    human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"], gains: Float[np.ndarray, " F"]
 ) -> float | None:
-    """Frames in a thousand in which a fingertip jumps (``JUMP``), by (S, F) steps [m]; down."""
-    finite = np.isfinite(human).all(axis=-1)
-    return summary.scaled(summary.mean((robot - human > JUMP).any(axis=-1)[finite]), 1e3)
+    """Frames in a thousand in which a fingertip jumps (``JUMP``), by (S, F) steps [m] and the
+    fingers' gains; down. None without data."""
+    finite = np.isfinite(human * gains).all(axis=-1)
+    return summary.scaled(summary.mean((robot - gains * human > JUMP).any(axis=-1)[finite]), 1e3)
 
 
 def step_gains(
-    human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"]
+    human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"], gains: Float[np.ndarray, " F"]
 ) -> Float[np.ndarray, "S F"]:
-    """Robot step over human step where that is large (``LARGE_STEP``), else NaN."""
+    """Robot step over the finger's gain times the human's step where that is large
+    (``LARGE_STEP``), else NaN."""
     large = human > LARGE_STEP
-    return np.where(large, robot / np.where(large, human, 1.0), np.nan)
+    return np.where(large, robot / np.where(large, gains * human, 1.0), np.nan)
 
 
 def stalled_share(gains: Float[np.ndarray, "S F"]) -> float | None:
-    """Share of the human's large steps that the robot answers by less than a third; down."""
+    """Share of the human's large steps that the robot answers by less than a third of its gain
+    times the step; down."""
     return summary.mean((gains < STALLED)[np.isfinite(gains)])
+
+
+def settling_times(
+    human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"], stamps: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, " n"]:
+    """Time that a robot finger takes to settle after each fast opening of the human's.
+
+    An opening is a rise of the human's extension from under ``CLOSED`` to over ``OPENED`` in at
+    most ``OPENING_TIME``. The time runs from the frame that is over ``OPENED`` to the first from
+    which the robot's extension stays within ``SETTLED`` of the human's for ``SETTLED_FOR``.
+
+    Args:
+        human: (T, L) extensions.
+        robot: (T, L) extensions.
+        stamps: (T,) times [s].
+
+    Returns:
+        (n,) of all fingers' openings [s], at most ``LONGEST_SETTLING``; down. An opening that the
+        run ends too early to judge is left out.
+    """
+    times = []
+    for own, answer in zip(human.T, robot.T, strict=True):
+        low = np.maximum.accumulate(np.where(own < CLOSED, stamps, -np.inf))
+        rises = (own[1:] > OPENED) & ~(own[:-1] > OPENED) & (stamps[1:] - low[1:] <= OPENING_TIME)
+        apart = ~(np.abs(answer - own) <= SETTLED)  # NaN counts as apart
+        ends = np.append(np.where(apart, stamps, np.inf), np.inf)
+        until = np.minimum(np.minimum.accumulate(ends[::-1])[::-1][:-1], stamps[-1])
+        settled = ~apart & (until - stamps >= SETTLED_FOR - _TINY)
+        before = -np.inf
+        for k in np.flatnonzero(rises) + 1:
+            if low[k] < before:  # it has not been closed since the last opening
+                continue
+            before = stamps[k]
+            first = stamps[k:][settled[k:]]
+            if len(first):
+                times.append(min(float(first[0] - stamps[k]), LONGEST_SETTLING))
+            elif stamps[-1] - stamps[k] >= LONGEST_SETTLING:
+                times.append(LONGEST_SETTLING)
+    return np.array(times)
 
 
 def common_shift(
@@ -136,6 +202,10 @@ def common_shift(
     """Length of the mean error of the aligned wrist-to-tip vectors over fingers, mean over frames
     [m]."""
     return summary.mean(np.linalg.norm((robot - human).mean(axis=1), axis=-1))
+
+
+def _bone_lengths(fingers: Float[np.ndarray, "T L 4 3"]) -> Float[np.ndarray, "T L"]:
+    return np.asarray(np.linalg.norm(np.diff(fingers, axis=2), axis=-1).sum(axis=-1))
 
 
 def _lengths(fingers: Float[np.ndarray, "T L 4 3"]) -> Float[np.ndarray, "T L"]:

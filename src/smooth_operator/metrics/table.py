@@ -20,6 +20,7 @@ from smooth_operator.metrics import (
     accuracy,
     consistency,
     joints,
+    pinches,
     posture,
     published,
     safety,
@@ -190,17 +191,6 @@ def _mean_workspace(trace: Trace) -> float | None:
 
 
 @_once
-def _pinch_gaps(trace: Trace) -> Float[np.ndarray, "T K"]:
-    return np.asarray(accuracy.pinch_gaps(*_thumb(trace)) * 1e3)
-
-
-def _pinch_gap_excess(trace: Trace) -> float | None:
-    human, robot = (np.linalg.norm(vectors, axis=-1) for vectors in _thumb(trace))
-    pinched = human < accuracy.PINCH_DISTANCE  # NaN compares as False
-    return summary.scaled(summary.mean((robot - human)[pinched]), 1e3)
-
-
-@_once
 def _extensions(trace: Trace) -> tuple[Float[np.ndarray, "T L"], Float[np.ndarray, "T L"]]:
     """Extension of the long fingers, human and robot."""
     human = posture.human_extensions(trace.human_fingers[:, 1:])
@@ -228,17 +218,29 @@ def _spread_error(trace: Trace) -> float | None:
 
 
 @_once
-def _steps(trace: Trace) -> tuple[Float[np.ndarray, "S F"], Float[np.ndarray, "S F"]]:
-    return posture.steps(trace.human_reaches), posture.steps(trace.robot_reaches)
+def _steps(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(T - 1, F) steps [m], human and robot, and the (F,) fingers' gains."""
+    gains = np.full(len(trace.fingers), np.nan)
+    if trace.straight_lengths is not None:
+        gains = posture.finger_gains(trace.human_fingers, trace.straight_lengths)
+    return posture.steps(trace.human_reaches), posture.steps(trace.robot_reaches), gains
 
 
-def _pinch_gaps_strict(trace: Trace) -> Float[np.ndarray, "T K"]:
-    return np.asarray(accuracy.pinch_gaps(*_thumb(trace), accuracy.PINCH_DISTANCE_STRICT) * 1e3)
+def _settling(trace: Trace) -> float | None:
+    return summary.median(posture.settling_times(*_extensions(trace), trace.stamps))
 
 
-def _pinch_per_finger(trace: Trace) -> dict[str, float | None]:
-    gaps = _pinch_gaps(trace)
-    return {name: summary.mean(gaps[:, i]) for i, name in enumerate(trace.fingers[1:])}
+def _pinch_distances(trace: Trace) -> Float[np.ndarray, "T f"]:
+    if trace.pinch_distances is None:
+        return np.full((len(trace), len(trace.fingers) - 1), np.nan)
+    return trace.pinch_distances
+
+
+def _touching_by_finger(trace: Trace) -> dict[str, float | None]:
+    return {
+        name: pinches.touching_share(own)
+        for name, own in zip(trace.fingers[1:], _pinch_distances(trace).T, strict=True)
+    }
 
 
 # fmt: off
@@ -272,14 +274,12 @@ METRICS: Final[tuple[Metric, ...]] = (
            "posture", _spread_error),
     Metric("common_shift_mm", "mm", "down", "error that all wrist-to-tip vectors share", "posture",
            lambda t: summary.scaled(posture.common_shift(t.human_reaches, t.robot_reaches), 1e3)),
-    Metric("pinch_gap_excess_mm", "mm", "down", "robot tip gap over the human's of under 15 mm",
-           "grasping", _pinch_gap_excess, short="gap excess"),
-    Metric("pinch_error_mm", "mm", "down", "robot tip gap while the human's is under 15 mm",
-           "grasping", lambda t: summary.mean(_pinch_gaps(t)), short="pinch gap"),
-    Metric("pinch_error_strict_mm", "mm", "down", "robot tip gap while the human's is under 12 mm",
-           "grasping", lambda t: summary.mean(_pinch_gaps_strict(t))),
-    Metric("pinch_error_per_finger_mm", "mm", "down", "robot tip gap at 15 mm for each finger",
-           "grasping", _pinch_per_finger),
+    Metric("pinch_touch_share", "", "up", "share of the human's pinches in which surfaces touch",
+           "grasping", lambda t: pinches.touching_share(_pinch_distances(t)), short="touch"),
+    Metric("pinch_deep_share", "", "down", "share of them with surfaces over 2 mm inside",
+           "grasping", lambda t: pinches.deep_share(_pinch_distances(t)), short="deep"),
+    Metric("pinch_touch_share_per_finger", "", "up", "share that touch, for each finger",
+           "grasping", _touching_by_finger),
     Metric("self_collision.share", "", "down", "share of frames with links over 2 mm inside",
            "grasping", _of(_self_collision, "share"), short="collision"),
     Metric("self_collision.mean_depth_mm", "mm", "down", "depth of overlap, mean over frames",
@@ -296,12 +296,18 @@ METRICS: Final[tuple[Metric, ...]] = (
            "motion", lambda t: _lag(t)[0]),
     Metric("frozen_share", "", "down", "share of human motion that the robot sits out", "motion",
            lambda t: consistency.frozen_share(t.human_reaches, t.joint_positions)),
-    Metric("step_gain", "", "->1", "robot step over human step of over 3 mm, median", "motion",
+    Metric("step_gain", "", "->1", "robot step over human step of over 3 mm, in finger lengths",
+           "motion",
            lambda t: summary.median(posture.step_gains(*_steps(t)))),
     Metric("stalled_share", "", "down", "share of those steps answered by less than a third",
            "motion", lambda t: posture.stalled_share(posture.step_gains(*_steps(t)))),
-    Metric("jumps_per_1000", "", "down", "frames with a tip 12 mm further on than the human's",
+    Metric("settling_s", "s", "down", "until a finger is as open as the human's, opened fast",
+           "motion", _settling),
+    Metric("jumps_per_1000", "", "down", "frames with a tip 12 mm beyond the human's step x gain",
            "smoothness", lambda t: posture.jumps_per_1000(*_steps(t)), short="jumps"),
+    Metric("shake_at_rest", "", "down", "fingertip steps over the human's while he rests",
+           "smoothness",
+           lambda t: consistency.shake_at_rest(t.human_reaches, t.robot_reaches, t.stamps)),
     Metric("flatness", "m²", "down", "squared second difference of fingertips, at this rate",
            "smoothness", lambda t: consistency.flatness(t.robot_tips), short="flatness"),
     Metric("fingertip_acceleration", "m/s²", "down", "mean fingertip acceleration", "smoothness",

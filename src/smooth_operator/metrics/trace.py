@@ -36,6 +36,9 @@ class Trace:
             definition only.
         straight_lengths: (F,) base to tip of the robot's straight fingers [m], for the metrics of
             posture; or None.
+        pinch_distances: (T, F - 1) distance between the surfaces of the robot's thumb and of each
+            other finger [m], negative inside, NaN where the human does not pinch with that finger;
+            or None.
 
     Raises:
         RecordingError: if an array has the wrong shape or the stamps don't increase.
@@ -56,6 +59,7 @@ class Trace:
     robot_landmarks: Float[np.ndarray, "T 21 3"] | None = None
     palm_landmarks: tuple[int, ...] = (BASES[0], BASES[1], BASES[4])
     straight_lengths: Float[np.ndarray, " F"] | None = None
+    pinch_distances: Float[np.ndarray, "T f"] | None = None
 
     def __post_init__(self) -> None:
         fingers = tuple(self.fingers)
@@ -86,6 +90,8 @@ class Trace:
             self._take("robot_landmarks", (count, NUM_LANDMARKS, 3))
         if self.straight_lengths is not None:
             self._take("straight_lengths", (tips,))
+        if self.pinch_distances is not None:
+            self._take("pinch_distances", (count, tips - 1))
         steps = np.diff(self.stamps)
         if not (np.isfinite(self.stamps).all() and (steps > 0).all()):
             at = int(np.argmin(np.isfinite(self.stamps[1:]) & (steps > 0))) + 1

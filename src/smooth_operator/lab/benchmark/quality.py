@@ -71,7 +71,7 @@ PER_FINGER: Final = (
     Metric("reach_cosine", "", "->1", "direction of the wrist-to-tip vector"),
     Metric("motion_preservation", "", "->1", "direction of the tip's motion"),
     Metric("flatness", "m²", "down", "squared second difference of the tip, at this rate"),
-    Metric("pinch_error_mm", "mm", "down", "tip gap to the thumb while the human's is under 15 mm"),
+    Metric("pinch_touch_share", "", "up", "share of the human's pinches in which surfaces touch"),
     Metric("workspace_utilisation", "", "up", "share of the tip's reachable set in use"),
 )
 """Figures of each finger. All follow the sound definition, whichever the run's metrics do."""
@@ -103,7 +103,7 @@ def finger_metrics(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, dict[s
                 trace.human_reaches[:, at], trace.robot_reaches[:, at]
             ),
             "flatness": consistency.flatness(trace.robot_tips[:, at]),
-            "pinch_error_mm": metrics["pinch_error_per_finger_mm"].get(finger),
+            "pinch_touch_share": metrics["pinch_touch_share_per_finger"].get(finger),
             "workspace_utilisation": metrics["workspace_utilisation_per_finger"].get(finger),
         }
     return table

@@ -37,10 +37,9 @@ COLUMN_GROUPS: Final[Mapping[str, tuple[Metric, ...]]] = {
     for group, names in {
         "looks": (
             "finger_extension_error", "finger_direction_error_deg", "thumb_direction_error_deg",
-            "pinch_gap_excess_mm",
         ),
+        "grasping": ("pinch_touch_share", "pinch_deep_share", "self_collision.share"),
         "motion": ("motion_preservation", "jumps_per_1000"),
-        "safety": ("self_collision.share",),
         "speed": ("latency_ms.p50",),
         "the paper's": (
             "cosine_similarity", "scale_ratio", "flatness", "workspace_utilisation",
@@ -58,7 +57,7 @@ NUMBERS: Final[tuple[Metric, ...]] = tuple(
     if metric.name
     not in (
         "status", "definition", "human_fit", "workspace_utilisation_per_finger",
-        "pinch_error_per_finger_mm",
+        "pinch_touch_share_per_finger",
     )
 )  # fmt: skip
 """All built-in metrics that are one number."""
@@ -262,7 +261,7 @@ FEW: Final = 5
 
 RULES: Final = (
     "Overall is the mean rank over the columns of the table, where equal figures share a rank. "
-    "Looks: the least extension error. Grasping: the least pinch gap over the human's of the "
+    "Looks: the least extension error. Grasping: the most pinches that touch, of the "
     f"methods with at most {100 * COLLISION_LIMIT:.0f} % of frames in self-collision, or of all "
     "where self-collision was not measured. Directions: the cosine similarity nearest 1. Calm "
     "motion: the least flatness of the methods with a motion preservation of at least "
@@ -275,7 +274,7 @@ RANK: Final = Metric("mean_rank", "", "down", "mean rank over these columns; 1 i
 
 _EXTENSION: Final = _BY_NAME["finger_extension_error"]
 _FINGERS: Final = _BY_NAME["finger_direction_error_deg"]
-_PINCH: Final = _BY_NAME["pinch_gap_excess_mm"]
+_TOUCH: Final = _BY_NAME["pinch_touch_share"]
 _COLLISION: Final = _BY_NAME["self_collision.share"]
 _COSINE: Final = _BY_NAME["cosine_similarity"]
 _MOTION: Final = _BY_NAME["motion_preservation"]
@@ -334,9 +333,9 @@ def find_uses(lines: Sequence[Line]) -> list[Use]:
     still = f"no method reaches a motion preservation of {MOTION_FLOOR:g}"
     return [
         _use("looks", running, running, _EXTENSION, (_EXTENSION, _FINGERS), ""),
-        _use("pinching and grasping", free, running, _PINCH, (_PINCH, _COLLISION), crowded)
+        _use("pinching and grasping", free, running, _TOUCH, (_TOUCH, _COLLISION), crowded)
         if measured
-        else _use("pinching and grasping", running, running, _PINCH, (_PINCH,), ""),
+        else _use("pinching and grasping", running, running, _TOUCH, (_TOUCH,), ""),
         _use("pointing as the human does", running, running, _COSINE, (_COSINE,), ""),
         _use("calm motion that keeps up", moving, running, _FLATNESS, (_FLATNESS, _MOTION), still),
         _use("speed", running, running, _LATENCY, (_LATENCY,), ""),
@@ -393,7 +392,7 @@ def _words(metric: Metric) -> str:
     return {
         "finger_extension_error": "extension error",
         "finger_direction_error_deg": "fingers off by",
-        "pinch_gap_excess_mm": "pinch gap over the human's",
+        "pinch_touch_share": "pinches that touch",
         "self_collision.share": "self-collision",
         "latency_ms.p50": "median latency",
     }.get(metric.name, metric.name.replace("_", " "))

@@ -129,6 +129,12 @@ def _itself(name: str) -> Callable[[Mapping[str, Any]], float | None]:
     return lambda metrics: figure(metrics, name)
 
 
+def _pinch(metrics: Mapping[str, Any]) -> float | None:
+    """Share of the human's pinches in which the robot's surfaces do not touch, or are too deep."""
+    touching, deep = (figure(metrics, f"pinch_{name}_share") for name in ("touch", "deep"))
+    return None if touching is None or deep is None else 1.0 - touching + deep
+
+
 TERMS: Final = (
     Term("cosine", _from_one("cosine_similarity"), 1e-4, 1.0),
     Term("cosine_all", _from_one("cosine_similarity_all"), 1e-4, 0.5),
@@ -137,7 +143,7 @@ TERMS: Final = (
     Term("velocity", _from_one("velocity_correlation"), 1e-3, 1.0),
     Term("flatness", _itself("flatness"), 1e-9, 1.0),
     Term("collision", _itself("self_collision.share"), 0.02, 0.5),
-    Term("pinch", _itself("pinch_error_mm"), 1.0, 0.5),
+    Term("pinch", _pinch, 0.02, 0.5),
 )
 
 

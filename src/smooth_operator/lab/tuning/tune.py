@@ -222,8 +222,8 @@ Progress: TypeAlias = Callable[[int, float, str | None], None]
 
 FIGURES: Final = (
     "cosine_similarity", "cosine_similarity_all", "scale_ratio", "motion_preservation",
-    "velocity_correlation", "lag_frames", "flatness", "self_collision.share", "pinch_error_mm",
-    "joint_step", "frozen_share",
+    "velocity_correlation", "lag_frames", "flatness", "self_collision.share",
+    "pinch_touch_share", "pinch_deep_share", "joint_step", "frozen_share",
 )  # fmt: skip
 """Figures in the result, of the start and of the best."""
 

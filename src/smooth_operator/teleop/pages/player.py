@@ -18,7 +18,7 @@ from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import Trace
-from smooth_operator.metrics.accuracy import PINCH_DISTANCE
+from smooth_operator.metrics.pinches import pinched_frames
 from smooth_operator.teleop.pages.hand_view import (
     Aiming,
     HandView,
@@ -84,11 +84,8 @@ class Playback:
         return [TIPS[FINGERS.index(name)] for name in self.trace.fingers]
 
     def pinches(self) -> Bool[np.ndarray, "T G"]:
-        """(T, F-1) True where the human pinches: gap under ``PINCH_DISTANCE``."""
-        tips = self.trace.human_tips
-        # NaN compares False: a lost hand never pinches
-        gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
-        return np.asarray(gaps < PINCH_DISTANCE)
+        """(T, F-1) True where the human pinches; a lost hand never does."""
+        return pinched_frames(self.trace.human_tips)
 
 
 def check_runs(runs: Sequence[Playback]) -> None:

@@ -13,7 +13,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.landmarks import BASES, FINGERS
 from smooth_operator.metrics import posture, safety
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.teleop.sinks.tick import Mode
@@ -82,10 +82,12 @@ def take_quality(path: Path, hand: Hand) -> TakeQuality:
         )
         if len(stamps) > 1:
             aligned = align_recording(log.recording, hand, AlignmentConfig())
-            tips = [TIPS[FINGERS.index(finger)] for finger in hand.fingers]
-            human = posture.steps(aligned[rows][:, tips])
+            bases = np.array([BASES[FINGERS.index(finger)] for finger in hand.fingers])
+            fingers = aligned[rows][:, bases[:, None] + range(4)]
+            gains = posture.finger_gains(fingers, hand.straight_pose.reach)
+            human = posture.steps(fingers[:, :, 3])
             robot = posture.steps(hand.tips(q[answers][columns]))
-            jumps = round((posture.jumps_per_1000(human, robot) or 0.0) * len(human) / 1e3)
+            jumps = round((posture.jumps_per_1000(human, robot, gains) or 0.0) * len(human) / 1e3)
     return TakeQuality(
         seconds=float(times[-1] - times[0]),
         frames=int(answers.sum()),
