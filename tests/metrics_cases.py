@@ -47,6 +47,15 @@ def make_trace(
     return Trace(**values | changes)
 
 
+def tip_gap_mm(trace: Trace, distance: float = 0.015) -> float:
+    """Mean distance of the robot's thumb tip and fingertip while the human's are nearer [mm]."""
+    human, robot = (
+        np.linalg.norm(v[:, trace.thumb_vectors], axis=-1)
+        for v in (trace.human_keyvectors, trace.robot_keyvectors)
+    )
+    return float(1e3 * robot[human < distance].mean())
+
+
 def rotation(axis: np.ndarray, angle: float) -> np.ndarray:
     k = np.cross(np.eye(3), axis / np.linalg.norm(axis))
     return np.eye(3) - np.sin(angle) * k + (1 - np.cos(angle)) * k @ k

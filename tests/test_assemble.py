@@ -1,15 +1,18 @@
 """From a recording and its commands to a trace: frames, order of fingers, self-collision."""
 
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
+from test_stand_ins import with_lost_meshes
 
 from smooth_operator import LANDMARKS, Hand, evaluate, load_hand
 from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.hands.capsules import parts_apart
 from smooth_operator.hands.penetration import penetration_depths
+from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.metrics.assemble import assemble_trace, sample_reach
@@ -152,6 +155,37 @@ def test_depth_is_that_of_the_shapes():
     assert (depths == 0).any()
 
 
+def test_surfaces_of_tips_are_as_far_apart_as_their_capsules(tmp_path):
+    """Against the ends and radii of the capsules; a hand without shapes has estimated ones."""
+    hand = load_hand()
+    low, high = hand.limits.T
+    poses = hand.full_configuration(np.random.default_rng(2).uniform(low, high, (40, len(low))))
+    wanted = np.random.default_rng(3).random((40, 4)) < 0.5
+    found = tip_surface_distances(hand, poses, wanted)
+    np.testing.assert_array_equal(np.isfinite(found), wanted)
+    data = mujoco.MjData(hand.model)
+    for pose, row in zip(poses, found, strict=True):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(hand.model, data)
+        thumb, *others = (data.geom(f"{finger}_dp") for finger in hand.fingers)
+        for other, distance in zip(others, row, strict=True):
+            if np.isfinite(distance):
+                assert distance == pytest.approx(_capsules_apart(hand, thumb, other), abs=1e-4)
+    bare = with_lost_meshes(hand, r".*", tmp_path)
+    estimated = tip_surface_distances(bare, poses, wanted)
+    np.testing.assert_allclose(estimated, found, atol=0.006)
+
+
+def _capsules_apart(hand: Hand, *geoms: Any) -> float:
+    """Least distance of points on the axes of two capsules, less their radii [m]."""
+    axes = []
+    for geom in geoms:
+        along = geom.xmat.reshape(3, 3)[:, 2] * hand.model.geom_size[geom.id][1]
+        axes.append(geom.xpos + np.linspace(-1, 1, 801)[:, None] * along)
+    near = np.sqrt(((axes[0][:, None] - axes[1]) ** 2).sum(axis=-1).min())
+    return float(near - sum(hand.model.geom_size[geom.id][0] for geom in geoms))
+
+
 def test_a_pose_that_is_not_finite_has_no_depth_and_bad_shapes_are_refused():
     hand = load_hand()
     q = np.tile(hand.full_configuration(hand.neutral), (2, 1))
@@ -161,3 +195,7 @@ def test_a_pose_that_is_not_finite_has_no_depth_and_bad_shapes_are_refused():
     assert depths[1] == 0.0
     with pytest.raises(HandModelError, match=r"shape \(T, 20\)"):
         penetration_depths(hand, q[:, :16])
+    every = np.ones((2, 4), bool)
+    assert np.isfinite(tip_surface_distances(hand, q, every)).tolist() == [[False] * 4, [True] * 4]
+    with pytest.raises(HandModelError, match=r"shapes \(2, 20\) and \(2, 4\), not"):
+        tip_surface_distances(hand, q, every[:, :3])

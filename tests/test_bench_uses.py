@@ -27,7 +27,7 @@ from smooth_operator.reporting.drawing import colors_of, styled, write_figure
 METRIC = {metric.name: metric for metric in METRICS}
 COLUMN_NAMES = [metric.name for metric in COLUMNS]
 NAMES = (
-    "cosine_similarity", "scale_ratio", "motion_preservation", "flatness", "pinch_gap_excess_mm",
+    "cosine_similarity", "scale_ratio", "motion_preservation", "flatness", "pinch_touch_share",
     "self_collision.share", "workspace_utilisation", "latency_ms.p50",
 )  # fmt: skip
 
@@ -38,29 +38,29 @@ def line(method: str, *values: float | None, of: int = 1, extension: float | Non
     return Line(method, figures | {"finger_extension_error": extension}, count=1, of=of)
 
 
-SAFE = line("safe", 0.98, 1.1, 0.95, 3e-6, 7.0, 0.01, 0.10, 0.5)
-CLOSE = line("close", 0.99, 1.2, 0.92, 2e-6, 4.0, 0.60, 0.12, 0.6)
-STILL = line("still", 0.90, 1.3, 0.40, 1e-7, 20.0, 0.00, 0.02, 0.1)
+SAFE = line("safe", 0.98, 1.1, 0.95, 3e-6, 0.7, 0.01, 0.10, 0.5)
+CLOSE = line("close", 0.99, 1.2, 0.92, 2e-6, 0.9, 0.60, 0.12, 0.6)
+STILL = line("still", 0.90, 1.3, 0.40, 1e-7, 0.1, 0.00, 0.02, 0.1)
 LINES = [SAFE, CLOSE, STILL]
 
 
 def test_posture_and_collision_stand_among_the_papers_columns():
     assert set(HEADLINES) < set(COLUMNS)
-    assert {"finger_extension_error", "pinch_gap_excess_mm", "jumps_per_1000"} < {
+    assert {"finger_extension_error", "pinch_touch_share", "jumps_per_1000"} < {
         m.name for m in set(COLUMNS) - set(HEADLINES)
     }
     page = macros().headline(LINES, colors_of(["safe", "close", "still"]))
-    assert "gap excess" in page
+    assert "touch" in page
     assert "60.0 %" in page
     heads = [
         re.sub("<.*?>", "", cell) for cell in re.findall('<tr class="groups">(.*?)</tr>', page)
     ]
-    assert heads == ["alllooksmotionsafetyspeedthe paper&#39;s"]
+    assert heads == ["alllooksgraspingmotionspeedthe paper&#39;s"]
 
 
 def test_a_method_that_collides_is_not_named_for_grasping():
     chosen = {use.name: use.methods for use in ranking.find_uses(LINES)}
-    assert chosen["pinching and grasping"] == ("safe",)  # close has the smaller gap, and collides
+    assert chosen["pinching and grasping"] == ("safe",)  # close touches more often, and collides
     assert chosen["pointing as the human does"] == ("close",)
     assert chosen["speed"] == ("still",)
 
@@ -72,7 +72,8 @@ def test_a_method_that_stands_still_is_not_named_for_calm_motion():
 
 def test_where_no_method_serves_a_use_the_reason_is_said():
     colliding = [
-        line(name, 0.9, 1.0, 0.5, 1e-6, gap, 0.4, 0.1, 1.0) for name, gap in (("a", 1.0), ("b", 2))
+        line(name, 0.9, 1.0, 0.5, 1e-6, gap, 0.4, 0.1, 1.0)
+        for name, gap in (("a", 0.8), ("b", 0.7))
     ]
     sentence = ranking.verdict(colliding)
     assert "for pinching and grasping none (every method has over 5 %" in sentence
@@ -83,7 +84,7 @@ def test_without_a_pinch_no_method_is_named_for_it():
     lines = [line(n, c, 1.0, 0.95, 1e-6, None, 0.0, 0.1, 1.0) for n, c in (("a", 0.9), ("b", 0.8))]
     grasping = ranking.find_uses(lines)[1]
     assert grasping.methods == ()
-    assert grasping.figures == "no pinch gap over the human's was measured"
+    assert grasping.figures == "no share of pinches that touch was measured"
 
 
 def test_the_sentence_names_what_the_table_marks():
@@ -91,7 +92,7 @@ def test_the_sentence_names_what_the_table_marks():
     for seed in range(200):
         rng = np.random.default_rng(seed)
         lines = [
-            line(name, *rng.uniform(0.2, 1.2, 2), rng.uniform(0.8, 1), *rng.uniform(0, 9, 2),
+            line(name, *rng.uniform(0.2, 1.2, 2), rng.uniform(0.8, 1), *rng.uniform(0, 1, 2),
                  rng.choice([0.0, 0.04, 0.3]), *rng.uniform(0.1, 1, 2),
                  extension=rng.uniform(0, 0.2))
             for name in "abcd"
@@ -100,7 +101,7 @@ def test_the_sentence_names_what_the_table_marks():
         first = min(ranks, key=lambda name: ranks[name])
         assert ranking.verdict(lines).startswith(first)
         for use, name in zip(ranking.find_uses(lines), (
-            "finger_extension_error", "pinch_gap_excess_mm", "cosine_similarity", "flatness",
+            "finger_extension_error", "pinch_touch_share", "cosine_similarity", "flatness",
             "latency_ms.p50",
         ), strict=True):  # fmt: skip
             marked = {lines[i].method for i in best(lines, METRIC[name])}
@@ -155,8 +156,8 @@ def test_the_mean_is_over_parts_then_recordings_then_trackers():
 
 
 def test_mean_ranks_and_who_competes():
-    better = line("better", 1.0, 1.0, 1.0, 1e-7, 1.0, 0.0, 0.5, 0.1)
-    worse = line("worse", 0.9, 0.8, 0.9, 1e-6, 2.0, 0.1, 0.4, 0.2)
+    better = line("better", 1.0, 1.0, 1.0, 1e-7, 0.9, 0.0, 0.5, 0.1)
+    worse = line("worse", 0.9, 0.8, 0.9, 1e-6, 0.4, 0.1, 0.4, 0.2)
     partly = line("partly", 1.0, 1.0, 1.0, 1e-8, 0.5, 0.0, 0.9, 0.01, of=2)
     assert ranking.mean_ranks([worse, better, partly]) == {"better": 1.0, "worse": 2.0}
     assert ranking.verdict([worse, better, partly]).startswith("better has the best mean rank")
@@ -192,13 +193,13 @@ def test_tables_sort_and_plots_answer_to_the_pointer(chromium, tmp_path):
     page.set_content(f"<!doctype html>{table}{svg}<script>{script}</script>")
     rows = page.locator("tbody tr th")
     assert rows.all_inner_texts() == names
-    gap = page.locator("th[data-goal]", has_text="gap excess")
-    gap.click()
-    assert rows.all_inner_texts() == ["close", "safe", "still"]  # the smallest gap first
-    gap.focus()
+    touch = page.locator("th[data-goal]", has_text="touch")
+    touch.click()
+    assert rows.all_inner_texts() == ["close", "safe", "still"]  # the most pinches first
+    touch.focus()
     page.keyboard.press("Enter")
     assert rows.all_inner_texts() == ["still", "safe", "close"]
-    gap.click()
+    touch.click()
     assert rows.all_inner_texts() == names
     assert page.locator("svg .series title").first.text_content() == 'safe <b> "said"'
     page.locator("tbody tr").nth(1).hover()

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from metrics_cases import tip_gap_mm
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
 from smooth_operator.calibration.estimate import (
@@ -279,10 +280,10 @@ def test_the_second_half_gains_from_a_fit_on_the_first(shared, hand):
 
     def judged(config: object) -> tuple[float, float]:
         commands, _ = Retargeter(hand, config=config).run(part)
-        metrics = evaluate(assemble_trace(part, commands, hand, reach_samples=0))
-        assert isinstance(metrics["pinch_error_mm"], float)
+        trace = assemble_trace(part, commands, hand, reach_samples=0)
+        metrics = evaluate(trace)
         assert isinstance(metrics["scale_ratio"], float)
-        return metrics["pinch_error_mm"], abs(metrics["scale_ratio"] - 1)
+        return tip_gap_mm(trace), abs(metrics["scale_ratio"] - 1)
 
     config = method_config("sbr")
     before, after = judged(config), judged(config.with_operator(operator))
@@ -301,9 +302,10 @@ def test_the_precise_preset_closes_pinches_and_keeps_its_directions(shared, hand
 
     def judged(config: object) -> tuple[float, float, float]:
         commands, _ = Retargeter(hand, config=config).run(part)
-        metrics: Any = evaluate(assemble_trace(part, commands, hand, reach_samples=0))
+        trace = assemble_trace(part, commands, hand, reach_samples=0)
+        metrics: Any = evaluate(trace)
         return (
-            metrics["pinch_error_strict_mm"],
+            tip_gap_mm(trace, 0.012),
             metrics["cosine_similarity"],
             metrics["motion_preservation"],
         )
@@ -481,7 +483,7 @@ def test_the_demo_drives_some_fingers_and_says_so(tmp_path, run):
     config = json.loads((tmp_path / "demo" / "config.json").read_text(encoding="utf-8"))
     assert config["fingers"] == CHOSEN
     metrics = json.loads((tmp_path / "demo" / "metrics.json").read_text(encoding="utf-8"))
-    assert metrics["pinch_error_per_finger_mm"].keys() == {"index", "ring"}
+    assert metrics["pinch_touch_share_per_finger"].keys() == {"index", "ring"}
 
 
 def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held():

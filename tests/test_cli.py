@@ -261,7 +261,7 @@ def test_metrics_are_printed_group_by_group(capsys):
         if inner:
             metrics.setdefault(outer, {})[inner] = float(number)
         else:
-            metrics[outer] = {"index": 0.5} if metric.name.startswith("pinch_error_per") else number
+            metrics[outer] = {"index": 0.5} if metric.name.endswith("_share_per_finger") else number
     print_metrics("a title", metrics)
     lines = [line.split() for line in capsys.readouterr().out.splitlines() if line.strip()]
     names = [words[0] for words in lines]
@@ -274,7 +274,7 @@ def test_metrics_are_printed_group_by_group(capsys):
 
 SUMMED: dict[str, object] = {
     "finger_direction_error_deg": 7.25,
-    "pinch_gap_excess_mm": 6.5,
+    "pinch_touch_share": 0.65,
     "self_collision": {"share": 0.0175},
     "jumps_per_1000": None,
     "latency_ms": {"p99": 12.0},

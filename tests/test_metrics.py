@@ -59,25 +59,35 @@ def test_keyvectors_are_wrist_then_thumb_then_the_rest():
         assert shape == (7, count * (count + 1) // 2, 3)
 
 
-def test_pinch_error_is_the_robots_gap_while_the_human_pinches():
-    human = human_motion(10)
-    apart = np.array([1.0, 0, 0])
-    human[:, TIPS[0]] = WRIST + np.array([0.05, 0.05, 0.05])
-    for tip in TIPS[1:]:
-        human[:, tip] = human[:, TIPS[0]] + 0.05 * apart
-    human[:4, TIPS[1]] = human[:4, TIPS[0]] + 0.0140 * apart  # a pinch, but not a firm one
-    human[4:6, TIPS[2]] = human[4:6, TIPS[0]] + 0.0119 * apart  # a firm one
-    tips = human[:, list(TIPS)].copy()
-    tips[:4, 1] = tips[:4, 0] + 0.020 * apart
-    tips[4:6, 2] = tips[4:6, 0] + 0.008 * apart
+def test_pinches_touch_by_their_surfaces():
+    distances = np.full((10, 4), np.nan)
+    distances[:4, 0] = [0.0011, 0.0009, -0.0019, -0.0021]  # apart, touching twice, too deep
+    distances[4:6, 1] = 0.004
+    result = evaluate(make_trace(human_motion(10), pinch_distances=distances))
+    assert result["pinch_touch_share"] == pytest.approx(3 / 6)
+    assert result["pinch_deep_share"] == pytest.approx(1 / 6)
+    assert result["pinch_touch_share_per_finger"] == {
+        "index": pytest.approx(3 / 4), "middle": 0.0, "ring": None, "pinky": None,
+    }  # fmt: skip
+    for unknown in (None, np.full((10, 4), np.nan)):  # shapes, pinches
+        result = evaluate(make_trace(human_motion(10), pinch_distances=unknown))
+        assert result["pinch_touch_share"] is result["pinch_deep_share"] is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.4])
+def test_shake_at_rest_is_the_share_that_the_robot_passes_on(share):
+    rng = np.random.default_rng(0)
+    human = np.tile(human_motion(1), (600, 1, 1))
+    human[300:, list(TIPS), 0] += np.linspace(0, 0.2, 300)[:, None]  # it moves: not measured
+    shake = rng.uniform(-0.0005, 0.0005, (600, 5, 3))
+    human[:, list(TIPS)] += shake
+    tips = human[:, list(TIPS)] - (1 - share) * shake
+    tips[330:] *= 3.0
     result = evaluate(make_trace(human, tips))
-    assert result["pinch_error_mm"] == pytest.approx((4 * 20 + 2 * 8) / 6)
-    assert result["pinch_error_strict_mm"] == pytest.approx(8)
-    per_finger = result["pinch_error_per_finger_mm"]
-    assert isinstance(per_finger, dict)
-    assert per_finger["index"] == pytest.approx(20)
-    assert per_finger["middle"] == pytest.approx(8)
-    assert per_finger["ring"] is None
+    assert result["shake_at_rest"] == pytest.approx(share, abs=1e-6)
+    assert evaluate(make_trace(human_motion(600)))["shake_at_rest"] is None  # never at rest
+    still = np.tile(human_motion(1), (60, 1, 1))
+    assert evaluate(make_trace(still))["shake_at_rest"] is None  # a tracker without any shake
 
 
 def test_flatness_and_acceleration_of_constant_acceleration():
@@ -286,7 +296,6 @@ def test_one_missing_fingertip_costs_only_its_own_vectors():
     tips[:, 4] += 0.1  # wrong, but there is nothing to compare it with
     result = evaluate(make_trace(human, tips))
     assert result["cosine_similarity_all"] == pytest.approx(1, abs=1e-12)
-    assert result["pinch_error_per_finger_mm"]["pinky"] is None
 
 
 def test_a_run_of_invalid_frames_only():
@@ -325,7 +334,7 @@ def test_a_two_finger_hand():
     trace = make_trace(human, fingers=("thumb", "index"))
     assert trace.human_keyvectors.shape == (60, 3, 3)
     result = evaluate(trace)
-    assert result["pinch_error_per_finger_mm"] == {"index": None}
+    assert result["pinch_touch_share_per_finger"] == {"index": None}
     assert result["cosine_similarity"] == pytest.approx(1)
 
 

@@ -8,6 +8,7 @@ from smooth_operator import Hand, HandRecording, assemble_trace, load_hand
 from smooth_operator.lab.benchmark.quality import PER_FINGER, finger_metrics
 from smooth_operator.landmarks import FINGERS, LANDMARKS, NUM_LANDMARKS, TIPS
 from smooth_operator.metrics import Trace, evaluate
+from smooth_operator.metrics.pinches import pinched_frames
 from smooth_operator.types import CommandTrajectory
 
 THREE = ("thumb", "index", "middle")
@@ -63,11 +64,9 @@ def test_a_pinch_of_a_finger_that_the_robot_lacks_is_none_of_its():
         human[:, tip] = WRIST - 0.05 * k
     human[:10, TIPS[3]] = human[:10, TIPS[0]] + (0.005, 0, 0)  # thumb and ring
     human[10:, TIPS[1]] = human[10:, TIPS[0]] + (0.005, 0, 0)  # thumb and index
-    three, four = (evaluate(make_trace(human, fingers=fingers)) for fingers in (THREE, FOUR))
-    assert three["pinch_error_per_finger_mm"] == {"index": pytest.approx(5), "middle": None}
-    assert four["pinch_error_per_finger_mm"] == {
-        "index": pytest.approx(5), "middle": None, "ring": pytest.approx(5),
-    }  # fmt: skip
+    three, four = (pinched_frames(make_trace(human, fingers=f).human_tips) for f in (THREE, FOUR))
+    np.testing.assert_array_equal(three.sum(axis=0), (10, 0))
+    np.testing.assert_array_equal(four.sum(axis=0), (10, 0, 10))
 
 
 def played_back(hand: Hand, off: float = 0.0) -> tuple[Trace, HandRecording]:
@@ -117,7 +116,7 @@ def test_a_hand_that_does_what_the_human_does_is_perfect(name, fingers, side):
     assert result["motion_preservation"] == pytest.approx(1, abs=1e-6)
     assert result["frozen_share"] == 0
     assert result["limit_violation_share"] == 0
-    assert tuple(result["pinch_error_per_finger_mm"]) == hand.fingers[1:]
+    assert tuple(result["pinch_touch_share_per_finger"]) == hand.fingers[1:]
     assert tuple(result["workspace_utilisation_per_finger"]) == hand.fingers
     assert None not in result["workspace_utilisation_per_finger"].values()
 

@@ -87,11 +87,43 @@ def test_steps_jumps_and_stalls():
     assert result["jumps_per_1000"] == pytest.approx(1000 / 10)
 
 
-def test_a_gap_that_the_human_does_not_leave():
-    human, robot = hand_with(0, 0, 0), hand_with(0, 0, 0)
-    human[:, 8] = human[:, 4] + [0.008, 0, 0]
-    robot[:, 8] = robot[:, 4] + [0, 0.011, 0]
-    assert evaluate(trace_of(human, robot))["pinch_gap_excess_mm"] == pytest.approx(3)
+def test_a_larger_copy_does_not_jump():
+    human = hand_with(0, 0, 0, count=11)
+    human[5:, 8, 0] += 0.015  # a step of the index finger
+    assert evaluate(trace_of(human, 2 * human, size=2))["jumps_per_1000"] == 0  # 15 mm further
+    human[0], further = np.nan, 2 * human
+    further[5:, 8, 0] += 0.013
+    assert evaluate(trace_of(human, further, size=2))["jumps_per_1000"] == pytest.approx(1000 / 9)
+    shorter = human.copy()  # of a robot half as large, as far as the human's, as in a pinch
+    assert evaluate(trace_of(human, shorter, size=0.5))["jumps_per_1000"] == 0
+
+
+def opening(*parts: tuple[int, float]) -> np.ndarray:
+    """(T, 21, 3) a hand whose long fingers have an extension for so many frames each."""
+    return np.concatenate(
+        [hand_with(0, bend, 0, count=count) for count, bend in ((n, bent(e)) for n, e in parts)]
+    )
+
+
+def bent(extension: float) -> float:
+    """Bend of the middle joint that gives a finger an extension [degrees]."""
+    return float(np.degrees(np.arccos((9 * extension**2 - 5) / 4)))
+
+
+def test_settling_is_the_time_to_the_humans_extension():
+    human = opening((20, 0.6), (10, 0.75), (170, 1.0))  # opens within 0.1 s, at 0.3 s
+    for robot, seconds in (
+        (opening((30, 0.6), (170, 1.0)), 0.0),
+        (opening((30, 0.6), (7, 0.8), (163, 0.97)), 0.07),
+        (opening((30, 0.6), (7, 1.0), (3, 0.9), (160, 1.0)), 0.1),  # it stays only then
+        (opening((30, 0.6), (170, 0.9)), 0.8),  # never
+    ):
+        found = evaluate(trace_of(human, robot))["settling_s"]
+        assert found == pytest.approx(seconds, abs=1e-6)
+    slow = opening((20, 0.6), (30, 0.75), (150, 1.0))
+    assert evaluate(trace_of(slow, slow))["settling_s"] is None
+    late = opening((30, 0.6), (70, 1.0))  # the run ends before the robot is open
+    assert evaluate(trace_of(late, opening((100, 0.6))))["settling_s"] is None
 
 
 def test_a_shift_of_all_fingers():
@@ -102,6 +134,6 @@ def test_a_shift_of_all_fingers():
 
 def test_without_the_robots_points_posture_is_unknown():
     result = evaluate(make_trace(human_motion(20)))
-    for name in ("finger_extension_error", "curl_error_deg", "finger_direction_error_deg"):
+    for name in ("finger_extension_error", "curl_error_deg", "finger_direction_error_deg",
+                 "jumps_per_1000", "settling_s"):  # fmt: skip
         assert result[name] is None, name
-    assert result["jumps_per_1000"] == 0

@@ -25,7 +25,6 @@ OURS = {  # our name for each of the scorer's
     "velocity_correlation": "velocity_correlation",
     "lag_ms": "lag_ms",
     "limit_violation_rad": "limit_violation_rad",
-    "pinch_gap_mm": "pinch_error_strict_mm",
 }
 
 
@@ -122,5 +121,3 @@ def test_agrees_with_the_independent_scorer(method, start, shared, scorer, recor
         assert isinstance(latency_ms, dict)
         assert latency_ms["p50"] == pytest.approx(theirs["latency_p50"], rel=1e-12)
         assert latency_ms["p99"] == pytest.approx(theirs["latency_p99"], rel=1e-12)
-    if start:
-        assert ours["pinch_error_strict_mm"] is not None

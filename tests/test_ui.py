@@ -151,10 +151,10 @@ def test_a_run_that_cannot_be_drawn_is_refused(frames, changes, error, words):
         make_playback(frames, **changes)
 
 
-def test_pinches_are_under_15_mm_and_never_of_a_lost_hand():
+def test_pinches_are_under_12_mm_and_never_of_a_lost_hand():
     human = human_hand(np.zeros(4))
-    human[1, 8] = human[1, 4] + [0.0149, 0, 0]
-    human[2, 20] = human[2, 4] + [0, 0.0151, 0]
+    human[1, 8] = human[1, 4] + [0.0119, 0, 0]
+    human[2, 20] = human[2, 4] + [0, 0.0121, 0]
     human[3, 8] = human[3, 4]
     human[3, 4] = np.nan
     pinches = make_playback(4, human=human).pinches()

@@ -31,11 +31,11 @@ def test_a_hand_that_lost_shapes_is_measured_by_estimates(lost, tmp_path):
 
 def test_a_verdict_has_no_part_for_collision_that_was_not_measured():
     lines = [
-        line("wide", 0.98, 1.1, 0.95, 3e-6, 7.0, None, 0.10, 0.5),
-        line("close", 0.97, 1.2, 0.92, 4e-6, 4.0, None, 0.09, 0.6),
+        line("wide", 0.98, 1.1, 0.95, 3e-6, 0.7, None, 0.10, 0.5),
+        line("close", 0.97, 1.2, 0.92, 4e-6, 0.8, None, 0.09, 0.6),
     ]
     verdict = ranking.verdict(lines)
-    assert "for pinching and grasping close (pinch gap over the human's 4 mm)" in verdict
+    assert "for pinching and grasping close (share of pinches that touch 80.0 %)" in verdict
     assert "self-collision" not in verdict
 
 

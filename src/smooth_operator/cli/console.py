@@ -57,7 +57,7 @@ SUMMARY: Final = (
            "Robot fingers point {:.3g}° away from the human's on average (good: up to {:.3g}°)",
            "No frame shows where the human's fingers point", _CALIBRATE),
     Figure("pinch_touch_share", 0.8,
-           "Robot thumb and finger touch in {:.3g} % of the human's pinches (good: {:.3g} % or more)",
+           "Robot thumb and finger touch in {:.3g} % of the human's pinches (good: from {:.3g} %)",
            "The human pinches in no frame", _CALIBRATE),
     Figure("self_collision.share", 0.05,
            "Parts of the robot hand are inside each other in {:.3g} % of the frames (good: up to "

@@ -21,7 +21,7 @@ _FAR: Final = 0.2
 
 
 class _Pad(NamedTuple):
-    """Shapes of a finger's last link: geoms of the model, and capsules that fill or replace them."""
+    """Shapes of a finger's last link: the model's geoms, and capsules that fill or replace them."""
 
     geoms: tuple[int, ...]
     capsules: tuple[Capsule, ...]

@@ -22,6 +22,7 @@ REST_TIME: Final = 0.6
 ``REST_RANGE`` [m] in ``REST_TIME`` [s]."""
 LEAST_RESTING: Final = 10
 """Fewest steps at rest that are measured."""
+_NOWHERE: Final = 1e3  # a coordinate that no hand has [m]
 MAX_LAG_FRAMES: Final = 14
 """Longest delay that ``lag`` looks for [frames]."""
 MIN_LAG_OVERLAP: Final = 5
@@ -63,10 +64,9 @@ def shake_at_rest(
     if len(stamps) < 2:
         return None
     size = 2 * round(0.5 * REST_TIME / float(np.median(np.diff(stamps)))) + 1
-    known = np.where(np.isfinite(human), human, np.inf)
+    known = np.where(np.isfinite(human), human, _NOWHERE)
     top, bottom = maximum_filter1d(known, size, axis=0), minimum_filter1d(known, size, axis=0)
-    resting = (top < np.inf).all(axis=(1, 2))
-    resting[resting] = (top - bottom)[resting].max(axis=(1, 2)) < REST_RANGE
+    resting = ((top - bottom).max(axis=(1, 2)) < REST_RANGE) & (top.max(axis=(1, 2)) < _NOWHERE)
     steps = resting[1:] & resting[:-1]
     if steps.sum() < LEAST_RESTING:
         return None

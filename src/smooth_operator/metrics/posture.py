@@ -4,7 +4,8 @@ All figures come from landmarks alone, and none depends on the size of either ha
 extension is the distance from its base to its tip over the longest one that it has: of the human
 the sum of its bones, of the robot that of its straight finger. The robot's longest one over the
 human's is the finger's gain: a robot finger that is twice as long moves its tip twice as far when
-it bends as much, so steps of the two are compared by gain times the human's.
+it bends as much, but as far as the human's in a pinch. So the right step lies between the human's
+and gain times the human's: a jump is more than both, a stall less than both.
 """
 
 from __future__ import annotations
@@ -22,16 +23,17 @@ FLAT: Final = 0.92
 FIST: Final = 0.6
 """A hand none of whose long fingers is extended further than this is a fist."""
 JUMP: Final = 0.012
-"""A robot fingertip that goes this much further in a frame than its gain times the human's step
-jumps [m]."""
+"""A robot fingertip that goes this much further in a frame than the human's step, and than gain
+times that step, jumps [m]."""
 LARGE_STEP: Final = 0.003
 """A human fingertip that goes further than this in a frame makes a large step [m]."""
 STALLED: Final = 1 / 3
-"""A robot step under this share of its gain times the human's large step is a stall."""
+"""A robot step under this share of the human's large step is a stall."""
 CLOSED: Final = 0.65
 OPENED: Final = 0.88
 OPENING_TIME: Final = 0.25
-"""A human finger opens fast if its extension rises from ``CLOSED`` to ``OPENED`` in this time [s]."""
+"""A human finger opens fast if its extension rises from ``CLOSED`` to ``OPENED`` within this time
+[s]."""
 SETTLED: Final = 0.04
 SETTLED_FOR: Final = 0.1
 """A robot finger has settled when its extension has stayed within ``SETTLED`` of the human's for
@@ -138,27 +140,28 @@ def jumps_per_1000(
 ) -> float | None:
     """Frames in a thousand in which a fingertip jumps (``JUMP``), by (S, F) steps [m] and the
     fingers' gains; down. None without data."""
-    finite = np.isfinite(human * gains).all(axis=-1)
-    return summary.scaled(summary.mean((robot - gains * human > JUMP).any(axis=-1)[finite]), 1e3)
+    longest = np.maximum(gains, 1.0) * human
+    known = np.isfinite(longest).all(axis=-1)
+    return summary.scaled(summary.mean((robot - longest > JUMP).any(axis=-1)[known]), 1e3)
 
 
 def step_gains(
-    human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"], gains: Float[np.ndarray, " F"]
+    human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"]
 ) -> Float[np.ndarray, "S F"]:
-    """Robot step over the finger's gain times the human's step where that is large
-    (``LARGE_STEP``), else NaN."""
+    """Robot step over human step where that is large (``LARGE_STEP``), else NaN."""
     large = human > LARGE_STEP
-    return np.where(large, robot / np.where(large, gains * human, 1.0), np.nan)
+    return np.where(large, robot / np.where(large, human, 1.0), np.nan)
 
 
 def stalled_share(gains: Float[np.ndarray, "S F"]) -> float | None:
-    """Share of the human's large steps that the robot answers by less than a third of its gain
-    times the step; down."""
+    """Share of the human's large steps that the robot answers by less than a third; down."""
     return summary.mean((gains < STALLED)[np.isfinite(gains)])
 
 
 def settling_times(
-    human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"], stamps: Float[np.ndarray, " T"]
+    human: Float[np.ndarray, "T L"],
+    robot: Float[np.ndarray, "T L"],
+    stamps: Float[np.ndarray, " T"],
 ) -> Float[np.ndarray, " n"]:
     """Time that a robot finger takes to settle after each fast opening of the human's.
 
@@ -180,8 +183,8 @@ def settling_times(
         low = np.maximum.accumulate(np.where(own < CLOSED, stamps, -np.inf))
         rises = (own[1:] > OPENED) & ~(own[:-1] > OPENED) & (stamps[1:] - low[1:] <= OPENING_TIME)
         apart = ~(np.abs(answer - own) <= SETTLED)  # NaN counts as apart
-        ends = np.append(np.where(apart, stamps, np.inf), np.inf)
-        until = np.minimum(np.minimum.accumulate(ends[::-1])[::-1][:-1], stamps[-1])
+        ends = np.where(apart, stamps, stamps[-1:])  # the next frame apart, or the last
+        until = np.minimum.accumulate(ends[::-1])[::-1]
         settled = ~apart & (until - stamps >= SETTLED_FOR - _TINY)
         before = -np.inf
         for k in np.flatnonzero(rises) + 1:

@@ -218,12 +218,15 @@ def _spread_error(trace: Trace) -> float | None:
 
 
 @_once
-def _steps(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(T - 1, F) steps [m], human and robot, and the (F,) fingers' gains."""
-    gains = np.full(len(trace.fingers), np.nan)
-    if trace.straight_lengths is not None:
-        gains = posture.finger_gains(trace.human_fingers, trace.straight_lengths)
-    return posture.steps(trace.human_reaches), posture.steps(trace.robot_reaches), gains
+def _steps(trace: Trace) -> tuple[Float[np.ndarray, "S F"], Float[np.ndarray, "S F"]]:
+    return posture.steps(trace.human_reaches), posture.steps(trace.robot_reaches)
+
+
+def _jumps(trace: Trace) -> float | None:
+    if trace.straight_lengths is None:
+        return None
+    gains = posture.finger_gains(trace.human_fingers, trace.straight_lengths)
+    return posture.jumps_per_1000(*_steps(trace), gains)
 
 
 def _settling(trace: Trace) -> float | None:
@@ -296,15 +299,14 @@ METRICS: Final[tuple[Metric, ...]] = (
            "motion", lambda t: _lag(t)[0]),
     Metric("frozen_share", "", "down", "share of human motion that the robot sits out", "motion",
            lambda t: consistency.frozen_share(t.human_reaches, t.joint_positions)),
-    Metric("step_gain", "", "->1", "robot step over human step of over 3 mm, in finger lengths",
-           "motion",
+    Metric("step_gain", "", "->1", "robot step over human step of over 3 mm, median", "motion",
            lambda t: summary.median(posture.step_gains(*_steps(t)))),
     Metric("stalled_share", "", "down", "share of those steps answered by less than a third",
            "motion", lambda t: posture.stalled_share(posture.step_gains(*_steps(t)))),
     Metric("settling_s", "s", "down", "until a finger is as open as the human's, opened fast",
            "motion", _settling),
     Metric("jumps_per_1000", "", "down", "frames with a tip 12 mm beyond the human's step x gain",
-           "smoothness", lambda t: posture.jumps_per_1000(*_steps(t)), short="jumps"),
+           "smoothness", _jumps, short="jumps"),
     Metric("shake_at_rest", "", "down", "fingertip steps over the human's while he rests",
            "smoothness",
            lambda t: consistency.shake_at_rest(t.human_reaches, t.robot_reaches, t.stamps)),

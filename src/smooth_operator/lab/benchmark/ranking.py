@@ -392,7 +392,7 @@ def _words(metric: Metric) -> str:
     return {
         "finger_extension_error": "extension error",
         "finger_direction_error_deg": "fingers off by",
-        "pinch_touch_share": "pinches that touch",
+        "pinch_touch_share": "share of pinches that touch",
         "self_collision.share": "self-collision",
         "latency_ms.p50": "median latency",
     }.get(metric.name, metric.name.replace("_", " "))

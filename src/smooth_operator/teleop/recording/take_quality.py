@@ -34,7 +34,7 @@ class TakeQuality:
         paused_s: time in which the operator had paused the robot [s].
         stopped_s: time in an emergency stop [s].
         unused: frames that the method could not use.
-        jumps: frames in which a fingertip of the robot went 12 mm further than the human's.
+        jumps: frames in which a fingertip of the robot jumped (``posture.jumps_per_1000``).
         collision: share of poses with links over 2 mm inside each other; None where the hand has no
             shapes to measure it by.
         depth_mm: deepest overlap [mm]; None with ``collision``.
