@@ -355,13 +355,12 @@ def test_smooth_takes_the_gap_off_lengths_and_leaves_landmarks_alone(hand):
     )  # directions stay
     assert (lengths[1][:3] < lengths[0][:3]).all()
     assert lengths[1][3] == pytest.approx(lengths[0][3])  # no pinch
-    assert lengths[1].min() > 0.003  # pads touch before tips meet
 
 
 def test_gaps_go_by_the_fingers_names():
     targets = CloseTargets(pinch_gaps=(("index", 0.0), ("ring", 0.008)))
     layout = targets.layout(("thumb", "ring"))
-    human = jnp.asarray([[0.0, 0.1, 0], [0, 0.1, 0.01], [0, 0, 0.01]])[: len(layout.vectors)]
+    human = jnp.asarray([[0.0, 0.1, 0], [0, 0.1, 0.01], [0, 0, 0.01]])
     closed = targets((), layout, human)[0].vectors[layout.thumb]
     plain = CloseTargets()((), layout, human)[0].vectors[layout.thumb]
     assert float(jnp.linalg.norm(closed)) < float(jnp.linalg.norm(plain)) - 0.004

@@ -157,7 +157,7 @@ def test_without_rest_pose_and_positions_it_is_not_reached():
         lambda: RestPoseConfig(segment=-1.0),
         lambda: FingertipPositionConfig(weight=-1.0),
         lambda: FingertipPositionConfig(width=0.0),
-        lambda: SelfCollisionConfig(grip=-0.001),
+        lambda: SelfCollisionConfig(weight=-0.001),
     ],
 )
 def test_settings_are_checked(bad):

@@ -53,9 +53,11 @@ class KeyvectorLayout(VectorLayout):
 
     Attributes:
         fingers: human finger names, thumb first.
+        between_fingers: False leaves out the vectors between fingers other than the thumb.
     """
 
     fingers: tuple[str, ...]
+    between_fingers: bool = True
 
     @cached_property
     def vectors(self) -> tuple[tuple[int | None, int], ...]:
@@ -67,9 +69,8 @@ class KeyvectorLayout(VectorLayout):
     def pairs(self) -> tuple[tuple[int, int], ...]:
         """(K,) (from, to) over the points wrist, tip 1 .. tip F."""
         count = len(self.fingers)
-        return tuple((0, i) for i in range(1, count + 1)) + tuple(
-            combinations(range(1, count + 1), 2)
-        )
+        every = tuple(combinations(range(count + 1), 2))  # those of the wrist first, then the thumb
+        return every if self.between_fingers else every[: 2 * count - 1]
 
     @property
     def thumb(self) -> slice:

@@ -91,15 +91,12 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
     closely, since an error of the same length turns a short vector more.
 
     Attributes:
-        w_wrist, w_thumb, w_between: weights of the wrist-to-tip, thumb-to-tip and finger-to-finger
-            keyvectors of length ``at``.
+        w_wrist, w_thumb: weights of the wrist-to-tip keyvectors, and of the thumb-to-tip keyvectors
+            of length ``at``. Vectors between other fingers have no targets.
         focus: power by which the weight of thumb-to-tip vectors falls with their length. 2 prices
             the angle, 0 the distance alike at any length.
-        focus_between: the same for finger-to-finger vectors.
-        at: length at which the weights are those given [m].
+        at: length at which that weight is the one given [m].
         floor: length below which weights rise no more [m].
-        apart: soft lower bound of thumb-to-tip targets, since pads touch before tips meet: a length
-            g becomes (g^4 + apart^4)^(1/4); 0 leaves them the human's [m].
         pinch_gaps: gap that a tracker leaves between thumb and finger in a pinch of a calibrated
             operator: (finger, length at the robot's size [m]). It is taken off the lengths of
             thumb-to-tip targets: in full under 10 mm, not at all over 45 mm. Directions stay the
@@ -111,21 +108,17 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
 
     w_wrist: float = 18.0
     w_thumb: float = 8.0
-    w_between: float = 1.0
     focus: float = 2.0
-    focus_between: float = 1.6
     at: float = 0.06
     floor: float = 0.01
-    apart: float = 0.0035
     pinch_gaps: tuple[tuple[str, float], ...] = ()
     latches: bool = False
     project: float = 0.012
     escape: float = 0.02
 
     def __post_init__(self) -> None:
-        weights = ("w_wrist", "w_thumb", "w_between", "focus", "focus_between")
-        lengths = ("at", "floor", "project", "escape")
-        check_numbers(self, "targets.", positive=lengths, not_negative=("apart", *weights))
+        weights, lengths = ("w_wrist", "w_thumb", "focus"), ("at", "floor", "project", "escape")
+        check_numbers(self, "targets.", positive=lengths, not_negative=weights)
         if isinstance(self.project, float) and not self.project <= self.escape:
             raise ConfigError(f"project {self.project} must not exceed escape {self.escape} [m]")
         for finger, gap in self.pinch_gaps:
@@ -146,8 +139,8 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
         return ("scale",) if operator.has("scale") else ()
 
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
-        """The paper's keyvectors."""
-        return KeyvectorLayout(fingers)
+        """The paper's keyvectors from the wrist and from the thumb's tip."""
+        return KeyvectorLayout(fingers, between_fingers=False)
 
     def init(self, layout: KeyvectorLayout) -> Bool[Array, " P"] | tuple[()]:
         """Open latches, if there are any."""
@@ -161,17 +154,12 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
         self, state: Any, layout: KeyvectorLayout, human: Float[Array, "K 3"]
     ) -> tuple[Targets, Any]:
         """Targets of one frame, and the latches after it."""
-        length = jnp.sqrt((human * human).sum(-1) + 1e-12)
-        ratio = (self.at**2 + self.floor**2) / (length**2 + self.floor**2)
-        base = jnp.asarray(base_weights(layout, 1.0, 0.0, 0.0), human.dtype) * self.w_wrist
-        thumb = jnp.asarray(base_weights(layout, 0.0, 1.0, 0.0), human.dtype)
-        between = jnp.asarray(base_weights(layout, 0.0, 0.0, 1.0), human.dtype)
-        weights = (
-            base
-            + thumb * self.w_thumb * ratio ** (self.focus / 2)
-            + between * self.w_between * ratio ** (self.focus_between / 2)
-        )
-        near = length[layout.thumb]
+        wrist, thumb = human[: layout.thumb.start], human[layout.thumb]
+        near = jnp.sqrt((thumb * thumb).sum(-1) + 1e-12)
+        ratio = (self.at**2 + self.floor**2) / (near**2 + self.floor**2)
+        weights = jnp.concatenate(
+            [jnp.full(len(wrist), self.w_wrist), self.w_thumb * ratio ** (self.focus / 2)]
+        ).astype(human.dtype)
         if self.latches:
             state = jnp.where(state, near <= self.escape, near < self.project)
         if self.pinch_gaps:  # of an operator
@@ -179,8 +167,7 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
 
             gaps = dict(self.pinch_gaps)
             left = jnp.asarray([gaps.get(name, 0.0) for name in layout.fingers[1:]], human.dtype)
-            near = near - jnp.minimum(pinch_nearness(near, jnp) * left, near)
-        longer = (near**4 + self.apart**4) ** 0.25 / length[layout.thumb]
-        before, after = (np.ones(n) for n in (layout.thumb.start, len(human) - layout.thumb.stop))
-        vectors = human * jnp.concatenate([before, longer, after]).astype(human.dtype)[:, None]
-        return Targets(vectors, weights), state
+            # some length stays, for a vector of length 0 has no direction
+            share = jnp.maximum(1 - pinch_nearness(near, jnp) * left / near, 0.1)
+            human = jnp.concatenate([wrist, thumb * share[:, None]])
+        return Targets(human, weights), state
