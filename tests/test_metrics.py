@@ -60,17 +60,18 @@ def test_keyvectors_are_wrist_then_thumb_then_the_rest():
 
 
 def test_pinches_touch_by_their_surfaces():
-    distances = np.full((10, 4), np.nan)
-    distances[:4, 0] = [0.0011, 0.0009, -0.0019, -0.0021]  # apart, touching twice, too deep
-    distances[4:6, 1] = 0.004
-    result = evaluate(make_trace(human_motion(10), pinch_distances=distances))
-    assert result["pinch_touch_share"] == pytest.approx(3 / 6)
-    assert result["pinch_deep_share"] == pytest.approx(1 / 6)
+    distances = np.full((40, 4), np.nan)
+    distances[:20, 0] = np.tile([0.0011, 0.0009, -0.0019, -0.0021], 5)  # apart, two touch, too deep
+    distances[20:30, 1] = 0.004
+    distances[30:39, 2] = 0.0  # too few to be told
+    result = evaluate(make_trace(human_motion(40), pinch_distances=distances))
+    assert result["pinch_touch_share"] == pytest.approx((15 + 9) / 39)
+    assert result["pinch_deep_share"] == pytest.approx(5 / 39)
     assert result["pinch_touch_share_per_finger"] == {
         "index": pytest.approx(3 / 4), "middle": 0.0, "ring": None, "pinky": None,
     }  # fmt: skip
-    for unknown in (None, np.full((10, 4), np.nan)):  # shapes, pinches
-        result = evaluate(make_trace(human_motion(10), pinch_distances=unknown))
+    for unknown in (None, np.full((40, 4), np.nan)):  # no shapes, no pinches
+        result = evaluate(make_trace(human_motion(40), pinch_distances=unknown))
         assert result["pinch_touch_share"] is result["pinch_deep_share"] is None
 
 

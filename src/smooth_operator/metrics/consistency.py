@@ -18,10 +18,10 @@ JOINTS_STILL: Final = 1e-5
 """A robot none of whose joints moves further than this in one frame is frozen [rad]."""
 REST_RANGE: Final = 0.008
 REST_TIME: Final = 0.6
-"""A human hand rests while no coordinate of a fingertip, from the wrist, covers more than
+"""A human fingertip rests while none of its coordinates, from the wrist, covers more than
 ``REST_RANGE`` [m] in ``REST_TIME`` [s]."""
-LEAST_RESTING: Final = 10
-"""Fewest steps at rest that are measured."""
+LEAST_RESTING: Final = 50
+"""Fewest fingertip steps at rest that are measured."""
 _NOWHERE: Final = 1e3  # a coordinate that no hand has [m]
 MAX_LAG_FRAMES: Final = 14
 """Longest delay that ``lag`` looks for [frames]."""
@@ -49,7 +49,7 @@ def shake_at_rest(
     robot: Float[np.ndarray, "T F 3"],
     stamps: Float[np.ndarray, " T"],
 ) -> float | None:
-    """The robot's fingertip steps over the human's while the human hand rests, root mean squares.
+    """The robot's fingertip steps over the human's while the human's tip rests, root mean squares.
 
     1 passes all of the tracker's shake on, 0 none of it; down.
 
@@ -59,14 +59,14 @@ def shake_at_rest(
         stamps: (T,) times [s].
 
     Returns:
-        None if the human hand never rests (``REST_RANGE``), or rests without any motion.
+        None if the human's fingertips hardly ever rest, or rest without any motion.
     """
     if len(stamps) < 2:
         return None
     size = 2 * round(0.5 * REST_TIME / float(np.median(np.diff(stamps)))) + 1
     known = np.where(np.isfinite(human), human, _NOWHERE)
     top, bottom = maximum_filter1d(known, size, axis=0), minimum_filter1d(known, size, axis=0)
-    resting = ((top - bottom).max(axis=(1, 2)) < REST_RANGE) & (top.max(axis=(1, 2)) < _NOWHERE)
+    resting = ((top - bottom).max(axis=2) < REST_RANGE) & (top.max(axis=2) < _NOWHERE)
     steps = resting[1:] & resting[:-1]
     if steps.sum() < LEAST_RESTING:
         return None

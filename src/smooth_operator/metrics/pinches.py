@@ -11,13 +11,13 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from smooth_operator.metrics import summary
-
 PINCH_DISTANCE: Final = 0.012
 """Distance of the human's thumb tip and fingertip below which the human pinches [m]. It counts
 after alignment, on the robot's scale."""
 TOUCH_DISTANCE: Final = 0.001
 """Distance of two surfaces below which they touch [m]."""
+LEAST_PINCHED: Final = 10
+"""Fewest pinches, one for each frame and finger, of which a share is told."""
 DEEP: Final = 0.002
 """Depth beyond which two surfaces are too deep in each other [m]."""
 
@@ -33,14 +33,20 @@ def pinched_frames(tips: Float[np.ndarray, "T F 3"]) -> Bool[np.ndarray, "T f"]:
 
 
 def touching_share(distances: Float[np.ndarray, "..."]) -> float | None:
-    """Share of pinches in which the robot's surfaces touch; towards 1. None without a pinch.
+    """Share of pinches in which the robot's surfaces touch; towards 1. None with fewer than
+    ``LEAST_PINCHED``.
 
     Args:
         distances: distance of the surfaces in each pinch [m]; NaN where there is none.
     """
-    return summary.mean((distances < TOUCH_DISTANCE)[np.isfinite(distances)])
+    return _share_below(distances, TOUCH_DISTANCE)
 
 
 def deep_share(distances: Float[np.ndarray, "..."]) -> float | None:
     """Share of pinches in which the surfaces are too deep in each other; towards 0."""
-    return summary.mean((distances < -DEEP)[np.isfinite(distances)])
+    return _share_below(distances, -DEEP)
+
+
+def _share_below(distances: Float[np.ndarray, "..."], limit: float) -> float | None:
+    known = distances[np.isfinite(distances)]
+    return float((known < limit).mean()) if len(known) >= LEAST_PINCHED else None

@@ -307,7 +307,7 @@ METRICS: Final[tuple[Metric, ...]] = (
            "motion", _settling),
     Metric("jumps_per_1000", "", "down", "frames with a tip 12 mm beyond the human's step x gain",
            "smoothness", _jumps, short="jumps"),
-    Metric("shake_at_rest", "", "down", "fingertip steps over the human's while he rests",
+    Metric("shake_at_rest", "", "down", "fingertip steps over the human's while that tip rests",
            "smoothness",
            lambda t: consistency.shake_at_rest(t.human_reaches, t.robot_reaches, t.stamps)),
     Metric("flatness", "m²", "down", "squared second difference of fingertips, at this rate",
