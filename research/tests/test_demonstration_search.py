@@ -106,13 +106,15 @@ def test_progress_is_more_the_further_a_trial_gets(task):
 def test_joint_errors_move_the_fingertips_to_where_the_operator_shows_them():
     """Up to what the damping leaves; none for the operator whose hand the robot's is."""
     demonstration, hand = load_demonstration("cube"), load_hand("mimic_p050")
-    world = draw_perturbation(3, 1000)
+    # Other bones alone move a straight finger's tip along the finger, where no joint moves it.
+    drawn = draw_perturbation(3, 1000)
+    world = replace(drawn, tracker=replace(drawn.tracker, shake=0.002))
     tips, joints = tip_errors(demonstration, world), joint_errors(demonstration, world)
     poses = np.stack([demonstration.pose(k / 100.0) for k in range(len(joints))])
     moved = hand.tips(hand.full_configuration(poses + joints)) - hand.tips(
         hand.full_configuration(poses)
     )
-    assert np.linalg.norm(tips, axis=-1).mean() > 0.0005
+    assert np.linalg.norm(tips, axis=-1).mean() > 0.001
     left = np.linalg.norm(moved - tips, axis=-1).mean() / np.linalg.norm(tips, axis=-1).mean()
     assert left < 0.3
     np.testing.assert_allclose(joint_errors(demonstration, draw_perturbation(0)), 0.0, atol=1e-9)
