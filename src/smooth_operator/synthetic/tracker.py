@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.landmarks import BASES, NUM_LANDMARKS, TIPS
+from smooth_operator.landmarks import BASES, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.poses import from_rotation_vectors
 from smooth_operator.settings import LARGEST, check_range
 
@@ -47,7 +47,8 @@ class TrackerModel:
         shake: standard deviation of each coordinate of each fingertip in the palm's frame [m].
         shake_time: correlation time of that shake [s]; 0 is white.
         delay: how long ago the hand was as a frame shows it [s].
-        pinch_gap: the nearest that thumb and fingertip ever seem [m]. A distance d is shown as
+        pinch_gaps: the nearest that the thumb ever seems to be to the tips of index, middle, ring
+            and little finger [palm lengths, wrist to middle MCP]. A distance d is shown as
             (d^3 + gap^3)^(1/3).
         noise: standard deviation of each coordinate of each landmark and metacarpal base [m].
         noise_time: correlation time of that noise [s]; 0 is white noise.
@@ -68,7 +69,7 @@ class TrackerModel:
     shake: float = 0.0
     shake_time: float = 0.0
     delay: float = 0.0
-    pinch_gap: float = 0.0
+    pinch_gaps: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     noise: float = 0.0
     noise_time: float = 0.0
     rate_jitter: float = 0.0
@@ -83,7 +84,8 @@ class TrackerModel:
         check_range("tracker shake", self.shake, 0.0, 0.05, "m")
         check_range("tracker shake_time", self.shake_time, 0.0, LARGEST, "s")
         check_range("tracker delay", self.delay, 0.0, 1.0, "s")
-        check_range("tracker pinch_gap", self.pinch_gap, 0.0, 0.1, "m")
+        for gap in self.pinch_gaps:
+            check_range("tracker pinch_gaps", gap, 0.0, 1.0, "palm lengths")
         check_range("tracker noise", self.noise, 0.0, 0.05, "m")
         check_range("tracker noise_time", self.noise_time, 0.0, LARGEST, "s")
         check_range("tracker rate_jitter", self.rate_jitter, 0.0, 0.45)
@@ -95,11 +97,20 @@ class TrackerModel:
 
 
 TRACKERS: Final = {
-    "glove": TrackerModel(rate_hz=100.0, shake=0.0002, shake_time=0.02, delay=0.01),
-    "headset": TrackerModel(rate_hz=30.0, shake=0.0005, shake_time=0.05, delay=0.05),
-    "camera": TrackerModel(rate_hz=30.0, shake=0.001, shake_time=0.05, delay=0.1, pinch_gap=0.015),
-}
-"""Trackers by kind."""
+    "glove": TrackerModel(
+        rate_hz=100.0, shake=0.0002, shake_time=0.04, delay=0.01, frame_loss=0.04,
+        frame_loss_burst=0.01,
+    ),
+    "headset": TrackerModel(
+        rate_hz=30.0, shake=0.0006, shake_time=0.05, delay=0.045, rate_jitter=0.07,
+        frame_loss=0.005, frame_loss_burst=0.09,
+    ),
+    "camera": TrackerModel(
+        rate_hz=30.0, shake=0.0008, shake_time=0.02, delay=0.1,
+        pinch_gaps=(0.295, 0.369, 0.251, 0.075),
+    ),
+}  # fmt: skip
+"""Trackers by kind, measured from recordings as ``research/docs/trackers.md`` says."""
 
 
 def tracker_model(name: str, seed: int = 0) -> TrackerModel:
@@ -139,10 +150,12 @@ class Ticks:
     def shown(self, landmarks: Float[np.ndarray, "n 21 3"]) -> Float[np.ndarray, "n 21 3"]:
         """Where the tracker shows landmarks [m], whether or not it loses them."""
         shown = np.array(landmarks)
-        if self.model.pinch_gap:
+        if any(self.model.pinch_gaps):
+            palm = np.linalg.norm(shown[:, BASES[2]] - shown[:, WRIST], axis=-1)
+            gaps = (palm[:, None] * self.model.pinch_gaps)[..., None]
             apart = shown[:, TIPS[1:]] - shown[:, TIPS[:1]]
             distance = np.linalg.norm(apart, axis=-1, keepdims=True)
-            farther = np.cbrt(distance**3 + self.model.pinch_gap**3) - distance
+            farther = np.cbrt(distance**3 + gaps**3) - distance
             push = np.zeros((len(shown), len(TIPS), 3))
             push[:, 1:] = farther * apart / np.maximum(distance, 1e-9)
             _move_fingertips(shown, push)

@@ -38,6 +38,7 @@ class PerturbationRanges:
         mass: share by which its mass and inertia differ.
         hand: share by which all the operator's bones differ from the demonstration's.
         finger: share by which the bones of each finger differ further.
+        gap: share by which the tracker's pinch gaps differ from person to person.
     """
 
     shift: float = SHIFT_M
@@ -46,9 +47,10 @@ class PerturbationRanges:
     mass: float = MASS_SHARE
     hand: float = 0.07
     finger: float = 0.03
+    gap: float = 0.2
 
     def __post_init__(self) -> None:
-        names = ("shift", "turn", "friction", "mass", "hand", "finger")
+        names = ("shift", "turn", "friction", "mass", "hand", "finger", "gap")
         check_numbers(self, not_negative=names)
 
 
@@ -106,6 +108,9 @@ def draw_perturbation(
     rng = np.random.default_rng([seed, number])
     unit = rng.uniform(-1.0, 1.0, 5 + len(BASES) + 1)
     hand = 1.0 + ranges.hand * float(unit[5])
+    noise_seed = int(rng.integers(2**31))
+    gap = 1.0 + ranges.gap * float(rng.uniform(-1.0, 1.0))
+    first, second, third, fourth = (gap * own for own in model.pinch_gaps)
     return Perturbation(
         number=number,
         shift=ranges.shift * unit[:2],
@@ -114,7 +119,7 @@ def draw_perturbation(
         mass=1.0 + ranges.mass * float(unit[4]),
         palm=hand,
         bones=hand + ranges.finger * unit[6:],
-        tracker=replace(model, seed=int(rng.integers(2**31))),
+        tracker=replace(model, seed=noise_seed, pinch_gaps=(first, second, third, fourth)),
     )
 
 
