@@ -287,11 +287,9 @@ class Smooth(Method):
 
     @property
     def optional_landmarks(self) -> tuple[int, ...]:
-        """The palm's, which show noise, those below the fingertips, which turn the pads, and all of
-        the fingers for their lengths."""
-        turning = tuple(landmark for _, landmark in self.rest_pose.segments)
+        """The palm's, which show noise, and all of the fingers, which show their lengths."""
         corresponds = not is_off(self.config.correspondence.share)
-        return (*PALM, *turning, *(self.correspondence.landmarks if corresponds else ()))
+        return (*PALM, *(self.correspondence.landmarks if corresponds else ()))
 
     def init(self, seed: int) -> SmoothState:
         """Neutral pose; nothing is random."""
@@ -330,22 +328,20 @@ class Smooth(Method):
     ) -> tuple[SmoothState, MethodOutput]:
         """One frame."""
         frame = self._observed(state, aligned, jnp.asarray(ticks, jnp.uint32))
-        goal = self._goal_of(state, frame, aligned)
+        goal = self._goal_of(state, frame)
         solved, tips = self._solve(state.q, goal, frame)
         after = frame.state._replace(q=solved, frames=state.frames + jnp.uint32(1))
         keyvectors = self.objective.keyvectors
         errors = keyvectors.vectors.at(tips) - goal.vectors
         return after, MethodOutput(solved, keyvectors.slopes(errors, goal).cost)
 
-    def _goal_of(
-        self, state: SmoothState, frame: _Observed, aligned: Float[Array, "21 3"]
-    ) -> FrameGoal:
+    def _goal_of(self, state: SmoothState, frame: _Observed) -> FrameGoal:
         """The whole goal of a frame."""
         goal, moves = frame.goal, frame.moves
         if is_off(self.config.rest_pose.reach):
             tips = self.motion.tips(state.q)
             return goal._replace(tips=tips + moves, motion_weights=frame.weights)
-        tips, near, pose = self.rest_pose(state.q, aligned, frame.places, moves)
+        tips, near, pose = self.rest_pose(state.q, frame.places, moves)
         weights = frame.weights
         if state.operator:
             resting = 1 / (1 + (moves * moves).sum(-1) / (RESTING * frame.clock.dt) ** 2)

@@ -2,7 +2,7 @@
 
 The second term of Eq. (1) pulls joints to a neutral pose, and so holds fingertips off targets that
 they could reach. Where fingertips are near the human's, only the part of the pull that moves none
-of them is kept. It takes the human's direction of the last finger segments, which turns the pads.
+of them is kept.
 """
 
 from __future__ import annotations
@@ -16,11 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from smooth_operator.hands.differential import PointKinematics, PointMotion, all_joints, contracted
+from smooth_operator.hands.differential import PointKinematics, all_joints, contracted
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
-from smooth_operator.objective.terms import TINY_AREA
-from smooth_operator.settings import check_numbers, is_off
+from smooth_operator.settings import check_numbers
 from smooth_operator.solvers.newton import solve_small
 
 
@@ -33,15 +31,13 @@ class RestPoseConfig:
             the pull of Eq. (1) as it is.
         damping: motion of all fingertips per unit of joint motion, squared, that counts as none
             [m^2/rad^2].
-        segment: weight of the direction of the last finger segments against the neutral pose.
     """
 
     reach: float = 0.006
     damping: float = 1e-5
-    segment: float = 30.0
 
     def __post_init__(self) -> None:
-        check_numbers(self, "rest_pose.", positive=("damping",), not_negative=("reach", "segment"))
+        check_numbers(self, "rest_pose.", positive=("damping",), not_negative=("reach",))
 
 
 class RestGoal(NamedTuple):
@@ -71,37 +67,20 @@ class RestPose:
     config: RestPoseConfig
 
     @cached_property
-    def segments(self) -> tuple[tuple[int, int], ...]:
-        """(finger, landmark below its tip) of each finger that has a counterpart of it."""
-        pairs = []
-        for f, name in enumerate(self.hand.fingers):
-            place = FINGERS.index(name)
-            below = [
-                i
-                for i in range(BASES[place] + 1, TIPS[place])
-                if LANDMARKS[i] in self.hand.tree.keypoints
-            ]
-            pairs += [(f, below[-1])] if below else []
-        return tuple(pairs)
-
-    @cached_property
     def kinematics(self) -> PointKinematics:
-        """Fingertips, then the points below them."""
-        below = tuple(LANDMARKS[i] for _, i in self.segments)
-        return PointKinematics(self.hand.tree, (*self.hand.tip_names, *below))
+        """Fingertips."""
+        return PointKinematics(self.hand.tree, self.hand.tip_names)
 
     @cached_property
     def moves(self) -> Bool[np.ndarray, "F m"]:
         """(F, m) mask of the actuated joints that move each fingertip."""
         matrix = self.hand.coupling_matrix[np.array(self.kinematics.order)]
-        tips = self.kinematics.moves[: len(self.hand.fingers)]
-        moves: np.ndarray = (tips.astype(float) @ np.abs(matrix)) > 0
+        moves: np.ndarray = (self.kinematics.moves.astype(float) @ np.abs(matrix)) > 0
         return moves
 
     def __call__(
         self,
         q: Float[Array, " m"],
-        aligned: Float[Array, "21 3"],
         places: Float[Array, "F 3"],
         moves: Float[Array, "F 3"],
     ) -> RestGoal:
@@ -109,54 +88,25 @@ class RestPose:
 
         Args:
             q: (m,) last answer of the actuated joints [rad].
-            aligned: (21, 3) human landmarks in the palm frame [m]; NaN where one is not known.
             places: (F, 3) where the robot's fingertips belong, in the palm frame [m].
             moves: (F, 3) their step since the last answer [m].
         """
-        config, hand, count = self.config, self.hand, len(self.hand.fingers)
+        config, hand = self.config, self.hand
         motion = self.kinematics(all_joints(hand, q))
         slopes = jnp.swapaxes(self.kinematics.jacobian(motion), 1, 2)
         jacobian = contracted(slopes, hand.coupling_matrix[np.array(self.kinematics.order)])
-        tips, neutral = motion.points[:count], jnp.asarray(hand.neutral, q.dtype)
+        tips, neutral = motion.points, jnp.asarray(hand.neutral, q.dtype)
         error = tips + moves - places
         near = 1 / (1 + (error * error).sum(-1) / config.reach**2) ** 2
-        pull, rows = neutral - q, jacobian[:count].reshape(-1, len(q))
-        if self.segments and not is_off(config.segment):
-            off, turns = self._directions(motion, jacobian, aligned)
-            pull = pull + config.segment * (turns * off[:, None]).sum(axis=0)
-            segment = np.float32(np.sqrt(config.damping * config.segment))
-            rows = jnp.concatenate([rows, segment * turns])
-        right = config.damping * pull
+        rows = jacobian.reshape(-1, len(q))
         apart: Any = jax.lax.optimization_barrier  # has no types; see ``Objective``
         damping = config.damping * jnp.eye(len(q), dtype=q.dtype)
-        # (J^T J + damping W) step = damping W pull: where fingertips move, hardly a step is left
-        step = solve_small(apart(rows.T) @ rows + damping, right)
+        # (J^T J + damping) step = damping (neutral - q): little is left of what moves fingertips
+        step = solve_small(apart(rows.T) @ rows + damping, config.damping * (neutral - q))
         # a joint is free of Eq. (1)'s pull as far as every fingertip that it moves is near
         share = jnp.where(jnp.asarray(self.moves), near[:, None], 1.0).min(axis=0)
-        pose = q + share * step + (1 - share) * (jnp.asarray(hand.neutral, q.dtype) - q)
+        pose = q + share * step + (1 - share) * (neutral - q)
         return RestGoal(tips, near, pose)
-
-    def _directions(
-        self, motion: PointMotion, jacobian: Float[Array, "P 3 m"], aligned: Float[Array, "21 3"]
-    ) -> tuple[Float[Array, " S3"], Float[Array, "S3 m"]]:
-        """(3 S,) unit vectors of the last segments, human minus robot, across the robot's, 0 where
-        unknown; and (3 S, m) derivatives of the robot's."""
-        fingers = np.array([f for f, _ in self.segments])
-        below = len(self.hand.fingers) + np.arange(len(fingers))
-        tips = np.array([TIPS[FINGERS.index(self.hand.fingers[f])] for f in fingers])
-        robot = motion.points[fingers] - motion.points[below]
-        size = jnp.sqrt((robot * robot).sum(-1, keepdims=True) + TINY_AREA)
-        unit = robot / size
-        slopes = (jacobian[fingers] - jacobian[below]) / size[:, :, None]
-        along = (unit[:, :, None] * slopes).sum(axis=1)
-        slopes = slopes - unit[:, :, None] * along[:, None, :]
-        human = aligned[tips] - aligned[np.array([i for _, i in self.segments])]
-        human = human / jnp.sqrt((human * human).sum(-1, keepdims=True) + TINY_AREA)
-        error = human - unit
-        error = error - unit * (error * unit).sum(-1, keepdims=True)
-        finite = jnp.isfinite(error).all(-1, keepdims=True)
-        off = jnp.where(finite, error, 0.0).reshape(-1)
-        return off, jnp.where(finite[:, :, None], slopes, 0.0).reshape(-1, slopes.shape[-1])
 
 
 _SHORTER: Final = 1e-3  # so much nearer than the finger at its limit [m]
