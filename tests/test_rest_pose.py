@@ -20,7 +20,6 @@ from smooth_operator.objective.smooth_terms import (
     SelfCollisionConfig,
 )
 from smooth_operator.objective.terms import FrameGoal, NeutralPose, RobotVectors
-from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator_research.physics.reachable_motion import reachable_motion
 
 
