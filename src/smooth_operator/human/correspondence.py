@@ -47,7 +47,8 @@ class CorrespondenceConfig:
         thumb_share: weight of a near finger in the thumb's place; that of the thumb's own is 1.
         thumb_follows: the same of a finger at any distance: the thumb's side of the hand stays the
             human's.
-        faster: by how much a fingertip's place may move faster than the human's fingertip [m/s].
+        catch_up: speed at which a fingertip's place may move beyond the human's step times the
+            finger's gain: lengths and pinches change places, too [m/s].
         span: averaging time of the operator's lengths [s].
     """
 
@@ -58,14 +59,14 @@ class CorrespondenceConfig:
     folded: float = 0.35
     thumb_share: float = 0.6
     thumb_follows: float = 0.1
-    faster: float = 0.2
+    catch_up: float = 0.2
     span: float = 10.0
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
             "correspondence.",
-            positive=("longest", "far", "faster", "span"),
+            positive=("longest", "far", "catch_up", "span"),
             not_negative=("share", "near", "folded", "thumb_share", "thumb_follows"),
         )
         if not self.near < self.far:
@@ -179,16 +180,16 @@ class Correspondence:
             lengths=jnp.where(unseen, lengths, before.lengths),
         )
         operator = self._measured(before, aligned, dt, restart)
-        places, gain = self._places(operator, tips)
-        # a finger of twice the length moves twice as fast, which is more than a robot can follow;
-        # and it doubles what the landmark filter catches up with after the human has stopped
+        places, gain, motion_gain = self._places(operator, tips)
+        # a longer finger would multiply what the landmark filter catches up with after the human
+        # has stopped: the human's step is the shorter of the two
         shorter = jnp.minimum((steps * steps).sum(-1), (measured * measured).sum(-1))
-        most = jnp.sqrt(shorter)[:, None] + self.config.faster * dt
+        most = (jnp.maximum(gain, 1.0) * jnp.sqrt(shorter) + self.config.catch_up * dt)[:, None]
         last = jnp.where(restart, places, before.places)
         way = places - last
         places = last + _shortened(way, most)
         behind = last + way - places
-        moves = _shortened(gain[:, None] * steps, most)
+        moves = _shortened(motion_gain[:, None] * steps, most)
         return operator._replace(places=places), moves, jnp.sqrt((behind * behind).sum(-1))
 
     def _measured(
@@ -226,8 +227,9 @@ class Correspondence:
 
     def _places(
         self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
-    ) -> tuple[Float[Array, "F 3"], Float[Array, " F"]]:
-        """Places of the fingertips, with a continuous slope, and the gain of their motion.
+    ) -> tuple[Float[Array, "F 3"], Float[Array, " F"], Float[Array, " F"]]:
+        """Places of the fingertips, with a continuous slope; the fingers' gains, robot length over
+        human length; and the gains of their motion, which fall to 1 at a pinch.
 
         Of the human's vectors h_i from thumb to finger i, places T by the fingers alone, gains g,
         closeness c_i and nearness n_i (closeness of an unfolded finger) of 0 to 1, and weights
@@ -254,7 +256,7 @@ class Correspondence:
         fingers = alone[1:] + nearness[:, None] * (thumb + human - alone[1:])
         # fingers that pinch move as one
         nearest = jnp.concatenate([nearness.max()[None], nearness])
-        return jnp.concatenate([thumb[None], fingers]), gain + nearest * (1 - gain)
+        return jnp.concatenate([thumb[None], fingers]), gain, gain + nearest * (1 - gain)
 
 
 def _smooth_step(share: Float[Array, " n"]) -> Float[Array, " n"]:
