@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from smooth_operator import LANDMARKS, Hand, Retargeter, method_config
-from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal
 
 TIPS = (4, 8, 12, 16, 20)
@@ -129,7 +129,7 @@ def test_the_answer_minimises_the_methods_own_cost(hand, method, expected):
 def test_vectors_or_positions_of_tips_are_held_by_the_last_command(hand, preset):
     """dex-retargeting's: 4e-3 on the change of each joint, nothing towards the neutral pose."""
     config = method_config("keyvector", preset)
-    objective, human = Objective(hand, config.objective), human_pinch(hand)
+    objective, human = SampledObjective(hand, config.objective), human_pinch(hand)
     layout = objective.layout
     targets, _ = config.objective.targets((), layout, layout.human(jnp.asarray(human)))
     rng = np.random.default_rng(4)

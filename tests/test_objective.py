@@ -14,8 +14,9 @@ from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import FINGERS, LANDMARKS
 from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.published import DexPilotTargets, LatchState, PlainTargets
+from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.targets import Targets
 from smooth_operator.objective.terms import FrameGoal
 
@@ -235,7 +236,7 @@ def named_hand(name: str) -> Hand:
 def test_the_batch_objective_is_eq_1(name, loss, pose, velocity):
     hand = named_hand(name)
     config = ObjectiveConfig(loss=loss, pose_weight=pose, velocity_weight=velocity)
-    objective, goal = Objective(hand, config), random_goal(hand, 2, velocity)
+    objective, goal = SampledObjective(hand, config), random_goal(hand, 2, velocity)
     q = limited_poses(np.random.default_rng(3), hand.limits, 40)
     expected = [plain_cost(hand, config, row, goal) for row in q]
     pulls = [
@@ -261,7 +262,7 @@ def test_the_batch_objective_is_eq_1(name, loss, pose, velocity):
 def test_one_pose_has_the_same_objective_and_its_derivatives_are_exact(loss):
     hand = load_hand()
     config = ObjectiveConfig(loss=loss, transition=0.013)
-    objective = Objective(hand, config)
+    objective = SampledObjective(hand, config)
     goal, step = random_goal(hand, 4), 1e-6
     q = limited_poses(np.random.default_rng(5), hand.limits, 3)
     expected = [plain_cost(hand, config, row, goal) for row in q]
@@ -294,7 +295,7 @@ def test_one_pose_has_the_same_objective_and_its_derivatives_are_exact(loss):
 def test_no_velocity_term_without_a_previous_command():
     """With weight 0 the previous pose must not matter at all, not even to rounding."""
     hand = load_hand()
-    objective, goal = Objective(hand, ObjectiveConfig()), random_goal(hand, 8, 0.0)
+    objective, goal = SampledObjective(hand, ObjectiveConfig()), random_goal(hand, 8, 0.0)
     rows = [jnp.float32(v) for v in limited_poses(np.random.default_rng(9), hand.limits, 1)[0]]
     goal = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), goal)
     moved = goal._replace(previous=goal.previous + 1.0)

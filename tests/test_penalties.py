@@ -12,6 +12,7 @@ from smooth_operator import load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.published import KEYVECTORS
 from smooth_operator.objective.terms import FrameGoal, Keyvectors, Loss, RobotVectors
 
 TRANSITION = 0.02
@@ -36,7 +37,7 @@ def written_out(error: np.ndarray, weight: float, loss: Loss) -> float:
 
 def keyvectors(loss: Loss) -> Keyvectors:
     hand = load_hand()
-    return Keyvectors(RobotVectors(hand, KeyvectorLayout(hand.fingers)), loss, TRANSITION)
+    return KEYVECTORS[loss](RobotVectors(hand, KeyvectorLayout(hand.fingers)), TRANSITION)
 
 
 @pytest.mark.parametrize("loss", get_args(Loss))

@@ -19,7 +19,7 @@ from smooth_operator.objective.smooth_terms import (
     FingertipPositionConfig,
     SelfCollisionConfig,
 )
-from smooth_operator.objective.terms import FrameGoal, NeutralPose, RobotVectors
+from smooth_operator.objective.terms import FrameGoal, RobotVectors
 from smooth_operator_research.physics.reachable_motion import reachable_motion
 
 
@@ -49,13 +49,6 @@ def test_where_fingertips_are_right_the_pull_moves_none(name):
             # far from its target it is the pull of Eq. (1)
             far = rest_of(hand, q, tips + 0.2, config)
             np.testing.assert_allclose(far.pose, hand.neutral, atol=1e-4)
-
-
-def test_the_neutral_pose_term_takes_the_goals_pose():
-    term = NeutralPose(0.5, np.zeros(2))
-    goal = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(2), 0.0)
-    assert term.cost(np.array([1.0, 0.0]), goal) == 0.5
-    assert term.cost(np.array([1.0, 0.0]), goal._replace(rest=np.array([1.0, 0.0]))) == 0.0
 
 
 def test_the_cost_of_positions_is_stiff_near_and_bounded_far():

@@ -21,7 +21,8 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.synthetic import SyntheticOperator
 
@@ -102,7 +103,7 @@ def test_ako_refuses_a_hand_without_last_joints(hand):
 
 @pytest.mark.parametrize("policy", [AkoTargets(), TipTargets()])
 def test_objective_of_other_vectors_is_their_weighted_loss(hand, policy):
-    objective = Objective(
+    objective = SampledObjective(
         hand, ObjectiveConfig(targets=policy, loss="squared", pose_weight=0.0, velocity_weight=0.0)
     )
     rng = np.random.default_rng(3)

@@ -23,6 +23,7 @@ from smooth_operator.methods.method import FrameClock
 from smooth_operator.methods.program import tick_after, ticks_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.rest_pose import spread_joints
+from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
@@ -207,7 +208,7 @@ def test_it_is_eq_1_where_nothing_is_added():
         plain, goal = problem(hand, 5, 0.0, held=False)
         goal = goal._replace(motion_weights=jnp.zeros_like(goal.motion_weights))
         poses = limited_poses(np.random.default_rng(6), hand.limits, 4)
-        eq_1 = Objective(hand, plain.config)
+        eq_1 = SampledObjective(hand, plain.config)
         expected = jax.jit(lambda q: eq_1(list(q.T), goal, within_limits=False))(poses)
         found = jax.jit(lambda q: plain.values(q, goal))(jnp.asarray(poses))
         np.testing.assert_allclose(found, expected, rtol=1e-10)

@@ -12,7 +12,7 @@ from trees import float64, limited_poses
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
 from smooth_operator.geometry import AnyKind
 from smooth_operator.objective import LeastSquaresTerm, ObjectiveConfig
-from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal, JointTerm, smooth_l1
 
 
@@ -46,8 +46,8 @@ def test_terms_of_points_and_of_joints_add_to_eq_1_in_both_forms():
     hand = load_hand()
     rng = np.random.default_rng(0)
     poses = limited_poses(rng, hand.limits, 3)
-    plain = Objective(hand, ObjectiveConfig())
-    more = Objective(hand, ObjectiveConfig(terms=(Apart(), EvenBend())))
+    plain = SampledObjective(hand, ObjectiveConfig())
+    more = SampledObjective(hand, ObjectiveConfig(terms=(Apart(), EvenBend())))
     count = len(plain.layout.vectors)
     goal = FrameGoal(rng.normal(0, 0.05, (count, 3)), rng.uniform(0, 2, count), poses[0], 0.1)
     tips = hand.tips(hand.full_configuration(poses))
@@ -69,7 +69,7 @@ def test_terms_of_points_and_of_joints_add_to_eq_1_in_both_forms():
 @pytest.mark.parametrize("loss", ["squared", "smooth_l1"])
 def test_a_velocity_weight_of_each_joint_is_that_joints_in_all_forms(loss):
     hand = load_hand()
-    objective = Objective(hand, ObjectiveConfig(velocity_loss=loss))
+    objective = SampledObjective(hand, ObjectiveConfig(velocity_loss=loss))
     rng = np.random.default_rng(1)
     poses, count = limited_poses(rng, hand.limits, 3), len(objective.layout.vectors)
     weights = rng.uniform(0, 2, poses.shape[1])

@@ -26,8 +26,9 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
-from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.published import PlainTargets
+from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.types import as_side
 
@@ -104,9 +105,9 @@ class Geort(Method):
     mirrored: bool
 
     @cached_property
-    def objective(self) -> Objective:
+    def objective(self) -> SampledObjective:
         """Eq. (1) without latches, which gives the tracking loss."""
-        return Objective(self.hand, ObjectiveConfig(targets=PlainTargets()))
+        return SampledObjective(self.hand, ObjectiveConfig(targets=PlainTargets()))
 
     @property
     def needs(self) -> tuple[int, ...]:

@@ -57,8 +57,9 @@ from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.human.palm import PalmAxes, unit_vectors
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS, WRIST
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
-from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.published import PlainTargets
+from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal
 
 
@@ -160,9 +161,9 @@ class JointAngle(Method):
         return JointAngleMap(self.hand)
 
     @cached_property
-    def objective(self) -> Objective:
+    def objective(self) -> SampledObjective:
         """Objective for the tracking loss only; nothing is minimised."""
-        return Objective(self.hand, ObjectiveConfig(targets=PlainTargets()))
+        return SampledObjective(self.hand, ObjectiveConfig(targets=PlainTargets()))
 
     @cached_property
     def needs(self) -> tuple[int, ...]:

@@ -37,8 +37,9 @@ from smooth_operator.landmarks import WRIST
 from smooth_operator.methods.host_method import HostMethod
 from smooth_operator.methods.method import Compiling, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.objective.keyvectors import VectorLayout, tips_of
-from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.loss import ObjectiveConfig
 from smooth_operator.objective.published import DexPilotTargets, PlainTargets, StatelessTargets
+from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.targets import Targets
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.settings import check_choice, check_numbers
@@ -125,9 +126,9 @@ class SlsqpMethod(HostMethod):
         object.__setattr__(self, "compiling", compiling)
 
     @cached_property
-    def objective(self) -> Objective:
+    def objective(self) -> SampledObjective:
         """The minimised objective."""
-        return Objective(self.hand, self.config.objective)
+        return SampledObjective(self.hand, self.config.objective)
 
     @cached_property
     def joint_angles(self) -> JointAngleMap | PublishedAngles | None:

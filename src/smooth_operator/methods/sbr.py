@@ -31,6 +31,7 @@ from smooth_operator.methods.method import (
 from smooth_operator.objective.keyvectors import tips_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.objective.published import DexPilotTargets
+from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.settings import check_numbers, is_off
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
@@ -125,9 +126,9 @@ class Sbr(Method):
     config: SbrConfig
 
     @cached_property
-    def objective(self) -> Objective:
+    def objective(self) -> SampledObjective:
         """Eq. (1)."""
-        return Objective(self.hand, self.config.objective)
+        return SampledObjective(self.hand, self.config.objective)
 
     @property
     def needs(self) -> tuple[int, ...]:

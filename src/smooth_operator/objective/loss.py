@@ -1,8 +1,8 @@
 """An objective as a sum of terms: Eq. (1), and what a method or a preset adds to it.
 
-Two forms of one sum: ``Objective.__call__`` gives costs of thousands of poses for the sampler,
-through unrolled kinematics; ``Objective.value_grad_hess`` gives cost, gradient and Hessian of one
-pose for Newton steps, through a small program. Terms are in ``smooth_operator.objective.terms``.
+``Objective.value_grad_hess`` gives cost, gradient and Hessian of one pose for Newton steps, through
+a small program; ``SampledObjective`` gives the costs of thousands of poses for a sampler. Terms are
+in ``smooth_operator.objective.terms``.
 """
 
 from __future__ import annotations
@@ -32,13 +32,11 @@ from smooth_operator.objective.terms import (
     JointTerm,
     Keyvectors,
     Loss,
-    NeutralPose,
     PointTerm,
+    Pull,
     Quadratic,
     RobotVectors,
-    Square,
     Term,
-    Velocity,
 )
 from smooth_operator.settings import check_choice, check_numbers
 
@@ -122,8 +120,12 @@ class Objective:
     @cached_property
     def keyvectors(self) -> Keyvectors:
         """First term of Eq. (1)."""
-        vectors = RobotVectors(self.hand, self.layout)
-        return Keyvectors(vectors, self.config.loss, self.config.transition)
+        vectors, loss = RobotVectors(self.hand, self.layout), self.config.loss
+        if loss == "smooth_l1":
+            return Keyvectors(vectors, self.config.transition)
+        from smooth_operator.objective.published import KEYVECTORS  # not of ``smooth``
+
+        return KEYVECTORS[loss](vectors, self.config.transition)
 
     @cached_property
     def point_terms(self) -> tuple[PointTerm, ...]:
@@ -136,60 +138,20 @@ class Objective:
         """Terms of joints: neutral pose, velocity, then the method's and the preset's own."""
         neutral: np.ndarray = self.hand.neutral
         centre = neutral if self.config.pose_centre == "neutral" else np.zeros_like(neutral)
-        velocity: JointTerm = Velocity()
+        weight = self.config.pose_weight
+        pose = Pull(lambda goal: (weight, centre if goal.rest is None else goal.rest))
+        velocity: JointTerm = Pull(lambda goal: (goal.velocity_weight, goal.previous))
         if self.config.velocity_loss == "smooth_l1":
             from smooth_operator.objective.published import SmoothL1Velocity  # of AKO alone
 
             velocity = SmoothL1Velocity(self.config.transition)
         own = (term for term in self._own if isinstance(term, JointTerm))
-        return (NeutralPose(self.config.pose_weight, centre), velocity, *own)
+        return (pose, velocity, *own)
 
     @cached_property
     def _own(self) -> tuple[Term, ...]:
         terms = (*self.more, *(term.build(self.hand) for term in self.config.terms))
         return tuple(term for term in terms if not term.is_off)
-
-    # Many poses, batch last
-
-    def tracking(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:
-        """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H).
-
-        Args:
-            q: m arrays of a common shape, actuated joint positions [rad].
-            within_limits: promise that q respects the limits, for speed.
-        """
-        return self._point_costs([self.keyvectors], q, goal, within_limits)
-
-    def __call__(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:
-        """The sum of the terms.
-
-        Args:
-            q: m arrays of a common shape, actuated joint positions [rad].
-            within_limits: promise that q respects the limits, for speed.
-
-        Returns:
-            cost, of that shape.
-        """
-        total = self._point_costs(self.point_terms, q, goal, within_limits)
-        squares = [s for s in (term.square(goal) for term in self.joint_terms) if s is not None]
-        if len(squares) < len(self.joint_terms):
-            return total + self.regularisation(jnp.stack(q, axis=-1), goal)
-        # Squares about several poses are one about their mean, and a constant.
-        squares = [s._replace(centre=jnp.asarray(s.centre, q[0].dtype)) for s in squares]
-        square = functools.reduce(Square.plus, squares)
-        return total + (square.of_joints(q) + square.constant)
-
-    def _point_costs(
-        self, terms: Sequence[PointTerm], q: Sequence[Array], goal: FrameGoal, within_limits: bool
-    ) -> Array:
-        names = tuple(dict.fromkeys(name for term in terms for name in term.points()))
-        tree = self.hand.tree if all(n in self.hand.tree.keypoints for n in names) else self.tree
-        points = tree.forward_kinematics(
-            self.hand.full_configuration_rows(q), names, within_limits=within_limits
-        )
-        at = dict(zip(names, points, strict=True))
-        costs = [term.cost([at[name] for name in term.points()], goal) for term in terms]
-        return functools.reduce(operator.add, costs)
 
     def regularisation(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
         """The terms of joint positions: the last two of Eq. (1), and a preset's own.

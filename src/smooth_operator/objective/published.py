@@ -1,13 +1,10 @@
-"""Targets and costs of published methods: plain and DexPilot's keyvectors, AKO's velocity."""
+"""Targets and costs of published methods: plain and DexPilot's keyvectors, penalties, velocity."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    NamedTuple,
-)
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +15,16 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.targets import LayoutT, TargetPolicy, Targets, base_weights
-from smooth_operator.objective.terms import FrameGoal, JointTerm, smooth_l1, smooth_l1_slopes
+from smooth_operator.objective.terms import (
+    TINY_AREA,
+    FrameGoal,
+    JointTerm,
+    Keyvectors,
+    Loss,
+    VectorSlopes,
+    smooth_l1,
+    smooth_l1_slopes,
+)
 from smooth_operator.settings import check_numbers
 
 if TYPE_CHECKING:
@@ -175,6 +181,53 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
         vectors = human * free[:, None] + direction * eta[:, None]
         lambdas = (1 - held) * weights + closed * self.w_set1 + both * self.w_set2
         return Targets(vectors, lambdas.astype(human.dtype)), LatchState(latched, closure)
+
+
+class SquaredKeyvectors(Keyvectors):
+    """The same with the square of each component, as Eq. (1) is printed."""
+
+    def price(self, error: Sequence[Array], weight: Array) -> Array:
+        """See ``Keyvectors``."""
+        return weight * (error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
+
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``; exact."""
+        double = 2 * jnp.asarray(goal.weights)[:, None]
+        cost = 0.5 * (double * errors * errors).sum()
+        return VectorSlopes(cost, double * errors, double * jnp.ones_like(errors))
+
+
+class NormKeyvectors(Keyvectors):
+    """The same with smooth-L1 of the weight times the length of the error, as in AKO."""
+
+    def price(self, error: Sequence[Array], weight: Array) -> Array:
+        """See ``Keyvectors``."""
+        x, y, z = error
+        length = jnp.sqrt(x * x + y * y + z * z + TINY_AREA)
+        return smooth_l1(weight * length, self.transition)
+
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``; exact but on the kink of smooth-L1."""
+        weights = jnp.asarray(goal.weights)
+        length = jnp.sqrt((errors * errors).sum(axis=-1) + TINY_AREA)
+        unit = errors / length[:, None]
+        slope, second = smooth_l1_slopes(weights * length, self.transition)
+        along = unit[:, :, None] * unit[:, None, :]
+        radial, tangential = weights**2 * second, weights * slope / length
+        across = jnp.eye(3, dtype=errors.dtype) - along
+        return VectorSlopes(
+            smooth_l1(weights * length, self.transition).sum(),
+            (weights * slope)[:, None] * unit,
+            radial[:, None, None] * along + tangential[:, None, None] * across,
+        )
+
+
+KEYVECTORS: Final[dict[Loss, type[Keyvectors]]] = {
+    "smooth_l1": Keyvectors,
+    "squared": SquaredKeyvectors,
+    "smooth_l1_norm": NormKeyvectors,
+}
+"""First term of Eq. (1), by its penalty."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,13 +8,11 @@ adds a term to a preset. The terms of Eq. (1) are here, those of ``smooth`` in `
 
 from __future__ import annotations
 
-import functools
-import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Final, Literal, NamedTuple, TypeAlias, TypeVar, cast
+from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +23,6 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.hands.differential import PointMotion
 from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.kinematics import Vector
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.objective.keyvectors import KeyvectorLayout, VectorLayout
 
@@ -123,19 +120,6 @@ class PointTerm(Term, ABC):
             jacobian: (P, J, 3) their derivatives with respect to the J joints [m/rad].
         """
 
-    def cost(self, points: Sequence[Vector], goal: FrameGoal) -> Array:
-        """The cost of many poses, for the sampler; traceable.
-
-        Args:
-            points: (x, y, z) of each point [m]: arrays of a common shape, the batch, or floats.
-        """
-        shape = jnp.broadcast_shapes(*(jnp.shape(c) for point in points for c in point))
-        rows = [[jnp.broadcast_to(jnp.asarray(c), shape).ravel() for c in p] for p in points]
-        poses = jnp.moveaxis(jnp.stack([jnp.stack(row) for row in rows]), -1, 0)
-        no_joints = jnp.zeros((len(points), 0, 3), poses.dtype)
-        costs: Array = jax.vmap(lambda one: self.expand(one, no_joints, goal).cost)(poses)
-        return costs.reshape(shape)
-
 
 class LeastSquaresTerm(PointTerm):
     """Half the sum of squared residuals of some points; the simplest term to write."""
@@ -175,92 +159,29 @@ class JointTerm(Term, ABC):
     ) -> tuple[Float[Array, " m"], Float[Array, " m"] | Float[Array, ""] | float]:
         """First derivative, and the diagonal of the second or the one number on it."""
 
-    def square(self, goal: FrameGoal) -> Square | None:
-        """The term as a square about a pose; None if it is something else."""
-        del goal
-        return None
 
-
-class Square(NamedTuple):
-    """sum over joints of weight (q - centre)^2, plus a constant.
+@dataclass(frozen=True, eq=False)
+class Pull(JointTerm):
+    """Weight times the squared distance of each joint from a pose.
 
     Attributes:
-        weight: weight of all joints, or (m,) of each; traced or not.
-        centre: (m,) [rad].
-        constant: traced or not.
+        of: goal to weight, or (m,) weights, and (m,) pose [rad].
     """
 
-    weight: Float[Array, ""] | Float[Array, " m"] | float
-    centre: Float[AnyArray, " m"]
-    constant: Float[Array, ""] | float = 0.0
-
-    def plus(self, other: Square) -> Square:
-        """The sum of two squares, which is one about their weighted mean."""
-        weight = self.weight + other.weight
-        share = other.weight / jnp.maximum(weight, 1e-12)
-        gap = self.centre - other.centre
-        constant = (self.weight * share * gap**2).sum()
-        return Square(
-            weight,
-            self.centre + share * (other.centre - self.centre),
-            self.constant + other.constant + constant,
-        )
-
-    def of_joints(self, q: Sequence[Array]) -> Array:
-        """The sum for m arrays of positions of any common shape [rad], without the constant."""
-        centre = jnp.asarray(self.centre, q[0].dtype)
-        pull = [(row - centre[joint]) ** 2 for joint, row in enumerate(q)]
-        if not jnp.ndim(self.weight):  # one product instead of m
-            return jnp.asarray(self.weight * functools.reduce(operator.add, pull))
-        weights = jnp.asarray(self.weight)
-        return functools.reduce(operator.add, [weights[j] * each for j, each in enumerate(pull)])
-
-
-class SquaredJointTerm(JointTerm):
-    """A joint term that is a weight times the squared distance from a pose."""
-
-    @abstractmethod
-    def square(self, goal: FrameGoal) -> Square:
-        """Weight and pose."""
+    of: Callable[[FrameGoal], tuple[Any, Any]]
 
     def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
         """See ``JointTerm``."""
-        weight, centre, _ = self.square(goal)
-        return (weight * (q - centre.astype(q.dtype, copy=False)) ** 2).sum(axis=-1)  # type: ignore
+        weight, pose = self.of(goal)
+        cost: AnyKind = (weight * (q - pose.astype(q.dtype, copy=False)) ** 2).sum(axis=-1)
+        return cost
 
     def derivatives(
         self, q: Float[Array, " m"], goal: FrameGoal
     ) -> tuple[Float[Array, " m"], Float[Array, ""] | Float[Array, " m"] | float]:
         """See ``JointTerm``."""
-        weight, centre, _ = self.square(goal)
-        return 2 * weight * (q - centre.astype(q.dtype)), 2 * weight
-
-
-@dataclass(frozen=True, eq=False)
-class NeutralPose(SquaredJointTerm):
-    """Second term of Eq. (1): lambda_reg |q - q_neutral|^2.
-
-    Attributes:
-        weight: lambda_reg.
-        centre: (m,) the neutral pose [rad].
-    """
-
-    weight: float
-    centre: Float[np.ndarray, " m"]
-
-    def square(self, goal: FrameGoal) -> Square:
-        """About the neutral pose, or the frame's own rest pose."""
-        return Square(self.weight, self.centre if goal.rest is None else goal.rest)
-
-
-@dataclass(frozen=True, eq=False)
-class Velocity(SquaredJointTerm):
-    """Third term of Eq. (1): lambda_vel |q - q_prev|^2, with the weight of the frame, or one for
-    each joint."""
-
-    def square(self, goal: FrameGoal) -> Square:
-        """About the last command."""
-        return Square(goal.velocity_weight, goal.previous)
+        weight, pose = self.of(goal)
+        return 2 * weight * (q - pose.astype(q.dtype)), 2 * weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,60 +308,26 @@ class VectorTerm(PointTerm):
 
 @dataclass(frozen=True, eq=False)
 class Keyvectors(VectorTerm):
-    """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H).
+    """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H), with smooth-L1 of each component
+    for the penalty l.
 
     Attributes:
-        loss: the penalty l.
         transition: where smooth-L1 turns from quadratic to linear [m].
     """
 
-    loss: Loss
     transition: float
 
     def price(self, error: Sequence[Array], weight: Array) -> Array:
         """lambda_k l(v_R - v_H): the cost of one vector's error, of three components [m]."""
-        x, y, z = error
-        if self.loss == "smooth_l1_norm":
-            length = jnp.sqrt(x * x + y * y + z * z + TINY_AREA)
-            return smooth_l1(weight * length, self.transition)
-        squared = self.loss == "squared"
-        parts = [e * e if squared else smooth_l1(e, self.transition) for e in error]
+        parts = [smooth_l1(e, self.transition) for e in error]
         return weight * (parts[0] + parts[1] + parts[2])
 
     def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
         """See ``VectorTerm``; exact but on the kinks of smooth-L1."""
-        weights, transition = jnp.asarray(goal.weights), self.transition
+        weights = jnp.asarray(goal.weights)
         cost = self.price([errors[:, c] for c in range(3)], weights).sum()
-        if self.loss == "squared":
-            double = 2 * weights[:, None]
-            return VectorSlopes(cost, double * errors, double * jnp.ones_like(errors))
-        if self.loss == "smooth_l1":
-            slope, second = smooth_l1_slopes(errors, transition)
-            return VectorSlopes(cost, weights[:, None] * slope, weights[:, None] * second)
-        length = jnp.sqrt((errors * errors).sum(axis=-1) + TINY_AREA)
-        unit = errors / length[:, None]
-        slope, second = smooth_l1_slopes(weights * length, transition)
-        along = unit[:, :, None] * unit[:, None, :]
-        radial, tangential = weights**2 * second, weights * slope / length
-        across = jnp.eye(3, dtype=errors.dtype) - along
-        return VectorSlopes(
-            cost,
-            (weights * slope)[:, None] * unit,
-            radial[:, None, None] * along + tangential[:, None, None] * across,
-        )
-
-    def cost(self, points: Sequence[Vector], goal: FrameGoal) -> Array:
-        """See ``PointTerm``; written out, so that a compiler fuses it with the kinematics."""
-        hand, layout = self.vectors.hand, self.vectors.layout
-        at: dict[int | None, Sequence[Array | float]] = {None: (0.0, 0.0, 0.0)}
-        for i in layout.landmarks:
-            at[i] = tuple(map(float, hand.tree.keypoints[LANDMARKS[i]].position))
-        at |= dict(zip(self.vectors.moving, cast(Sequence[Sequence[Array]], points), strict=True))
-        total: Array = jnp.zeros((), goal.vectors.dtype)
-        for k, (start, end) in enumerate(layout.vectors):
-            error = [jnp.asarray(at[end][c] - at[start][c]) - goal.vectors[k, c] for c in range(3)]
-            total = total + self.price(error, goal.weights[k])
-        return total
+        slope, second = smooth_l1_slopes(errors, self.transition)
+        return VectorSlopes(cost, weights[:, None] * slope, weights[:, None] * second)
 
 
 def smooth_l1(x: AnyKind, transition: float) -> AnyKind:

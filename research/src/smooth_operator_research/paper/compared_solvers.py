@@ -28,7 +28,7 @@ from smooth_operator.baselines.slsqp import (
 )
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind, array_namespace
-from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.normals import counter_normal_matrix
@@ -261,7 +261,7 @@ class CompiledSolver(Solver):
 
     @abstractmethod
     def solve(
-        self, objective: Objective, goal: FrameGoal, last: Float[Array, " m"],
+        self, objective: SampledObjective, goal: FrameGoal, last: Float[Array, " m"],
         key: UInt32[Array, "2"], knobs: Knobs,
     ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
         """The answer to a frame, and how many iterations or evaluations it took; traceable."""
@@ -306,7 +306,7 @@ class Sampling(CompiledSolver):
         return replace(self, sigma=0.2, cycles=self.most_cycles, note="")
 
     def solve(
-        self, objective: Objective, goal: FrameGoal, last: Float[Array, " m"],
+        self, objective: SampledObjective, goal: FrameGoal, last: Float[Array, " m"],
         key: UInt32[Array, "2"], knobs: Knobs,
     ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
         """See ``CompiledSolver``."""
@@ -336,7 +336,7 @@ class _FromStarts(Solver):
         return self.starts.count > 1
 
     def all_starts(
-        self, objective: Objective, last: Float[Array, " m"], key: UInt32[Array, "2"]
+        self, objective: SampledObjective, last: Float[Array, " m"], key: UInt32[Array, "2"]
     ) -> Float[Array, "m N"]:
         """The starts of a frame."""
         limits = objective.hand.limits
@@ -367,7 +367,7 @@ class Rmsprop(_FromStarts, CompiledSolver):
         return replace(self, config=replace(self.config, step=0.01, final=0.01))
 
     def solve(
-        self, objective: Objective, goal: FrameGoal, last: Float[Array, " m"],
+        self, objective: SampledObjective, goal: FrameGoal, last: Float[Array, " m"],
         key: UInt32[Array, "2"], knobs: Knobs,
     ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
         """See ``CompiledSolver``."""
@@ -397,7 +397,7 @@ class Newton(_FromStarts, CompiledSolver):
         return 0.5 * (1 + self.starts.count)
 
     def solve(
-        self, objective: Objective, goal: FrameGoal, last: Float[Array, " m"],
+        self, objective: SampledObjective, goal: FrameGoal, last: Float[Array, " m"],
         key: UInt32[Array, "2"], knobs: Knobs,
     ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
         """See ``CompiledSolver``."""
@@ -448,7 +448,7 @@ class Slsqp(_FromStarts):
 
 
 def _many_gradients(
-    objective: Objective, goal: FrameGoal, q: Float[Array, "m N"]
+    objective: SampledObjective, goal: FrameGoal, q: Float[Array, "m N"]
 ) -> tuple[Float[Array, " N"], Float[Array, "m N"]]:
     def total(rows: list[Array]) -> tuple[Array, Array]:
         costs = objective(rows, goal)
@@ -460,7 +460,7 @@ def _many_gradients(
 
 
 def _few_gradients(
-    objective: Objective, goal: FrameGoal, q: Float[Array, "m N"]
+    objective: SampledObjective, goal: FrameGoal, q: Float[Array, "m N"]
 ) -> tuple[Float[Array, " N"], Float[Array, "m N"]]:
     def one(point: Array) -> tuple[Array, Array]:
         cost, gradient, _ = objective.value_grad_hess(point, goal)
@@ -470,7 +470,7 @@ def _few_gradients(
     return costs, gradients
 
 
-def slsqp_objective(objective: Objective) -> Callable[[Array, FrameGoal], Array]:
+def slsqp_objective(objective: SampledObjective) -> Callable[[Array, FrameGoal], Array]:
     """(m,) joint positions and a goal to the value and the gradient, as one array; traceable."""
 
     def both(q: Array, goal: FrameGoal) -> Array:

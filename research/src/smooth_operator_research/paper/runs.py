@@ -30,7 +30,8 @@ from smooth_operator.lab.benchmark.quality import Watch
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
-from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.targets import Targets
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.solvers.newton import newton_minimise
@@ -69,7 +70,7 @@ class Problem:
 
     name: str
     unit: str
-    objective: Objective
+    objective: SampledObjective
     vectors: Float[np.ndarray, "T K 3"]
     weights: Float[np.ndarray, "T K"]
     start: Float[np.ndarray, " m"]
@@ -190,13 +191,13 @@ def unbroken(usable: Bool[np.ndarray, " T"], most: int) -> slice:
 
 
 @lru_cache(maxsize=16)
-def _objective(hand: str, side: str, config: ObjectiveConfig) -> Objective:
+def _objective(hand: str, side: str, config: ObjectiveConfig) -> SampledObjective:
     """One for each hand and configuration: compiled programs are kept by it."""
-    return Objective(load_hand(hand, side), config)
+    return SampledObjective(load_hand(hand, side), config)
 
 
 def _targets(
-    objective: Objective, aligned: Float[np.ndarray, "T 21 3"]
+    objective: SampledObjective, aligned: Float[np.ndarray, "T 21 3"]
 ) -> tuple[Float[np.ndarray, "T K 3"], Float[np.ndarray, "T K"]]:
     run = _target_program(objective)
     state = objective.config.targets.init(objective.layout)
@@ -208,7 +209,7 @@ def _targets(
 
 
 def _settled(
-    objective: Objective, vectors: Float[np.ndarray, "K 3"], weights: Float[np.ndarray, " K"]
+    objective: SampledObjective, vectors: Float[np.ndarray, "K 3"], weights: Float[np.ndarray, " K"]
 ) -> Float[np.ndarray, " m"]:
     """The minimum of the first frame: sampled wide, then descended, some times over."""
     run = _settling_program(objective)
@@ -220,7 +221,7 @@ def _settled(
 
 
 @lru_cache(maxsize=16)
-def _target_program(objective: Objective) -> Callable[..., tuple[Targets, Any]]:
+def _target_program(objective: SampledObjective) -> Callable[..., tuple[Targets, Any]]:
     layout, policy = objective.layout, objective.config.targets
 
     def step(landmarks: Array, state: Any) -> tuple[Targets, Any]:
@@ -230,7 +231,7 @@ def _target_program(objective: Objective) -> Callable[..., tuple[Targets, Any]]:
 
 
 @lru_cache(maxsize=16)
-def _settling_program(objective: Objective) -> Callable[..., Array]:
+def _settling_program(objective: SampledObjective) -> Callable[..., Array]:
     limits = objective.hand.limits
 
     def settle(q: Array, key: Array, goal: FrameGoal) -> Array:
@@ -380,7 +381,7 @@ class _Program:
 
 
 @lru_cache(maxsize=32)
-def _program(objective: Objective, solver: CompiledSolver) -> _Program:
+def _program(objective: SampledObjective, solver: CompiledSolver) -> _Program:
     """Some frames as one compiled program, the same for all values of the knobs."""
 
     def program(q: Array, frames: Any, weight: Array, words: Array, knobs: Array) -> Any:
@@ -398,7 +399,7 @@ def _program(objective: Objective, solver: CompiledSolver) -> _Program:
 
 
 @lru_cache(maxsize=16)
-def _evaluation(objective: Objective) -> Callable[..., Array]:
+def _evaluation(objective: SampledObjective) -> Callable[..., Array]:
     return compiled(slsqp_objective(objective))
 
 
