@@ -20,7 +20,7 @@ from smooth_operator import (
 )
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.penetration import penetration_depths
-from smooth_operator.human.landmark_filter import LandmarkFilterConfig
+from smooth_operator.human.fingertip_filter import FingertipFilterConfig
 from smooth_operator.landmarks import LANDMARKS, TIPS
 from smooth_operator.methods import smooth as smooth_module
 from smooth_operator.methods.smooth import BUDGET, SMOOTH_TELEOP, SmoothConfig
@@ -384,7 +384,7 @@ def test_every_term_can_be_left_out(motion):
         motion_weight=0.0,
         motion_speed=0.0,
         self_collision=SelfCollisionConfig(weight=0.0),
-        landmarks=LandmarkFilterConfig(),
+        fingertips=FingertipFilterConfig(share=1.0),
     )
     result = commands(Retargeter(config=bare), motion[0:10])
     assert np.isfinite(result).all()

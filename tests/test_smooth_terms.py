@@ -14,11 +14,6 @@ from smooth_operator import Hand, hand_names, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import MOST, capsule_pairs, parts_apart, segment_parameters
 from smooth_operator.hands.penetration import penetration_depths
-from smooth_operator.human.landmark_filter import (
-    FilterState,
-    LandmarkFilterConfig,
-    filter_landmarks,
-)
 from smooth_operator.methods.method import FrameClock
 from smooth_operator.methods.program import tick_after, ticks_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
@@ -397,117 +392,6 @@ def test_prices_of_angle_and_length_are_checked(bad):
 def test_target_settings_are_checked(bad):
     with pytest.raises(ConfigError):
         CloseTargets(**bad)
-
-
-filtered = jax.jit(filter_landmarks, static_argnames="config")
-
-
-def filter_states(
-    path: np.ndarray, config: LandmarkFilterConfig, dt: float = 0.01
-) -> list[FilterState]:
-    followed, out = FilterState.unseen(path.shape[1]), []
-    for t, points in enumerate(path):
-        followed, _ = filtered(followed, jnp.asarray(points), dt, config=config, restart=t == 0)
-        out.append(followed)
-    return out
-
-
-def follow(path: np.ndarray, config: LandmarkFilterConfig, dt: float = 0.01) -> np.ndarray:
-    return np.stack([np.asarray(one.points) for one in filter_states(path, config, dt)])
-
-
-def test_an_idle_tracker_passes_points():
-    path = np.random.default_rng(0).normal(0, 1, (5, 2, 3)).astype(np.float32)
-    np.testing.assert_array_equal(follow(path, LandmarkFilterConfig()), path)
-
-
-def test_steady_motion_is_late_by_the_lag():
-    path = 1e-3 * np.arange(60.0)[:, None, None] * np.ones(3) / np.sqrt(3)  # 1 mm a frame
-    late = np.linalg.norm((path - follow(path, LandmarkFilterConfig(time_constant=0.004)))[-1, 0])
-    assert late == pytest.approx(0.4e-3, rel=1e-3)
-    late = np.linalg.norm((path - follow(path, LandmarkFilterConfig(jump_threshold=0.1)))[-1, 0])
-    assert late < 0.02e-3
-
-
-def test_a_leap_is_spread_and_not_overshot():
-    path = np.zeros((40, 1, 3))
-    path[3:] = (0.05, 0.0, 0.0)
-    followed = follow(path, LandmarkFilterConfig(jump_threshold=0.05))[:, 0, 0]
-    steps = np.diff(followed)
-    assert steps.max() == pytest.approx(0.025, rel=1e-3)  # half of a step of that size
-    assert (steps >= -1e-9).all()
-    assert followed[-1] == pytest.approx(0.05, abs=1e-6)
-    # and accelerates less than the leap did
-    assert (np.diff(followed, 2) ** 2).sum() < 0.6 * (np.diff(path[:, 0, 0], 2) ** 2).sum()
-
-
-def test_what_a_hand_can_do_in_that_time_is_no_leap():
-    config = LandmarkFilterConfig(jump_threshold=0.05, jump_speed=2.0)
-    path = np.array([[[0.0, 0.0, 0.0]], [[0.1, 0.0, 0.0]]])
-    assert follow(path, config, dt=0.01)[1, 0, 0] == pytest.approx(0.1 / 3, rel=1e-5)
-    assert follow(path, config, dt=0.025)[1, 0, 0] == pytest.approx(0.1 / 3, rel=1e-5)
-    assert follow(path, config, dt=0.2)[1, 0, 0] == pytest.approx(0.08, rel=1e-5)
-
-
-def noise_of(path: np.ndarray, time: float = 0.2) -> np.ndarray:
-    config = LandmarkFilterConfig(jump_threshold=0.05, noise=100.0, noise_time=time)
-    return np.array([float(one.noise) for one in filter_states(path, config)])
-
-
-def test_noise_is_what_most_points_do_and_steady_motion_does_not():
-    rng = np.random.default_rng(3)
-    steady = 3e-3 * np.arange(300.0)[:, None, None] * np.ones((6, 3))
-    shaken = steady + rng.normal(0, 1e-3, steady.shape)
-    # a second difference of white noise of 1 mm an axis has sqrt(6) mm an axis
-    assert noise_of(shaken)[-100:].mean() == pytest.approx(1e-3 * np.sqrt(6 * 2.37), rel=0.1)
-    assert noise_of(steady)[-1] < 1e-5  # it forgets what it was started with, too
-    flicking = steady.copy()
-    flicking[::3, :2] += 0.02  # two fingers of six
-    assert noise_of(flicking)[-1] < 1e-5
-    leaping = shaken.copy()
-    leaping[150:] += 0.05  # the tracker loses the hand, once
-    assert noise_of(leaping)[160] < 2 * noise_of(shaken)[160]
-
-
-def test_the_leap_grows_with_the_noise():
-    rng = np.random.default_rng(4)
-    path = np.zeros((200, 6, 3))
-    path[150:] = (0.05, 0.0, 0.0)
-    quiet = path + rng.normal(0, 1e-5, path.shape)
-    noisy = path + rng.normal(0, 1e-3, path.shape)
-    config = LandmarkFilterConfig(jump_threshold=0.02, noise=50.0, noise_time=0.2)
-
-    def gone(path: np.ndarray) -> float:
-        return float(follow(path, config)[150, :, 0].mean())
-
-    assert gone(quiet) < 0.0205
-    assert gone(noisy) > 0.035
-    quieter = LandmarkFilterConfig(
-        jump_threshold=0.02, noise_time=0.2
-    )  # without it they are followed alike
-    assert follow(quiet, quieter)[150, :, 0].mean() == pytest.approx(
-        follow(noisy, quieter)[150, :, 0].mean(), rel=0.1
-    )
-
-
-def test_after_a_gap_points_are_taken_as_they_are_and_the_noise_stays():
-    rng = np.random.default_rng(5)
-    config = LandmarkFilterConfig(time_constant=0.003, jump_threshold=0.02, noise=50.0)
-    before = filter_states(rng.normal(0, 1e-3, (50, 6, 3)), config)[-1]
-    elsewhere = jnp.full((6, 3), 0.3)
-    after, step = filter_landmarks(before, elsewhere, 0.01, config, restart=True)
-    np.testing.assert_array_equal(after.points, elsewhere)
-    assert not np.asarray(step).any()
-    assert not np.asarray(after.step).any()
-    assert float(after.root) == float(before.root)
-
-
-@pytest.mark.parametrize(
-    "name", ["time_constant", "jump_threshold", "jump_speed", "noise", "noise_time"]
-)
-def test_tracker_settings_are_checked(name):
-    with pytest.raises(ConfigError, match=name):
-        LandmarkFilterConfig(**{name: -1.0})
 
 
 def test_ticks_tell_short_times_apart_at_any_time_of_day():

@@ -166,9 +166,9 @@ class Correspondence:
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
-            tips: (F, 3) the human's fingertips in the palm frame without noise, thumb first [m].
-            steps: (F, 3) their steps in this frame [m].
-            measured: (F, 3) the same without the landmark filter, which catches up late [m].
+            tips: (F, 3) the human's fingertips in the palm frame, thumb first [m].
+            steps: (F, 3) their steps in this frame that are followed at once [m].
+            measured: (F, 3) their whole steps [m].
             dt: time between the two frames [s].
             restart: nothing came before, or too long ago: it may be another operator.
         """
@@ -181,10 +181,8 @@ class Correspondence:
         )
         operator = self._measured(before, aligned, dt, restart)
         places, gain, motion_gain = self._places(operator, tips)
-        # a longer finger would multiply what the landmark filter catches up with after the human
-        # has stopped: the human's step is the shorter of the two
-        shorter = jnp.minimum((steps * steps).sum(-1), (measured * measured).sum(-1))
-        most = (jnp.maximum(gain, 1.0) * jnp.sqrt(shorter) + self.config.catch_up * dt)[:, None]
+        size = jnp.sqrt((measured * measured).sum(-1))
+        most = (jnp.maximum(gain, 1.0) * size + self.config.catch_up * dt)[:, None]
         last = jnp.where(restart, places, before.places)
         way = places - last
         places = last + _shortened(way, most)

@@ -3,8 +3,9 @@
 Eq. (1) with five ideas more; a weight of 0 leaves its idea out. Fingertips move as the human's do,
 while their places are corrected little by little, and most while the hand moves. Fingertips that
 can be where the human's are, are exactly there. The thumb's vectors are held by angle and length
-and not by distance alone. Parts of the hand stay out of each other. The landmark filter limits
-jumps of the tracker. docs/explanation/smooth.md has equations, smooth-appendix.md measurements.
+and not by distance alone. Parts of the hand stay out of each other. The fingertip filter takes out
+most of the tracker's shake and limits its jumps. docs/explanation/smooth.md has equations,
+smooth-appendix.md measurements.
 """
 
 from __future__ import annotations
@@ -27,14 +28,10 @@ from smooth_operator.human.correspondence import (
     CorrespondenceConfig,
     CorrespondenceState,
 )
-from smooth_operator.human.landmark_filter import (
-    PALM,
+from smooth_operator.human.fingertip_filter import (
     FilterState,
-    LandmarkFilterConfig,
-    NoiseConfig,
-    NoiseState,
-    filter_landmarks,
-    remove_noise,
+    FingertipFilterConfig,
+    filter_fingertips,
 )
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.methods.method import (
@@ -69,12 +66,8 @@ error is worked off in the same time at any rate."""
 ASTRAY: Final = 0.4
 """A finger is astray whose tip is further from its place than that of the table's nearest pose by
 more than this share of the finger's length: then the last answer no longer counts."""
-RESTING: Final = 0.01
-"""Speed of a place at which its finger counts as half at rest [m/s]."""
-HELD: Final = 0.1
-"""Share of the motion weight of a finger at rest far from its place."""
 JUMP: Final = 0.4
-"""Targets have jumped where the landmark filter holds back more than this share of the step of a
+"""Targets have jumped where the fingertip filter holds back more than this share of the step of a
 fingertip that it follows. Of ten recordings 3 frames in a thousand have more than 0.3; of jumps to
 another pose of a recording, nine in ten have more than 0.4."""
 ARRIVED: Final = 0.002
@@ -104,8 +97,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         self_collision: cost of parts of the hand inside each other.
         direction_length: cost of direction and length of the thumb-to-tip vectors.
         correspondence: where the robot's fingertips belong, by fingers of other lengths.
-        tracker_noise: removal of the noise that the palm shows.
-        landmarks: filter of the human landmarks.
+        fingertips: filter of the human's fingertips.
         polish: Newton steps of a descent, at most. Most frames need two to four; where fingers
             touch and close fast, those that stop early end far from each other.
         rate_hz: rate that is assumed where stamps stand still.
@@ -118,8 +110,8 @@ class SmoothConfig(ObjectiveMethodConfig):
             targets=CloseTargets(latches=True), pose_weight=0.026, velocity_weight=0.27
         )
     )
-    motion_weight: float = 1900.0
-    motion_speed: float = 0.1
+    motion_weight: float = 6000.0
+    motion_speed: float = 0.05
     pinch_damping: float = 100.0
     rest_pose: RestPoseConfig = field(default_factory=RestPoseConfig)
     spread_weight: float = 1.0
@@ -131,12 +123,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         default_factory=lambda: DirectionLengthConfig(direction=1.9)
     )
     correspondence: CorrespondenceConfig = field(default_factory=CorrespondenceConfig)
-    tracker_noise: NoiseConfig = field(default_factory=lambda: NoiseConfig(acceleration=0.003))
-    landmarks: LandmarkFilterConfig = field(
-        default_factory=lambda: LandmarkFilterConfig(
-            time_constant=0.00175, jump_threshold=0.065, noise=115.0
-        )
-    )
+    fingertips: FingertipFilterConfig = field(default_factory=FingertipFilterConfig)
     polish: NewtonConfig = field(
         default_factory=lambda: NewtonConfig(
             iterations=50,
@@ -171,8 +158,7 @@ class SmoothState(NamedTuple):
     Attributes:
         q: (m,) last command of the actuated joints [rad].
         operator: lengths of the operator's fingers; empty without a correspondence.
-        noise: state of the removal of noise.
-        filtered: the landmark filter's state, of the needed landmarks.
+        filtered: the fingertip filter's state, of the needed landmarks.
         targets: state of the target policy.
         ticks: time of the last frame, in microseconds modulo 2^32.
         frames: frames answered so far.
@@ -181,7 +167,6 @@ class SmoothState(NamedTuple):
 
     q: Float[Array, " m"]
     operator: CorrespondenceState | tuple[()]
-    noise: NoiseState
     filtered: FilterState
     targets: Any
     ticks: UInt32[Array, ""]
@@ -287,9 +272,9 @@ class Smooth(Method):
 
     @property
     def optional_landmarks(self) -> tuple[int, ...]:
-        """The palm's, which show noise, and all of the fingers, which show their lengths."""
+        """All landmarks of the fingers, which show their lengths."""
         corresponds = not is_off(self.config.correspondence.share)
-        return (*PALM, *(self.correspondence.landmarks if corresponds else ()))
+        return self.correspondence.landmarks if corresponds else ()
 
     def init(self, seed: int) -> SmoothState:
         """Neutral pose; nothing is random."""
@@ -299,7 +284,6 @@ class Smooth(Method):
         return SmoothState(
             neutral,
             () if is_off(self.config.correspondence.share) else self.correspondence.init(),
-            NoiseState.unseen(len(self.needs)),
             FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
             put(np.uint32(0)),
@@ -320,7 +304,7 @@ class Smooth(Method):
 
     @property
     def trajectory_objective(self) -> Objective:
-        """The objective; a known future makes the landmark filter needless."""
+        """The objective; a known future makes the filter needless."""
         return self.objective
 
     def step(
@@ -341,12 +325,8 @@ class Smooth(Method):
         if is_off(self.config.rest_pose.reach):
             tips = self.motion.tips(state.q)
             return goal._replace(tips=tips + moves, motion_weights=frame.weights)
-        tips, near, pose = self.rest_pose(state.q, frame.places, moves)
-        weights = frame.weights
-        if state.operator:
-            resting = 1 / (1 + (moves * moves).sum(-1) / (RESTING * frame.clock.dt) ** 2)
-            weights = (1 - (1 - HELD) * resting * (1 - near)) * weights
-        return goal._replace(tips=tips + moves, rest=pose, motion_weights=weights)
+        tips, _, pose = self.rest_pose(state.q, frame.places, moves)
+        return goal._replace(tips=tips + moves, rest=pose, motion_weights=frame.weights)
 
     def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
@@ -354,25 +334,23 @@ class Smooth(Method):
         """The landmarks of a frame, filtered, and what they ask."""
         config = self.config
         clock = FrameClock.of(now - state.ticks, state.frames, config.rate_hz, config.gap)
-        noise, measured = remove_noise(
-            state.noise, aligned, self.needs, clock.dt, config.tracker_noise, clock.restart
+        measured = aligned[np.array(self.needs)]
+        filtered, share = filter_fingertips(
+            state.filtered, measured, clock.dt, config.fingertips, clock.restart
         )
-        filtered, steps = filter_landmarks(
-            state.filtered, measured, clock.dt, config.landmarks, clock.restart
-        )
-        points, tips = filtered.points, [TIPS[FINGERS.index(f)] for f in self.hand.fingers]
+        steps = jnp.where(clock.restart, 0.0, filtered.followed - state.filtered.followed)
+        points, tips = filtered.followed, [TIPS[FINGERS.index(f)] for f in self.hand.fingers]
         at, wrist = np.array([self.needs.index(i) for i in tips]), self.needs.index(WRIST)
-        moves = steps[at] - steps[wrist]
+        whole = steps[at] - steps[wrist]
+        moves = share[at, None] * whole
         goal_points, operator, speeds = points, state.operator, moves
         origin = jnp.asarray(self.hand.wrist, points.dtype)
-        late, followed = (filtered.measured - points)[at], steps[at]
+        late = (measured - points)[at]
         behind = jnp.sqrt((late * late).sum(-1))
-        share = JUMP + config.landmarks.time_constant / clock.dt
-        jumped = behind > share * jnp.sqrt((followed * followed).sum(-1)) + ARRIVED
+        jumped = behind > JUMP * jnp.sqrt((steps[at] ** 2).sum(-1)) + ARRIVED
         if operator:  # a tuple of arrays; empty without a correspondence
-            measured_steps = filtered.step[at] - filtered.step[wrist]
             operator, moves, way = self.correspondence.step(
-                operator, aligned, points[at], moves, measured_steps, clock.dt, clock.restart
+                operator, aligned, points[at], moves, whole, clock.dt, clock.restart
             )
             behind, places = behind + way, operator.places
             corners = jnp.concatenate([places, origin[None]])
@@ -382,7 +360,7 @@ class Smooth(Method):
         goal, weights, policy = self._goal(state, goal_points, speeds, clock)
         slipped = (state.slipped | jumped.any()) & ~clock.restart
         arrived = slipped & (behind < ARRIVED).all()
-        state = state._replace(operator=operator, noise=noise, filtered=filtered, targets=policy)
+        state = state._replace(operator=operator, filtered=filtered, targets=policy)
         state = state._replace(slipped=slipped & ~arrived, ticks=now)
         return _Observed(state, clock, goal, moves, weights, places, arrived)
 
@@ -481,6 +459,7 @@ SMOOTH_PRECISE: Final = replace(
         SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=1.0, w_thumb=20.0, focus=0.5)
     ),
     motion_weight=1300.0,
+    motion_speed=0.1,
     pinch_damping=0.0,
     spread_weight=0.0,
     direction_length=DirectionLengthConfig(),

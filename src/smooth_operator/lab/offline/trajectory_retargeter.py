@@ -453,8 +453,8 @@ def segments(
 def tracker_noise(points: Float[np.ndarray, "T N 3"], valid: Bool[np.ndarray, " T"]) -> float:
     """Usual noise of a tracker in a point's second difference [m].
 
-    Of each frame the median of the points, over time the mean of roots: as
-    the landmark filter has it, but of all frames together.
+    Of each frame the median of the points, over time the mean of roots, which measures what a
+    tracker usually does and not its worst.
 
     Args:
         points: (T, N, 3) [m].
