@@ -37,10 +37,11 @@ PLACES: Final[Mapping[str, Sequence[float]]] = {
 }
 """Setting -> values that trade posture for directions of the thumb."""
 STILLNESS: Final[Mapping[str, Sequence[float]]] = {
-    "landmarks.time_constant": (0.0, 0.00175, 0.005, 0.01, 0.02),
+    "fingertips.share": (0.1, 0.2, 0.3, 0.5, 1.0),
+    "fingertips.reach": (3.0, 6.0, 12.0),
     "objective.velocity_weight": (0.0, 0.27, 1.0, 3.0, 10.0),
-    "motion_weight": (475.0, 950.0, 1900.0, 3800.0),
-    "motion_speed": (0.05, 0.1, 0.3),
+    "motion_weight": (1500.0, 3000.0, 6000.0, 12000.0),
+    "motion_speed": (0.02, 0.05, 0.1, 0.3),
 }
 """Setting -> values that trade motion for flatness."""
 
