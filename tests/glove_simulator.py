@@ -163,7 +163,7 @@ def publish(
         side: hands; of a recording the one that it has, mirrored for the other.
         recording: recording to play in place of 20 s of the built-in operator.
         duration: length [s]; None for no end.
-        noise: standard deviation of each coordinate of the built-in operator [mm].
+        noise: shake of the operator's fingertips: standard deviation of each coordinate [mm].
         seed: seed of the operator and the faults.
         faults: what goes wrong.
     """
@@ -172,7 +172,7 @@ def publish(
         rate = rate or played.rate_hz
     else:
         rate = rate or 100.0
-        tracker = TrackerModel(noise=noise * 1e-3, seed=seed)
+        tracker = TrackerModel(shake=noise * 1e-3, seed=seed)
         played = SyntheticOperator(seed=seed, rate_hz=rate, tracker=tracker).record(20.0)
     publisher = zmq.Context().socket(zmq.PUB)
     publisher.setsockopt(zmq.LINGER, 0)

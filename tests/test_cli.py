@@ -185,7 +185,7 @@ def user_errors(folder: Path) -> dict[str, tuple[tuple[object, ...], str]]:
         ),
         "demo on a file": (("demo", "--output", folder / "file"), "a file stands there"),
         "demo too short": (("demo", "--duration", 0, "--output", folder / "d"), "duration must be"),
-        "demo noise": (("demo", "--noise", -1, "--output", folder / "d"), "noise must be"),
+        "demo loss": (("demo", "--frame-loss", -1, "--output", folder / "d"), "frame_loss must be"),
         "no commands": (("view", glove, glove), "not a file of commands"),
     }
 

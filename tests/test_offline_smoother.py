@@ -223,7 +223,7 @@ def whole(hand) -> TrajectoryRetargeter:
 
 @pytest.fixture(scope="module")
 def recording() -> HandRecording:
-    tracker = TrackerModel(noise=5e-4, seed=3)
+    tracker = TrackerModel(shake=5e-4, seed=3)
     return SyntheticOperator(seed=12, rate_hz=60.0, tracker=tracker).record(4.0)[40:200]
 
 

@@ -1,20 +1,23 @@
 """``smooth-operator sample``: a recording for whoever has none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.synthetic import SyntheticOperator, TrackerModel
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.synthetic.tracker import tracker_model
 
 
 @pytest.mark.parametrize("suffix", ["npz", "mcap"])
 def test_the_file_holds_the_operator(tmp_path, suffix):
     path = tmp_path / "new" / f"hand.{suffix}"
-    options = ["--seed", "7", "--side", "left", "--rate", "30", "--noise", "1", "--duration", "2"]
+    options = ["--seed", "7", "--side", "left", "--tracker", "camera", "--duration", "2"]
     assert main(["sample", str(path), *options, "--landmark-loss", "0.1"]) == 0
-    tracker = TrackerModel(noise=1e-3, landmark_loss=0.1, seed=7)
-    expected = SyntheticOperator(seed=7, side="left", rate_hz=30.0, tracker=tracker).record(2.0)
+    tracker = replace(tracker_model("camera", 7), landmark_loss=0.1)
+    expected = SyntheticOperator(seed=7, side="left", tracker=tracker).record(2.0)
     found = read_recording(path)
     assert found.side == "left"
     np.testing.assert_array_equal(found.landmarks, expected.landmarks)

@@ -14,6 +14,7 @@ from live_time import PATIENCE_S, Kept, Waits, started, until
 from smooth_operator.errors import ConfigError, RecordingError, SourceError, UnknownNameError
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator.teleop.components import SOURCES, build_component, build_source
 from smooth_operator.teleop.sources.live import Mailbox, Running, ThreadedSource, on_time
 from smooth_operator.teleop.sources.payload import Reading
@@ -317,12 +318,13 @@ def test_a_real_glove_s_recording_keeps_its_rhythm(shared):
 
 def test_the_built_in_operator_in_real_time_is_that_of_the_demo():
     running, mailbox = started(Waits())
-    SyntheticSource(seed=4, rate=60.0, duration=1.0, noise=1.0).run(running)
-    recording = SyntheticOperator(seed=4, rate_hz=60.0).record(1.0)
+    SyntheticSource(seed=4, rate=60.0, duration=1.0, tracker="headset").run(running)
+    tracker = tracker_model("headset", 4)
+    recording = SyntheticOperator(seed=4, rate_hz=60.0, tracker=tracker).record(1.0)
     assert [a.frame.stamp for a in mailbox.all] == pytest.approx(recording.stamps)
     assert [a.received for a in mailbox.all] == pytest.approx(recording.stamps)
-    off = np.stack([a.frame.landmarks for a in mailbox.all]) - recording.landmarks
-    assert 0.8e-3 < off.std() < 1.2e-3
+    for arrived, landmarks in zip(mailbox.all, recording.landmarks, strict=True):
+        np.testing.assert_array_equal(arrived.frame.landmarks, landmarks)
 
 
 def test_both_hands_come_by_turns_and_mirror_each_other():
@@ -341,7 +343,7 @@ def test_both_hands_come_by_turns_and_mirror_each_other():
         ({"rate": 0.0}, "rate"),
         ({"side": "top"}, "side"),
         ({"gestures": "pinch_index+wave"}, "wave"),
-        ({"noise": -1.0}, "noise"),
+        ({"tracker": "sonar"}, "sonar"),
         ({"duration": 0.0}, "duration"),
         ({"rate": 0.0, "duration": 1.0}, "rate"),
     ],

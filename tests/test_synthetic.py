@@ -12,13 +12,20 @@ import pytest
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.landmarks import (
+    BASES,
     BONES,
     FROM_MANUS_25,
     METACARPALS_MANUS_25,
     NUM_LANDMARKS,
     TIPS,
 )
-from smooth_operator.synthetic import GESTURES, SyntheticOperator, TrackerModel, WristMotion
+from smooth_operator.synthetic import (
+    GESTURES,
+    TRACKERS,
+    SyntheticOperator,
+    TrackerModel,
+    WristMotion,
+)
 from smooth_operator.synthetic.gestures import FREE_LOWER, FREE_UPPER, Programme, pinch_postures
 from smooth_operator.synthetic.hand_anatomy import (
     JOINTS,
@@ -258,7 +265,7 @@ def test_wandering_does_not_repeat_or_stand_still():
 
 
 def test_same_seed_same_bits_other_seed_other_person():
-    noisy = TrackerModel(noise=1e-3, rate_jitter=0.1, frame_loss=0.05, landmark_loss=0.05, seed=9)
+    noisy = TrackerModel(shake=1e-3, rate_jitter=0.1, frame_loss=0.05, landmark_loss=0.05, seed=9)
     operator = SyntheticOperator(seed=11, tracker=noisy, wrist=WristMotion(0.1, 0.4))
     a, b = operator.record(5.0), replace(operator).record(5.0)
     np.testing.assert_array_equal(a.landmarks, b.landmarks)
@@ -274,7 +281,7 @@ def test_same_seed_same_bits_other_seed_other_person():
     [
         TrackerModel(),
         TrackerModel(
-            noise=2e-3, noise_time=0.1, rate_jitter=0.2, frame_loss=0.2, landmark_loss=0.1, seed=1
+            shake=2e-3, shake_time=0.1, rate_jitter=0.2, frame_loss=0.2, landmark_loss=0.1, seed=1
         ),
     ],
 )
@@ -303,7 +310,7 @@ def test_the_programme_does_not_depend_on_how_it_is_asked():
 
 def test_motion_underneath_is_the_same_with_and_without_imperfections():
     clean = SyntheticOperator(seed=8).record(15.0)
-    tracker = TrackerModel(noise=2e-3, frame_loss=0.1, landmark_loss=0.1, seed=4)
+    tracker = TrackerModel(shake=2e-3, frame_loss=0.1, landmark_loss=0.1, seed=4)
     real = SyntheticOperator(seed=8, tracker=tracker).record(15.0)
     rows = np.searchsorted(clean.stamps, real.stamps)
     np.testing.assert_array_equal(clean.stamps[rows], real.stamps)
@@ -316,22 +323,38 @@ def test_motion_underneath_is_the_same_with_and_without_imperfections():
     assert len(again) != len(real) or not np.array_equal(again.valid, real.valid)
 
 
-@pytest.mark.parametrize("noise_time", [0.0, 0.1])
-def test_noise_has_the_standard_deviation_and_correlation_asked_for(noise_time):
+@pytest.mark.parametrize("shake_time", [0.0, 0.1])
+def test_shake_has_the_standard_deviation_and_correlation_asked_for(shake_time):
     clean = SyntheticOperator(seed=1).record(40.0)
     noisy = SyntheticOperator(
-        seed=1, tracker=TrackerModel(noise=1.5e-3, noise_time=noise_time)
+        seed=1, tracker=TrackerModel(shake=1.5e-3, shake_time=shake_time)
     ).record(40.0)
-    noise = np.concatenate(
-        [noisy.landmarks - clean.landmarks, noisy.metacarpals - clean.metacarpals], 1
-    )
+    np.testing.assert_array_equal(noisy.metacarpals, clean.metacarpals)
+    np.testing.assert_array_equal(noisy.landmarks[:, [0, *BASES]], clean.landmarks[:, [0, *BASES]])
+    noise = (noisy.landmarks - clean.landmarks)[:, TIPS]
     assert noise.std() == pytest.approx(1.5e-3, rel=0.03)
     assert noise[0].std() == pytest.approx(1.5e-3, rel=0.3)  # from the first frame on
     assert abs(noise.mean()) < 2e-5
     for lag in (1, 10):
         measured = (noise[lag:] * noise[:-lag]).mean() / noise.var()
-        expected = np.exp(-lag * 0.01 / noise_time) if noise_time else 0.0
+        expected = np.exp(-lag * 0.01 / shake_time) if shake_time else 0.0
         assert measured == pytest.approx(expected, abs=0.03)
+
+
+def test_a_named_tracker_has_its_rate_and_shows_the_hand_late():
+    tracker = replace(TRACKERS["headset"], shake=0.0, rate_jitter=0.0)
+    seen, true = (
+        SyntheticOperator(seed=1, tracker=one).record(10.0)
+        for one in (tracker, TrackerModel(rate_hz=1000.0))
+    )
+    assert seen.rate_hz == pytest.approx(30.0)
+    at = np.round((seen.stamps - tracker.delay) * 1000).astype(int)
+    late = np.abs(seen.landmarks - true.landmarks[np.maximum(at, 0)]).max()
+    assert late < 3e-4  # half a millisecond of motion
+    now = np.abs(seen.landmarks - true.landmarks[np.round(seen.stamps * 1000).astype(int)]).max()
+    assert now > 5e-3
+    faster = SyntheticOperator(seed=1, rate_hz=60.0, tracker=tracker).record(2.0)
+    assert faster.rate_hz == pytest.approx(60.0)
 
 
 @pytest.mark.parametrize("jitter", [0.05, 0.45])
@@ -471,9 +494,12 @@ def test_bad_settings_are_refused(settings, said):
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"noise": 2.0}, "tracker noise must be 0 to 0.05 m"),
-        ({"noise": -1e-3}, "tracker noise"),
-        ({"noise_time": float("inf")}, "noise_time must be 0 to 1e\\+09 s, not inf"),
+        ({"shake": 2.0}, "tracker shake must be 0 to 0.05 m"),
+        ({"shake": -1e-3}, "tracker shake"),
+        ({"shake_time": float("inf")}, "shake_time must be 0 to 1e\\+09 s, not inf"),
+        ({"pinch_gaps": (0.1, 0.1, 0.1, 2.0)}, "pinch_gaps must be 0 to 1 palm lengths"),
+        ({"rate_hz": 0.0}, "tracker rate_hz must be 1 to 10000 Hz"),
+        ({"delay": -0.1}, "tracker delay must be 0 to 1 s"),
         ({"rate_jitter": 0.6}, "rate_jitter must be 0 to 0.45"),
         ({"frame_loss": 1.0}, "frame_loss must be 0 to 0.9"),
         ({"landmark_loss": float("nan")}, "landmark_loss"),

@@ -199,7 +199,7 @@ def test_every_round_counts_and_libraries_are_compared_round_by_round():
 def test_a_tracker_adds_its_noise_and_loses_its_share(sources):
     clean = sources[0].recording
     before = clean.landmarks.copy()
-    degraded = through_tracker(sources[0], clean, TrackerModel(noise=2e-3, frame_loss=0.2, seed=3))
+    degraded = through_tracker(sources[0], clean, TrackerModel(frame_loss=0.2, seed=3), 2e-3)
     lost = ~degraded.seen.valid.any(axis=1)
     assert not lost[:LEAD].any()
     assert 0.08 < lost.mean() < 0.35
@@ -212,8 +212,8 @@ def test_a_tracker_adds_its_noise_and_loses_its_share(sources):
     np.testing.assert_array_equal(clean.landmarks, before)
     np.testing.assert_array_equal(degraded.seen.stamps[LEAD:], clean.stamps)
     np.testing.assert_allclose(np.diff(degraded.seen.stamps), 0.01, atol=1e-9)
-    again = through_tracker(sources[0], clean, TrackerModel(noise=2e-3, frame_loss=0.2, seed=3))
-    other = through_tracker(sources[0], clean, TrackerModel(noise=2e-3, frame_loss=0.2, seed=4))
+    again = through_tracker(sources[0], clean, TrackerModel(frame_loss=0.2, seed=3), 2e-3)
+    other = through_tracker(sources[0], clean, TrackerModel(frame_loss=0.2, seed=4), 2e-3)
     assert degraded.digest == again.digest != other.digest
 
 

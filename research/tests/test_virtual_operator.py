@@ -18,6 +18,7 @@ from smooth_operator.study.data import read_study
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_file import write_plan
 from smooth_operator.study.design.protocol import Condition, Protocol, Task
+from smooth_operator.synthetic.tracker import TrackerModel, tracker_model
 from smooth_operator_research.demonstrations.trial_loop import perform
 from smooth_operator_research.study_simulation.run import (
     LOG,
@@ -53,6 +54,7 @@ from smooth_operator_research.virtual_operator.strategies import Closing, Observ
 pytestmark = pytest.mark.weekly
 
 STEP = 0.01
+PERFECT = TrackerModel(rate_hz=30.0)
 CARD_SCENE = scene_for("card", load_hand("mimic_p050", "right"))
 
 
@@ -261,7 +263,7 @@ def exact_person() -> Familiar:
     retargeter = Retargeter(load_hand("mimic_p050", "right"), method="keyvector")
     person = replace(
         draw_person(0), bone_factors=np.ones((5, 3)), map_error=np.zeros((5, 3)), motor_noise=0.0,
-        tremor_m=0.0, tracker_noise=0.0, frame_loss=0.0, pace=1.0, crossover=1e-9,
+        tremor_m=0.0, pace=1.0, crossover=1e-9,
     )  # fmt: skip
     body = hand_model(person, retargeter.hand)
     return Familiar(person, retargeter, body, ExactMap(body, retargeter.hand))
@@ -269,10 +271,10 @@ def exact_person() -> Familiar:
 
 def test_a_person_without_errors_does_the_tasks():
     person = exact_person()
-    cube = simulate_trial(person, TASKS["cube"], rate_hz=30.0, seconds=40.0)
+    cube = simulate_trial(person, TASKS["cube"], tracker=PERFECT, seconds=40.0)
     assert cube.outcome.score == 1.0, cube
     assert cube.outcome.seconds > 5.0  # in several strokes
-    screwdriver = simulate_trial(person, TASKS["screwdriver"], rate_hz=30.0)
+    screwdriver = simulate_trial(person, TASKS["screwdriver"], tracker=PERFECT)
     assert screwdriver.outcome.score >= 0.5, screwdriver
     assert screwdriver.outcome.ended in ("finished", "success")
 
@@ -280,8 +282,25 @@ def test_a_person_without_errors_does_the_tasks():
 def test_a_person_who_misjudges_by_centimetres_does_not():
     person = exact_person()
     lost = replace(person, person=replace(person.person, map_error=np.full((5, 3), 0.03)))
-    trial = simulate_trial(lost, TASKS["cube"], rate_hz=30.0, seconds=8.0)
+    trial = simulate_trial(lost, TASKS["cube"], tracker=PERFECT, seconds=8.0)
     assert trial.outcome.score == 0.0
+
+
+def test_frames_of_a_person_come_late_and_at_the_trackers_rate():
+    person = exact_person()
+    trials = [
+        simulate_trial(person, TASKS["cube"], tracker=tracker, seconds=4.0, trace=True).trace
+        for tracker in (PERFECT, replace(PERFECT, delay=0.1), tracker_model("headset"))
+    ]
+    seen = [np.flatnonzero(np.isfinite(trial.landmarks[:, 0, 0])) for trial in trials]
+    for frames in seen:
+        assert len(frames) == pytest.approx(120, abs=3)
+    soon, late = (
+        trial.landmarks[frames] for trial, frames in zip(trials[:2], seen[:2], strict=True)
+    )
+    # The person begins before anything is seen of the hand: the same frame, 10 periods later.
+    np.testing.assert_array_equal(seen[0][:5] + 10, seen[1][3:8])
+    np.testing.assert_allclose(soon[:3], late[3:6], atol=1e-9)
 
 
 def test_an_operator_is_granted_one_reset_and_may_stop():

@@ -144,14 +144,17 @@ class Synthetic:
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Hand side. Default: right, or the only side that the robot hand has."""
 
-    rate: Annotated[float, arg(metavar="HZ")] = 100.0
-    """Frames a second of the operator's tracker [Hz]."""
+    tracker: Annotated[
+        Literal["glove", "headset", "camera"] | None, arg(metavar="glove|headset|camera")
+    ] = None
+    """Tracker that sees the operator, with the shake, rate, delay and pinch gaps of real ones.
+    Default: a perfect tracker."""
 
-    noise: Annotated[float, arg(metavar="MM")] = 0.0
-    """Noise of the tracker: standard deviation of each coordinate [mm]."""
+    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frames a second [Hz]. Default: the tracker's own; 100 for the perfect one."""
 
-    frame_loss: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Share of frames that the tracker loses, in bursts."""
+    frame_loss: Annotated[float | None, arg(metavar="SHARE")] = None
+    """Share of frames that the tracker loses, in bursts. Default: the tracker's own."""
 
     landmark_loss: Annotated[float, arg(metavar="SHARE")] = 0.0
     """Share of landmarks that the tracker loses, in bursts; a retargeter then holds its

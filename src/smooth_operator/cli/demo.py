@@ -33,10 +33,10 @@ configuration), log.mcap (operator and commands), metrics.json, config.json, plo
 
 Examples:
   smooth-operator demo --no-view --duration 5
-  smooth-operator demo --side left --noise 1 --landmark-loss 0.02
+  smooth-operator demo --side left --tracker camera --landmark-loss 0.02
 """
 
-    rare: ClassVar[frozenset[str]] = RARE | {"rate", "noise", "frame_loss", "landmark_loss"}
+    rare: ClassVar[frozenset[str]] = RARE | {"rate", "tracker", "frame_loss", "landmark_loss"}
 
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("smooth-operator-demo")
     """Folder to write; the files of an earlier demo in it are replaced."""

@@ -26,7 +26,7 @@ proportions and its motion come from --seed: the same seed is the same file.
 
 Examples:
   smooth-operator sample hand.npz
-  smooth-operator sample noisy.npz --seed 7 --noise 1 --rate 30
+  smooth-operator sample noisy.npz --seed 7 --tracker headset
   smooth-operator sample left.mcap --side left --duration 60
 """
 
@@ -64,9 +64,8 @@ def sample(options: Sample) -> None:
     recording = synthetic_operator(options, options.seed).record(options.duration)
     with folder_for(path.parent):
         write_episode(path, Episode(recording, name=path.stem))
-    content = (
-        f"{counted(len(recording), 'frame')} of a {recording.side} hand at {options.rate:g} Hz"
-    )
+    rate = recording.meta["rate_hz"]
+    content = f"{counted(len(recording), 'frame')} of a {recording.side} hand at {rate:g} Hz"
     Progressing(options.quiet).note(f"wrote {path}: {content}")
 
 
@@ -80,16 +79,17 @@ def synthetic_operator(options: Synthetic, seed: int, side: Side = "right") -> S
     Raises:
         ConfigError: a setting is outside its range.
     """
-    from smooth_operator.synthetic import SyntheticOperator, TrackerModel
+    from smooth_operator.synthetic import SyntheticOperator
+    from smooth_operator.synthetic.tracker import tracker_model
 
     return SyntheticOperator(
         seed=seed,
         side=options.side or side,
         rate_hz=options.rate,
-        tracker=TrackerModel(
-            noise=options.noise * 1e-3,
+        tracker=tracker_model(
+            options.tracker,
+            seed,
             frame_loss=options.frame_loss,
             landmark_loss=options.landmark_loss,
-            seed=seed,
         ),
     )

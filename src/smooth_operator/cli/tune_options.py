@@ -32,7 +32,7 @@ Held-out recordings, and copies or slices of them, are refused.
 Examples:
   smooth-operator tune sbr train.npz@:500 --vary pose_weight=0.01:0.1:log
       --vary velocity_weight=0.02:0.5:log --held-out judge.npz --output out
-  smooth-operator tune sbr train.npz synthetic:7@1mm --vary w_thumb=1:4 --weight flatness=2
+  smooth-operator tune sbr train.npz synthetic:7@headset --vary w_thumb=1:4 --weight flatness=2
       --at-least cosine_similarity=0.99 --trials 200 --output out
   smooth-operator retarget glove.npz --method sbr --preset out/preset.toml --output out.npz
 """
@@ -42,7 +42,7 @@ Examples:
 
     recordings: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING...")]
     """What to tune on: files, folders or synthetic:SEED, each with settings after an @ if need be
-    (a range of frames :500, a rate 60hz, a side, of synthetic ones noise 0.5mm, a hand of 17.5cm, a
+    (a range of frames :500, a rate 60hz, a side, a tracker, of synthetic ones a hand of 17.5cm, a
     tempo of 1.2x)."""
 
     output: Annotated[Path, arg(metavar="FOLDER")]

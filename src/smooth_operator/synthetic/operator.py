@@ -48,13 +48,13 @@ class SyntheticOperator:
         side: side of the hand; the left mirrors the right exactly.
         hand_length: distance from wrist to tip of the straight middle finger [m], 0.12 to 0.25.
             Adults have about 0.16 to 0.21.
-        rate_hz: frame rate [Hz].
+        rate_hz: frame rate [Hz]; None for the tracker's own.
         gestures: gestures in order, from ``GESTURES``; repeated with new draws.
         speed: 1 is a natural tempo, with fingertips up to about 0.5 m/s; 2 doubles it as far as
             ``max_jerk`` allows.
         max_jerk: bound on the jerk of every joint angle except the DIPs, which stay below 2/3 of
             it [rad/s^3].
-        tracker: imperfections of the tracker; none by default.
+        tracker: what the hand is seen through; a perfect tracker at 100 Hz by default.
         wrist: motion of the whole hand; none by default.
 
     Raises:
@@ -65,7 +65,7 @@ class SyntheticOperator:
     seed: int = 0
     side: Side = "right"
     hand_length: float = 0.19
-    rate_hz: float = 100.0
+    rate_hz: float | None = None
     gestures: tuple[str, ...] = GESTURES
     speed: float = 1.0
     max_jerk: float = 500.0
@@ -93,6 +93,10 @@ class SyntheticOperator:
     def anatomy(self) -> HandAnatomy:
         """Bone lengths and layout of this person's right hand."""
         return draw_anatomy(self.hand_length, int(self.seed))
+
+    @property
+    def _rate(self) -> float:
+        return self.tracker.rate_hz if self.rate_hz is None else self.rate_hz
 
     def record(self, duration: float = 20.0) -> HandRecording:
         """Make a recording that starts at time 0 with a flat hand.
@@ -132,7 +136,7 @@ class SyntheticOperator:
                 "joint_names": tuple(joint.name for joint in JOINTS),
                 "seed": self.seed,
                 "hand_length": self.hand_length,
-                "rate_hz": self.rate_hz,
+                "rate_hz": self._rate,
             },
         )
 
@@ -149,11 +153,11 @@ class SyntheticOperator:
         return (frame for block in self._blocks(ticks) for frame in block)
 
     def _ticks(self, duration: float) -> int:
-        ticks = round(duration * self.rate_hz) if math.isfinite(duration) else 0
+        ticks = round(duration * self._rate) if math.isfinite(duration) else 0
         if ticks < 1:
             raise ConfigError(
-                f"duration must be finite and hold one frame at least, {1.0 / self.rate_hz:g} s at "
-                f"{self.rate_hz:g} Hz, not {duration!r} s"
+                f"duration must be finite and hold one frame at least, {1.0 / self._rate:g} s at "
+                f"{self._rate:g} Hz, not {duration!r} s"
             )
         return ticks
 
@@ -161,24 +165,22 @@ class SyntheticOperator:
         """Parts of the recording, up to ``ticks`` ticks or without an end."""
         anatomy = self.anatomy
         programme = Programme(int(self.seed), self.gestures, self.speed, self.max_jerk)
-        stream = TrackerStream(self.tracker, self.rate_hz)
+        stream = TrackerStream(self.tracker, self._rate)
         done = 0
         while ticks is None or done < ticks:
             tick = stream.next(_BLOCK)
-            free, labels = programme.at(tick.stamps)
+            shown = np.maximum(tick.stamps - self.tracker.delay, 0.0)
+            free, labels = programme.at(shown)
             angles = couple(free)
             poses = pose_hand(anatomy, angles)
             if self.side == "left":
                 poses = mirror(poses)
             wrist = None
             if self.wrist:
-                poses = move(poses, *self.wrist.at(tick.stamps))
+                poses = move(poses, *self.wrist.at(shown))
                 held = np.concatenate([poses.landmarks[:, 0], poses.orientations[:, 0]], axis=-1)
                 wrist = to_ours(held, _WORLD_AXES, WRIST_AXES["ours"])
-            landmarks, metacarpals = poses.landmarks, poses.metacarpals
-            if tick.noise is not None:
-                landmarks = landmarks + tick.noise[:, :21]
-                metacarpals = metacarpals + tick.noise[:, 21:]
+            landmarks = tick.shown(poses.landmarks)
             landmarks[tick.lost] = np.nan
             poses.orientations[tick.lost] = np.nan
 
@@ -189,7 +191,7 @@ class SyntheticOperator:
                 tick.stamps[rows],
                 self.side,
                 ~tick.lost[rows],
-                metacarpals[rows],
+                poses.metacarpals[rows],
                 poses.orientations[rows],
                 T_world_wrist=None if wrist is None else wrist[rows],
                 world=None if wrist is None else "synthetic",

@@ -1,4 +1,4 @@
-"""Tracker of the synthetic operator (noise, jitter, losses), and motion of the hand's wrist."""
+"""Tracker of the synthetic operator (shake, delay, losses), and motion of the hand's wrist."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.landmarks import BASES, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.poses import from_rotation_vectors
 from smooth_operator.settings import LARGEST, check_range
-
-_POINTS = NUM_LANDMARKS + 4  # the metacarpal bases are measured too
 
 
 def check_seed(name: str, value: int) -> None:
@@ -50,11 +48,9 @@ class TrackerModel:
         pinch_gaps: the nearest that the thumb ever seems to be to the tips of index, middle, ring
             and little finger [palm lengths, wrist to middle MCP]. A distance d is shown as
             (d^3 + gap^3)^(1/3).
-        noise: standard deviation of each coordinate of each landmark and metacarpal base [m].
-        noise_time: correlation time of that noise [s]; 0 is white noise.
         rate_jitter: standard deviation of a frame's time about its even place, over the period. It
             is cut off at 0.45 so that stamps stay strictly increasing. A frame shows the hand at
-            the time of its stamp.
+            the time of its stamp, less the delay.
         frame_loss: share of frames that never arrive.
         frame_loss_burst: mean length of such a gap [s].
         landmark_loss: share of (frame, landmark) pairs that are NaN and flagged invalid.
@@ -70,8 +66,6 @@ class TrackerModel:
     shake_time: float = 0.0
     delay: float = 0.0
     pinch_gaps: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    noise: float = 0.0
-    noise_time: float = 0.0
     rate_jitter: float = 0.0
     frame_loss: float = 0.0
     frame_loss_burst: float = 0.03
@@ -86,8 +80,6 @@ class TrackerModel:
         check_range("tracker delay", self.delay, 0.0, 1.0, "s")
         for gap in self.pinch_gaps:
             check_range("tracker pinch_gaps", gap, 0.0, 1.0, "palm lengths")
-        check_range("tracker noise", self.noise, 0.0, 0.05, "m")
-        check_range("tracker noise_time", self.noise_time, 0.0, LARGEST, "s")
         check_range("tracker rate_jitter", self.rate_jitter, 0.0, 0.45)
         check_range("tracker frame_loss", self.frame_loss, 0.0, 0.9)
         check_range("tracker frame_loss_burst", self.frame_loss_burst, 0.0, LARGEST, "s")
@@ -113,18 +105,37 @@ TRACKERS: Final = {
 """Trackers by kind, measured from recordings as ``research/docs/trackers.md`` says."""
 
 
-def tracker_model(name: str, seed: int = 0) -> TrackerModel:
+def tracker_model(
+    name: str | None,
+    seed: int = 0,
+    *,
+    frame_loss: float | None = None,
+    landmark_loss: float = 0.0,
+    rate_jitter: float | None = None,
+) -> TrackerModel:
     """The tracker of a kind: ``glove``, ``headset`` or ``camera``.
 
     Args:
+        name: the kind; None for a perfect tracker at 100 Hz.
         seed: seed of its shake and losses.
+        frame_loss: see ``TrackerModel``; None for that of its kind.
+        landmark_loss: see ``TrackerModel``.
+        rate_jitter: see ``TrackerModel``; None for that of its kind.
 
     Raises:
         UnknownNameError: there is no such kind.
+        ConfigError: a value is outside its range.
     """
-    if name not in TRACKERS:
+    if name is not None and name not in TRACKERS:
         raise UnknownNameError("tracker", name, TRACKERS)
-    return replace(TRACKERS[name], seed=seed)
+    model = TrackerModel() if name is None else TRACKERS[name]
+    return replace(
+        model,
+        seed=seed,
+        frame_loss=model.frame_loss if frame_loss is None else frame_loss,
+        landmark_loss=landmark_loss,
+        rate_jitter=model.rate_jitter if rate_jitter is None else rate_jitter,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +146,6 @@ class Ticks:
         model: the tracker.
         stamps: (n,) strictly increasing times [s].
         arrives: (n,) False for a lost frame.
-        noise: (n, 25, 3) noise of the 21 landmarks and the 4 metacarpal bases [m], or None.
         shake: (n, 5, 3) displacement of the fingertips, thumb first [m], or None.
         lost: (n, 21) True for a lost landmark.
     """
@@ -143,7 +153,6 @@ class Ticks:
     model: TrackerModel
     stamps: Float[np.ndarray, " n"]
     arrives: Bool[np.ndarray, " n"]
-    noise: Float[np.ndarray, "n 25 3"] | None
     shake: Float[np.ndarray, "n 5 3"] | None
     lost: Bool[np.ndarray, "n 21"]
 
@@ -161,8 +170,6 @@ class Ticks:
             _move_fingertips(shown, push)
         if self.shake is not None:
             _move_fingertips(shown, self.shake)
-        if self.noise is not None:
-            shown += self.noise[:, :NUM_LANDMARKS]
         return shown
 
 
@@ -189,15 +196,14 @@ class TrackerStream:
         self._period = 1.0 / rate_hz
         self._tick = 0
         # a generator for each imperfection, so that one does not change the draws of another
-        self._clock, noise, frame, landmark, shake = (
-            np.random.default_rng([int(model.seed), 0x7C, k]) for k in range(5)
+        self._clock, shake, frame, landmark = (
+            np.random.default_rng([int(model.seed), 0x7C, k]) for k in range(4)
         )
         self._frames = _Bursts(frame, model.frame_loss, model.frame_loss_burst * rate_hz, 1)
         self._landmarks = _Bursts(
             landmark, model.landmark_loss, model.landmark_loss_burst * rate_hz, NUM_LANDMARKS
         )
-        self._noise = _Drift(noise, model.noise, model.noise_time / self._period, _POINTS)
-        self._shake = _Drift(shake, model.shake, model.shake_time / self._period, len(TIPS))
+        self._shake = _Autoregression(shake, model.shake, model.shake_time / self._period)
 
     def next(self, count: int) -> Ticks:
         """The next ``count`` ticks."""
@@ -211,33 +217,29 @@ class TrackerStream:
             self._model,
             ticks * self._period,
             arrives,
-            self._noise.next(count),
             self._shake.next(count),
             self._landmarks.next(count),
         )
 
 
-class _Drift:
-    """First-order autoregression of points; ``time`` is its correlation time in ticks."""
+class _Autoregression:
+    """First-order autoregression of the fingertips; ``time`` is its correlation time in ticks."""
 
-    def __init__(self, rng: np.random.Generator, deviation: float, time: float, points: int):
-        self._rng, self._deviation, self._points = rng, deviation, points
+    def __init__(self, rng: np.random.Generator, deviation: float, time: float) -> None:
+        self._rng, self._deviation = rng, deviation
         self._keep = float(np.exp(-1.0 / time)) if time else 0.0
-        self._last: Float[np.ndarray, "points 3"] | None = None
+        self._last: Float[np.ndarray, "5 3"] | None = None
 
-    def next(self, count: int) -> Float[np.ndarray, "n points 3"] | None:
+    def next(self, count: int) -> Float[np.ndarray, "n 5 3"] | None:
         if not self._deviation:
             return None
-        noise = self._rng.normal(0.0, self._deviation, (count, self._points, 3))
-        if self._keep:
-            last = noise[0] if self._last is None else self._last
-            for k in range(count):
-                if k or self._last is not None:
-                    # the variance of the white noise that drives it
-                    last = self._keep * last + np.sqrt(1.0 - self._keep**2) * noise[k]
-                noise[k] = last
-            self._last = last.copy()
-        return noise
+        shake = self._rng.normal(0.0, self._deviation, (count, len(TIPS), 3))
+        fresh = np.sqrt(1.0 - self._keep**2)  # keeps the variance
+        for k in range(count):
+            if self._last is not None:
+                shake[k] = self._keep * self._last + fresh * shake[k]
+            self._last = shake[k]
+        return shake
 
 
 class _Bursts:

@@ -142,7 +142,7 @@ Examples:
     """Hand side. Default: the side of each recording."""
 
     trackers: Annotated[str, arg(metavar="A,B")] = "glove,headset,camera"
-    """Kinds of trackers of `demonstrations`, with commas between them."""
+    """Trackers of `reachable`, `demonstrations` and `operators`, with commas between them."""
 
     seed: int = 0
     """Seed of the methods' random numbers and of the units."""
@@ -195,6 +195,9 @@ Examples:
     body: Literal["matched", "human"] = "matched"
     """Kinematics of the operators' hands: the robot's at human size with other bones, or published
     human anatomy, whose thumb does not reach all that the tasks need."""
+
+    tracker: Literal["glove", "headset", "camera"] = "glove"
+    """Tracker that the operators are before, at the plan's rate if it has one."""
 
     seed: Annotated[int, arg(metavar="INT")] = 0
     """Seed of persons and trials: the same seed gives the same figures, with any --workers."""

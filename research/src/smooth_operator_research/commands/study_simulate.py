@@ -28,7 +28,9 @@ def simulate_command(options: Simulate) -> None:
         OutputError: the folder can't be written to.
     """
     plan = plan_for(read_plan(options.study), options.operators)
-    settings = SimulationSettings(plan, hand=options.hand, body=options.body, seed=options.seed)
+    settings = SimulationSettings(
+        plan, hand=options.hand, body=options.body, tracker=options.tracker, seed=options.seed
+    )
     home = options.study if options.study.is_dir() else options.study.parent
     folder = options.output or home / "simulated"
     progress = Progressing(quiet=options.json)

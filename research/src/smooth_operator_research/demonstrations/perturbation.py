@@ -23,7 +23,12 @@ from smooth_operator.simulation.scenes.physics import (
     ScenePhysics,
 )
 from smooth_operator.simulation.scenes.scene import SceneState
-from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream, tracker_model
+from smooth_operator.synthetic.tracker import (
+    Ticks,
+    TrackerModel,
+    TrackerStream,
+    tracker_model,
+)
 from smooth_operator_research.demonstrations.trial_loop import LandmarkSource
 
 
@@ -123,29 +128,43 @@ def draw_perturbation(
     )
 
 
-class PerturbedLandmarks:
-    """Another operator's bones, seen through a tracker. A ``LandmarkSource``.
+class TrackerClock:
+    """The frames of a tracker in a loop with a clock of its own; of two that are due the last one.
 
-    For one trial: the tracker goes on from frame to frame. Between its frames there are no
-    landmarks, and a loop holds its last command.
+    For one trial: the tracker begins with the first call and goes on from frame to frame.
+    """
+
+    def __init__(self, model: TrackerModel) -> None:
+        self._stream = TrackerStream(model)
+        self._next = self._stream.next(1)
+        self._start: float | None = None
+
+    def due(self, time: float) -> Ticks | None:
+        """The frame that has come since the last call; None where there is none."""
+        if self._start is None:
+            self._start = time
+        tick = None
+        while self._next.stamps[0] <= time - self._start + 1e-9:
+            tick, self._next = self._next, self._stream.next(1)
+        return tick
+
+
+class PerturbedLandmarks:
+    """Another operator's bones, seen through a tracker. A ``LandmarkSource`` for one trial.
+
+    Between the tracker's frames there are no landmarks, and a loop holds its last command.
     """
 
     def __init__(self, source: LandmarkSource, world: Perturbation) -> None:
         self._source, self._world = source, world
-        self._tracker = TrackerStream(world.tracker)
-        self._next = self._tracker.next(1)
-        self._start: float | None = None
+        self._clock = TrackerClock(world.tracker)
 
     def landmarks(
         self, time: float, state: SceneState, physics: ScenePhysics
     ) -> Float[np.ndarray, "21 3"] | None:
         """See ``LandmarkSource``."""
-        if self._start is None:
-            self._start = time
-        tick = None
-        while self._next.stamps[0] <= time - self._start + 1e-9:
-            tick, self._next = self._next, self._tracker.next(1)
+        tick = self._clock.due(time)
         if tick is None or not tick.arrives[0]:
             return None
-        points = self._source.landmarks(time - self._world.tracker.delay, state, physics)
+        points = self._source.landmarks(time - tick.model.delay, state, physics)
         return None if points is None else tick.shown(self._world.operator(points)[None])[0]

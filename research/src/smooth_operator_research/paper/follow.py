@@ -102,20 +102,28 @@ def middle(recording: HandRecording, frames: int) -> HandRecording:
     return recording[start : start + frames]
 
 
-def through_tracker(source: Source, clean: HandRecording, model: TrackerModel) -> DegradedRecording:
-    """A recording behind a tracker with noise and losses.
+def through_tracker(
+    source: Source, clean: HandRecording, model: TrackerModel, noise: float = 0.0
+) -> DegradedRecording:
+    """A recording behind a tracker with losses, and with noise as no real tracker has it.
 
     A lost frame stays in its place without a valid landmark, as a loop meets it that has to send a
     command anyway. The recording's own noise, where a real tracker made it, is in both.
+
+    Args:
+        noise: standard deviation of white noise of each coordinate of every landmark [m].
     """
     tracked = led(clean)
     ticks = TrackerStream(model, clean.rate_hz).next(len(tracked))
     ticks.arrives[:LEAD] = True
     landmarks, valid, metacarpals = tracked.landmarks.copy(), tracked.valid, tracked.metacarpals
     assert valid is not None  # filled in on construction
-    if ticks.noise is not None:
-        landmarks += ticks.noise[:, :21]
-        metacarpals = None if metacarpals is None else metacarpals + ticks.noise[:, 21:]
+    if noise:
+        white = np.random.default_rng([model.seed, 0x7C, 1]).normal(
+            0.0, noise, (len(tracked), 25, 3)
+        )
+        landmarks += white[:, :21]
+        metacarpals = None if metacarpals is None else metacarpals + white[:, 21:]
     gone = ~ticks.arrives[:, None] | ticks.lost
     landmarks[gone] = np.nan
     return DegradedRecording(
@@ -142,7 +150,7 @@ def at_rate(source: Source, rate_hz: float, seconds: float) -> DegradedRecording
     begin = float(recording.stamps[0]) + max(0.0, (recording.duration - seconds) / 2)
     end = begin + min(seconds, recording.duration)
     if source.request.path is None:
-        operator = replace(source.request, rate=rate_hz, noise=0.0).operator()
+        operator = replace(source.request, rate=rate_hz, tracker=None).operator()
         whole = operator.record(SYNTHETIC_SECONDS)
         inside = np.flatnonzero((whole.stamps >= begin - 1e-9) & (whole.stamps < end + 1e-9))
         clean = whole[int(inside[0]) : int(inside[-1]) + 1]

@@ -69,7 +69,8 @@ class TrackerNoise:
                 through_tracker(
                     source,
                     middle(recording_of(source), size.noise_frames),
-                    TrackerModel(noise=condition.noise, frame_loss=condition.loss, seed=seed),
+                    TrackerModel(frame_loss=condition.loss, seed=seed),
+                    condition.noise,
                 )
                 # a clean tracker has no seed; the methods' own is not what is looked at
                 for seed in range(size.tracker_seeds if condition.noise or condition.loss else 1)

@@ -46,7 +46,7 @@ class PhysicsSettings:
         frames: ``A:B``, of each recording that brings no range of its own.
         rate: frames a second of recordings without stamps [Hz].
         layout: order of the landmarks in plain arrays; None for the project's own.
-        trackers: kinds of trackers that ``demonstrations`` takes.
+        trackers: kinds of trackers of measures whose human is simulated.
         units: how many independent units (seeds, worlds, operators) each measure takes; None for
             as many as it takes by itself.
         quick: take fewer and shorter cases, to try things out.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -16,6 +16,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
+from smooth_operator.synthetic.tracker import TrackerStream, tracker_model
 from smooth_operator.types import HandRecording, Side, Status
 from smooth_operator_research.physics.measure import (
     Case,
@@ -239,8 +240,8 @@ QUICK_SECONDS: Final = 3.0
 RATE_HZ: Final = 100.0
 WARM_UP_S: Final = 0.5
 """Time left out at the beginning [s]: the hand starts at its neutral pose, and so do methods."""
-NOISE: Final = {"clean": 0.0, "noise 0.5 mm": 0.5e-3}
-"""Condition -> standard deviation of each coordinate of each landmark [m]."""
+CLEAN: Final = "clean"
+"""Condition in which fingertips do not shake."""
 EXACT: Final = 0.5e-3
 """A frame is exact where no fingertip is further off than this [m]."""
 
@@ -253,10 +254,10 @@ class AskedMotion:
     """A motion that a robot hand can make exactly, as a recording of a human hand.
 
     Attributes:
-        recording: the robot's own landmarks in the palm frame as a human's, with tracker noise
-            where it was asked for; the alignment leaves landmarks without noise where they are.
+        recording: the robot's own landmarks in the palm frame as a human's, whose fingertips shake
+            where it was asked for; the alignment leaves landmarks where they are.
         joints: (T, n) positions of all joints that made it [rad].
-        tips: (T, F, 3) the fingertips of those, without noise [m], thumb first.
+        tips: (T, F, 3) the fingertips of those, without shake [m], thumb first.
         motion: how it was made.
     """
 
@@ -270,26 +271,27 @@ def reachable_motion(
     hand: Hand,
     seed: int,
     *,
-    noise: float = 0.0,
+    tracker: str | None = None,
     duration: float = SECONDS,
     rate_hz: float = RATE_HZ,
 ) -> AskedMotion:
     """A random smooth, collision-free motion of a hand, with pinches; see ``joint_motion``.
 
     Args:
-        noise: noise of the tracker: standard deviation of each coordinate of each landmark in each
-            frame, independent (white) [m]. It moves the landmarks of the palm, too.
+        tracker: kind of tracker with whose shake the fingertips are seen, at the rate of the motion
+            and without its delay, losses and pinch gaps; None for none.
         duration: length [s].
         rate_hz: frames a second [Hz].
     """
-    return _asked(hand, joint_motion(hand, seed, duration=duration, rate_hz=rate_hz), seed, noise)
+    return _asked(hand, joint_motion(hand, seed, duration=duration, rate_hz=rate_hz), seed, tracker)
 
 
-def _asked(hand: Hand, motion: JointMotion, seed: int, noise: float) -> AskedMotion:
+def _asked(hand: Hand, motion: JointMotion, seed: int, tracker: str | None) -> AskedMotion:
     landmarks = human_landmarks(hand, motion.joints)
-    if noise:
-        rng = np.random.default_rng([seed, 1])
-        landmarks = landmarks + rng.normal(0.0, noise, landmarks.shape)
+    if tracker is not None:
+        model = replace(tracker_model(tracker, seed), pinch_gaps=(0.0, 0.0, 0.0, 0.0))
+        rate = 1.0 / float(np.median(np.diff(motion.stamps)))
+        landmarks = TrackerStream(model, rate).next(len(landmarks)).shown(landmarks)
     name = f"reachable motion {seed}"
     recording = HandRecording(landmarks, motion.stamps, hand.spec.side, name=name)
     joints = hand.full_configuration(motion.joints)
@@ -338,8 +340,8 @@ class ReachableMotion:
     )  # fmt: skip
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
-        """Without and with tracker noise."""
-        return tuple(NOISE)
+        """Without shake, and with that of each tracker."""
+        return (CLEAN, *settings.trackers)
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
         """Seeds of motions."""
@@ -351,7 +353,8 @@ class ReachableMotion:
         """Retargets one motion."""
         duration = QUICK_SECONDS if case.quick else SECONDS
         motion = _motion(case.hand_name, case.side, case.unit.data, duration)
-        request = _asked(case.hand, motion, case.unit.data, NOISE[case.condition])
+        tracker = None if case.condition == CLEAN else case.condition
+        request = _asked(case.hand, motion, case.unit.data, tracker)
         commands = case.commands(request.recording)
         row = motion_figures(case.hand, request, commands.joint_positions)
         row["held_frames"] = int((commands.status != Status.OK).sum())

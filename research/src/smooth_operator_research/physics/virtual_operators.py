@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from smooth_operator.simulation.tasks.task import TASKS, task_named
+from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator_research.physics.measure import Case, Drawing, Measured, PhysicsSettings, Unit
 from smooth_operator_research.physics.page import interval_drawings
 from smooth_operator_research.physics.results import Figure, MeasureResults
 from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial
 
-RATE_HZ: Final = 30.0
-"""Frames and commands a second, as in the paper's study [Hz]."""
 TRIALS: Final = 3
 QUICK_SECONDS: Final = 10.0
 
@@ -39,8 +38,8 @@ class VirtualOperators:
     )  # fmt: skip
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
-        """The tasks."""
-        return tuple(TASKS)
+        """Each task with each tracker, as ``card headset``."""
+        return tuple(f"{task} {tracker}" for task in TASKS for tracker in settings.trackers)
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
         """Persons."""
@@ -53,12 +52,13 @@ class VirtualOperators:
     def run(self, case: Case) -> Measured:
         """Some trials of one person, after free movement with the method."""
         number, seed = case.unit.data
+        task, tracker = case.condition.split()
         familiar = make_familiar(draw_person(number, seed), case.retargeter(), seed=seed)
         done = [
             simulate_trial(
                 familiar,
-                task_named(case.condition),
-                rate_hz=RATE_HZ,
+                task_named(task),
+                tracker=tracker_model(tracker),
                 practised=trial,
                 practised_here=trial,
                 seconds=QUICK_SECONDS if case.quick else None,
@@ -70,6 +70,8 @@ class VirtualOperators:
         times = [outcome.seconds for outcome in outcomes if outcome.score >= 0.5]
         return Measured(
             {
+                "task": task,
+                "tracker": tracker,
                 "success": len(times),
                 "score": sum(outcome.score for outcome in outcomes) / len(done),
                 "time_s": sum(times) / len(times) if times else None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -22,6 +22,7 @@ from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.design.plan import Block, Plan, lot, make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_table
 from smooth_operator.study.store.export import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
+from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND
 from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial
@@ -32,7 +33,6 @@ MOST_OPERATORS: Final = 1000
 PREFIX: Final = "simulated-"
 """Begins the codes of virtual operators, so that no row of theirs is taken for a person's."""
 
-_RATE_HZ: Final = 100.0  # where the plan has none
 _CHUNK: Final = 5
 """Trials of a block that a worker does in one go: what a stop can lose."""
 
@@ -45,15 +45,19 @@ class SimulationSettings:
         plan: who does what.
         hand: robot hand, which must be able to do the tasks.
         body: whose kinematics the persons' hands have.
+        tracker: kind of tracker that they are before: ``glove``, ``headset`` or ``camera``; at the
+            plan's rate, if it has one.
         seed: seed of persons and trials.
     """
 
     plan: Plan
     hand: str = DEFAULT_HAND
     body: Body = "matched"
+    tracker: str = "glove"
     seed: int = 0
 
     def __post_init__(self) -> None:
+        tracker_model(self.tracker)  # which checks the name
         if self.seed < 0:
             raise StudyError(f"the seed must be 0 or more, not {self.seed}")
         for task in self.plan.protocol.tasks:
@@ -102,7 +106,8 @@ class Chunk:
             "preset": block.condition.preset,
             "trials": self.trials,
             "done": block.trial_global(1) - 1,  # trials of the task before this block
-            "rate_hz": _RATE_HZ if protocol.rate_hz is None else protocol.rate_hz,
+            "tracker": self.settings.tracker,
+            "rate_hz": protocol.rate_hz,
             "resets": min(protocol.resets, 1),
             "reset_cap": protocol.reset_cap,
             "limit_s": block.task.time_limit_s,
@@ -141,11 +146,14 @@ def simulate_chunk(chunk: Chunk) -> list[dict[str, Any]]:
     familiar = _familiar(
         key["person"], key["seed"], key["hand"], key["method"], key["preset"], key["body"]
     )
+    tracker = tracker_model(key["tracker"])
+    if key["rate_hz"] is not None:
+        tracker = replace(tracker, rate_hz=key["rate_hz"])
     rows = []
     for number in chunk.trials:
         place = (key["operator"], key["task"], key["block"], number)
         trial = simulate_trial(
-            familiar, task_named(key["task"]), rate_hz=key["rate_hz"],
+            familiar, task_named(key["task"]), tracker=tracker,
             practised=key["done"] + number - 1, practised_here=number - 1, resets=key["resets"],
             seconds=key["limit_s"],
             seed=int(lot(key["seed"], "simulated trial", *place) * 2**32),

@@ -203,14 +203,6 @@ class ReachingHand:
         """(21, 3) of the hand as it is [m]."""
         return self._model.landmarks(self.angles)[0]
 
-    def tracked(self, noise: Float[np.ndarray, " m"]) -> Float[np.ndarray, "21 3"]:
-        """(21, 3) landmarks [m] as a glove gives them that measures joint angles.
-
-        Args:
-            noise: (m,) error of each angle [rad].
-        """
-        return self._model.landmarks(self.angles + noise)[0]
-
     def reach(
         self, tips: Float[np.ndarray, "5 3"], seconds: float, rounds: int = 1
     ) -> Float[np.ndarray, "21 3"]:

@@ -54,11 +54,6 @@ class Person:
             ours.
         anatomy: anatomy of the hand. Length 190 +- 10 mm for one half, 175 +- 9 mm for the other
             (Pheasant and Haslegrave 2006: British men and women); bones as ``draw_anatomy``.
-        tracker_noise: standard deviation of each joint angle that the glove gives [rad]. 0.1 to
-            0.25 degrees: in a recording of a MANUS glove the palm is rigid and fingertips have
-            noise of up to 0.24 mm in each coordinate (third differences, the quietest 5 % of the
-            windows of 1 s, 118 Hz), which is 0.24 degrees in each joint of a finger.
-        frame_loss: share of frames that do not arrive. 0 to 1 %; ours.
     """
 
     number: int
@@ -73,8 +68,6 @@ class Person:
     practice: float
     bone_factors: Float[np.ndarray, "5 3"]
     anatomy: HandAnatomy
-    tracker_noise: float
-    frame_loss: float
 
     def practised(self, trials: float) -> float:
         """Share of a beginner's time or error that is left after so many trials.
@@ -118,8 +111,6 @@ def draw_person(number: int, seed: int = 0) -> Person:
         practice=float(np.clip(rng.normal(0.2, 0.05), 0.05, 0.4)),
         bone_factors=1.0 + np.clip(rng.normal(0.0, 0.05, (len(FINGERS), 3)), -0.1, 0.1),
         anatomy=draw_anatomy(length, int(rng.integers(1 << 31))),
-        tracker_noise=float(np.radians(rng.uniform(0.1, 0.25))),
-        frame_loss=float(rng.uniform(0.0, 0.01)),
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, Literal
 
@@ -16,6 +17,8 @@ from smooth_operator.simulation.scenes.scene import Scene, SceneState
 from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import SimulatedTask
 from smooth_operator.simulation.tasks.trial import Outcome
+from smooth_operator.synthetic.tracker import TrackerModel
+from smooth_operator_research.demonstrations.perturbation import TrackerClock
 from smooth_operator_research.demonstrations.trial_loop import TrialTrace, run_trial
 from smooth_operator_research.virtual_operator.hand_model import (
     Body,
@@ -87,7 +90,7 @@ def simulate_trial(
     familiar: Familiar,
     task: SimulatedTask,
     *,
-    rate_hz: float = 100.0,
+    tracker: TrackerModel,
     practised: int = 0,
     practised_here: int = 0,
     resets: int = 1,
@@ -99,7 +102,7 @@ def simulate_trial(
     """Have a person do a trial with a retargeter.
 
     Args:
-        rate_hz: frames of the tracker and commands a second [Hz].
+        tracker: tracker that the person is before; its seed does not matter.
         practised: trials of the task before this one, with any retargeter.
         practised_here: trials before this one with this retargeter.
         resets: how often the object may be put back: 0 or 1.
@@ -113,7 +116,7 @@ def simulate_trial(
     scene, reach = _prepared(task.name, familiar.retargeter.hand)
     if variation is not None:
         scene = variation.scene(scene)
-    source = _Tracked(familiar, task, scene, reach, rate_hz, practised, practised_here, resets,
+    source = _Tracked(familiar, task, scene, reach, tracker, practised, practised_here, resets,
                       seed)  # fmt: skip
     result = run_trial(
         familiar.retargeter, scene, task, source, rate_hz=LOOKS_HZ, seconds=seconds, lead_s=LEAD_S,
@@ -129,36 +132,36 @@ def simulate_trial(
 
 
 class _Tracked:
-    """A person before a tracker, which has noise, a frame rate and lost frames."""
+    """A person before a tracker."""
 
     def __init__(
         self, familiar: Familiar, task: SimulatedTask, scene: Scene, reach: GripReach,
-        rate_hz: float, practised: int, practised_here: int, resets: int,
-        seed: int,
+        tracker: TrackerModel, practised: int, practised_here: int, resets: int, seed: int,
     ) -> None:  # fmt: skip
-        self._person, self._period = familiar.person, 1.0 / rate_hz
-        self._rng = np.random.default_rng([seed, self._person.number, 0x7A])
+        own = int(np.random.default_rng([seed, familiar.person.number, 0x7A]).integers(1 << 31))
+        self._clock = TrackerClock(replace(tracker, seed=own))
+        self._coming: deque[tuple[float, Float[np.ndarray, "21 3"]]] = deque()
         self._resets = resets
-        self._due = float("-inf")
         self.operator = VirtualOperator(
             familiar.person, familiar.retargeter.hand, familiar.body, familiar.model, task, scene,
             reach, practised=practised, practised_here=practised_here,
-            lag_s=0.5 / rate_hz + _SERVO_LAG_S, seed=seed,
+            lag_s=tracker.delay + 0.5 / tracker.rate_hz + _SERVO_LAG_S, seed=seed,
         )  # fmt: skip
 
     def landmarks(
         self, time: float, state: SceneState, physics: ScenePhysics
     ) -> Float[np.ndarray, "21 3"] | None:
-        """See ``LandmarkSource``; None also between the frames of the tracker."""
+        """See ``LandmarkSource``; a frame comes when it is as old as the tracker's delay."""
         if time >= 0.0:
             self.operator.observe(time, state, physics)
-        if time < self._due - 1e-9:
+        tick = self._clock.due(time)
+        if tick is not None:
+            points = self.operator.landmarks(time, state, physics)
+            if tick.arrives[0]:
+                self._coming.append((time + tick.model.delay, tick.shown(points[None])[0]))
+        if not self._coming or self._coming[0][0] > time + 1e-9:
             return None
-        self._due = max(self._due, time) + self._period
-        self.operator.landmarks(time, state, physics)
-        body = self.operator.body
-        noise = self._rng.normal(0.0, self._person.tracker_noise, len(body.angles))
-        return None if self._rng.random() < self._person.frame_loss else body.tracked(noise)
+        return self._coming.popleft()[1]
 
     def intervention(self) -> Literal["reset", "finish"] | None:
         """See ``perform``."""

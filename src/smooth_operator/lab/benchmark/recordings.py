@@ -2,9 +2,10 @@
 
 A recording is named by its path, or ``synthetic`` or ``synthetic:SEED`` for the built-in operator,
 and may bring its own settings after an ``@``, separated by commas: a range of frames, a rate, a
-side, an order of landmarks, a tracker; for the built-in operator also the noise of its tracker, the
-length of its hand and its tempo. ``glove.npz@:500``, ``video.npz@30hz,mano,camera``,
-``synthetic:3@left,100:300``, ``synthetic:3@0.5mm``, ``synthetic:3@17.5cm,1.2x``.
+side, an order of landmarks, a tracker; for the built-in operator also the length of its hand and
+its tempo, and the tracker is what it is seen through. ``glove.npz@:500``,
+``video.npz@30hz,mano,camera``, ``synthetic:3@left,100:300``, ``synthetic:3@headset``,
+``synthetic:3@17.5cm,1.2x``.
 """
 
 from __future__ import annotations
@@ -24,15 +25,14 @@ from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.formats.registry import recording_suffixes
 from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.landmarks import LAYOUTS
-from smooth_operator.synthetic import SyntheticOperator, TrackerModel
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.synthetic.tracker import TRACKERS, tracker_model
 from smooth_operator.types import HandRecording, Side, as_side
 
 SYNTHETIC: Final = "synthetic"
 SYNTHETIC_SECONDS: Final = 20.0
 """How long the built-in operator moves [s]."""
 
-TRACKERS: Final = ("glove", "headset", "camera")
-"""Kinds of trackers that a recording may name."""
 UNKNOWN_TRACKER: Final = "other"
 """Kind of the recordings that name none and whose format does not tell."""
 
@@ -42,7 +42,6 @@ _TRACKER_OF: Final = {
 }  # fmt: skip
 _NOTED: Final = ("side_assumed", "implausible_frames", "format")  # what a report reads of it
 _RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
-_NOISE = re.compile(r"(\d+(?:\.\d+)?)\s*mm", re.IGNORECASE)
 _LENGTH = re.compile(r"(\d+(?:\.\d+)?)\s*cm", re.IGNORECASE)
 _SPEED = re.compile(r"(\d+(?:\.\d+)?)\s*x", re.IGNORECASE)
 
@@ -57,11 +56,11 @@ class Request:
         frames: ``A:B``, or None for all.
         rate: frames a second [Hz]; None as the file says.
         side: None as the file says.
-        noise: noise of the built-in operator's tracker: standard deviation of each coordinate [m].
         hand_length: hand length of the built-in operator [m]; None as it comes.
         speed: tempo of the built-in operator; 1 is natural.
         layout: order of the landmarks in a plain array; None for the project's own.
-        tracker: one of ``TRACKERS``; None as the format tells.
+        tracker: one of ``TRACKERS``; None as the format tells, and a perfect one for the built-in
+            operator.
     """
 
     path: Path | None
@@ -69,7 +68,6 @@ class Request:
     frames: str | None = None
     rate: float | None = None
     side: Side | None = None
-    noise: float = 0.0
     hand_length: float | None = None
     speed: float = 1.0
     layout: str | None = None
@@ -93,7 +91,7 @@ class Request:
             seed=self.seed,
             side=self.side or "right",
             speed=self.speed,
-            tracker=TrackerModel(noise=self.noise, seed=self.seed),
+            tracker=tracker_model(self.tracker, self.seed),
         )
         if self.hand_length is not None:
             operator = replace(operator, hand_length=self.hand_length)
@@ -172,12 +170,10 @@ def parse_request(
     name, at, options = text.rpartition("@")
     if not at or Path(text).exists():  # a file's name may hold an @
         name, options = text, ""
-    noise, length, speed, tracker = 0.0, None, 1.0, None
+    length, speed, tracker = None, 1.0, None
     for option in filter(None, (part.strip() for part in options.split(","))):
         if rated := _RATE.fullmatch(option):
             rate = float(rated[1])
-        elif noisy := _NOISE.fullmatch(option):
-            noise = 1e-3 * float(noisy[1])
         elif long := _LENGTH.fullmatch(option):
             length = 1e-2 * float(long[1])
         elif fast := _SPEED.fullmatch(option):
@@ -194,9 +190,8 @@ def parse_request(
             raise ConfigError(
                 f"{text!r}: {option!r} is no setting of a recording; after the @ stand a range of "
                 "frames (:500), a rate (60hz), a side (left), an order of landmarks (mano), a "
-                f"tracker ({', '.join(TRACKERS)}) or, for the built-in operator, the noise of its "
-                "tracker (0.5mm), the length of its hand (17.5cm) and its tempo (1.2x), with "
-                "commas between them"
+                f"tracker ({', '.join(TRACKERS)}) or, for the built-in operator, the length of its "
+                "hand (17.5cm) and its tempo (1.2x), with commas between them"
             )
     if frames is not None:
         frame_slice(frames, None)  # a text that is no range is refused before anything is read
@@ -205,11 +200,11 @@ def parse_request(
         if not (seed.isascii() and seed.isdigit()):
             raise ConfigError(f"{name!r}: the seed must be a whole number, as in {SYNTHETIC}:3")
         own_rate = rate if "hz" in options.lower() else None
-        return Request(None, int(seed), frames, own_rate, side, noise, length, speed)
-    if noise or length is not None or speed != 1.0:
+        return Request(None, int(seed), frames, own_rate, side, length, speed, tracker=tracker)
+    if length is not None or speed != 1.0:
         raise ConfigError(
-            f"{text!r}: noise, length and tempo are for the built-in operator, as in "
-            f"{SYNTHETIC}:3@1mm,17.5cm,1.2x"
+            f"{text!r}: length and tempo are for the built-in operator, as in "
+            f"{SYNTHETIC}:3@17.5cm,1.2x"
         )
     return Request(Path(name), 0, frames, rate, side, layout=layout, tracker=tracker)
 
@@ -324,8 +319,8 @@ def _suffix(request: Request) -> str:
     """The part of a name that differs between the built-in operator's recordings of one seed."""
     length = "" if request.hand_length is None else f"+{1e2 * request.hand_length:g}cm"
     speed = "" if request.speed == 1.0 else f"+{request.speed:g}x"
-    noise = f"+{1e3 * request.noise:g}mm" if request.noise else ""
-    return length + speed + noise
+    tracker = f"+{request.tracker}" if request.tracker else ""
+    return length + speed + tracker
 
 
 def _digest(recording: HandRecording) -> str:

@@ -17,7 +17,7 @@ from smooth_operator.io.anatomy import layout_order
 from smooth_operator.settings import check_range
 from smooth_operator.synthetic.gestures import GESTURES
 from smooth_operator.synthetic.operator import SyntheticOperator
-from smooth_operator.synthetic.tracker import TrackerModel, WristMotion
+from smooth_operator.synthetic.tracker import WristMotion, tracker_model
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource, on_time
 from smooth_operator.teleop.sources.stream import Hands, sides_of
 from smooth_operator.types import HandFrame, HandRecording, Side
@@ -104,14 +104,16 @@ class SyntheticSource(ThreadedSource):
 
     Attributes:
         seed: seed of the person, the motion and the tracker's losses.
-        rate: frame rate of each hand [Hz].
+        tracker: tracker that sees the person: ``glove``, ``headset`` or ``camera``; None for a
+            perfect one.
+        rate: frame rate of each hand [Hz]; None for the tracker's own.
         side: ``right``, ``left`` or ``both``.
         gestures: names joined by ``+``, as ``pinch_index+spread``; by default all of them.
         speed: tempo of the operator, 1 is natural.
-        noise: standard deviation of each coordinate [mm].
-        frame_loss: share of frames that never come, in bursts.
+        frame_loss: share of frames that never come, in bursts; None for the tracker's own.
         landmark_loss: share of landmarks that are missing, in bursts.
-        rate_jitter: standard deviation of a frame's time over the period.
+        rate_jitter: standard deviation of a frame's time over the period; None for the tracker's
+            own.
         duration: length of the motion [s]; None for an endless one.
         wrist: standard deviation of each coordinate of the wrist in the room [m], 1 m up and 0.4 m
             ahead; 0 is a tracker without a wrist. The landmarks do not move with it.
@@ -122,14 +124,14 @@ class SyntheticSource(ThreadedSource):
     """
 
     seed: int = 0
-    rate: float = 100.0
+    rate: float | None = None
     side: Hands = "right"
     gestures: str | None = None
     speed: float = 1.0
-    noise: float = 0.0
-    frame_loss: float = 0.0
+    tracker: str | None = None
+    frame_loss: float | None = None
     landmark_loss: float = 0.0
-    rate_jitter: float = 0.0
+    rate_jitter: float | None = None
     duration: float | None = None
     wrist: float = 0.05
 
@@ -138,7 +140,11 @@ class SyntheticSource(ThreadedSource):
         self._operators()  # which check the rest
         check_range("wrist", self.wrist, 0.0, 0.3, "m")
         if self.duration is not None:
-            check_range("duration", self.duration, 1.0 / self.rate, 1e9, "s")
+            check_range("duration", self.duration, 1.0 / self._rate, 1e9, "s")
+
+    @property
+    def _rate(self) -> float:
+        return tracker_model(self.tracker).rate_hz if self.rate is None else self.rate
 
     @property
     def label(self) -> str:
@@ -148,7 +154,7 @@ class SyntheticSource(ThreadedSource):
     def run(self, running: Running) -> None:
         """Post the frames when they are due."""
         hands = " and ".join(sides_of(self.side))
-        running.health = SourceHealth("running", f"{hands} hand at {self.rate:g} Hz")
+        running.health = SourceHealth("running", f"{hands} hand at {self._rate:g} Hz")
         clock = running.mailbox.clock
         wrists = self._wrists()
         for _, frame in on_time(self._due(), clock, running.stopping):
@@ -179,11 +185,11 @@ class SyntheticSource(ThreadedSource):
             rate_hz=self.rate,
             gestures=gestures,
             speed=self.speed,
-            tracker=TrackerModel(
-                noise=self.noise * 1e-3,
-                rate_jitter=self.rate_jitter,
+            tracker=tracker_model(
+                self.tracker,
+                self.seed + number,
                 frame_loss=self.frame_loss,
                 landmark_loss=self.landmark_loss,
-                seed=self.seed + number,
+                rate_jitter=self.rate_jitter,
             ),
         )
