@@ -169,16 +169,9 @@ def _manus() -> bytes:
 
 
 def _operator(folder: Path) -> bytes:
-    from smooth_operator.calibration.operator_file import write_operator
-    from smooth_operator.human.operator import FingerProfile, OperatorProfile
+    from smooth_operator.calibration.operator_file import OperatorProfile, write_operator
 
-    fingers = tuple(
-        FingerProfile(n, f"{n}_dp", (0.04, 0.03, 0.02), 0.09, 0.1, 1.1, 0.003, 0.005, 0.002, 0.001)
-        for n in ("thumb", "index", "middle")
-    )
-    profile = OperatorProfile(
-        "mimic_p050", "right", 0.8, 0.07, 0.1, fingers, (1.0, 0.0, 0.0, 0.0), 0.01, 0.02, (), "x"
-    )
+    profile = OperatorProfile("right", {"index": 0.3, "middle": 0.2, "pinky": 0.1}, "x")
     write_operator(folder / "o.json", profile)
     return (folder / "o.json").read_bytes()
 

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 from live_time import PATIENCE_S, until
-from test_operator_profile import profile
 
 from smooth_operator import Retargeter, load_hand, method_names
-from smooth_operator.calibration.operator_file import write_operator
+from smooth_operator.calibration.operator_file import OperatorProfile, write_operator
 from smooth_operator.cli import main
 from smooth_operator.errors import (
     ConfigError,
@@ -258,24 +257,23 @@ def test_a_method_that_cannot_be_built_is_said(stage, monkeypatch):
 
 
 def test_an_operators_file_is_loaded_and_dropped(stage, tmp_path):
-    path = tmp_path / "operator.json"
-    write_operator(path, profile(load_hand("mimic_p050"), "scale"))
-    answer = stage.do("calibration", path=str(path))
-    assert (answer["side"], answer["hand"]) == ("right", "mimic_p050")
-    assert stage.config().alignment.operator.scale == 0.8
+    def known() -> object:
+        return stage.loop.pipelines["right"].retargeter.known_gaps
+
+    path, left = tmp_path / "operator.json", tmp_path / "left.json"
+    write_operator(path, OperatorProfile("right", {"index": 0.1}, "here"))
+    write_operator(left, OperatorProfile("left"))
+    assert stage.do("calibration", path=str(path))["side"] == "right"
+    assert known() == {"index": 0.1}
     assert stage.do("status")["operators"] == {"right": "here"}
     stage.do("method", method="geort")
-    assert stage.config().alignment.operator.scale == 0.8  # it is the operator's, not the method's
-    left = tmp_path / "left.json"
-    write_operator(left, profile(load_hand("mimic_p050", "left")))
-    other = tmp_path / "other.json"
-    write_operator(other, profile(load_hand("allegro_hand")))
-    for bad, words in ((left, "no left hand"), (other, "allegro"), (tmp_path / "no", "no such")):
+    assert known() == {"index": 0.1}  # it is the operator's, not the method's
+    for bad, words in ((left, "no left hand"), (tmp_path / "no", "no such")):
         with pytest.raises(RemoteRefusedError, match=words):
             stage.do("calibration", path=str(bad))
     assert stage.do("status")["operators"] == {"right": "here"}
     stage.do("calibration")
-    assert stage.config().alignment.operator is None
+    assert known() == {}
 
 
 def test_the_record_knows_which_method_was_used_when(stage):
@@ -299,7 +297,6 @@ def test_the_record_knows_which_method_was_used_when(stage):
     ]
     assert said == stamps[1:]
     assert "model" in log.methods[-1].config
-    assert log.methods[-1].config["alignment"]["operator"] is None
 
 
 def test_blind_nothing_that_is_shown_names_the_method(stage):

@@ -49,10 +49,9 @@ def test_the_constants_of_the_page_are_the_presets():
         seen |= set(paths)
     left_out = {"alignment", "sampling", "objective.loss", "objective.transition"}
     rest = {path for path in settings if path not in seen and path.split(".")[0] not in left_out}
-    calibrated = "objective.targets.pinch_gaps"  # of the operator, and empty without one
     added = "objective.terms"  # of a user, and empty without one
-    assert (settings[calibrated], settings[added]) == ((), ())
-    none = {"objective.pose_centre", "objective.velocity_loss", calibrated, added}
+    assert settings[added] == ()
+    none = {"objective.pose_centre", "objective.velocity_loss", added}
     assert rest - left_out == none
 
 

@@ -1,14 +1,14 @@
-"""Requests of a user and their plans: resolves names, scale and operator."""
+"""Requests of a user and their plans: resolves names, scale and pinch gaps."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
-from smooth_operator.calibration.operator_file import read_operator
+from smooth_operator.calibration.operator_file import OperatorProfile, read_operator
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.environment import environment
 from smooth_operator.formats.readers import read_recording
@@ -18,7 +18,7 @@ from smooth_operator.hands.registry import default_side, load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.human.aligned_recording import calibrate_scale
-from smooth_operator.human.operator import OperatorProfile
+from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.methods.registry import DEFAULT_METHOD
@@ -29,6 +29,10 @@ PROGRAM: Final = "smooth-operator"
 
 Scale: TypeAlias = float | Literal["frame", "calibrate"]
 """Robot size over human size: a number, by frame, or calibrated once on the recording."""
+
+PinchGapChoice: TypeAlias = Literal["tracker", "mediapipe", "off"]
+"""Gaps between thumb and finger with which the running estimate starts: those of the live source's
+tracker, if they are known; those of MediaPipe; or off, for landmarks as they are tracked."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,8 @@ class RetargetRequest:
         layout: order of the landmarks in plain arrays; None for the project's own.
         frames: range of frames of each recording, as a text; None for all.
         fingers: robot finger -> human finger that drives it; None for all, driven by their own.
-        operator: the calibrated operator; None without one.
+        operator: what is known of the operator; None for nothing.
+        pinch_gaps: see ``PinchGapChoice``.
     """
 
     hand: str | HandSpec
@@ -62,6 +67,18 @@ class RetargetRequest:
     frames: str | None = None
     fingers: Mapping[str, str] | None = None
     operator: OperatorProfile | None = None
+    pinch_gaps: PinchGapChoice = "tracker"
+
+    def known_gaps(self, tracker: Mapping[str, float] = NO_GAPS) -> Mapping[str, float] | None:
+        """The ``pinch_gaps`` of a retargeter: the operator's, else those of the tracker.
+
+        Args:
+            tracker: gaps that a live source's tracker is known for [palm lengths].
+        """
+        if self.pinch_gaps == "off":
+            return None
+        own = NO_GAPS if self.operator is None else self.operator.pinch_gaps
+        return {**(MEDIAPIPE if self.pinch_gaps == "mediapipe" else tracker), **own}
 
     @property
     def hand_name(self) -> str:
@@ -111,7 +128,8 @@ def make_request(
     layout: str | None = None,
     frames: str | None = None,
     fingers: str | None = None,
-    operator: Path | None = None,
+    operator: OperatorProfile | Path | None = None,
+    pinch_gaps: PinchGapChoice = "tracker",
 ) -> RetargetRequest:
     """Make a request from a user's settings: resolves names, parses texts, reads the operator.
 
@@ -132,7 +150,8 @@ def make_request(
         layout,
         frames,
         None if fingers is None else parse_fingers(fingers),
-        None if operator is None else read_operator(operator),
+        read_operator(operator) if isinstance(operator, Path) else operator,
+        pinch_gaps,
     )
 
 
@@ -145,10 +164,11 @@ class Plan:
         hand: the robot hand, with the requested fingers.
         method: name of the method.
         preset: name of its preset.
-        config: its configuration, with scale and operator.
+        config: its configuration, with the scale.
         seed: seed of the random numbers.
         fingers: requested robot finger -> human finger that drives it, for the configuration of the
             result; None for all.
+        pinch_gaps: known gaps, as for ``Retargeter``.
     """
 
     recording: HandRecording
@@ -158,6 +178,7 @@ class Plan:
     config: MethodConfig
     seed: int
     fingers: Mapping[str, str] | None = None
+    pinch_gaps: Mapping[str, float] | None = field(default_factory=dict)
 
 
 def plan(recording: HandRecording, request: RetargetRequest) -> Plan:
@@ -169,19 +190,26 @@ def plan(recording: HandRecording, request: RetargetRequest) -> Plan:
     Raises:
         UnknownNameError: there is no such hand, or it has no such finger.
         HandModelError: the choice of fingers is not valid.
-        ConfigError: the scale is not valid, or the operator was calibrated for another hand.
+        ConfigError: the scale is not valid, or the operator's file is of the other side.
         RecordingError: the scale is to be calibrated on a recording without a usable palm.
     """
     robot, config = resolve(request, recording.side, recording)
     return Plan(
-        recording, robot, request.method, request.preset, config, request.seed, request.fingers
+        recording,
+        robot,
+        request.method,
+        request.preset,
+        config,
+        request.seed,
+        request.fingers,
+        request.known_gaps(),
     )
 
 
 def resolve(
     request: RetargetRequest, side: Side, recording: HandRecording | None = None
 ) -> tuple[Hand, MethodConfig]:
-    """The requested hand, and its configuration with scale and operator.
+    """The requested hand, and its configuration with the scale.
 
     Args:
         recording: recording for the calibration of a scale; None in live use.
@@ -196,30 +224,25 @@ def resolve(
 def resolve_config(
     request: RetargetRequest, robot: Hand, recording: HandRecording | None = None
 ) -> MethodConfig:
-    """The requested configuration with scale and operator, for a loaded hand.
+    """The requested configuration with the scale, for a loaded hand.
 
     Raises:
         ConfigError, RecordingError: as ``plan``.
     """
     config = request.config
     if request.operator is not None:
-        request.operator.check(robot)
-        config = config.with_operator(request.operator)
+        request.operator.check(robot.spec.side)
     if request.scale is not None:
         fixed: float | None
         if request.scale == "calibrate":
             if recording is None:
                 raise ConfigError(
-                    "there is no recording to calibrate the scale on; run `smooth-operator "
-                    "calibrate` and give its file with --operator, or give --scale a number"
+                    "there is no recording to calibrate the scale on; give --scale a number"
                 )
             fixed = calibrate_scale(recording, robot)
         else:
             fixed = None if request.scale == "frame" else float(request.scale)
-        operator = config.alignment.operator
-        # the user's scale has precedence over that of the calibration
-        operator = None if operator is None else operator.without("scale")
-        config = config.with_alignment(scale=fixed, operator=operator)
+        config = config.with_alignment(scale=fixed)
     return config
 
 
@@ -227,7 +250,7 @@ def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
     """The resolved configuration, to be written with a result.
 
     Args:
-        todo: its plan; the operator is in the configuration's alignment.
+        todo: its plan.
     """
     recording = todo.recording
     return {
@@ -240,6 +263,7 @@ def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
         "preset": todo.preset,
         "seed": todo.seed,
         "config": todo.config,
+        "pinch_gaps": todo.pinch_gaps,
         "recording": {
             "name": recording.name,
             "side": recording.side,

@@ -1,25 +1,56 @@
-"""``operator.json``: an ``OperatorProfile`` as a file."""
+"""``operator.json``: what is known of an operator from an earlier session."""
 
 from __future__ import annotations
 
-import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Final
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError, DocumentError, brief
 from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.human.operator import Component, FingerProfile, OperatorProfile
+from smooth_operator.human.pinch_gaps import check_gaps
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.entries import Entries
-from smooth_operator.types import as_side
+from smooth_operator.types import Side, as_side
 
 FORMAT: Final = "smooth-operator operator"
 VERSION: Final = 1
 
-_MOST_BYTES: Final = 1_000_000  # it has 3 kB
-_EXPECTED: Final = "expected the OPERATOR.json of `smooth-operator calibrate`"
+_MOST_BYTES: Final = 1_000_000  # it has 200 bytes
+_EXPECTED: Final = "expected the OPERATOR.json of `smooth-operator calibrate` or `teleop`"
+
+
+@dataclass(frozen=True)
+class OperatorProfile:
+    """What is known of an operator with his tracker.
+
+    Attributes:
+        side: side of the hand.
+        pinch_gaps: finger -> gap that the tracker leaves between thumb and finger where they touch
+            [palm lengths]; without fingers whose gap is not known.
+        source: the recording or the tracker that it was found with.
+
+    Raises:
+        UnknownNameError: a finger has no such name, or is the thumb.
+        ConfigError: a gap is not between 0 and 1 palm length.
+    """
+
+    side: Side
+    pinch_gaps: Mapping[str, float] = field(default_factory=dict)
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        check_gaps(self.pinch_gaps)
+
+    def check(self, side: Side) -> None:
+        """Raises ConfigError unless the profile is of a hand of this side."""
+        if side != self.side:
+            raise ConfigError(
+                f"this operator's file is of a {self.side} hand, and can't serve the {side} one"
+            )
 
 
 def write_operator(path: Path, operator: OperatorProfile) -> None:
@@ -28,10 +59,12 @@ def write_operator(path: Path, operator: OperatorProfile) -> None:
     Raises:
         OutputError: the file can't be written.
     """
-    content = {"format": FORMAT, "version": VERSION, **_fields(operator)}
-    content["fingers"] = {
-        finger.name: {k: v for k, v in _fields(finger).items() if k != "name"}
-        for finger in operator.fingers
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "side": operator.side,
+        "source": operator.source,
+        "pinch_gaps": dict(operator.pinch_gaps),
     }
     with atomic_write(path) as file:
         file.write(to_json(content, indent=2).encode() + b"\n")
@@ -41,7 +74,7 @@ def read_operator(path: Path) -> OperatorProfile:
     """Read a profile that ``write_operator`` wrote.
 
     Raises:
-        ConfigError: there is no such file, it is no profile or of another version, or a field is
+        ConfigError: there is no such file, it is no profile or of another version, or an entry is
             missing, unknown or outside the range of a hand.
     """
     try:
@@ -62,45 +95,10 @@ def read_operator(path: Path) -> OperatorProfile:
         )
     entries = Entries(str(path), content)
     with entries.name_file():
-        return _profile(entries)
-
-
-def _profile(entries: Entries) -> OperatorProfile:
-    entries.only("format", "version", *_names(OperatorProfile))
-    fingers = entries.table("fingers")
-    return OperatorProfile(
-        hand=entries.text("hand", lines=True),
-        side=as_side(entries.text("side", lines=True)),
-        scale=entries.number("scale"),
-        palm_width=entries.number("palm_width"),
-        palm_length=entries.number("palm_length"),
-        fingers=tuple(_finger(fingers.table(name), name) for name in fingers.names),
-        palm_rotation=entries.numbers("palm_rotation", 4),
-        project=entries.number_or_none("project"),
-        escape=entries.number_or_none("escape"),
-        apply=cast("tuple[Component, ...]", tuple(entries.texts("apply"))),  # the profile checks
-        source=entries.text("source", lines=True),
-    )
-
-
-def _finger(entries: Entries, name: str) -> FingerProfile:
-    entries.only(*(field for field in _names(FingerProfile) if field != "name"))
-    return FingerProfile(
-        name=name,
-        robot=entries.text("robot", lines=True),
-        bones=entries.numbers("bones", 3),
-        pinch_gap=entries.number_or_none("pinch_gap"),
-        pinch_gap_after=entries.number_or_none("pinch_gap_after"),
-        **{
-            key: entries.number(key)
-            for key in ("reach", "robot_reach", "scale", "tip_along", "tip_pad")
-        },
-    )
-
-
-def _names(kind: Any) -> tuple[str, ...]:
-    return tuple(field.name for field in dataclasses.fields(kind))
-
-
-def _fields(value: Any) -> dict[str, Any]:
-    return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        entries.only("format", "version", "side", "source", "pinch_gaps")
+        gaps = entries.table("pinch_gaps")
+        return OperatorProfile(
+            side=as_side(entries.text("side", lines=True)),
+            pinch_gaps={name: gaps.number(name) for name in gaps.names},
+            source=entries.text("source", lines=True),
+        )

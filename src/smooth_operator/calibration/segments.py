@@ -1,11 +1,11 @@
-"""Poses of a calibration (flat, spread, fist, pinches): prompts for them, and a search for them.
+"""Pinches of a calibration: prompts for them, and a search for them in a recording.
 
 Prompts and search both give ``Segment`` to the estimator.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -28,20 +28,14 @@ class Features:
 
     Attributes:
         good: (T,) True for usable frames: all landmarks valid, bones of their usual length.
-        bones: (5, 3) median lengths of the bones, base to tip [m].
-        palm_width: distance from index MCP to pinky MCP [m].
         palm_length: distance from wrist to middle MCP [m].
         straightness: (T, 5) distance from base to tip over the length of the finger.
-        spread: (T,) distance from index tip to pinky tip over the palm's width.
         gaps: (T, 4) distance from the thumb's tip to each other tip [m].
     """
 
     good: Bool[np.ndarray, " T"]
-    bones: Float[np.ndarray, "5 3"]
-    palm_width: float
     palm_length: float
     straightness: Float[np.ndarray, "T 5"]
-    spread: Float[np.ndarray, " T"]
     gaps: Float[np.ndarray, "T 4"]
 
 
@@ -71,21 +65,15 @@ def measure_features(recording: HandRecording) -> Features:
     # The reader of the recording has checked the order of landmarks.
     check_hand(points, recording.side, layout="mediapipe", where=recording.name)
     bones = np.median(lengths[good], axis=0)
-    width = float(np.nanmedian(np.linalg.norm(points[:, 5] - points[:, 17], axis=-1)))
     reach = np.linalg.norm(points[:, TIPS] - points[:, BASES], axis=-1)
     return Features(
         good=good,
-        bones=bones,
-        palm_width=width,
         palm_length=float(np.median(palm[good, 2])),
         straightness=reach / bones.sum(axis=1),
-        spread=np.linalg.norm(points[:, 8] - points[:, 20], axis=-1) / width,
         gaps=np.linalg.norm(points[:, TIPS[1:]] - points[:, TIPS[:1]], axis=-1),
     )
 
 
-FLAT: Final = 0.97
-"""Smallest straightness of the long fingers in a flat hand, relative to each finger's largest."""
 FIST: Final = 0.65
 """Largest straightness of the long fingers in a fist, relative to each finger's largest."""
 PINCH_REACH: Final = 0.025
@@ -96,41 +84,32 @@ PINCH_DEPTH: Final = 0.018
 CORE: Final = 0.004
 """Distance above its minimum up to which a pinch counts as held [m]."""
 
-_BRIDGE_S: Final = 0.08  # longest break within a pose
-_POSE_S: Final = 0.15  # shortest pose
+_BRIDGE_S: Final = 0.08  # longest break within a pinch
 _PINCH_S: Final = 0.1  # shortest pinch
-_SURE_S: Final = {"pose": 1.0, "pinch": 0.5}  # length of full confidence
-_SPREAD_RANGE: Final = 0.2  # range of the spread over flat frames that shows both flat and spread
+_SURE_S: Final = 0.5  # length of full confidence
 _OTHER_NEAR: Final = 0.006  # distance of a second tip that makes a pinch doubtful [m]
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Frames in which an operator holds a pose.
+    """Frames in which an operator holds a pinch.
 
     Attributes:
-        pose: ``flat``, ``spread``, ``fist`` or ``pinch_FINGER``.
+        finger: the finger that pinches.
         start: first frame.
         stop: one past the last frame.
-        confidence: confidence in the pose, 0 to 1.
+        confidence: confidence in the pinch, 0 to 1.
     """
 
-    pose: str
+    finger: str
     start: int
     stop: int
     confidence: float
 
 
-def poses(fingers: Sequence[str] = FINGERS) -> tuple[str, ...]:
-    """Poses of a calibration of some fingers, thumb first."""
-    return ("flat", "spread", "fist", *(f"pinch_{name}" for name in fingers if name != "thumb"))
-
-
 def find_segments(features: Features, stamps: Float[np.ndarray, " T"]) -> list[Segment]:
-    """Poses in a recording with (T,) stamps [s], by time."""
-    segments = [*_flat_and_spread(features, stamps), *_fists(features, stamps)]
-    for i, finger in enumerate(FINGERS[1:]):
-        segments += _pinches(features, stamps, i, f"pinch_{finger}")
+    """Pinches in a recording with (T,) stamps [s], by time."""
+    segments = [s for i in range(len(FINGERS) - 1) for s in _pinches(features, stamps, i)]
     return sorted(segments, key=lambda segment: segment.start)
 
 
@@ -140,30 +119,7 @@ def _relative(features: Features) -> Float[np.ndarray, "T 4"]:
     return np.asarray(straight / np.clip(np.nanpercentile(straight, 98, axis=0), 0.9, 1.0))
 
 
-def _flat_and_spread(features: Features, stamps: np.ndarray) -> Iterator[Segment]:
-    worst = _relative(features).min(axis=1)
-    flat = worst >= FLAT
-    if not flat.any():
-        return
-    low, high = np.percentile(features.spread[flat], [5, 95])
-    together, apart = flat, np.zeros_like(flat)
-    if high - low > _SPREAD_RANGE:
-        together = flat & (features.spread < low + 0.5 * (high - low))
-        apart = flat & (features.spread > low + 0.7 * (high - low))
-    for pose, frames in (("flat", together), ("spread", apart)):
-        for start, stop in _runs(frames, stamps, _POSE_S):
-            held = np.nanmedian(worst[start:stop])
-            yield _segment(pose, start, stop, stamps, (held - FLAT) / (1 - FLAT) + 0.5)
-
-
-def _fists(features: Features, stamps: np.ndarray) -> Iterator[Segment]:
-    best = _relative(features).max(axis=1)
-    for start, stop in _runs(best <= FIST, stamps, _POSE_S):
-        held = float(np.nanmedian(best[start:stop]))
-        yield _segment("fist", start, stop, stamps, (FIST - held) / 0.15 + 0.4)
-
-
-def _pinches(features: Features, stamps: np.ndarray, i: int, pose: str) -> Iterator[Segment]:
+def _pinches(features: Features, stamps: np.ndarray, i: int) -> Iterator[Segment]:
     gaps = features.gaps
     others = np.delete(gaps, i, axis=1).min(axis=1)
     fist = _relative(features).max(axis=1) <= FIST + 0.1
@@ -177,14 +133,13 @@ def _pinches(features: Features, stamps: np.ndarray, i: int, pose: str) -> Itera
             held = slice(start + first, start + last)
             alone = float(np.nanmedian(others[held] - gaps[held, i]))
             sure = min((1.25 * PINCH_REACH - depth) / PINCH_REACH, alone / _OTHER_NEAR)
-            yield _segment(pose, held.start, held.stop, stamps, sure)
+            yield _segment(FINGERS[i + 1], held.start, held.stop, stamps, sure)
 
 
-def _segment(pose: str, start: int, stop: int, stamps: np.ndarray, quality: float) -> Segment:
-    enough = _SURE_S["pinch" if pose.startswith("pinch") else "pose"]
-    held = min(1.0, float(stamps[stop - 1] - stamps[start]) / enough)
+def _segment(finger: str, start: int, stop: int, stamps: np.ndarray, quality: float) -> Segment:
+    held = min(1.0, float(stamps[stop - 1] - stamps[start]) / _SURE_S)
     confidence = float(np.clip(quality, 0.05, 1.0)) * (0.3 + 0.7 * held)
-    return Segment(pose, int(start), int(stop), round(confidence, 3))
+    return Segment(finger, int(start), int(stop), round(confidence, 3))
 
 
 def _runs(
@@ -205,30 +160,23 @@ def _runs(
 
 @dataclass(frozen=True)
 class Prompt:
-    """A pose that the operator is to hold.
+    """A pinch that the operator is to hold.
 
     Attributes:
-        pose: name of the pose, as in ``Segment``.
-        text: instruction to the operator.
-        settle: time to reach the pose, whose frames are not used [s].
-        hold: time to hold the pose, whose frames are used [s].
+        finger: the finger that pinches.
+        settle: time to reach the pinch, whose frames are not used [s].
+        hold: time to hold the pinch, whose frames are used [s].
     """
 
-    pose: str
-    text: str
+    finger: str
     settle: float = 2.0
     hold: float = 4.0
 
+    @property
+    def text(self) -> str:
+        """Instruction to the operator."""
+        return f"pinch: thumb pad on {self.finger} finger pad, lightly"
 
-def prompts(fingers: Sequence[str] = FINGERS) -> tuple[Prompt, ...]:
-    """Prompts for an operator whose fingers, thumb first, drive a robot."""
-    return (
-        Prompt("flat", "hold your hand flat, fingers straight and together"),
-        Prompt("spread", "spread your fingers as far as they go"),
-        Prompt("fist", "make a fist"),
-        *(
-            Prompt(f"pinch_{name}", f"pinch: thumb pad on {name} finger pad, lightly", hold=5.0)
-            for name in fingers
-            if name != "thumb"
-        ),
-    )
+
+PROMPTS: Final = tuple(Prompt(finger) for finger in FINGERS[1:])
+"""Prompts of a calibration, in order."""

@@ -79,7 +79,7 @@ Examples:
     out."""
 
     operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
-    """The operator's calibration, as calibrate writes it, of a benchmark on one hand."""
+    """What is known of the operator of all recordings, as calibrate and teleop write it."""
 
     definition: Literal["sound", "paper"] = "sound"
     """How the metrics are defined; paper is as published."""

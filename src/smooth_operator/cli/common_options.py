@@ -24,13 +24,20 @@ PRESET_HELP: Final = (
     + "; ".join(f"{name}: {entry.summary}" for name, entry in METHODS.items())
     + ". Any method also accepts a preset.toml written by tune."
 )
-# Spelt out again: the module that owns it imports JAX, and `--help` needs none.
+PINCH_GAPS_HELP: Final = (
+    "smooth closes the gap that a tracker leaves between thumb and finger where they touch, and "
+    "estimates it while one works. tracker starts with the gaps of the source's tracker, if they "
+    "are known (webcam and video); mediapipe with those of MediaPipe, for a recording of it; off "
+    "takes landmarks as they are tracked."
+)
+# Spelt out again: the module that owns them imports JAX, and `--help` needs none.
 Scale: TypeAlias = float | Literal["frame", "calibrate"]
+PinchGapChoice: TypeAlias = Literal["tracker", "mediapipe", "off"]
 
 
 RARE: Final = frozenset({
-    "seed", "scale", "fingers", "operator", "definition", "layout", "model", "no_meshes", "debug",
-    "port", "cluster",
+    "seed", "scale", "fingers", "operator", "pinch_gaps", "definition", "layout", "model",
+    "no_meshes", "debug", "port", "cluster",
 })  # fmt: skip
 """Shared options that only ``--help-all`` shows."""
 
@@ -120,7 +127,9 @@ class Retargeting(Quiet):
     robot's pinky with the human ring finger. Default: all."""
 
     operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
-    """The operator's calibration for this hand, as calibrate writes it."""
+    """What is known of the operator, as calibrate and teleop write it."""
+
+    pinch_gaps: Annotated[PinchGapChoice, arg(help=PINCH_GAPS_HELP)] = "tracker"
 
     definition: Literal["sound", "paper"] = "sound"
     """Definition of the metrics; paper is as published, to compare with its table."""

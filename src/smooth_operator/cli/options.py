@@ -215,7 +215,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator bench glove.npz --methods all --output out
       compare methods: a table, results.json and an HTML report
   smooth-operator calibrate glove.npz --output operator.json
-      fit a robot hand to an operator's hand; writes a file for --operator
+      the gaps that a tracker leaves in an operator's pinches; a file for --operator
   smooth-operator train geort glove.npz --output my-geort
       a model of the learning-based method for a hand and its operator
   smooth-operator tune sbr mine.npz --vary pose_weight=0.01:0.1:log --output out

@@ -1,17 +1,16 @@
-"""Asking an operator in the terminal for the poses of a calibration."""
+"""Asking an operator in the terminal for the pinches of a calibration."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Final
 
-from smooth_operator.calibration.segments import Segment, prompts
+from smooth_operator.calibration.segments import PROMPTS, Segment
 from smooth_operator.cli.console import Progressing
 from smooth_operator.errors import SourceError
-from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.runtime.calibration_session import CalibrationSession, Moment
 from smooth_operator.teleop.sources.live import LiveSource, Mailbox
-from smooth_operator.types import HandRecording
+from smooth_operator.types import HandRecording, Side
 
 _TURN_S: Final = 0.05
 _PATIENCE_S: Final = 30.0
@@ -19,22 +18,22 @@ _PATIENCE_S: Final = 30.0
 
 
 def ask(
-    source: LiveSource, hand: Hand, progress: Progressing
+    source: LiveSource, side: Side, progress: Progressing
 ) -> tuple[HandRecording, list[Segment]]:
     """Goes through the prompts, with a bar.
 
     Args:
         source: where frames come from; started and stopped here.
-        hand: the robot hand, whose side and fingers are asked for.
+        side: side of the hand.
 
     Returns:
-        what was seen, and where each pose was held.
+        what was seen, and where each pinch was held.
 
     Raises:
         SourceError: no hand was seen for half a minute, or the source gave up.
     """
     mailbox = Mailbox()
-    session = CalibrationSession(hand.spec.side, prompts(hand.fingers))
+    session = CalibrationSession(side, PROMPTS)
     source.start(mailbox)
     try:
         with progress.bar("calibrating") as show:

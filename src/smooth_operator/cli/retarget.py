@@ -123,8 +123,6 @@ def retarget(options: Retarget) -> None:
     total = len(recording)
     frames = slice(0, total) if options.frames is None else frame_slice(options.frames, total)
     todo = plan(recording[frames], request)
-    if request.operator is not None and (unused := todo.config.unused_components(request.operator)):
-        progress.note(f"{todo.method} does not use {', '.join(unused)} of the operator")
     with folder_for(options.output.parent):
         outcome = execute_shown(todo, progress)
         _, metrics = measure_shown(todo, outcome, options.definition, progress)

@@ -41,6 +41,7 @@ def requested(
         frames=frames,
         fingers=options.fingers,
         operator=options.operator,
+        pinch_gaps=options.pinch_gaps,
     )
 
 

@@ -10,7 +10,14 @@ from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from smooth_operator.cli.common_options import METHOD_HELP, Common, Meshes, Page
+from smooth_operator.cli.common_options import (
+    METHOD_HELP,
+    PINCH_GAPS_HELP,
+    Common,
+    Meshes,
+    Page,
+    PinchGapChoice,
+)
 from smooth_operator.errors import ConfigError
 from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.teleop.components import SINKS, SOURCES
@@ -47,8 +54,8 @@ engaged: pause, move back, resume.
 Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't be opened,
 130 stopped by Ctrl-C or another signal."""
     rare: ClassVar[frozenset[str]] = frozenset({
-        "port", "no_meshes", "model", "debug", "trials", "seed", "fingers", "priority", "methods",
-        "control", "blind", "task", "safety", "limits", "wrist", "quiet",
+        "port", "no_meshes", "model", "debug", "trials", "seed", "fingers", "pinch_gaps",
+        "priority", "methods", "control", "blind", "task", "safety", "limits", "wrist", "quiet",
     })  # fmt: skip
 
     source: Annotated[str, arg(metavar="NAME[:SETTINGS]")] = "synthetic"
@@ -94,7 +101,10 @@ Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't
     thumb,index,pinky=ring."""
 
     operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
-    """The operator's calibration for this hand, as calibrate writes it."""
+    """File of what is known of the operator, as calibrate writes it; the run writes it anew at its
+    end, and makes it if there is none."""
+
+    pinch_gaps: Annotated[PinchGapChoice, arg(help=PINCH_GAPS_HELP)] = "tracker"
 
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
     """Commands per second and hand [Hz]: an upper bound with a fast tracker, and the rate

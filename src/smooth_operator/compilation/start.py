@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:  # their imports take a second
@@ -38,8 +39,13 @@ def dispatch_here(*, one_thread: bool = False) -> None:
         del os.environ[_SIZES[0]]  # this process's own
 
 
-def build_retargeter(hand: Hand, config: MethodConfig, seed: int) -> tuple[Retargeter, float]:
+def build_retargeter(
+    hand: Hand, config: MethodConfig, seed: int, pinch_gaps: Mapping[str, float] | None
+) -> tuple[Retargeter, float]:
     """A compiled retargeter, and the time that it took [s].
+
+    Args:
+        pinch_gaps: known gaps, as for ``Retargeter``.
 
     Raises:
         ConfigError: the preset needs the whole recording.
@@ -48,6 +54,6 @@ def build_retargeter(hand: Hand, config: MethodConfig, seed: int) -> tuple[Retar
 
     started = time.perf_counter()
     dispatch_here(one_thread=config.one_thread)
-    retargeter = Retargeter(hand, config=config, seed=seed)
+    retargeter = Retargeter(hand, config=config, seed=seed, pinch_gaps=pinch_gaps)
     retargeter.warm_up()
     return retargeter, time.perf_counter() - started

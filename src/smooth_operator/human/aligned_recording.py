@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -26,9 +25,6 @@ def align_recording(
 ) -> Float[np.ndarray, "T 21 3"]:
     """All frames of a recording in the palm frame, as they were tracked.
 
-    An operator in ``config`` is left out, its scale and its corrections: what is measured is
-    measured against the hand that was tracked, and not against one that was corrected.
-
     Returns:
         (T, 21, 3) landmarks [m]; NaN where a landmark is invalid, and everywhere in frames whose
         palm is invalid or degenerate.
@@ -37,7 +33,7 @@ def align_recording(
     landmarks = np.where(valid[..., None], recording.landmarks, np.nan)
     palm = np.all(valid[:, list(hand.align_indices)], axis=1)  # a valid landmark is finite
     safe = np.where(palm[:, None, None], landmarks, reference_landmarks(hand))
-    fit = palm_alignment(safe, hand, replace(config, operator=None))
+    fit = palm_alignment(safe, hand, config)
     usable = palm & (np.asarray(fit.condition) >= MIN_CONDITION)
     aligned: np.ndarray = np.where(usable[:, None, None], fit.apply(safe), np.nan)
     return aligned

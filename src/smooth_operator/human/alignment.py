@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -13,9 +12,6 @@ from smooth_operator.geometry import AnyKind, Similarity, umeyama
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io.anatomy import PALM_RANGE_M
 from smooth_operator.landmarks import BASES, LANDMARKS
-
-if TYPE_CHECKING:
-    from smooth_operator.human.operator import OperatorProfile
 
 MIN_CONDITION = 0.02
 """Palm triangles flatter than this have no usable orientation.
@@ -31,13 +27,10 @@ class AlignmentConfig:
 
     Attributes:
         scale: robot size over human size. None estimates it in every frame, as published; a number
-            holds it fixed, as calibrated once for an operator by ``calibrate_scale``.
-        operator: the calibrated operator, whose landmarks are corrected after the alignment. Its
-            own scale holds where ``scale`` is None. None changes nothing.
+            holds it fixed, as measured once for an operator by ``calibrate_scale``.
     """
 
     scale: float | None = None
-    operator: OperatorProfile | None = None
 
     def __post_init__(self) -> None:
         if self.scale is not None and not 0.1 < self.scale < 10:
@@ -45,13 +38,6 @@ class AlignmentConfig:
                 f"alignment scale must be between 0.1 and 10 (robot size over human size), "
                 f"not {self.scale}"
             )
-
-    @property
-    def fixed_scale(self) -> float | None:
-        """The scale that is held; None where each frame has its own."""
-        if self.scale is None and self.operator is not None and self.operator.has("scale"):
-            return self.operator.scale
-        return self.scale
 
 
 def palm_alignment(
@@ -61,7 +47,7 @@ def palm_alignment(
     JAX. Its ``condition`` shows a degenerate palm (below ``MIN_CONDITION``)."""
     source = landmarks[..., list(hand.align_indices), :]
     target = hand.align_points.astype(source.dtype)
-    return umeyama(source, np.broadcast_to(target, source.shape), config.fixed_scale)
+    return umeyama(source, np.broadcast_to(target, source.shape), config.scale)
 
 
 def palm_range(hand: Hand) -> tuple[float, float]:

@@ -206,9 +206,8 @@ def align_frame(
     method: Method, alignment: AlignmentConfig, landmarks: Array, valid: Array
 ) -> AlignedFrame:
     """Landmarks into the palm frame; whatever the input, the arithmetic stays finite."""
-    hand, operator = method.hand, alignment.operator
-    corrected = () if operator is None else operator.needs(hand)
-    needs = np.array(sorted({*method.needs, *hand.align_indices, *corrected}))
+    hand = method.hand
+    needs = np.array(sorted({*method.needs, *hand.align_indices}))
     finite = jnp.isfinite(landmarks).all(axis=-1) & valid
     present = finite[needs].all()
     finite_landmarks = jnp.where(finite[:, None], landmarks, jnp.nan)
@@ -227,12 +226,7 @@ def align_frame(
             jnp.where(odd, Status.IMPLAUSIBLE_HAND, Status.OK),
         ),
     )
-    aligned = palm.apply(safe)
-    if operator is not None:
-        from smooth_operator.human.flat_hand import human_palm_axes
-
-        aligned = operator.correct(aligned, palm.scale, hand, human_palm_axes(hand))
-    return AlignedFrame(aligned, status, palm.scale)
+    return AlignedFrame(palm.apply(safe), status, palm.scale)
 
 
 def packed_result(*parts: Array | np.ndarray | float) -> Array:

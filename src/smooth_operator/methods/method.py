@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, NoReturn, TypeVar, cast
+from typing import Any, ClassVar, Final, NamedTuple, NoReturn, TypeVar, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,10 +23,6 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
 from smooth_operator.settings import LARGEST, RATE_RANGE_HZ, check_numbers
-
-if TYPE_CHECKING:
-    from smooth_operator.human.operator import Component, OperatorProfile
-
 
 C = TypeVar("C", bound="MethodConfig")
 
@@ -107,6 +103,23 @@ class Method(ABC):
         del state
         return None
 
+    def pinch_gaps(self, state: Any) -> Float[Array, " P"] | None:
+        """(F - 1,) estimated gaps that the tracker leaves between thumb and finger where they touch
+        [palm lengths], 0 while one is not known; None for a method that does not close them."""
+        del state
+        return None
+
+    def with_pinch_gaps(self, state: Any, known: Mapping[str, float] | None) -> Any:
+        """The state of a method that closes pinch gaps with those that are known before the first
+        frame, finger -> gap [palm lengths]; None: it is to close none."""
+        del known
+        return state
+
+    def continued(self, fresh: Any, before: Any) -> Any:
+        """A state without a past, with what an earlier one has learnt about the operator."""
+        del before
+        return fresh
+
     def fingertip_targets(self, state: Any) -> Float[Array, "F 3"] | None:
         """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m];
         None for a method that does not place them, and before the first frame."""
@@ -161,15 +174,6 @@ class MethodConfig(ABC):
         """
         return _replaced(self, alignment=dataclasses.replace(self.alignment, **changes))
 
-    def with_operator(self: C, operator: OperatorProfile) -> C:
-        """These settings for a calibrated operator, whose ``unused_components`` have no effect."""
-        return self.with_alignment(operator=operator)
-
-    def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
-        """Components of a calibration that the method does not use."""
-        del operator
-        return ()
-
     def with_file(self: C, path: Path) -> C | None:
         """These settings with a file that a user names in place of a preset, such as a trained
         model; None if the method takes no file."""
@@ -194,18 +198,6 @@ class ObjectiveMethodConfig(MethodConfig):
 
     objective: ObjectiveConfig
     """Targets and weights of Eq. (1)."""
-
-    def with_operator(self: C, operator: OperatorProfile) -> C:
-        """These settings for a calibrated operator: target policy and alignment share the work."""
-        objective = cast(ObjectiveMethodConfig, self).objective
-        targets, corrected = objective.targets.with_operator(operator)
-        changed = self.with_alignment(operator=corrected)
-        return _replaced(changed, objective=dataclasses.replace(objective, targets=targets))
-
-    def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
-        """Components of a calibration that the target policy does not use."""
-        unused: tuple[Component, ...] = self.objective.targets.unused_components(operator)
-        return unused
 
     def without_pull(self: C) -> C:
         """These settings with a pose weight of at most 1e-4."""
@@ -304,14 +296,6 @@ class TrajectoryMethodConfig(MethodConfig):
     def with_alignment(self, **changes: Any) -> TrajectoryMethodConfig:
         """These settings with another alignment of the frame-by-frame method."""
         return dataclasses.replace(self, causal=self.causal.with_alignment(**changes))
-
-    def with_operator(self, operator: OperatorProfile) -> TrajectoryMethodConfig:
-        """These settings for a calibrated operator."""
-        return dataclasses.replace(self, causal=self.causal.with_operator(operator))
-
-    def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
-        """Components of a calibration that the frame-by-frame method does not use."""
-        return self.causal.unused_components(operator)
 
     def without_pull(self) -> TrajectoryMethodConfig:
         """These settings with next to no pull to the neutral pose."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
+from smooth_operator.human.pinch_gaps import NO_GAPS
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.frame import FrameState, RetargetState
@@ -66,6 +67,9 @@ class Retargeter:
             time of the call. Their stamps count from 0.
         clock: seconds that never go back, for the time of the call.
         cache: True if compiled programs are read from this user's cache folder, and kept there.
+        pinch_gaps: gaps that the tracker is known to leave between thumb and finger where they
+            touch, finger -> gap [palm lengths]: there the running estimate begins, such as
+            ``smooth_operator.human.pinch_gaps.MEDIAPIPE``. None takes landmarks as they are.
 
     Attributes:
         method: the method for this hand.
@@ -75,8 +79,7 @@ class Retargeter:
     Raises:
         UnknownNameError: for an unknown hand, method or preset.
         HandModelError: if the hand's model can't be used.
-        ConfigError: if the operator in the configuration was calibrated for another hand, or the
-            rate is outside 1 to 2000 Hz.
+        ConfigError: if the rate is outside 1 to 2000 Hz, or a pinch gap 0 to 1 palm length.
     """
 
     def __init__(
@@ -91,6 +94,7 @@ class Retargeter:
         rate: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
         cache: bool = True,
+        pinch_gaps: Mapping[str, float] | None = NO_GAPS,
     ) -> None:
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
         if config is None:
@@ -99,10 +103,9 @@ class Retargeter:
         else:
             self.config = config
             self._named = f"config={type(config).__name__}(...)"
-        if self.config.alignment.operator is not None:
-            self.config.alignment.operator.check(self.hand)
         check_frame_rate(rate)
         self.seed, self.rate, self.cache = seed, rate, cache
+        self.known_gaps = pinch_gaps
         self._clock = clock
         self._stamped: bool | None = None
         self._input = HandCheck(self.hand.spec.side)
@@ -126,9 +129,18 @@ class Retargeter:
         """Hand, side, method and preset; the settings' class where they were given instead."""
         return f"Retargeter({self.hand.name!r}, side={self.hand.spec.side!r}, {self._named})"
 
-    def init(self, seed: int | None = None) -> RetargetState:
-        """The state before the first frame."""
+    def init(self, seed: int | None = None, before: RetargetState | None = None) -> RetargetState:
+        """The state before the first frame.
+
+        Args:
+            seed: seed of the random numbers; None for the retargeter's own.
+            before: a state after frames of the same operator, whose estimate of pinch gaps goes on.
+        """
         method = self.method.init(self.seed if seed is None else seed)
+        if before is None:
+            method = self.method.with_pinch_gaps(method, self.known_gaps)
+        else:
+            method = self.method.continued(method, before.method)
         state = FrameState(method, self.hand.neutral.astype(np.float32))
         return RetargetState.of(state, joined=not self.method.on_host)
 
@@ -193,6 +205,20 @@ class Retargeter:
         if targets is None:
             return None
         return np.asarray(targets, float) * (_REFLECTION if self.shared.reflects else 1.0)
+
+    def pinch_gaps(self, state: RetargetState | None = None) -> dict[str, float]:
+        """Estimated gaps that the tracker leaves where thumb and finger touch.
+
+        Args:
+            state: from ``step``; None for the one that is kept inside.
+
+        Returns:
+            finger -> gap [palm lengths]; without fingers whose gap is not known.
+        """
+        state = self._state if state is None else state
+        gaps = self.method.pinch_gaps(state.method)
+        found = () if gaps is None else np.asarray(gaps, float).tolist()
+        return {name: gap for name, gap in zip(self.hand.fingers[1:], found, strict=False) if gap}
 
     def check_side(self, side: str) -> None:
         """Raises ConfigError unless a human hand of this side drives the hand."""

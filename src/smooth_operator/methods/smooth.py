@@ -10,6 +10,7 @@ smooth-appendix.md measurements.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple
@@ -33,6 +34,7 @@ from smooth_operator.human.fingertip_filter import (
     FingertipFilterConfig,
     filter_fingertips,
 )
+from smooth_operator.human.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.methods.method import (
     FUTURE,
@@ -158,6 +160,7 @@ class SmoothState(NamedTuple):
     Attributes:
         q: (m,) last command of the actuated joints [rad].
         operator: lengths of the operator's fingers; empty without a correspondence.
+        gaps: gaps that the tracker leaves in pinches.
         filtered: the fingertip filter's state, of the needed landmarks.
         targets: state of the target policy.
         ticks: time of the last frame, in microseconds modulo 2^32.
@@ -167,6 +170,7 @@ class SmoothState(NamedTuple):
 
     q: Float[Array, " m"]
     operator: CorrespondenceState | tuple[()]
+    gaps: PinchGapState
     filtered: FilterState
     targets: Any
     ticks: UInt32[Array, ""]
@@ -246,6 +250,11 @@ class Smooth(Method):
         return FingertipMotion(self.hand, self.config.objective.transition)
 
     @cached_property
+    def closing(self) -> PinchGapEstimate:
+        """The closing of the gaps that a tracker leaves in pinches."""
+        return PinchGapEstimate(self.hand)
+
+    @cached_property
     def correspondence(self) -> Correspondence:
         """The correspondence of human and robot fingers."""
         return Correspondence(self.hand, self.config.correspondence)
@@ -284,6 +293,7 @@ class Smooth(Method):
         return SmoothState(
             neutral,
             () if is_off(self.config.correspondence.share) else self.correspondence.init(),
+            PinchGapState.of(self.hand.fingers, {}),
             FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
             put(np.uint32(0)),
@@ -294,6 +304,18 @@ class Smooth(Method):
     def latched(self, state: SmoothState) -> Bool[Array, " P"] | None:
         """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
         return self.config.objective.targets.latched(state.targets)
+
+    def pinch_gaps(self, state: SmoothState) -> Float[Array, " P"]:
+        """(F - 1,) estimated gaps between thumb and finger in a pinch [palm lengths]."""
+        return state.gaps.gap
+
+    def with_pinch_gaps(self, state: SmoothState, known: Mapping[str, float] | None) -> SmoothState:
+        """The state with gaps that are known; None closes none."""
+        return state._replace(gaps=PinchGapState.of(self.hand.fingers, known))
+
+    def continued(self, fresh: SmoothState, before: SmoothState) -> SmoothState:
+        """A state without a past, with the gaps of an earlier one."""
+        return fresh._replace(gaps=before.gaps)
 
     def fingertip_targets(self, state: SmoothState) -> Float[Array, "F 3"] | None:
         """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m];
@@ -334,7 +356,8 @@ class Smooth(Method):
         """The landmarks of a frame, filtered, and what they ask."""
         config = self.config
         clock = FrameClock.of(now - state.ticks, state.frames, config.rate_hz, config.gap)
-        measured = aligned[np.array(self.needs)]
+        gaps, closed = self.closing.step(state.gaps, aligned, clock.dt, clock.restart)
+        measured = closed[np.array(self.needs)]
         filtered, share = filter_fingertips(
             state.filtered, measured, clock.dt, config.fingertips, clock.restart
         )
@@ -360,7 +383,7 @@ class Smooth(Method):
         goal, weights, policy = self._goal(state, goal_points, speeds, clock)
         slipped = (state.slipped | jumped.any()) & ~clock.restart
         arrived = slipped & (behind < ARRIVED).all()
-        state = state._replace(operator=operator, filtered=filtered, targets=policy)
+        state = state._replace(operator=operator, gaps=gaps, filtered=filtered, targets=policy)
         state = state._replace(slipped=slipped & ~arrived, ticks=now)
         return _Observed(state, clock, goal, moves, weights, places, arrived)
 

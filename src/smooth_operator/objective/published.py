@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,9 +26,6 @@ from smooth_operator.objective.terms import (
     smooth_l1_slopes,
 )
 from smooth_operator.settings import check_numbers
-
-if TYPE_CHECKING:
-    from smooth_operator.human.operator import OperatorProfile
 
 
 class StatelessTargets(TargetPolicy[LayoutT, tuple[()]]):
@@ -133,18 +130,6 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
         """The paper's keyvectors."""
         return KeyvectorLayout(fingers)
-
-    def with_operator(self, operator: OperatorProfile) -> tuple[DexPilotTargets, OperatorProfile]:
-        """Latches at the operator's distances.
-
-        Once tips are corrected, thumb and finger read nearly nothing in every pinch, so one pair of
-        distances serves all fingers. DexPilot's own (30 and 50 mm) allow for an operator without a
-        calibration, and also latch the neighbours of a pinching finger.
-        """
-        project, escape = operator.project, operator.escape
-        if not operator.has("pinch") or project is None or escape is None:
-            return self, operator
-        return replace(self, project=project, escape=escape), operator
 
     def init(self, layout: KeyvectorLayout) -> LatchState:
         """Open latches."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,9 +14,6 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.objective.keyvectors import KeyvectorLayout, VectorLayout
 from smooth_operator.settings import check_numbers
-
-if TYPE_CHECKING:
-    from smooth_operator.human.operator import Component, OperatorProfile
 
 
 class Targets(NamedTuple):
@@ -62,18 +59,6 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
         del state
         return None
 
-    def with_operator(
-        self, operator: OperatorProfile
-    ) -> tuple[TargetPolicy[LayoutT, StateT], OperatorProfile]:
-        """The policy for a calibrated operator, and the calibration with those components that
-        remain for the alignment to correct."""
-        return self, operator
-
-    def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
-        """Components of a calibration that are used neither by the policy nor for it."""
-        del operator
-        return ()
-
 
 def base_weights(
     layout: KeyvectorLayout, wrist: float, thumb: float, between: float
@@ -97,10 +82,6 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
             the angle, 0 the distance alike at any length.
         at: length at which that weight is the one given [m].
         floor: length below which weights rise no more [m].
-        pinch_gaps: gap that a tracker leaves between thumb and finger in a pinch of a calibrated
-            operator: (finger, length at the robot's size [m]). It is taken off the lengths of
-            thumb-to-tip targets: in full under 10 mm, not at all over 45 mm. Directions stay the
-            human's. Empty without a calibration.
         latches: True if fingers are latched to the thumb; it changes no target.
         project, escape: a finger is latched when the tips come nearer than the one [m], until they
             are farther apart than the other.
@@ -111,7 +92,6 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
     focus: float = 2.0
     at: float = 0.06
     floor: float = 0.01
-    pinch_gaps: tuple[tuple[str, float], ...] = ()
     latches: bool = False
     project: float = 0.012
     escape: float = 0.02
@@ -121,22 +101,6 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
         check_numbers(self, "targets.", positive=lengths, not_negative=weights)
         if isinstance(self.project, float) and not self.project <= self.escape:
             raise ConfigError(f"project {self.project} must not exceed escape {self.escape} [m]")
-        for finger, gap in self.pinch_gaps:
-            if not 0 <= gap < 0.1:
-                raise ConfigError(f"pinch_gaps: {finger} must have 0 to 0.1 m, not {gap}")
-
-    def with_operator(self, operator: OperatorProfile) -> tuple[CloseTargets, OperatorProfile]:
-        """Targets that close the operator's pinches by their length alone: to move landmarks turns
-        directions, which cost cosine similarity."""
-        profile = operator.without(*self.unused_components(operator))
-        if not operator.has("pinch"):
-            return self, profile
-        gaps = tuple((name, gap * operator.scale) for name, gap in operator.pinch_gaps.items())
-        return replace(self, pinch_gaps=gaps), profile.without("pinch")
-
-    def unused_components(self, operator: OperatorProfile) -> tuple[Component, ...]:
-        """``scale``: it helped on no recording, and on video it preserved motion less."""
-        return ("scale",) if operator.has("scale") else ()
 
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
         """The paper's keyvectors from the wrist and from the thumb's tip."""
@@ -162,12 +126,4 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
         ).astype(human.dtype)
         if self.latches:
             state = jnp.where(state, near <= self.escape, near < self.project)
-        if self.pinch_gaps:  # of an operator
-            from smooth_operator.human.operator import pinch_nearness
-
-            gaps = dict(self.pinch_gaps)
-            left = jnp.asarray([gaps.get(name, 0.0) for name in layout.fingers[1:]], human.dtype)
-            # some length stays, for a vector of length 0 has no direction
-            share = jnp.maximum(1 - pinch_nearness(near, jnp) * left / near, 0.1)
-            human = jnp.concatenate([wrist, thumb * share[:, None]])
         return Targets(human, weights), state

@@ -12,6 +12,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
+from smooth_operator.calibration.operator_file import (
+    OperatorProfile,
+    read_operator,
+    write_operator,
+)
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError, require
 from smooth_operator.hand_files.spec_writer import temporary_spec
@@ -24,6 +29,7 @@ from smooth_operator.methods.presets import default_preset, method_config, metho
 from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import (
+    PinchGapChoice,
     RetargetRequest,
     live_configuration,
     make_request,
@@ -51,7 +57,7 @@ from smooth_operator.teleop.runtime.settings import (
 )
 from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.tick import Driver
-from smooth_operator.teleop.sources.live import LiveSource
+from smooth_operator.teleop.sources.live import LiveSource, source_gaps
 from smooth_operator.teleop.sources.played import Replay
 from smooth_operator.teleop.sources.webcam.webcam_source import Video
 from smooth_operator.types import Side
@@ -83,6 +89,7 @@ def teleoperate(
     scale: float | Literal["frame"] | None = None,
     fingers: str | None = None,
     operator: Path | None = None,
+    pinch_gaps: PinchGapChoice = "tracker",
     rate: float = 100.0,
     duration: float | None = None,
     safety: SafetyConfig | None = None,
@@ -129,7 +136,11 @@ def teleoperate(
         scale: robot size over human size, or ``frame`` to estimate it in each; None for the
             preset's.
         fingers: robot fingers to drive: ``thumb,index,pinky=ring``; None for all.
-        operator: file of the operator's calibration.
+        operator: file of what is known of the operator; it is written anew at the end of the run,
+            and made if there is none.
+        pinch_gaps: ``tracker`` closes the gap that the source's tracker leaves between thumb and
+            finger where they touch; ``mediapipe`` starts with the gaps of MediaPipe; ``off``
+            takes landmarks as they are tracked.
         rate: commands a second and hand [Hz].
         duration: end after so long [s]; None for when the source ends.
         safety: what happens when the tracker fails; None for the defaults.
@@ -178,7 +189,8 @@ def teleoperate(
         seed=seed,
         scale=scale,
         fingers=fingers,
-        operator=operator,
+        operator=_known(operator, "right" if side == "both" else side),
+        pinch_gaps=pinch_gaps,
     )
     run = _Run(
         request=request,
@@ -196,6 +208,7 @@ def teleoperate(
         blind=blind,
         task=task,
         trials=trials,
+        operator_file=operator,
         attended=keys and bool(sys.stdin) and sys.stdin.isatty(),
         reporter=reporter,
         started=started,
@@ -228,6 +241,7 @@ class _Run:
     blind: bool
     task: Task | None
     trials: Path | None
+    operator_file: Path | None
     attended: bool
     reporter: Reporter
     started: Callable[[TeleopLoop], None] | None
@@ -300,6 +314,21 @@ class _Run:
         self.next_request = following
         loop.controls.quit()
 
+    def _keep_operator(
+        self, pipelines: Mapping[Side, HandPipeline], switcher: MethodSwitcher
+    ) -> None:
+        """Writes what was learnt about the operator into his file, if the run has one."""
+        known = self.request.operator
+        for side, pipeline in pipelines.items():
+            gaps = {name: round(gap, 4) for name, gap in pipeline.pinch_gaps.items()}
+            if self.operator_file is None or known is None or known is not switcher.operators[side]:
+                return
+            if gaps and gaps != known.pinch_gaps:
+                source = known.source or self.source.label
+                kept = replace(known, pinch_gaps={**known.pinch_gaps, **gaps}, source=source)
+                write_operator(self.operator_file, kept)
+                self.reporter.note(f"wrote {self.operator_file}: the pinch gaps of this session")
+
     def take_next(self) -> None:
         """Go over to the hand of ``change_hand``."""
         assert self.next_request is not None
@@ -312,7 +341,7 @@ class _Run:
         request, reporter, source, sides = self.request, self.reporter, self.source, self.sides
         settled, blind, config, acting = self.settled, self.blind, self.config, self.acting
         runner = SinkRunner(acting)
-        retargeters = _built(settled, request, blind, reporter)
+        retargeters = _built(settled, request, source, blind, reporter)
         pipelines = {
             side: HandPipeline(
                 retargeter,
@@ -329,6 +358,7 @@ class _Run:
             "teleop",
             request,
             {side: retargeter.config for side, retargeter in retargeters.items()},
+            pinch_gaps={side: retargeter.known_gaps for side, retargeter in retargeters.items()},
             source=source if dataclasses.is_dataclass(source) else source.label,
             sinks=[sink if isinstance(sink, str) else sink.label for sink in self.requested],
             loop=config,
@@ -409,13 +439,22 @@ class _Run:
             begun.change(replace(begun.setup, hand=str(self.next_request.hand)))
         seconds = time.perf_counter() - begin
         tried.end()
+        self._keep_operator(pipelines, switcher)
         more = {"priority": granted, "interrupted": ending.came, **tried.summary()}
         return summarise(loop, seconds, reporter, more)
+
+
+def _known(path: Path | None, side: Side) -> OperatorProfile | None:
+    """What an operator's file says; nothing yet where there is none."""
+    if path is None:
+        return None
+    return read_operator(path) if path.exists() else OperatorProfile(side)
 
 
 def _built(
     settled: Mapping[Side, tuple[Hand, MethodConfig]],
     request: RetargetRequest,
+    source: LiveSource,
     blind: bool,
     reporter: Reporter,
 ) -> dict[Side, Retargeter]:
@@ -426,7 +465,8 @@ def _built(
             for note in config.notes(hand):
                 reporter.note(note, matters=True)
         dispatch_here(one_thread=config.one_thread)
-        retargeters[side] = Retargeter(hand, config=config, seed=request.seed)
+        gaps = request.known_gaps(source_gaps(source))
+        retargeters[side] = Retargeter(hand, config=config, seed=request.seed, pinch_gaps=gaps)
     return retargeters
 
 

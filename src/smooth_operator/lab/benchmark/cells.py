@@ -5,16 +5,17 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import file_name
+from smooth_operator.calibration.operator_file import OperatorProfile
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.registry import hand_names, known_hands, load_hand
-from smooth_operator.human.operator import OperatorProfile
+from smooth_operator.human.pinch_gaps import NO_GAPS
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
@@ -191,8 +192,9 @@ class Cell:
         hand: name of the robot hand.
         method: name of the method.
         preset: name of its preset.
-        config: the method's configuration, the operator in it.
+        config: the method's configuration.
         fingers: robot finger -> human finger that drives it; None for all.
+        pinch_gaps: the operator's, as for ``Retargeter``.
     """
 
     source: Source
@@ -201,6 +203,7 @@ class Cell:
     preset: str
     config: MethodConfig
     fingers: Mapping[str, str] | None = None
+    pinch_gaps: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def side(self) -> Side:
@@ -234,20 +237,20 @@ class Cell:
         recording = self.source.recording
         assert recording is not None  # a cell without one is not begun
         hand = load_hand(self.hand, self.side, fingers=self.fingers)
-        return Plan(recording, hand, self.method, self.preset, self.config, seed, self.fingers)
+        names = self.method, self.preset
+        return Plan(recording, hand, *names, self.config, seed, self.fingers, self.pinch_gaps)
 
 
 def cells_of(
     sources: Iterable[Source], settings: Settings, methods: Sequence[Choice]
 ) -> list[Cell]:
     """Every recording with every hand and every method, in this order."""
-    operator = settings.operator
-    configs = [c.config if operator is None else c.config.with_operator(operator) for c in methods]
+    gaps = NO_GAPS if settings.operator is None else settings.operator.pinch_gaps
     return [
-        Cell(source, hand, choice.method, choice.preset, config, settings.fingers)
+        Cell(source, hand, choice.method, choice.preset, choice.config, settings.fingers, gaps)
         for source in sources
         for hand in settings.hands
-        for choice, config in zip(methods, configs, strict=True)
+        for choice in methods
     ]
 
 
@@ -265,6 +268,7 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
             "method": cell.method,
             "preset": cell.preset,
             "config": cell.config,
+            "pinch_gaps": dict(cell.pinch_gaps),
             "seed": settings.seed,
             "definition": settings.definition,
             "files": [digest(path) for path in files_of(cell.config)],

@@ -306,6 +306,7 @@ def _result(
         "preset": request.preset,
         "seed": request.seed,
         "config": {side: each.config for side, each in todo.plans.items()},
+        "pinch_gaps": request.known_gaps(),
         "with_objects": recipe.with_objects,
         "layout": clip.layout,
         "frame": clip.world,

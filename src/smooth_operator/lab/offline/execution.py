@@ -48,8 +48,9 @@ def runner(todo: Plan) -> Runner:
     recordings."""
     config = todo.config.trajectory
     if config is None:
-        return Retargeter(todo.hand, config=todo.config, seed=todo.seed)
-    return TrajectoryRetargeter(todo.hand, config, todo.seed)
+        gaps = todo.pinch_gaps
+        return Retargeter(todo.hand, config=todo.config, seed=todo.seed, pinch_gaps=gaps)
+    return TrajectoryRetargeter(todo.hand, config, todo.seed, todo.pinch_gaps)
 
 
 def build(todo: Plan) -> tuple[Runner, float]:
@@ -63,7 +64,7 @@ def build(todo: Plan) -> tuple[Runner, float]:
         the retargeter, and how long it took until it could give its first command [s].
     """
     if todo.config.trajectory is None:
-        return build_retargeter(todo.hand, todo.config, todo.seed)
+        return build_retargeter(todo.hand, todo.config, todo.seed, todo.pinch_gaps)
     started = time.perf_counter()
     dispatch_here()
     with jax_cache():
@@ -114,7 +115,8 @@ _SHELF_SIZE: Final = 16
 def tools_of(todo: Plan) -> object:
     """Key that is equal for all plans that one retargeter can serve."""
     # The class counts too: configurations of two methods may have the same settings.
-    return to_json(todo.hand.spec), type(todo.config), to_json(todo.config), todo.seed
+    config = to_json(todo.config)
+    return to_json(todo.hand.spec), type(todo.config), config, todo.seed, to_json(todo.pinch_gaps)
 
 
 def answers(plans: Sequence[Plan], *, keep: bool = True) -> list[Answer]:

@@ -171,7 +171,7 @@ def checked(request: RetargetRequest) -> RetargetRequest:
     dispatch_here()
     hand = _hand(request)
     if request.operator is not None:
-        request.operator.check(hand)
+        request.operator.check(hand.spec.side)
     config = request.config
     check_method(config, hand)
     if isinstance(request.scale, float | int):

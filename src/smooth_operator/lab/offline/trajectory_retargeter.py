@@ -13,7 +13,7 @@ recording but for its frames, and time does in proportion.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import jax
@@ -26,6 +26,7 @@ from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
+from smooth_operator.human.pinch_gaps import NO_GAPS, PinchGapEstimate, PinchGapState
 from smooth_operator.lab.offline.trajectory_solver import (
     JOINED,
     ExtraTerms,
@@ -47,6 +48,7 @@ AHEAD_S: Final = 2.0
 """How far beyond them is looked [s]."""
 CHUNK: Final = 256
 """Frames in a call of the compiled programs."""
+_GAP_S: Final = 0.25  # longest time between frames of one motion [s]
 TRANSITION: Final = 0.02
 """That of the keyvectors' smooth-L1 [m], so that weights compare."""
 
@@ -58,14 +60,21 @@ class TrajectoryRetargeter:
         hand: the robot hand.
         config: its configuration.
         seed: seed of the method's random numbers.
+        pinch_gaps: known gaps, as for ``Retargeter``.
 
     Raises:
         ConfigError: the method can't be solved for a whole recording.
     """
 
-    def __init__(self, hand: Hand, config: TrajectoryMethodConfig, seed: int = 0) -> None:
+    def __init__(
+        self,
+        hand: Hand,
+        config: TrajectoryMethodConfig,
+        seed: int = 0,
+        pinch_gaps: Mapping[str, float] | None = NO_GAPS,
+    ) -> None:
         self.hand, self.config, self.seed = hand, config, seed
-        self.causal = Retargeter(hand, config=config.causal, seed=seed)
+        self.causal = Retargeter(hand, config=config.causal, seed=seed, pinch_gaps=pinch_gaps)
         method = self.causal.shared.method  # that of the mirror image for hands described as one
         objective, alignment = _objective(method), config.alignment
         tips = np.array([TIPS[FINGERS.index(finger)] for finger in method.hand.fingers])
@@ -75,6 +84,20 @@ class TrajectoryRetargeter:
             return jax.vmap(lambda *frame: align_frame(method, alignment, *frame).aligned)(
                 landmarks, valid
             )
+
+        closing = PinchGapEstimate(method.hand)
+
+        def closed(
+            state: PinchGapState, points: Array, dt: Array, usable: Array
+        ) -> tuple[PinchGapState, Array]:
+            def one(
+                state: PinchGapState, frame: tuple[Array, Array, Array]
+            ) -> tuple[PinchGapState, Array]:
+                points, dt, usable = frame
+                after, points = closing.step(state, points, dt, dt > _GAP_S)
+                return jax.tree.map(lambda a, b: jnp.where(usable, a, b), after, state), points
+
+            return jax.lax.scan(one, state, (points, dt, usable))
 
         def follow(
             memory: Any, points: Array, usable: Array
@@ -102,9 +125,9 @@ class TrajectoryRetargeter:
             count = at.shape[1] * 3
             return at.reshape(len(q), count), jacobian.reshape(len(q), count, -1)
 
-        self._aligned, self._follow, self._costs, self._points = (
+        self._aligned, self._closed, self._follow, self._costs, self._points = (
             CompiledProgram(f, "recording", f.__name__, hand=method.hand, config=config.causal)
-            for f in (aligned, follow, costs, points)
+            for f in (aligned, closed, follow, costs, points)
         )
 
     def warm_up(self) -> float:
@@ -227,8 +250,16 @@ class TrajectoryRetargeter:
             np.asarray(self._aligned(_filled(landmarks[part]), _filled(valid[part])))
             for part in chunks
         ]
+        method = self.causal.shared.method
+        if method.pinch_gaps(method.init(self.seed)) is not None:
+            dt = np.diff(recording.stamps, prepend=recording.stamps[0] - 1.0).astype(np.float32)
+            state = PinchGapState.of(method.hand.fingers, self.causal.known_gaps)
+            for i, part in enumerate(chunks):
+                frames = aligned[i], _filled(dt[part]), _filled(tracked[part])
+                state, points = self._closed(state, *frames)
+                aligned[i] = np.asarray(points)
         points = np.concatenate(aligned)[:count]
-        needs = list(self.causal.shared.method.needs)
+        needs = list(method.needs)
         for stretch in stretches:
             noise = tracker_noise(points[stretch][:, needs], tracked[stretch])
             jump = self.config.jump + self.config.noise * noise

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, replace
 
+from smooth_operator.calibration.operator_file import OperatorProfile
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.methods.retargeter import Retargeter
@@ -17,6 +17,7 @@ from smooth_operator.planning import RetargetRequest, resolve_config
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.sinks.tick import Driver
+from smooth_operator.teleop.sources.live import source_gaps
 from smooth_operator.types import Side
 
 
@@ -28,13 +29,15 @@ class DriverSpec:
         method: name of the method.
         preset: name of its preset, never empty.
         base: configuration of the preset.
-        configs: side -> configuration, with the operator.
+        configs: side -> configuration.
+        operators: side -> what is known of the operator.
     """
 
     method: str
     preset: str
     base: MethodConfig
     configs: Mapping[Side, MethodConfig]
+    operators: Mapping[Side, OperatorProfile | None]
 
     def driver(self, side: Side) -> Driver:
         """The driver of one side, for records of the run."""
@@ -65,7 +68,9 @@ class MethodSwitcher:
             self._hands, request.operator
         )
         configs = {side: p.retargeter.config for side, p in loop.pipelines.items()}
-        self.used = DriverSpec(request.method, request.preset, request.config, configs)
+        self.used = DriverSpec(
+            request.method, request.preset, request.config, configs, dict(self.operators)
+        )
         self.target = self.used
         self.error = ""
         self.building = ""
@@ -85,18 +90,18 @@ class MethodSwitcher:
 
         Raises:
             UnknownNameError: there is no such method or preset.
-            ConfigError: the operator was calibrated for another hand.
+            ConfigError: the operator's file is of the other side.
         """
         with self._changed:
             return self._want(self._settled(method, preset))
 
     def operate(self, operators: Mapping[Side, OperatorProfile | None]) -> Future[DriverSpec]:
-        """Request the use of calibrations; see ``choose``.
+        """Request the use of what is known of operators; see ``choose``.
 
-        Other hands keep their calibration.
+        Other hands keep their operator.
 
         Raises:
-            ConfigError: a calibration is for another hand, or for one that is not driven.
+            ConfigError: a file is of a hand that is not driven.
         """
         for side in operators:
             if side not in self._hands:
@@ -125,7 +130,7 @@ class MethodSwitcher:
             side: resolve_config(replace(request, operator=self.operators[side]), hand)
             for side, hand in self._hands.items()
         }
-        return DriverSpec(method, preset, base, configs)
+        return DriverSpec(method, preset, base, configs, dict(self.operators))
 
     def _want(self, spec: DriverSpec) -> Future[DriverSpec]:
         self._settle(ConfigError("something else was asked for meanwhile"))
@@ -155,10 +160,19 @@ class MethodSwitcher:
                 self._hand_over(spec, built)
 
     def _build(self, spec: DriverSpec, used: DriverSpec) -> dict[Side, Retargeter]:
+        tracker = source_gaps(self._loop.source)
         built = {
-            side: Retargeter(self._hands[side], config=config, seed=self._begun_with.seed)
-            for side, config in spec.configs.items()
-            if config != used.configs[side]
+            side: Retargeter(
+                self._hands[side],
+                config=spec.configs[side],
+                seed=self._begun_with.seed,
+                pinch_gaps=replace(self._begun_with, operator=spec.operators[side]).known_gaps(
+                    tracker
+                ),
+            )
+            for side in spec.configs
+            if (spec.configs[side], spec.operators[side])
+            != (used.configs[side], used.operators[side])
         }
         waiting = {side for side, retargeter in built.items() if not retargeter.compiled}
         if waiting:

@@ -58,10 +58,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from smooth_operator.calibration.operator_file import read_operator
+from smooth_operator.calibration.operator_file import OperatorProfile, read_operator
 from smooth_operator.errors import ConfigError, MissingExtraError, SmoothOperatorError, SourceError
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.human.operator import OperatorProfile
 from smooth_operator.io.documents import json_object
 from smooth_operator.teleop.control.method_switcher import DriverSpec, MethodSwitcher
 from smooth_operator.teleop.runtime.loop import TeleopLoop
@@ -467,7 +466,7 @@ class RpcHandlers:
             return _driven(self._await(self._switcher.operate(none)))
         operator = read_operator(Path(path))
         spec = self._await(self._switcher.operate({operator.side: operator}))
-        return {**_driven(spec), "side": operator.side, "hand": operator.hand}
+        return {**_driven(spec), "side": operator.side}
 
     def _rate(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         rate = fields.get("rate")

@@ -116,5 +116,5 @@ class CalibrationSession:
         for number, prompt in enumerate(self.prompts):
             rows = [i for i, held in enumerate(self._held) if held == number]
             if rows:
-                holds.append(Segment(prompt.pose, rows[0], rows[-1] + 1, 1.0))
+                holds.append(Segment(prompt.finger, rows[0], rows[-1] + 1, 1.0))
         return holds

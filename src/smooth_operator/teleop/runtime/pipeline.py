@@ -368,6 +368,13 @@ class HandPipeline:
         return tuple(f for f, on in zip(fingers, np.asarray(latched), strict=True) if on)
 
     @property
+    def pinch_gaps(self) -> dict[str, float]:
+        """Gaps that the tracker leaves where thumb and finger touch, as far as they are known:
+        finger -> gap [palm lengths]. Safe from any thread."""
+        driven = self._driven
+        return driven.retargeter.pinch_gaps(driven.state)
+
+    @property
     def fingertip_targets(self) -> np.ndarray | None:
         """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m]; None
         where there are none. Safe from any thread."""
@@ -415,7 +422,9 @@ class HandPipeline:
         """
         start = self._clock()
         retargeter, frame = self.retargeter, self._frame or arrival.frame
-        state = retargeter.init() if self.supervisor.starts_again else self._driven.state
+        state = self._driven.state
+        if self.supervisor.starts_again:
+            state = retargeter.init(before=state)
         state, result = retargeter.step(state, frame)
         stages = {
             "tracker": self._delay.above_fastest(arrival) * 1e3,

@@ -12,7 +12,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from statistics import median
 from typing import Final, Literal, Protocol, TypeAlias, TypeVar
@@ -20,6 +20,7 @@ from typing import Final, Literal, Protocol, TypeAlias, TypeVar
 import numpy as np
 
 from smooth_operator.errors import SmoothOperatorError
+from smooth_operator.human.pinch_gaps import NO_GAPS
 from smooth_operator.types import HandFrame, Side
 
 Clock: TypeAlias = Callable[[], float]
@@ -245,6 +246,13 @@ class LiveSource(Protocol):
 
     def health(self) -> SourceHealth:
         """Health of the source, at any time, from any thread."""
+
+
+def source_gaps(source: LiveSource) -> Mapping[str, float]:
+    """Gaps that a source's tracker leaves where thumb and finger touch, finger -> gap [palm
+    lengths]: its attribute ``pinch_gaps``, which only a source with known gaps has."""
+    gaps: Mapping[str, float] = getattr(source, "pinch_gaps", NO_GAPS)
+    return gaps
 
 
 class ThreadedSource(ABC):

@@ -43,7 +43,6 @@ class LivePanel:
     ) -> None:
         self._do, self._scene, self._stop = do, scene, stop
         self._blind = blind
-        self._operators: Mapping[str, Any] | None = None
         self._stopped = self._paused = self._released = False
         self._hands = hands
         self._take: Mapping[str, Any] = {}
@@ -65,7 +64,6 @@ class LivePanel:
     def change_hands(self, hands: Mapping[Side, Hand], scene: LiveScene) -> None:
         """Show other hands; tab and switches stay as they are."""
         self._hands, self._scene = hands, scene
-        self._operators = None
         self._name_hand()
         self.show_meshes(False, "")
         scene.set_overlay(self._overlay.value)
@@ -207,9 +205,6 @@ class LivePanel:
         self._pause.label = "Resume (P)" if self._paused else "Pause (P)"
         self._pause.icon = viser.Icon.PLAYER_PLAY if self._paused else viser.Icon.PLAYER_PAUSE
         self._show_take(controls["take"])
-        if controls["operators"] != self._operators:
-            self._operators = controls["operators"]
-            self._scene.set_operators(controls["operators"])
         if "hands" in controls:
             self._hand.visible = True
             _choose(self._hand, controls["hands"], self._hand_name)

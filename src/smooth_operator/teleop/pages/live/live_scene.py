@@ -21,8 +21,6 @@ from smooth_operator.human.alignment import (
     palm_alignment,
     reference_landmarks,
 )
-from smooth_operator.human.flat_hand import human_palm_axes
-from smooth_operator.human.operator import FingerProfile, OperatorProfile
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.simulation.arms.arm import (
     CarriedHand,
@@ -465,12 +463,6 @@ class LiveScene:
                 if there is not None:  # what stands in the room goes past a hand that moves
                     view.scenery.place(there)
 
-    def set_operators(self, operators: Mapping[Side, Mapping[str, Any] | None]) -> None:
-        """Sets the calibrations that correct the human hands."""
-        for side, view in self._sides.items():
-            operator = operators.get(side)
-            view.operator = None if operator is None else operator_of(operator)
-
     def set_overlay(self, overlay: bool) -> None:
         """Each human hand inside its robot, or side by side."""
         for view in self._sides.values():
@@ -509,8 +501,6 @@ class _SideView:
     def __init__(self, scene: viser.SceneApi, hand: Hand, simulated: bool, root: str) -> None:
         side = hand.spec.side
         self._hand = hand
-        self.operator: OperatorProfile | None = None
-        self._palm_axes = human_palm_axes(hand)
         view = HandView(hand, simple=True)
         # From the palm frame to the picture: rows right, up, toward become x, z, -y.
         self._axes = view_axes(view)
@@ -575,14 +565,11 @@ class _SideView:
         if missing[list(self._hand.align_indices)].any():
             return np.full((21, 3), np.nan)
         safe = np.where(missing[:, None], reference_landmarks(self._hand), landmarks)
-        config = AlignmentConfig(state.get("scale"), self.operator)
+        config = AlignmentConfig(state.get("scale"))
         fit = palm_alignment(safe, self._hand, config)
         if not fit.condition >= MIN_CONDITION:
             return np.full((21, 3), np.nan)
-        aligned = fit.apply(safe)
-        if self.operator is not None:
-            aligned = self.operator.correct(aligned, fit.scale, self._hand, self._palm_axes)
-        return np.where(missing[:, None], np.nan, aligned)
+        return np.where(missing[:, None], np.nan, fit.apply(safe))
 
     def face(
         self, axes: Sequence[Sequence[float]] | None, object_pose: Sequence[float] | None
@@ -624,19 +611,3 @@ def background() -> UInt8[np.ndarray, "h w 3"]:
     """A grey that is lighter above: dark bodies and the finger colours stand out on it."""
     shade = np.linspace(_SKY, _GROUND, 64).round().astype(np.uint8)
     return np.repeat(shade[:, None], 2, axis=1)
-
-
-def operator_of(content: Mapping[str, Any]) -> OperatorProfile:
-    """A profile that came as JSON."""
-    fingers = tuple(
-        FingerProfile(**{**finger, "bones": tuple(finger["bones"])})
-        for finger in content["fingers"]
-    )
-    return OperatorProfile(
-        **{
-            **content,
-            "fingers": fingers,
-            "palm_rotation": tuple(content["palm_rotation"]),
-            "apply": tuple(content["apply"]),
-        }
-    )

@@ -16,6 +16,7 @@ import numpy as np
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.methods.presets import live_presets
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid
@@ -25,6 +26,7 @@ from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
 from smooth_operator.simulation.scenes.scene import Mount
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.runtime.loop import TeleopLoop
+from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.sinks.record import SUFFIX, RecordSink
 from smooth_operator.teleop.sinks.sink import Sink, SinkRunner, simulated_hands
 from smooth_operator.teleop.sinks.tick import ArmCommand, Mode, Tick, WristCommand
@@ -344,6 +346,7 @@ class LiveSession:
             "targets": None
             if self.blind or (targets := pipeline.fingertip_targets) is None
             else _numbers(targets.ravel()),
+            "closes_at_mm": None if self.blind or arrival is None else _gaps_mm(pipeline, arrival),
             "compiling": self._elapsed(side, pipeline.supervisor.compiling, now),
             "scale": pipeline.retargeter.config.alignment.scale,
             "wrist": None if arrival is None else _wrist(arrival, tick, pipeline.clutch.released),
@@ -396,10 +399,6 @@ class LiveSession:
             "stopped": self.stopped,
             "paused": any(supervisor.paused for supervisor in supervisors),
             "take": self.takes.state(),
-            "operators": {
-                side: None if operator is None else asdict(operator)
-                for side, operator in switcher.operators.items()
-            },
         }
         if not self.blind:
             target = switcher.target
@@ -465,6 +464,15 @@ def _wrist(arrival: Arrival, tick: Tick, released: bool) -> dict[str, Any] | Non
         "engaged": command.engaged,
         "released": released,
     }
+
+
+def _gaps_mm(pipeline: HandPipeline, arrival: Arrival) -> dict[str, float] | None:
+    """Distance at which the tracker shows each finger where it touches the thumb [mm]; None while
+    no gap is known."""
+    landmarks = arrival.frame.landmarks
+    palm = 1e3 * float(np.linalg.norm(landmarks[BASES[2]] - landmarks[WRIST]))
+    gaps = {name: round(gap * palm, 1) for name, gap in pipeline.pinch_gaps.items()}
+    return gaps if gaps and np.isfinite(palm) else None
 
 
 def _trusted(arrival: Arrival) -> np.ndarray:

@@ -6,7 +6,7 @@ import atexit
 import contextlib
 import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.checks import check_recording
+from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.settings import check_numbers
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
@@ -25,6 +26,11 @@ from smooth_operator.types import HandFrame, HandRecording, Side
 @dataclass(frozen=True)
 class _Pictures(PictureConfig, ThreadedSource):
     """A camera or a video with the settings of its tracker."""
+
+    @property
+    def pinch_gaps(self) -> Mapping[str, float]:
+        """Gaps that the tracker leaves in pinches; see ``source_gaps``."""
+        return MEDIAPIPE if self.points == "world" else NO_GAPS
 
     def stop(self) -> None:
         """Stop; see ``LiveSource``."""
