@@ -1,13 +1,15 @@
 """Blind scores of pictures of robot hands: methods hidden, order shuffled, a written rubric.
 
     python research/benchmarks/blind.py draw FOLDER RECORDING... --methods smooth sbr ako
-        --hands mimic_p050 shadow_hand [--poses flat fist]
+        --hands mimic_p050 shadow_hand [--poses flat fist] [--rows] [--rods]
     python research/benchmarks/blind.py judge FOLDER --judge NAME
     python research/benchmarks/blind.py tell FOLDER [--scores FILE.csv...]
 
 ``draw`` finds the poses of each recording and writes a numbered picture for each pose, hand and
 method: the human hand left, the robot hand right; and sheets of twelve, for a judge who scores by
-hand. ``FOLDER-key.csv``, outside the folder that a judge gets, says which is which. ``judge`` asks
+hand. With ``--rows`` a sheet shows a pose in a row, the human hand and then the methods in an order
+of its own, so that a judge compares them; ``--rods`` draws all hands as rods of one style.
+``FOLDER-key.csv``, outside the folder that a judge gets, says which is which. ``judge`` asks
 for scores in an order of the judge's own, and may be stopped and continued. ``tell`` prints mean
 scores by hand and method, with intervals over the pictures, and the judges' agreement; scores
 written by hand are CSV files with the columns ``number`` and ``score``.
@@ -35,6 +37,7 @@ from smooth_operator.lab.benchmark.contact_sheet import (
     HandPicture,
     common_frame,
     find_poses,
+    skeleton_shape,
 )
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator_research.run_report import markdown
@@ -50,6 +53,8 @@ SIZE: Final = 220
 """Width of a view [px]."""
 ON_SHEET: Final = (6, 2)
 """Rows and columns of pictures on a sheet."""
+ROWS_ON_SHEET: Final = 4
+"""Poses on a sheet of rows."""
 RESAMPLES: Final = 10_000
 """Bootstrap resamples for an interval."""
 
@@ -58,12 +63,12 @@ Key: TypeAlias = tuple[str, str, int, str, str]
 """Recording, pose, frame, hand and method of a picture."""
 
 
-def pictures_on(hand: str, options: argparse.Namespace) -> list[tuple[Key, np.ndarray]]:
-    """Pictures of the poses of all recordings by each method, on one hand."""
-    drawn: list[tuple[Key, np.ndarray]] = []
+def pictures_on(hand: str, options: argparse.Namespace) -> list[tuple[Key, np.ndarray, np.ndarray]]:
+    """Pictures of the poses of all recordings by each method, on one hand: key, human, robot."""
+    drawn: list[tuple[Key, np.ndarray, np.ndarray]] = []
     sources = load_sources([parse_request(text) for text in options.recordings])
     recordings = {s.name: s.recording for s in sources if s.recording is not None}
-    shape = ModelShape(load_hand(hand))
+    shape = (skeleton_shape if options.rods else ModelShape)(load_hand(hand))
     traces = {method: run(method, hand, recordings) for method in options.methods}
     for name in recordings:
         panel = panel_of(name, hand, {m: own[name] for m, own in traces.items()})
@@ -78,7 +83,7 @@ def pictures_on(hand: str, options: argparse.Namespace) -> list[tuple[Key, np.nd
             left = human.draw(common_frame([human]), SIZE)
             for one, robot in zip(panel.runs, robots, strict=True):
                 key = (name, pose.name, pose.frame, hand, one.method)
-                drawn.append((key, np.concatenate([left, robot.draw(frame, SIZE)], axis=1)))
+                drawn.append((key, left, robot.draw(frame, SIZE)))
     return drawn
 
 
@@ -86,28 +91,48 @@ def draw(options: argparse.Namespace) -> None:
     """Writes numbered pictures, shuffled, and their key."""
     drawn = [picture for hand in options.hands for picture in pictures_on(hand, options)]
     options.folder.mkdir(parents=True, exist_ok=True)
+    rng, count = np.random.default_rng(), len(options.methods)
+    order = rng.permutation(len(drawn))
+    if options.rows:  # the methods of a pose stay together
+        poses = rng.permutation(len(drawn) // count)
+        order = np.concatenate([pose * count + rng.permutation(count) for pose in poses])
+    shuffled = [drawn[i] for i in order]
     with _key_of(options.folder).open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(("number", "recording", "pose", "frame", "hand", "method"))
-        shuffled = [drawn[i] for i in np.random.default_rng().permutation(len(drawn))]
-        for number, (key, picture) in enumerate(shuffled):
-            Image.fromarray(picture).save(options.folder / f"{number:04d}.png")
+        for number, (key, *pair) in enumerate(shuffled):
+            Image.fromarray(np.hstack(pair)).save(options.folder / f"{number:04d}.png")
             writer.writerow((number, *key))
-    _write_sheets(options.folder, [picture for _, picture in shuffled])
+    rows, columns = (ROWS_ON_SHEET, count) if options.rows else ON_SHEET
+    pictures = [
+        robot if options.rows else np.hstack((human, robot)) for _, human, robot in shuffled
+    ]
+    humans = [human for _, human, _ in shuffled[::count]] if options.rows else None
+    _write_sheets(options.folder, pictures, rows, columns, humans)
     (options.folder / "rubric.txt").write_text(RUBRIC + "\n")
     print(f"wrote {len(drawn)} pictures to {options.folder}; the rubric is in rubric.txt")
 
 
-def _write_sheets(folder: Path, pictures: Sequence[np.ndarray]) -> None:
-    """Writes ``sheet-00.png`` and so on: the pictures with their numbers, in order."""
-    rows, columns = ON_SHEET
+def _write_sheets(
+    folder: Path,
+    pictures: Sequence[np.ndarray],
+    rows: int,
+    columns: int,
+    humans: Sequence[np.ndarray] | None,
+) -> None:
+    """Writes ``sheet-00.png`` and so on: the pictures with their numbers, in order, and the human
+    hand of each row at its left, if given."""
     height, width = pictures[0].shape[:2]
     height, width = height + 4, width + 44
     for first in range(0, len(pictures), rows * columns):
-        sheet = Image.new("RGB", (columns * width, rows * height), "white")
+        start = 0 if humans is None else width
+        sheet = Image.new("RGB", (start + columns * width, rows * height), "white")
         pen = ImageDraw.Draw(sheet)
+        for row, human in enumerate((humans or ())[first // columns :][:rows]):
+            sheet.paste(Image.fromarray(human), (40, row * height))
+            pen.text((4, row * height + 4), "human", "black")
         for i, picture in enumerate(pictures[first : first + rows * columns]):
-            top, left = i // columns * height, i % columns * width
+            top, left = i // columns * height, start + i % columns * width
             sheet.paste(Image.fromarray(picture), (left + 40, top))
             pen.text((left + 4, top + 4), str(first + i), "black", ImageFont.load_default(20))
             pen.rectangle((left, top, left + width - 2, top + height - 2), outline="gray")
@@ -202,6 +227,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             one.add_argument("--methods", nargs="+", required=True)
             one.add_argument("--hands", nargs="+", default=["mimic_p050"])
             one.add_argument("--poses", nargs="+", default=POSES)
+            one.add_argument("--rows", action="store_true", help="a pose in a row")
+            one.add_argument("--rods", action="store_true", help="all hands as rods")
         elif step is judge:
             one.add_argument("--judge", required=True, metavar="NAME")
         else:
