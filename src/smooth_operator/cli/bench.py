@@ -16,7 +16,7 @@ from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.compilation.start import dispatch_here
-from smooth_operator.errors import SmoothOperatorError, require
+from smooth_operator.errors import SmoothOperatorError, counted, require
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.hands.finger_choice import parse_fingers
 from smooth_operator.hands.registry import load_hand
@@ -85,7 +85,8 @@ def print_results(rows: Sequence[Row]) -> None:
             console.print(Text(f"{hand}: {verdict}"))
     if any(row["status"] == "ok" for row in rows):
         hidden = len(columns()) - len(shown)
-        more = f"; {hidden} columns more in the report, or in a wider terminal" if hidden else ""
+        more = counted(hidden, "more column") if hidden else ""
+        more = more and f"; {more} in the report, or in a wider terminal"
         console.print(f"* best{more}", style="dim")
     for footnote in collision_footnotes(rows):
         console.print(Text(footnote), soft_wrap=True)
