@@ -80,7 +80,7 @@ def summary_text(rows: Sequence[Row], settings: Settings) -> str:
     for hand, own in by_hand(rows).items():
         lines = [line for line in overall(own) if line.failed is None]
         heads = [" ".join(filter(None, (m.short, m.unit, m.sign))) for m in metrics]
-        table = [["method", *heads], ["---", *("---:" for _ in metrics)]]
+        table = [["method", *heads]]
         tops = [best(lines, metric) for metric in metrics]
         for i, line in enumerate(lines):
             values = [_short(m, line.values.get(m.name)) for m in metrics]
@@ -90,7 +90,9 @@ def summary_text(rows: Sequence[Row], settings: Settings) -> str:
             table.append([name + partly, *marked])
         day = max((str(row["date"])[:10] for row in own if row["date"]), default="")
         words = f"{hand}, n = {sample_text(own)}; mean over trackers. {day}:"
-        parts.append("\n".join(f"| {' | '.join(cells)} |" for cells in table) + f"\n\n{words}")
+        text = [f"| {' | '.join(cells)} |" for cells in table]
+        text.insert(1, f"|---|{'---:|' * len(metrics)}")
+        parts.append("\n".join(text) + f"\n\n{words}")
     return "\n\n".join([*parts, f"```bash\n{command_of(settings)}\n```"]) + "\n"
 
 
