@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.pose_table import PoseTable
@@ -65,17 +65,18 @@ REFERENCE: Final = 0.01
 """Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an
 error is worked off in the same time at any rate."""
 
-ASTRAY: Final = 0.4
-"""A finger is astray whose tip is further from its place than that of the table's nearest pose by
-more than this share of the finger's length: then the last answer no longer counts."""
-JUMP: Final = 0.4
-"""Targets have jumped where the fingertip filter holds back more than this share of the step of a
-fingertip that it follows. Of ten recordings 3 frames in a thousand have more than 0.3; of jumps to
-another pose of a recording, nine in ten have more than 0.4."""
-ARRIVED: Final = 0.002
-"""Distance of the places from where they belong at which they have caught up with a jump [m]."""
-BUDGET: Final = 60
-"""Newton steps of all descents of a frame, at most: they bound its time."""
+ASTRAY: Final = 0.01
+"""Distance of a fingertip from its place, beyond that of the table's nearest pose, at which it is
+astray [m]. Its motion then weighs half, and further away hardly at all."""
+PATIENCE: Final = 0.3
+"""Time for which a fingertip is astray until another pose is looked for [s]."""
+BETTER: Final = 0.7
+"""Another pose is then taken if it costs less than this share of what the hand's own comes to."""
+LEAP: Final = (0.03, 1.0)
+"""A fingertip that is seen further from the last frame's than this [m] and this speed [m/s] allow
+has leapt: the tracker was wrong, or is."""
+SETTLED: Final = 0.15
+"""Time after a leap at which the past is forgotten [s]."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     polish: NewtonConfig = field(
         default_factory=lambda: NewtonConfig(
             iterations=50,
-            damping=(0.0, 0.3, 1.0, 5.0, 30.0, 200.0, 1000.0, 6000.0, 30000.0),
+            damping=(0.0, 1.0, 30.0, 1000.0, 30000.0),
         )
     )
     rate_hz: float = 100.0
@@ -165,7 +166,8 @@ class SmoothState(NamedTuple):
         targets: state of the target policy.
         ticks: time of the last frame, in microseconds modulo 2^32.
         frames: frames answered so far.
-        slipped: True from a jump of the targets until their places have caught up.
+        astray: time for which a fingertip has been astray [s].
+        leapt: time since a fingertip leapt [s].
     """
 
     q: Float[Array, " m"]
@@ -175,7 +177,8 @@ class SmoothState(NamedTuple):
     targets: Any
     ticks: UInt32[Array, ""]
     frames: UInt32[Array, ""]
-    slipped: Bool[Array, ""]
+    astray: Float[Array, ""]
+    leapt: Float[Array, ""]
 
 
 class _Observed(NamedTuple):
@@ -188,7 +191,6 @@ class _Observed(NamedTuple):
         moves: (F, 3) steps of the fingertips' places [m].
         weights: (F,) weights of that motion.
         places: (F, 3) places of the fingertips in the palm frame [m].
-        arrived: True if targets jumped before, and their places have caught up in this frame.
     """
 
     state: SmoothState
@@ -197,27 +199,6 @@ class _Observed(NamedTuple):
     moves: Float[Array, "F 3"]
     weights: Float[Array, " F"]
     places: Float[Array, "F 3"]
-    arrived: Bool[Array, ""]
-
-
-class _Descents(NamedTuple):
-    """Descents of a frame.
-
-    Attributes:
-        start: start of the next one: 0 the last answer, with the terms about the past; without
-            them, 1 the end of that, 2 the table's pose, 3 the neutral pose. After a restart the
-            first is 2.
-        pose, tips, cost: the best pose so far (m,), its fingertips (F, 3) and its cost.
-        left: Newton steps that are left in this frame.
-        again: True for one more descent.
-    """
-
-    start: Int[Array, ""]
-    pose: Float[Array, " m"]
-    tips: Float[Array, "F 3"]
-    cost: Float[Array, ""]
-    left: Int[Array, ""]
-    again: Bool[Array, ""]
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +279,8 @@ class Smooth(Method):
             self.config.objective.targets.init(self.objective.layout),
             put(np.uint32(0)),
             put(np.uint32(0)),
-            put(np.bool_(False)),
+            put(np.float32(0)),
+            put(np.float32(1)),
         )
 
     def latched(self, state: SmoothState) -> Bool[Array, " P"] | None:
@@ -335,8 +317,8 @@ class Smooth(Method):
         """One frame."""
         frame = self._observed(state, aligned, jnp.asarray(ticks, jnp.uint32))
         goal = self._goal_of(state, frame)
-        solved, tips = self._solve(state.q, goal, frame)
-        after = frame.state._replace(q=solved, frames=state.frames + jnp.uint32(1))
+        solved, tips, astray = self._solve(state, goal, frame)
+        after = frame.state._replace(q=solved, astray=astray, frames=state.frames + jnp.uint32(1))
         keyvectors = self.objective.keyvectors
         errors = keyvectors.vectors.at(tips) - goal.vectors
         return after, MethodOutput(solved, keyvectors.slopes(errors, goal).cost)
@@ -348,7 +330,11 @@ class Smooth(Method):
             tips = self.motion.tips(state.q)
             return goal._replace(tips=tips + moves, motion_weights=frame.weights)
         tips, _, pose = self.rest_pose(state.q, frame.places, moves)
-        return goal._replace(tips=tips + moves, rest=pose, motion_weights=frame.weights)
+        weights = frame.weights
+        if state.operator:  # its places are within reach: an error that stays is a fault's
+            off = self._beyond(tips + moves, frame.places) / ASTRAY
+            weights = weights / (1 + off**4)
+        return goal._replace(tips=tips + moves, rest=pose, motion_weights=weights)
 
     def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
@@ -368,24 +354,23 @@ class Smooth(Method):
         moves = share[at, None] * whole
         goal_points, operator, speeds = points, state.operator, moves
         origin = jnp.asarray(self.hand.wrist, points.dtype)
-        late = (measured - points)[at]
-        behind = jnp.sqrt((late * late).sum(-1))
-        jumped = behind > JUMP * jnp.sqrt((steps[at] ** 2).sum(-1)) + ARRIVED
         if operator:  # a tuple of arrays; empty without a correspondence
-            operator, moves, way = self.correspondence.step(
+            operator, moves, _ = self.correspondence.step(
                 operator, aligned, points[at], moves, whole, clock.dt, clock.restart
             )
-            behind, places = behind + way, operator.places
+            places = operator.places
             corners = jnp.concatenate([places, origin[None]])
             goal_points = points.at[np.array([*at, wrist])].set(corners)
         else:
             places = points[at] - points[wrist] + origin
         goal, weights, policy = self._goal(state, goal_points, speeds, clock)
-        slipped = (state.slipped | jumped.any()) & ~clock.restart
-        arrived = slipped & (behind < ARRIVED).all()
-        state = state._replace(operator=operator, gaps=gaps, filtered=filtered, targets=policy)
-        state = state._replace(slipped=slipped & ~arrived, ticks=now)
-        return _Observed(state, clock, goal, moves, weights, places, arrived)
+        off = (measured - state.filtered.followed)[at]
+        leaps = jnp.sqrt((off * off).sum(-1)) > LEAP[0] + LEAP[1] * clock.dt
+        leapt = jnp.where(leaps.any() & ~clock.restart, 0.0, state.leapt + clock.dt)
+        state = state._replace(
+            operator=operator, gaps=gaps, filtered=filtered, targets=policy, ticks=now, leapt=leapt
+        )
+        return _Observed(state, clock, goal, moves, weights, places)
 
     def _goal(
         self,
@@ -417,58 +402,53 @@ class Smooth(Method):
         return goal, motion, policy_state
 
     def _solve(
-        self, last: Float[Array, " m"], goal: FrameGoal, frame: _Observed
-    ) -> tuple[Float[Array, " m"], Float[Array, "F 3"]]:
-        """(m,) the solver's answer, and (F, 3) its fingertips [m].
+        self, state: SmoothState, goal: FrameGoal, frame: _Observed
+    ) -> tuple[Float[Array, " m"], Float[Array, "F 3"], Float[Array, ""]]:
+        """(m,) the solver's answer, (F, 3) its fingertips [m], and the time for which a finger has
+        been astray [s].
 
-        A descent from the last answer. Where a finger then is astray, where targets have arrived
-        after a jump, and where there is no last answer, more descents of a goal that knows no past:
-        from the first one's end, the table's pose and the neutral pose. The lowest cost counts.
+        A descent from the last answer. Where there is none, and a moment after a fingertip has
+        leapt, two descents of a goal that knows no past, from the table's pose and from the neutral
+        pose: the lower cost counts. Where a fingertip has been astray for a while, it counts if it
+        is much lower than that of a third one, from the hand's own pose.
         """
-        places, restart = frame.places, frame.clock.restart
+        places, restart, last = frame.places, frame.clock.restart, state.q
         limits = self.straight_fingers.limits(self.hand.limits, goal.vectors[: len(places)])
-        lengths = jnp.asarray(self.correspondence.lengths, last.dtype)
-        corresponds = not is_off(self.config.correspondence.share)  # its places are within reach
-        table, possible = self.pose_table.nearest(places)
+        table, _ = self.pose_table.nearest(places)
         neutral = jnp.asarray(self.hand.neutral, last.dtype)
         free = goal._replace(
             velocity_weight=jnp.zeros_like(goal.velocity_weight),
-            motion_weights=jnp.zeros_like(possible),
+            motion_weights=jnp.zeros(len(places), last.dtype),
             rest=None if goal.rest is None else neutral,
         )
 
-        def descent(before: _Descents) -> _Descents:
-            held = before.start == 0
-            now = jax.tree.map(lambda a, b: jnp.where(held, a, b), goal, free)
-            starts = jnp.stack([last, before.pose, table, neutral])
-            pose, cost, steps = damped_newton(
+        def descent(start: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
+            pose, lowest = best
+            now = jax.tree.map(lambda a, b: jnp.where(start == 0, a, b), goal, free)
+            end, cost, _ = damped_newton(
                 lambda one: self.objective.value_grad_hess(one, now),
                 lambda few: self.objective.values(few, now),
-                jnp.clip(starts[before.start], limits[:, 0], limits[:, 1]),
+                jnp.clip(jnp.stack([last, pose, table, neutral])[start], *limits.T),
                 limits,
                 self.config.polish,
-                before.left,
             )
-            tips = self.motion.tips(pose)
-            off = tips - places
-            excess = jnp.sqrt((off * off).sum(-1)) - possible
-            lost = corresponds & (excess > ASTRAY * lengths).any()
-            better = cost <= before.cost
-            return _Descents(
-                before.start + 1,
-                jnp.where(better, pose, before.pose),
-                jnp.where(better, tips, before.tips),
-                # costs with and without the past do not compare
-                jnp.where(held, jnp.inf, jnp.minimum(cost, before.cost)),
-                before.left - steps,
-                jnp.where(held, lost | frame.arrived, before.start < len(starts) - 1),
-            )
+            taken = (start != 1) & (cost <= lowest)
+            bar = jnp.where(start == 0, jnp.inf, jnp.where(start == 1, BETTER * cost, cost))
+            return jnp.where(taken, end, pose), jnp.minimum(bar, lowest)
 
-        worst, left, again = jnp.float32(jnp.inf), jnp.int32(BUDGET), jnp.bool_(True)
-        start = jnp.where(restart, 2, 0)
-        begin = _Descents(start, last, jnp.zeros_like(places), worst, left, again)
-        end = lax.while_loop(lambda now: now.again, descent, begin)
-        return end.pose, end.tips
+        forget = restart | ((state.leapt < SETTLED) & (frame.state.leapt >= SETTLED))
+        search = state.astray > PATIENCE
+        first, after = jnp.where(forget, 2, 0), jnp.where(forget | search, 4, 1)
+        pose, _ = lax.fori_loop(first, after, descent, (last, jnp.float32(jnp.inf)))
+        tips = self.motion.tips(pose)
+        astray = (self._beyond(tips, places) > ASTRAY).any() & ~search & bool(state.operator)
+        return pose, tips, jnp.where(astray, state.astray + frame.clock.dt, 0.0)
+
+    def _beyond(self, tips: Float[Array, "F 3"], places: Float[Array, "F 3"]) -> Float[Array, " F"]:
+        """By how much fingertips are further from their places than those of the table's nearest
+        pose [m]."""
+        off, (_, possible) = tips - places, self.pose_table.nearest(places)
+        return jnp.maximum(jnp.sqrt((off * off).sum(-1)) - possible, 0.0)
 
 
 SMOOTH_TELEOP: Final = SmoothConfig()

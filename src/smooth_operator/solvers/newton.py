@@ -25,7 +25,7 @@ ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
 """(c, m) candidates to their costs (c,), gradients (c, m) and Hessians (c, m, m); or one point
 (m,) to its cost (), gradient (m,) and Hessian (m, m)."""
 
-STILL: Final = 3e-4
+STILL: Final = 3e-3
 """``damped_newton`` stops after a step in which no variable moves further than this [rad]: since it
 converges quadratically, the next step would be too small to see."""
 
