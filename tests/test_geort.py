@@ -11,6 +11,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from metrics_cases import tip_gap_mm
 from trees import pincer
 
 from smooth_operator import Retargeter, load_hand, method_config
