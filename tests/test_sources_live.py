@@ -12,11 +12,18 @@ import pytest
 from live_time import PATIENCE_S, Kept, Waits, started, until
 
 from smooth_operator.errors import ConfigError, RecordingError, SourceError, UnknownNameError
+from smooth_operator.human.pinch_gaps import MEDIAPIPE
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator.teleop.components import SOURCES, build_component, build_source
-from smooth_operator.teleop.sources.live import Mailbox, Running, ThreadedSource, on_time
+from smooth_operator.teleop.sources.live import (
+    Mailbox,
+    Running,
+    ThreadedSource,
+    on_time,
+    source_gaps,
+)
 from smooth_operator.teleop.sources.payload import Reading
 from smooth_operator.teleop.sources.played import Replay, SyntheticSource
 from smooth_operator.teleop.sources.stream import MessageReceiver
@@ -323,6 +330,8 @@ def test_the_built_in_operator_in_real_time_is_that_of_the_demo():
     recording = SyntheticOperator(seed=4, rate_hz=60.0, tracker=tracker).record(1.0)
     assert [a.frame.stamp for a in mailbox.all] == pytest.approx(recording.stamps)
     assert [a.received for a in mailbox.all] == pytest.approx(recording.stamps)
+    assert source_gaps(SyntheticSource(tracker="camera")) == MEDIAPIPE
+    assert source_gaps(SyntheticSource(tracker="headset")) == {}
     for arrived, landmarks in zip(mailbox.all, recording.landmarks, strict=True):
         np.testing.assert_array_equal(arrived.frame.landmarks, landmarks)
 

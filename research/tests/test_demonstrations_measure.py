@@ -7,7 +7,9 @@ import pytest
 
 from smooth_operator import load_hand, method_config
 from smooth_operator.errors import StudyError, UnknownNameError
+from smooth_operator.human.pinch_gaps import MEDIAPIPE
 from smooth_operator.simulation.scenes import SCENES
+from smooth_operator.synthetic.tracker import TRACKERS
 from smooth_operator_research.physics.demonstrations import Demonstrations
 from smooth_operator_research.physics.measure import Case, Measured, PhysicsSettings
 from smooth_operator_research.physics.results import MeasureResults, Row
@@ -71,6 +73,18 @@ def test_a_perturbed_world_is_the_same_every_time_and_says_what_differs():
     assert row["ceiling"] == 1.0
     # 30 of 100 periods have a frame
     assert row["frames"] == pytest.approx(0.3 * (row["frames"] + row["dropped_frames"]), rel=0.02)
+
+
+def test_the_pinch_gaps_of_a_webcam_are_known_of_a_camera():
+    """They are another person's than the simulated ones."""
+    unit = MEASURE.units(SETTINGS)[1]
+    case = Case(
+        "demonstrations", "mimic_p050", "right", "smooth", "teleop", method_config("smooth"),
+        "card camera", unit,
+    )  # fmt: skip
+    found = {kind: case.retargeter(kind).known_gaps for kind in ("camera", "headset")}
+    assert found == {"camera": MEDIAPIPE, "headset": {}}
+    assert tuple(MEDIAPIPE.values()) != TRACKERS["camera"].pinch_gaps
 
 
 def test_a_hand_without_a_demonstration_says_so():

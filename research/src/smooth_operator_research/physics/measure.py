@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
@@ -21,6 +21,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
+from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.lab.benchmark.cells import ALL, method_label, select_hands, select_methods
 from smooth_operator.lab.offline import built_for, execute
 from smooth_operator.methods.method import MethodConfig
@@ -181,8 +182,12 @@ class Case:
         todo = self._plan(recording)
         return execute(todo, built_for(todo)).commands
 
-    def retargeter(self) -> Retargeter:
+    def retargeter(self, tracker: str | None = None) -> Retargeter:
         """The method, compiled, for a loop that steps it; kept in the process as well.
+
+        Args:
+            tracker: kind of tracker that the loop has. Of a camera the pinch gaps of MediaPipe are
+                known, as of a webcam; they are another person's than the simulated ones.
 
         Raises:
             ConfigError: the preset needs the whole recording.
@@ -190,7 +195,9 @@ class Case:
         if self.config.trajectory is not None:
             return Retargeter(self.hand, config=self.config, seed=self.seed)  # says why not
         nothing = HandRecording(reference_landmarks(self.hand)[None], np.zeros(1), self.side)
-        runner, _ = built_for(self._plan(nothing))  # which does not look at it
+        gaps = MEDIAPIPE if tracker == "camera" else NO_GAPS
+        # which does not look at the recording
+        runner, _ = built_for(replace(self._plan(nothing), pinch_gaps=gaps))
         assert isinstance(runner, Retargeter)
         return runner
 

@@ -53,7 +53,7 @@ class VirtualOperators:
         """Some trials of one person, after free movement with the method."""
         number, seed = case.unit.data
         task, tracker = case.condition.split()
-        familiar = make_familiar(draw_person(number, seed), case.retargeter(), seed=seed)
+        familiar = make_familiar(draw_person(number, seed), case.retargeter(tracker), seed=seed)
         done = [
             simulate_trial(
                 familiar,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
@@ -13,6 +13,7 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
+from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.settings import check_range
 from smooth_operator.synthetic.gestures import GESTURES
@@ -150,6 +151,11 @@ class SyntheticSource(ThreadedSource):
     def label(self) -> str:
         """Name for a person, in a few words."""
         return "the built-in operator"
+
+    @property
+    def pinch_gaps(self) -> Mapping[str, float]:
+        """Gaps that the tracker is known to leave in pinches: of the camera, those of a webcam."""
+        return MEDIAPIPE if self.tracker == "camera" else NO_GAPS
 
     def run(self, running: Running) -> None:
         """Post the frames when they are due."""
