@@ -24,7 +24,8 @@ unchanged results are not measured again. Latency is measured at the end, with n
 A recording is a file, a folder of files, or `synthetic` (`synthetic:SEED`), the built-in
 operator, which is used if there is none. It may bring its own settings after an @:
 glove.npz@:500 (frames), video.npz@30hz (rate), video.npz@30hz,left,camera,100:900.
-Means are over recordings of each tracker (glove, headset, camera), then over trackers.
+Means are over recordings of each tracker (glove, headset, camera), then over trackers;
+mediapipe is a camera whose pinch gaps are known.
 
 Methods are names, or METHOD:PRESET, METHOD:all or METHOD:FILE (a trained model); `all` is
 each method with its default preset.

@@ -107,7 +107,7 @@ class Demonstrations:
         number, seed = case.unit.data
         world = draw_perturbation(number, seed, tracker=tracker)
         result = run_trial(
-            case.retargeter(tracker),
+            case.retargeter(tracker if number else None),  # world 0 has a perfect tracker
             world.scene(task.scene),
             TASKS[name],
             PerturbedLandmarks(task.landmarks, world),

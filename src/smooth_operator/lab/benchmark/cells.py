@@ -15,7 +15,6 @@ from smooth_operator.calibration.operator_file import OperatorProfile
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.registry import hand_names, known_hands, load_hand
-from smooth_operator.human.pinch_gaps import NO_GAPS
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.lab.offline.finished import digest
 from smooth_operator.methods.method import MethodConfig
@@ -194,7 +193,7 @@ class Cell:
         preset: name of its preset.
         config: the method's configuration.
         fingers: robot finger -> human finger that drives it; None for all.
-        pinch_gaps: the operator's, as for ``Retargeter``.
+        pinch_gaps: known gaps of tracker and operator, as for ``Retargeter``.
     """
 
     source: Source
@@ -245,10 +244,11 @@ def cells_of(
     sources: Iterable[Source], settings: Settings, methods: Sequence[Choice]
 ) -> list[Cell]:
     """Every recording with every hand and every method, in this order."""
-    gaps = NO_GAPS if settings.operator is None else settings.operator.pinch_gaps
+    own = {} if settings.operator is None else settings.operator.pinch_gaps
     return [
         Cell(source, hand, choice.method, choice.preset, choice.config, settings.fingers, gaps)
         for source in sources
+        for gaps in [{**source.pinch_gaps, **own}]
         for hand in settings.hands
         for choice in methods
     ]

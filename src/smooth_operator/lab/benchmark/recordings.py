@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -23,6 +23,7 @@ from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorEr
 from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.formats.registry import recording_suffixes
+from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
@@ -61,6 +62,7 @@ class Request:
         layout: order of the landmarks in a plain array; None for the project's own.
         tracker: one of ``TRACKERS``; None as the format tells, and a perfect one for the built-in
             operator.
+        mediapipe: it is a recording of MediaPipe, whose pinch gaps are known.
     """
 
     path: Path | None
@@ -72,6 +74,7 @@ class Request:
     speed: float = 1.0
     layout: str | None = None
     tracker: str | None = None
+    mediapipe: bool = False
 
     @property
     def unit(self) -> str:
@@ -132,6 +135,12 @@ class Source:
         return self.request.tracker or _TRACKER_OF.get(stored, UNKNOWN_TRACKER)
 
     @property
+    def pinch_gaps(self) -> Mapping[str, float]:
+        """Gaps that its tracker is known for, as for ``Retargeter``."""
+        camera = self.tracker == SYNTHETIC and self.request.tracker == "camera"
+        return MEDIAPIPE if camera or self.request.mediapipe else NO_GAPS
+
+    @property
     def facts(self) -> dict[str, object]:
         """Facts for a reader of the results."""
         recording = self.recording
@@ -170,7 +179,7 @@ def parse_request(
     name, at, options = text.rpartition("@")
     if not at or Path(text).exists():  # a file's name may hold an @
         name, options = text, ""
-    length, speed, tracker = None, 1.0, None
+    length, speed, tracker, mediapipe = None, 1.0, None, False
     for option in filter(None, (part.strip() for part in options.split(","))):
         if rated := _RATE.fullmatch(option):
             rate = float(rated[1])
@@ -184,14 +193,16 @@ def parse_request(
             side = as_side(option)
         elif option.lower() in LAYOUTS:
             layout = option.lower()
+        elif option.lower() == "mediapipe":
+            tracker, mediapipe = "camera", True
         elif option.lower() in TRACKERS:
             tracker = option.lower()
         else:
             raise ConfigError(
                 f"{text!r}: {option!r} is no setting of a recording; after the @ stand a range of "
                 "frames (:500), a rate (60hz), a side (left), an order of landmarks (mano), a "
-                f"tracker ({', '.join(TRACKERS)}) or, for the built-in operator, the length of its "
-                "hand (17.5cm) and its tempo (1.2x), with commas between them"
+                f"tracker ({', '.join(TRACKERS)}, mediapipe) or, for the built-in operator, the "
+                "length of its hand (17.5cm) and its tempo (1.2x), with commas between them"
             )
     if frames is not None:
         frame_slice(frames, None)  # a text that is no range is refused before anything is read
@@ -206,7 +217,9 @@ def parse_request(
             f"{text!r}: length and tempo are for the built-in operator, as in "
             f"{SYNTHETIC}:3@17.5cm,1.2x"
         )
-    return Request(Path(name), 0, frames, rate, side, layout=layout, tracker=tracker)
+    return Request(
+        Path(name), 0, frames, rate, side, layout=layout, tracker=tracker, mediapipe=mediapipe
+    )
 
 
 def load_sources(requests: Iterable[Request]) -> list[Source]:
