@@ -51,14 +51,15 @@ class Figure:
     method: str = ""
 
 
-_CALIBRATE: Final = "smooth-operator calibrate fits the robot hand to the operator's"
 SUMMARY: Final = (
     Figure("finger_direction_error_deg", 10.0,
            "Robot fingers point {:.3g}° away from the human's on average (good: up to {:.3g}°)",
-           "No frame shows where the human's fingers point", _CALIBRATE),
+           "No frame shows where the human's fingers point",
+           "smooth-operator bench compares methods; hands check measures the palm's tilt"),
     Figure("pinch_touch_share", 0.8,
            "Robot thumb and finger touch in {:.3g} % of the human's pinches (good: from {:.3g} %)",
-           "The human pinches in no frame", _CALIBRATE),
+           "There are too few frames in which the human pinches",
+           "smooth-operator calibrate measures the gaps that the tracker leaves in pinches"),
     Figure("self_collision.share", 0.05,
            "Parts of the robot hand are inside each other in {:.3g} % of the frames (good: up to "
            "{:.3g} %)",
