@@ -1,19 +1,14 @@
-"""``smooth`` is exact where it can be: rest pose, cost of fingertip positions."""
+"""``smooth`` is exact where it can be: the cost of fingertip positions."""
 
-from dataclasses import replace
-from functools import cache
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from trees import float64, limited_poses
+from trees import float64
 
-from smooth_operator import Hand, Retargeter, load_hand
+from smooth_operator import Retargeter, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.methods.smooth import SMOOTH_PRECISE, SmoothConfig
 from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig
 from smooth_operator.objective.smooth_terms import (
     FingertipPosition,
     FingertipPositionConfig,
@@ -21,34 +16,6 @@ from smooth_operator.objective.smooth_terms import (
 )
 from smooth_operator.objective.terms import FrameGoal, RobotVectors
 from smooth_operator_research.physics.reachable_motion import reachable_motion
-
-
-@cache
-def rest_program(hand: Hand, config: RestPoseConfig):
-    return jax.jit(RestPose(hand, config))
-
-
-def rest_of(hand: Hand, q: np.ndarray, places: np.ndarray, config: RestPoseConfig):
-    still = jnp.zeros((len(hand.fingers), 3))
-    return rest_program(hand, config)(jnp.asarray(q), jnp.asarray(places), still)
-
-
-@pytest.mark.parametrize("name", ["mimic_p050", "leap_hand", "inspire_hand"])
-def test_where_fingertips_are_right_the_pull_moves_none(name):
-    hand = load_hand(name)
-    config = RestPoseConfig()
-    with float64():
-        for q in limited_poses(np.random.default_rng(1), hand.limits, 4):
-            tips = hand.tips(hand.full_configuration(q))
-            rest = rest_of(hand, q, tips, config)
-            np.testing.assert_allclose(rest.near, 1.0, atol=1e-9)
-            moved = lambda p: hand.tips(hand.full_configuration(p))  # noqa: E731
-            slope = (moved(q + 1e-6 * (np.asarray(rest.pose) - q)) - tips) * 1e6
-            plain = (moved(q + 1e-6 * (hand.neutral - q)) - tips) * 1e6
-            assert np.abs(slope).max() < 0.06 * np.abs(plain).max()
-            # far from its target it is the pull of Eq. (1)
-            far = rest_of(hand, q, tips + 0.2, config)
-            np.testing.assert_allclose(far.pose, hand.neutral, atol=1e-4)
 
 
 def test_the_cost_of_positions_is_stiff_near_and_bounded_far():
@@ -89,24 +56,12 @@ def reaching_error(config: SmoothConfig) -> float:
 def test_what_the_hand_can_reach_is_reached():
     """Of ``precise``, whose targets are the human's fingertips; the default's differ from them by
     what a thumb's bones differ from their mean."""
-    assert reaching_error(SMOOTH_PRECISE) < 0.5e-3
-
-
-@pytest.mark.weekly
-def test_without_rest_pose_and_positions_it_is_not_reached():
-    bare = replace(
-        SMOOTH_PRECISE,
-        rest_pose=RestPoseConfig(reach=0.0),
-        fingertip_position=FingertipPositionConfig(weight=0.0),
-    )
-    assert reaching_error(bare) > 0.5e-3 / 0.3
+    assert reaching_error(SMOOTH_PRECISE) < 0.7e-3
 
 
 @pytest.mark.parametrize(
     "bad",
     [
-        lambda: RestPoseConfig(reach=-1.0),
-        lambda: RestPoseConfig(damping=0.0),
         lambda: FingertipPositionConfig(weight=-1.0),
         lambda: FingertipPositionConfig(width=0.0),
         lambda: SelfCollisionConfig(weight=-0.001),
@@ -115,12 +70,3 @@ def test_without_rest_pose_and_positions_it_is_not_reached():
 def test_settings_are_checked(bad):
     with pytest.raises(ConfigError):
         bad()
-
-
-def test_the_pull_is_traced_once_for_any_frame():
-    hand = load_hand("leap_hand")
-    rest = RestPose(hand, RestPoseConfig())
-    tips = hand.tips(hand.full_configuration(hand.neutral))
-    still = np.zeros((len(hand.fingers), 3))
-    found = jax.jit(rest)(jnp.asarray(hand.neutral), tips, still)
-    np.testing.assert_allclose(found.pose, hand.neutral, atol=1e-3)  # nothing to be mended

@@ -13,11 +13,11 @@ from trees import float64, limited_poses
 from smooth_operator import Hand, hand_names, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import MOST, capsule_pairs, parts_apart, segment_parameters
+from smooth_operator.hands.finger_circles import spread_joints
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.methods.method import FrameClock
 from smooth_operator.methods.program import tick_after, ticks_of
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.rest_pose import spread_joints
 from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,
@@ -257,33 +257,28 @@ def test_the_cost_never_rises():
 
 def targets_of(config: CloseTargets, human: np.ndarray):
     layout = config.layout(("thumb", "index", "middle"))
-    return layout, config((), layout, jnp.asarray(human))[0]
+    return layout, config(config.init(layout), layout, jnp.asarray(human))[0]
 
 
-def test_short_vectors_weigh_more_and_all_weigh_alike_without_focus():
+def test_vectors_from_the_wrist_weigh_alike_and_those_from_the_thumb_have_costs_of_their_own():
     human = np.zeros((5, 3))
     human[:, 0] = (0.1, 0.1, 0.1, 0.06, 0.01)
-    _, plain = targets_of(CloseTargets(w_wrist=1.0, w_thumb=2.0, focus=0.0), human)
-    np.testing.assert_allclose(plain.weights, [1, 1, 1, 2, 2], rtol=1e-6)
-    _, focused = targets_of(CloseTargets(w_wrist=1.0, w_thumb=2.0, focus=2.0, floor=0.01), human)
-    np.testing.assert_allclose(focused.weights[:4], [1, 1, 1, 2], rtol=1e-5)
-    np.testing.assert_allclose(focused.weights[4], 2 * (36 + 1) / (1 + 1), rtol=1e-5)
-    np.testing.assert_allclose(focused.vectors, human)
+    targets = targets_of(CloseTargets(w_wrist=3.0), human)[1]
+    np.testing.assert_allclose(targets.weights, [3, 3, 3, 0, 0])
+    np.testing.assert_allclose(targets.vectors, human)
 
 
 def test_latches_close_near_and_open_far_and_change_no_target():
-    config = CloseTargets(latches=True, project=0.012, escape=0.02)
+    config = CloseTargets(project=0.012, escape=0.02)
     layout = config.layout(("thumb", "index", "middle"))
     state, seen = config.init(layout), []
     for gap in (0.03, 0.015, 0.011, 0.019, 0.021, 0.015):
-        human = jnp.full((6, 3), 0.03).at[3].set(jnp.array([gap, 0.0, 0.0]))
+        human = jnp.full((5, 3), 0.03).at[3].set(jnp.array([gap, 0.0, 0.0]))
         targets, state = config(state, layout, human)
         seen.append(np.asarray(config.latched(state)).tolist())
-        plain = CloseTargets()((), layout, human)[0]
-        np.testing.assert_array_equal(targets.vectors, plain.vectors)
+        np.testing.assert_array_equal(targets.vectors, human)
     assert [first for first, _ in seen] == [False, False, True, True, False, False]
     assert not any(second for _, second in seen)
-    assert CloseTargets().latched(()) is None
 
 
 class EveryVector(DirectionLength):
@@ -386,7 +381,7 @@ def test_prices_of_angle_and_length_are_checked(bad):
 
 @pytest.mark.parametrize(
     "bad",
-    [{"w_wrist": -0.01}, {"at": 0.0}, {"floor": -0.01}, {"project": 0.02, "escape": 0.01}],
+    [{"w_wrist": -0.01}, {"project": 0.0}, {"project": 0.02, "escape": 0.01}],
     ids=lambda bad: next(iter(bad)),
 )
 def test_target_settings_are_checked(bad):

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
 
 _POSES: Final = 1024
@@ -25,11 +26,17 @@ class PoseTable:
 
     Attributes:
         hand: the robot hand.
-        moves: (F, m) mask of the actuated joints that move each fingertip.
     """
 
     hand: Hand
-    moves: Bool[np.ndarray, "F m"]
+
+    @cached_property
+    def moves(self) -> Bool[np.ndarray, "F m"]:
+        """(F, m) mask of the actuated joints that move each fingertip."""
+        tips = PointKinematics(self.hand.tree, self.hand.tip_names)
+        coupling = np.abs(self.hand.coupling_matrix[np.array(tips.order)])
+        moves: np.ndarray = tips.moves.astype(float) @ coupling > 0
+        return moves
 
     @cached_property
     def _table(self) -> tuple[Float[np.ndarray, "N m"], Float[np.ndarray, "F N 3"]]:

@@ -45,7 +45,6 @@ from smooth_operator.methods.method import (
     TrajectoryMethodConfig,
 )
 from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.rest_pose import RestPose, RestPoseConfig, StraightFingers
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
@@ -56,6 +55,7 @@ from smooth_operator.objective.smooth_terms import (
     SelfCollision,
     SelfCollisionConfig,
 )
+from smooth_operator.objective.straight_fingers import frame_limits
 from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.settings import check_numbers, is_off
@@ -93,7 +93,6 @@ class SmoothConfig(ObjectiveMethodConfig):
         pinch_damping: added to the velocity weight of joints that move the thumb or a finger that
             the targets have latched to it, for fingers that move roll out what they hold. It falls
             as the motion weight does, so that a hand that opens is not held back.
-        rest_pose: where the pull of Eq. (1) goes where fingertips are near their targets.
         spread_weight: cost of a long finger that spreads by over 0.2 rad to a side, per squared
             radian beyond.
         fingertip_position: cost of fingertips that are nearly where the human's are.
@@ -110,21 +109,16 @@ class SmoothConfig(ObjectiveMethodConfig):
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     objective: ObjectiveConfig = field(
         default_factory=lambda: ObjectiveConfig(
-            targets=CloseTargets(latches=True), pose_weight=0.026, velocity_weight=0.27
+            targets=CloseTargets(), pose_weight=0.026, velocity_weight=0.27
         )
     )
     motion_weight: float = 6000.0
     motion_speed: float = 0.05
     pinch_damping: float = 100.0
-    rest_pose: RestPoseConfig = field(default_factory=RestPoseConfig)
     spread_weight: float = 1.0
     fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
-    self_collision: SelfCollisionConfig = field(
-        default_factory=lambda: SelfCollisionConfig(weight=12000.0)
-    )
-    direction_length: DirectionLengthConfig = field(
-        default_factory=lambda: DirectionLengthConfig(direction=1.9)
-    )
+    self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
+    direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
     correspondence: CorrespondenceConfig = field(default_factory=CorrespondenceConfig)
     fingertips: FingertipFilterConfig = field(default_factory=FingertipFilterConfig)
     polish: NewtonConfig = field(
@@ -187,7 +181,7 @@ class _Observed(NamedTuple):
     Attributes:
         state: the state after its landmarks.
         clock: its time.
-        goal: its goal, without the rest pose and the motion of fingertips.
+        goal: its goal, without the motion of fingertips.
         moves: (F, 3) steps of the fingertips' places [m].
         weights: (F,) weights of that motion.
         places: (F, 3) places of the fingertips in the palm frame [m].
@@ -241,19 +235,9 @@ class Smooth(Method):
         return Correspondence(self.hand, self.config.correspondence)
 
     @cached_property
-    def rest_pose(self) -> RestPose:
-        """The pose that the hand is pulled to."""
-        return RestPose(self.hand, self.config.rest_pose)
-
-    @cached_property
     def pose_table(self) -> PoseTable:
         """Poses to start from without the last answer."""
-        return PoseTable(self.hand, self.rest_pose.moves)
-
-    @cached_property
-    def straight_fingers(self) -> StraightFingers:
-        """The fingers that a joint bends past straight."""
-        return StraightFingers(self.hand)
+        return PoseTable(self.hand)
 
     @property
     def needs(self) -> tuple[int, ...]:
@@ -325,16 +309,11 @@ class Smooth(Method):
 
     def _goal_of(self, state: SmoothState, frame: _Observed) -> FrameGoal:
         """The whole goal of a frame."""
-        goal, moves = frame.goal, frame.moves
-        if is_off(self.config.rest_pose.reach):
-            tips = self.motion.tips(state.q)
-            return goal._replace(tips=tips + moves, motion_weights=frame.weights)
-        tips, _, pose = self.rest_pose(state.q, frame.places, moves)
-        weights = frame.weights
+        tips, weights = self.motion.tips(state.q) + frame.moves, frame.weights
         if state.operator:  # its places are within reach: an error that stays is a fault's
-            off = self._beyond(tips + moves, frame.places) / ASTRAY
+            off = self._beyond(tips, frame.places) / ASTRAY
             weights = weights / (1 + off**4)
-        return goal._replace(tips=tips + moves, rest=pose, motion_weights=weights)
+        return frame.goal._replace(tips=tips, motion_weights=weights)
 
     def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
@@ -379,8 +358,8 @@ class Smooth(Method):
         moves: Float[Array, "F 3"],
         clock: FrameClock,
     ) -> tuple[FrameGoal, Float[Array, " F"], Any]:
-        """The goal of a frame but for rest pose and motion, (F,) weights of the motion of
-        fingertips, and the target policy's state after the frame."""
+        """The goal of a frame but for motion, (F,) weights of the motion of fingertips, and the
+        target policy's state after the frame."""
         config, layout = self.config, self.objective.layout
         at = [self.needs.index(i) if i in self.needs else -1 for i in range(NUM_LANDMARKS)]
         human = layout.human(points[np.array(at)])  # from landmarks that are needed
@@ -396,7 +375,7 @@ class Smooth(Method):
         latched = config.objective.targets.latched(policy_state)
         if latched is not None and not is_off(config.pinch_damping):
             pinching = slow * jnp.concatenate([latched.any()[None], latched])
-            damped = (pinching[:, None] * jnp.asarray(self.rest_pose.moves)).max(axis=0)
+            damped = (pinching[:, None] * jnp.asarray(self.pose_table.moves)).max(axis=0)
             velocity = velocity + config.pinch_damping * holds * damped
         goal = FrameGoal(targets.vectors, targets.weights, state.q, velocity)
         return goal, motion, policy_state
@@ -413,13 +392,12 @@ class Smooth(Method):
         is much lower than that of a third one, from the hand's own pose.
         """
         places, restart, last = frame.places, frame.clock.restart, state.q
-        limits = self.straight_fingers.limits(self.hand.limits, goal.vectors[: len(places)])
+        limits = frame_limits(self.hand, goal.vectors[: len(places)])
         table, _ = self.pose_table.nearest(places)
         neutral = jnp.asarray(self.hand.neutral, last.dtype)
         free = goal._replace(
             velocity_weight=jnp.zeros_like(goal.velocity_weight),
             motion_weights=jnp.zeros(len(places), last.dtype),
-            rest=None if goal.rest is None else neutral,
         )
 
         def descent(start: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -458,15 +436,12 @@ closed when it is closed, whatever the lengths of either's fingers."""
 SMOOTH_PRECISE: Final = replace(
     SMOOTH_TELEOP,
     correspondence=CorrespondenceConfig(share=0.0),
-    objective=replace(
-        SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=1.0, w_thumb=20.0, focus=0.5)
-    ),
+    objective=replace(SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=1.0)),
     motion_weight=1300.0,
     motion_speed=0.1,
     pinch_damping=0.0,
     spread_weight=0.0,
-    direction_length=DirectionLengthConfig(),
-    self_collision=SelfCollisionConfig(),
+    direction_length=DirectionLengthConfig(direction=2.5),
 )
 """For the paper's metrics: the human's fingertips as the palms are aligned, and of them first the
 directions from the thumb. Fingers of other lengths than the human's stay bent in an open hand."""

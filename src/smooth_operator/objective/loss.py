@@ -139,7 +139,7 @@ class Objective:
         neutral: np.ndarray = self.hand.neutral
         centre = neutral if self.config.pose_centre == "neutral" else np.zeros_like(neutral)
         weight = self.config.pose_weight
-        pose = Pull(lambda goal: (weight, centre if goal.rest is None else goal.rest))
+        pose = Pull(lambda _: (weight, centre))
         velocity: JointTerm = Pull(lambda goal: (goal.velocity_weight, goal.previous))
         if self.config.velocity_loss == "smooth_l1":
             from smooth_operator.objective.published import SmoothL1Velocity  # of AKO alone

@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 from smooth_operator.geometry import AnyKind
 from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments_apart
 from smooth_operator.hands.differential import PointKinematics, contracted
+from smooth_operator.hands.finger_circles import spread_joints
 from smooth_operator.hands.hand import Hand
-from smooth_operator.objective.rest_pose import spread_joints
 from smooth_operator.objective.terms import (
     FrameGoal,
     JointTerm,
@@ -198,8 +198,8 @@ class DirectionLengthConfig:
             power [m].
     """
 
-    direction: float = 1.5
-    length: float = 115.0
+    direction: float = 1.9
+    length: float = 160.0
     huber_width: float = 0.0012
     near: float = 0.0145
 
@@ -268,7 +268,7 @@ class SelfCollisionConfig:
         margin: distance below which a pair counts [m]. Negative lets soft parts sink in.
     """
 
-    weight: float = 7000.0
+    weight: float = 12000.0
     margin: float = -0.00125
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -71,34 +71,23 @@ def base_weights(
 
 
 @dataclass(frozen=True)
-class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
-    """Targets of ``smooth``: every keyvector follows the human's; the nearer its ends, the more
-    closely, since an error of the same length turns a short vector more.
+class CloseTargets(TargetPolicy[KeyvectorLayout, Bool[Array, " P"]]):
+    """Targets of ``smooth``: the human's vectors from the wrist and from the thumb's tip.
+
+    Those from the wrist have a weight; those from the thumb only have ``DirectionLength``'s costs.
 
     Attributes:
-        w_wrist, w_thumb: weights of the wrist-to-tip keyvectors, and of the thumb-to-tip keyvectors
-            of length ``at``. Vectors between other fingers have no targets.
-        focus: power by which the weight of thumb-to-tip vectors falls with their length. 2 prices
-            the angle, 0 the distance alike at any length.
-        at: length at which that weight is the one given [m].
-        floor: length below which weights rise no more [m].
-        latches: True if fingers are latched to the thumb; it changes no target.
-        project, escape: a finger is latched when the tips come nearer than the one [m], until they
-            are farther apart than the other.
+        w_wrist: weight of the wrist-to-tip keyvectors.
+        project, escape: a finger is latched to the thumb when the tips come nearer than the one
+            [m], until they are farther apart than the other. That changes no target.
     """
 
     w_wrist: float = 18.0
-    w_thumb: float = 8.0
-    focus: float = 2.0
-    at: float = 0.06
-    floor: float = 0.01
-    latches: bool = False
     project: float = 0.012
     escape: float = 0.02
 
     def __post_init__(self) -> None:
-        weights, lengths = ("w_wrist", "w_thumb", "focus"), ("at", "floor", "project", "escape")
-        check_numbers(self, "targets.", positive=lengths, not_negative=weights)
+        check_numbers(self, "targets.", positive=("project", "escape"), not_negative=("w_wrist",))
         if isinstance(self.project, float) and not self.project <= self.escape:
             raise ConfigError(f"project {self.project} must not exceed escape {self.escape} [m]")
 
@@ -106,24 +95,21 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Any]):
         """The paper's keyvectors from the wrist and from the thumb's tip."""
         return KeyvectorLayout(fingers, between_fingers=False)
 
-    def init(self, layout: KeyvectorLayout) -> Bool[Array, " P"] | tuple[()]:
-        """Open latches, if there are any."""
-        return jax.device_put(np.zeros(len(layout.fingers) - 1, bool)) if self.latches else ()
+    def init(self, layout: KeyvectorLayout) -> Bool[Array, " P"]:
+        """Open latches."""
+        latches: Array = jax.device_put(np.zeros(len(layout.fingers) - 1, bool))
+        return latches
 
-    def latched(self, state: Any) -> Bool[Array, " P"] | None:
-        """(F - 1,) which fingers are latched to the thumb; None without latches."""
-        return state if self.latches else None
+    def latched(self, state: Bool[Array, " P"]) -> Bool[Array, " P"]:
+        """(F - 1,) which fingers are latched to the thumb."""
+        return state
 
     def __call__(
-        self, state: Any, layout: KeyvectorLayout, human: Float[Array, "K 3"]
-    ) -> tuple[Targets, Any]:
+        self, state: Bool[Array, " P"], layout: KeyvectorLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, Bool[Array, " P"]]:
         """Targets of one frame, and the latches after it."""
-        wrist, thumb = human[: layout.thumb.start], human[layout.thumb]
-        near = jnp.sqrt((thumb * thumb).sum(-1) + 1e-12)
-        ratio = (self.at**2 + self.floor**2) / (near**2 + self.floor**2)
-        weights = jnp.concatenate(
-            [jnp.full(len(wrist), self.w_wrist), self.w_thumb * ratio ** (self.focus / 2)]
-        ).astype(human.dtype)
-        if self.latches:
-            state = jnp.where(state, near <= self.escape, near < self.project)
+        thumb = human[layout.thumb]
+        near = jnp.sqrt((thumb * thumb).sum(-1))
+        state = jnp.where(state, near <= self.escape, near < self.project)
+        weights = jnp.asarray(base_weights(layout, self.w_wrist, 0.0, 0.0), human.dtype)
         return Targets(human, weights), state

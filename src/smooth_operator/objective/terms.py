@@ -48,7 +48,6 @@ class FrameGoal(NamedTuple):
         tips: (F, 3) where fingertips arrive if they move as the human's do [m]; for the term of
             fingertip motion only.
         motion_weights: (F,) weights of that term, in the units of a keyvector's weight.
-        rest: (m,) pose that joints are pulled to [rad]; None for the objective's own.
     """
 
     vectors: Float[AnyArray, "K 3"]
@@ -57,7 +56,6 @@ class FrameGoal(NamedTuple):
     velocity_weight: Float[Array, ""] | Float[Array, " m"] | float
     tips: Float[Array, "F 3"] | None = None
     motion_weights: Float[Array, " F"] | None = None
-    rest: Float[Array, " m"] | None = None
 
 
 class Quadratic(NamedTuple):

@@ -1,0 +1,114 @@
+"""Circles of a hand's fingertips about its joints: which joints bend and which spread a finger."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from smooth_operator.hands.hand import Hand
+
+SHORTER: Final = 1e-3
+"""A finger counts as shorter than another pose's if it is by this length [m]."""
+
+_MOVES: Final = 1e-3  # least way of a fingertip by a joint of its finger [m]
+_PARALLEL: Final = 0.9  # cosine between the axes of two joints
+_POSES: Final = 101
+
+
+class Bend(NamedTuple):
+    """A joint beyond the knuckle of a long finger that bends it past straight.
+
+    Attributes:
+        finger: the finger's row among the hand's.
+        joint: number of the joint.
+        longest: joint position in which the finger is longest [rad].
+        length: its length at the limit next to that, from the knuckle [m]; other joints as in the
+            straight hand.
+        centre: (3,) the knuckle, from the wrist [m].
+    """
+
+    finger: int
+    joint: int
+    longest: float
+    length: float
+    centre: Float[np.ndarray, "3"]
+
+
+@lru_cache(maxsize=8)
+def bends_past_straight(hand: Hand) -> list[Bend]:
+    """The joints that bend a finger past straight, by over a millimetre of its length."""
+    bends = []
+    for f, (name, circles) in enumerate(zip(hand.fingers, _circles(hand), strict=True)):
+        parallel = [one for one in circles if abs(one.axis @ circles[-1].axis) > _PARALLEL]
+        if len(parallel) < 2 or name == "thumb":  # the thumb's other joint moves about
+            continue
+        centre = parallel[0].centre
+        for one in parallel[1:]:
+            length = np.linalg.norm(one.tips - centre, axis=-1)
+            longest = int(np.argmax(length))
+            if longest < _POSES // 2 and length[longest] - length[0] > SHORTER:
+                angle = float(one.angles[longest])
+                bends.append(Bend(f, one.joint, angle, float(length[0]), centre))
+    return bends
+
+
+def spread_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
+    """(m,) mask of the actuated joints that turn a long finger sideways: their axis is across those
+    of two or more other joints, about which the finger bends."""
+    spread = np.zeros(len(hand.limits), bool)
+    for name, circles in zip(hand.fingers, _circles(hand), strict=True):
+        axes = np.array([one.axis for one in circles]).reshape(-1, 3)
+        parallel = (np.abs(axes @ axes.T) > _PARALLEL).sum(axis=1)
+        if name != "thumb" and (parallel > 1).any():
+            spread[[one.joint for one in circles]] |= parallel == 1
+    return spread
+
+
+class _Circle(NamedTuple):
+    """Circle of a fingertip about an actuated joint of the straight hand.
+
+    Attributes:
+        radius: [m].
+        centre: (3,) from the robot's wrist [m].
+        axis: (3,) unit vector.
+        joint: number of the joint.
+        angles: (N,) positions of the joint [rad].
+        tips: (N, 3) fingertip at these, from the robot's wrist [m].
+    """
+
+    radius: float
+    centre: np.ndarray
+    axis: np.ndarray
+    joint: int
+    angles: np.ndarray
+    tips: np.ndarray
+
+
+@lru_cache(maxsize=8)
+def _circles(hand: Hand) -> tuple[list[_Circle], ...]:
+    """For each finger, the circles of its tip about the joints that move it, the largest first."""
+    circles: tuple[list[_Circle], ...] = tuple([] for _ in hand.fingers)
+    for joint, (low, high) in enumerate(hand.limits):
+        q = np.tile(hand.straight_pose.q, (_POSES, 1))
+        q[:, joint] = angles = np.linspace(low, high, _POSES)
+        every = hand.tips(hand.full_configuration(q)) - hand.wrist
+        for own, tips in zip(circles, np.swapaxes(every, 0, 1), strict=True):
+            if np.ptp(tips, axis=0).max() > _MOVES:
+                own.append(_Circle(*_circle(tips), joint, angles, tips))
+    for own in circles:
+        own.sort(key=lambda one: -one.radius)
+    return circles
+
+
+def _circle(points: Float[np.ndarray, "N 3"]) -> tuple[float, np.ndarray, np.ndarray]:
+    """Radius, centre and axis of the circle on which points lie."""
+    middle = points.mean(axis=0)
+    axes = np.linalg.svd(points - middle)[2]
+    flat = (points - middle) @ axes[:2].T
+    rows = np.column_stack([2 * flat, np.ones(len(flat))])
+    solution = np.linalg.lstsq(rows, (flat**2).sum(axis=-1), rcond=None)[0]
+    radius = float(np.sqrt(solution[2] + solution[:2] @ solution[:2]))
+    return radius, middle + solution[:2] @ axes[:2], axes[2]
