@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import multiprocessing
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
@@ -31,7 +33,6 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.frame import FrameState, RetargetState, align_frame
 from smooth_operator.methods.method import Method, MethodConfig
@@ -39,7 +40,7 @@ from smooth_operator.methods.program import ticks_of
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 LANES: Final = 8
-"""Lanes on a CPU. More save little, and a step takes as long as the lane that takes longest."""
+"""Lanes on a CPU. More save little."""
 
 LANES_GPU: Final = 1024
 """Lanes on a GPU."""
@@ -134,12 +135,18 @@ class LaneProgram:
         config: its configuration.
         lanes: number of lanes.
         cached: the program is read from the user's cache, and written there.
+        threads: number of calls of the program that run side by side.
     """
 
     def __init__(
-        self, method: Method, config: MethodConfig, lanes: int, cached: bool = True
+        self,
+        method: Method,
+        config: MethodConfig,
+        lanes: int,
+        cached: bool = True,
+        threads: int = 1,
     ) -> None:
-        self.method, self.lanes = method, lanes
+        self.method, self.lanes, self.threads = method, lanes, threads
         alignment = config.alignment
 
         def align(landmarks: Any, valid: Any) -> Any:
@@ -196,35 +203,58 @@ class LaneProgram:
     ) -> tuple[Float[np.ndarray, "S m"], np.ndarray, Float[np.ndarray, " S"]]:
         """Commands of the actuated joints [rad], as the program gives them, ``Status`` values and
         tracking losses of every recording, each from the same state; ``track`` wraps the iteration
-        over all frames. While the device works on a block, a thread lays out the inputs of the next
-        and puts the results of the last in their places."""
-        frames = _frames_of_lanes(tracks, self.lanes)
+        over all frames."""
         total = len(tracks.ticks)
-        advance = progressing(total, track)
         # one row more, for what lanes without a recording give
         q = np.empty((total + 1, len(initial.q)), np.float32)
         status, loss = np.empty(total + 1, np.int8), np.empty(total + 1, np.float32)
+        advance, lock, ended = progressing(total, track), threading.Lock(), threading.Event()
+
+        def store(at: np.ndarray, parts: tuple[Any, ...]) -> None:
+            q[at], status[at], loss[at] = (np.asarray(part) for part in parts)
+            with lock:
+                advance(int(np.count_nonzero(at < total)))
+
+        columns = _frames_of_lanes(tracks, self.lanes * self.threads)
+        with ThreadPoolExecutor(self.threads) as threads:
+            runs = [
+                threads.submit(self._run_lanes, initial, tracks, frames, store, ended)
+                for frames in np.split(columns, self.threads, axis=1)
+            ]
+            try:
+                for each in runs:
+                    each.result()
+            finally:
+                ended.set()  # after an error or an interrupt the other threads stop, too
+        return q[:-1], status[:-1], loss[:-1]
+
+    def _run_lanes(
+        self,
+        initial: RetargetState,
+        tracks: Tracks,
+        frames: np.ndarray,
+        store: Callable[[np.ndarray, tuple[Any, ...]], None],
+        ended: threading.Event,
+    ) -> None:
+        """Runs the (B, lanes) frames of one thread. While the device works on a block, another
+        thread lays out the inputs of the next and puts the results of the last in their places."""
         blocks = [frames[at : at + BLOCK] for at in range(0, len(frames), BLOCK)]
         state = start = jax.tree.map(self._everywhere, initial.trees)
-
-        def store(at: np.ndarray, parts: tuple[Any, ...]) -> int:
-            q[at], status[at], loss[at] = (np.asarray(part) for part in parts)
-            return int(np.count_nonzero(at < total))
-
         with ThreadPoolExecutor(1) as thread:
-            stored: list[Future[int]] = []
+            stored: list[Future[None]] = []
             filled = [thread.submit(_filled, tracks, block) for block in blocks[:1]]
             for block, next in itertools.zip_longest(blocks, blocks[1:]):
+                if ended.is_set():
+                    return
                 inputs = filled.pop().result()
                 if next is not None:
                     filled.append(thread.submit(_filled, tracks, next))
                 state, parts = self._block(start, state, *inputs)
                 stored.append(thread.submit(store, block, parts))
                 if len(stored) > 1:
-                    advance(stored.pop(0).result())
+                    stored.pop(0).result()
             for each in stored:
-                advance(each.result())
-        return q[:-1], status[:-1], loss[:-1]
+                each.result()
 
     def run_arrays(
         self,
@@ -351,7 +381,7 @@ def _filled(tracks: Tracks, block: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 _KEPT: Final = 8
-_programs: Final[OrderedDict[tuple[int, AlignmentConfig, int, bool], LaneProgram]] = OrderedDict()
+_programs: Final[OrderedDict[tuple[Any, ...], LaneProgram]] = OrderedDict()
 _lock: Final = threading.Lock()
 
 
@@ -359,10 +389,18 @@ def lane_program(
     method: Method, config: MethodConfig, lanes: int | None, cached: bool = True
 ) -> LaneProgram:
     """The program of a method, kept a while; None for the number of lanes that suits the device."""
-    count = lanes or (LANES if jax.default_backend() == "cpu" else LANES_GPU)
-    key = (id(method), config.alignment, count, cached)  # a kept program keeps its method
+    if jax.default_backend() != "cpu":
+        count, threads = lanes or LANES_GPU, 1
+    elif method.uneven:
+        # a worker of a pool has a core for itself
+        own = multiprocessing.parent_process() is not None
+        count, threads = 1, lanes or (1 if own else os.cpu_count() or 1)
+    else:
+        count, threads = lanes or LANES, 1
+    # a kept program keeps its method
+    key = (id(method), config.alignment, count, cached, threads)
     with _lock:
-        program = _programs.get(key) or LaneProgram(method, config, count, cached)
+        program = _programs.get(key) or LaneProgram(method, config, count, cached, threads)
         _programs[key] = program
         _programs.move_to_end(key)
         while len(_programs) > _KEPT:

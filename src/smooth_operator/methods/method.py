@@ -58,6 +58,10 @@ class Method(ABC):
     on_host: ClassVar[bool] = False
     """True for a ``HostMethod``, whose solver runs on the host; else it is one compiled program."""
 
+    uneven: ClassVar[bool] = False
+    """True if some frames take its solver much longer than others. On a CPU recordings then run in
+    threads of their own, for frames side by side would wait for the longest."""
+
     @property
     @abstractmethod
     def needs(self) -> tuple[int, ...]:

@@ -372,7 +372,8 @@ class Retargeter:
             recordings: human hands of the retargeter's side; another raises ``ConfigError``.
             seed: random seed of each recording; None for the retargeter's own.
             track: wraps the iteration over all frames, for a progress bar.
-            lanes: recordings side by side; None for 8 on a CPU, 1024 on a GPU.
+            lanes: recordings side by side; None for 1024 on a GPU, and on a CPU for 8 or, where
+                frames take a solver unequal times as that of ``smooth``, one for each core.
         """
         from smooth_operator.compilation.batching import one_by_one, side_by_side
 
@@ -403,7 +404,8 @@ class Retargeter:
                 least.
             stamps: (R, T) when each frame was measured [s], or (T,) for all recordings.
             seed: random seed of each recording; None for the retargeter's own.
-            lanes: recordings side by side; None for 8 on a CPU, 1024 on a GPU.
+            lanes: recordings side by side; None for 1024 on a GPU, and on a CPU for 8 or, where
+                frames take a solver unequal times as that of ``smooth``, one for each core.
 
         Returns:
             commands of the actuated joints, status and tracking loss of every frame.

@@ -199,6 +199,8 @@ class _Observed(NamedTuple):
 class Smooth(Method):
     """``smooth`` for one hand."""
 
+    uneven = True
+
     hand: Hand
     config: SmoothConfig
 
