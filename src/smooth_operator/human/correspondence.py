@@ -230,7 +230,7 @@ class Correspondence:
         human length; and the gains of their motion, which fall to 1 at a pinch.
 
         Of the human's vectors h_i from thumb to finger i, places T by the fingers alone, gains g,
-        closeness c_i and nearness n_i (closeness of an unfolded finger) of 0 to 1, and weights
+        closeness c_i and nearness n_i (c_i^2 of an unfolded finger) of 0 to 1, and weights
         w_i = thumb_follows + thumb_share c_i, the places P are
         P_0 = (T_0 + sum w_i (T_i - h_i (g_i - c_i (g_i - 1)))) / (1 + sum w_i),
         P_i = T_i + n_i (P_0 + h_i - T_i).
@@ -247,7 +247,8 @@ class Correspondence:
         away = tips[1:] - operator.bases[1:]
         extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
         unfolded = jnp.clip(0.5 + (extension - config.folded) / _FOLDS, 0.0, 1.0)
-        nearness = close * _smooth_step(unfolded)
+        # squared: a thumb at the side of a finger that points does not bend it
+        nearness = close**2 * _smooth_step(unfolded)
         weights = (config.thumb_follows + config.thumb_share * close)[:, None]
         scaled = human * (gain[1:] - close * (gain[1:] - 1))[:, None]
         thumb = (alone[0] + (weights * (alone[1:] - scaled)).sum(0)) / (1 + weights.sum(0))
