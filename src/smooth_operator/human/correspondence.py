@@ -223,6 +223,25 @@ class Correspondence:
             time=time + jnp.where(finite, dt, 0.0),
         )
 
+    def pinching(
+        self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
+    ) -> tuple[Float[Array, " P"], Float[Array, " P"]]:
+        """(F - 1,) closeness of each finger to the thumb, 0 to 1, and its nearness to a pinch: the
+        squared closeness of an unfolded finger.
+
+        Args:
+            operator: the operator's lengths.
+            tips: (F, 3) the human's fingertips in the palm frame, thumb first [m].
+        """
+        config, human = self.config, tips[1:] - tips[0]
+        apart = jnp.sqrt((human * human).sum(-1) + _TINY)
+        close = _smooth_step(jnp.clip((config.far - apart) / (config.far - config.near), 0.0, 1.0))
+        away = tips[1:] - operator.bases[1:]
+        extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
+        unfolded = jnp.clip(0.5 + (extension - config.folded) / _FOLDS, 0.0, 1.0)
+        # squared: a thumb at the side of a finger that points does not bend it
+        return close, close**2 * _smooth_step(unfolded)
+
     def _places(
         self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
     ) -> tuple[Float[Array, "F 3"], Float[Array, " F"], Float[Array, " F"]]:
@@ -242,13 +261,7 @@ class Correspondence:
         alone = tips + config.share * (alone - tips)
         gain = 1 + config.share * (gain - 1)
         human = tips[1:] - tips[0]
-        apart = jnp.sqrt((human * human).sum(-1) + _TINY)
-        close = _smooth_step(jnp.clip((config.far - apart) / (config.far - config.near), 0.0, 1.0))
-        away = tips[1:] - operator.bases[1:]
-        extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
-        unfolded = jnp.clip(0.5 + (extension - config.folded) / _FOLDS, 0.0, 1.0)
-        # squared: a thumb at the side of a finger that points does not bend it
-        nearness = close**2 * _smooth_step(unfolded)
+        close, nearness = self.pinching(operator, tips)
         weights = (config.thumb_follows + config.thumb_share * close)[:, None]
         scaled = human * (gain[1:] - close * (gain[1:] - 1))[:, None]
         thumb = (alone[0] + (weights * (alone[1:] - scaled)).sum(0)) / (1 + weights.sum(0))

@@ -34,6 +34,7 @@ from smooth_operator.human.fingertip_filter import (
     FingertipFilterConfig,
     filter_fingertips,
 )
+from smooth_operator.human.grip import GripConfig, GripState, grip
 from smooth_operator.human.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.methods.method import (
@@ -99,6 +100,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         self_collision: cost of parts of the hand inside each other.
         direction_length: cost of direction and length of the thumb-to-tip vectors.
         correspondence: where the robot's fingertips belong, by fingers of other lengths.
+        grip: how thumb and finger press on what they hold; it needs the correspondence.
         fingertips: filter of the human's fingertips.
         polish: Newton steps of a descent, at most. Most frames need two to four; where fingers
             touch and close fast, those that stop early end far from each other.
@@ -120,6 +122,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
     direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
     correspondence: CorrespondenceConfig = field(default_factory=CorrespondenceConfig)
+    grip: GripConfig = field(default_factory=GripConfig)
     fingertips: FingertipFilterConfig = field(default_factory=FingertipFilterConfig)
     polish: NewtonConfig = field(
         default_factory=lambda: NewtonConfig(
@@ -155,6 +158,7 @@ class SmoothState(NamedTuple):
     Attributes:
         q: (m,) last command of the actuated joints [rad].
         operator: lengths of the operator's fingers; empty without a correspondence.
+        grip: state of the grip, which is open without a correspondence.
         gaps: gaps that the tracker leaves in pinches.
         filtered: the fingertip filter's state, of the needed landmarks.
         targets: state of the target policy.
@@ -166,6 +170,7 @@ class SmoothState(NamedTuple):
 
     q: Float[Array, " m"]
     operator: CorrespondenceState | tuple[()]
+    grip: GripState
     gaps: PinchGapState
     filtered: FilterState
     targets: Any
@@ -260,6 +265,7 @@ class Smooth(Method):
         return SmoothState(
             neutral,
             () if is_off(self.config.correspondence.share) else self.correspondence.init(),
+            GripState.open(len(self.hand.fingers)),
             PinchGapState.of(self.hand.fingers, {}),
             FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
@@ -339,7 +345,11 @@ class Smooth(Method):
             operator, moves, _ = self.correspondence.step(
                 operator, aligned, points[at], moves, whole, clock.dt, clock.restart
             )
-            places = operator.places
+            nearness = self.correspondence.pinching(operator, points[at])[1]
+            held = grip(state.grip, points[at], nearness, clock.dt, config.grip, clock.restart)
+            places, moves = operator.places + held.offsets, moves + held.offsets
+            moves = moves - jnp.where(clock.restart, held.offsets, state.grip.offsets)
+            state = state._replace(grip=held)
             corners = jnp.concatenate([places, origin[None]])
             goal_points = points.at[np.array([*at, wrist])].set(corners)
         else:
