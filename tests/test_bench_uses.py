@@ -206,3 +206,17 @@ def test_tables_sort_and_plots_answer_to_the_pointer(chromium, tmp_path):
     dim = "all => all.map(one => one.classList.contains('dim'))"
     assert page.locator("svg .series").evaluate_all(dim) == [True, False, True]
     page.close()
+
+
+def test_empty_cells_have_a_footnote():
+    def row(recording: str, touch: float | None, share: float | None, status: str = "ok") -> Row:
+        metrics = {"pinch_touch_share": touch, "self_collision": {"share": share}}
+        return {"recording": recording, "hand": "bare", "side": "left", "status": status,
+                "metrics": metrics}  # fmt: skip
+
+    assert ranking.footnotes([row("a", 0.5, 0.0), row("a", None, 0.0)]) == []
+    collision, pinches = ranking.footnotes(
+        [row("a", 0.5, None), row("b", None, 0.0), row("c", None, None, "failed")]
+    )
+    assert "self-collision of bare left" in collision
+    assert "touch and deep of b: the human pinches in fewer than 10 frames" in pinches

@@ -37,9 +37,9 @@ from smooth_operator.lab.benchmark.ranking import (
     best,
     by_hand,
     by_panel,
-    collision_footnotes,
     columns,
     failures,
+    footnotes,
     lines_of,
     overall,
     sample_text,
@@ -88,7 +88,7 @@ def print_results(rows: Sequence[Row]) -> None:
         more = counted(hidden, "more column") if hidden else ""
         more = more and f"; {more} in the report, or in a wider terminal"
         console.print(f"* best{more}", style="dim")
-    for footnote in collision_footnotes(rows):
+    for footnote in footnotes(rows):
         console.print(Text(footnote), soft_wrap=True)
     for where, methods, reason in failures(rows):
         console.print(Text(f"failed: {where}, {methods}: {reason}"), soft_wrap=True)

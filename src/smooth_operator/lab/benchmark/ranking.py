@@ -19,6 +19,7 @@ from smooth_operator.lab.benchmark.suite import (
     value_of,
 )
 from smooth_operator.metrics import METRICS, Metric
+from smooth_operator.metrics.pinches import LEAST_PINCHED
 from smooth_operator.metrics.table import plugin_metrics
 
 _BY_NAME: Final = {metric.name: metric for metric in METRICS}
@@ -186,18 +187,28 @@ def failures(rows: Iterable[Row]) -> list[tuple[str, str, str]]:
     return grouped
 
 
-def collision_footnotes(rows: Iterable[Row]) -> list[str]:
-    """Footnotes for empty cells of self-collision: one sentence for each hand not measured."""
-    share = _BY_NAME["self_collision.share"]
+def footnotes(rows: Iterable[Row]) -> list[str]:
+    """Footnotes for empty cells of self-collision and of pinches: one sentence for each hand and
+    each recording not measured."""
+    share, touch = _BY_NAME["self_collision.share"], _BY_NAME["pinch_touch_share"]
+    measured = [row for row in rows if row["status"] == "ok"]
     hands = {
-        f"{row['hand']} {row['side']}": None
-        for row in rows
-        if row["status"] == "ok" and value_of(row, share) is None
+        f"{row['hand']} {row['side']}": None for row in measured if value_of(row, share) is None
     }
+    pinched = {row["recording"] for row in measured if value_of(row, touch) is not None}
+    recordings = dict.fromkeys(row["recording"] for row in measured)
     return [
-        f"– self-collision of {hand}: not measured, since no two of its parts could touch "
-        "each other. It has no rank and no part in the choice of a method."
-        for hand in hands
+        *(
+            f"– self-collision of {hand}: not measured, since no two of its parts could touch "
+            "each other. It has no rank and no part in the choice of a method."
+            for hand in hands
+        ),
+        *(
+            f"– touch and deep of {recording}: the human pinches in fewer than {LEAST_PINCHED} "
+            "frames."
+            for recording in recordings
+            if recording not in pinched
+        ),
     ]
 
 

@@ -271,7 +271,7 @@ def _hand(
         "paper": hand == _PAPER_HAND,
         "verdict": ranking.verdict(lines),
         "rules": ranking.RULES + (mind if count < ranking.FEW else ""),
-        "notes": ranking.collision_footnotes(rows),
+        "notes": ranking.footnotes(rows),
         "trackers": [
             (f"{tracker}: mean over {ranking.sample_text(own)}", overall(own))
             for tracker, own in trackers.items()
