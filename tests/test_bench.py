@@ -47,6 +47,7 @@ from smooth_operator.planning import make_request, plan
 from smooth_operator.plugins import Entry
 from smooth_operator.reporting.report_page import Plots
 from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.synthetic.tracker import tracker_model
 
 # The smallest SBR there is: it compiles in a second.
 TINY = SbrConfig(sampling=SamplingConfig(samples=32, elites=8, cycles=2))
@@ -578,6 +579,8 @@ def test_requests_and_their_settings(tmp_path):
     operator = parse_request("synthetic:7@50hz", rate=60)
     assert (operator.path, operator.seed, operator.rate) == (None, 7, 50.0)
     assert parse_request("synthetic", rate=60).rate is None  # it needs no rate of its own
+    behind = parse_request("synthetic:7@headset,left").operator()
+    assert behind == SyntheticOperator(7, "left", tracker=tracker_model("headset", 7))
     odd = save(tmp_path / "me@home.npz")
     assert parse_request(str(odd)).path == odd
     requests = (f"{odd}@Camera", str(odd), f"{odd}@:9", "synthetic")
