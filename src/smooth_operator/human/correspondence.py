@@ -24,8 +24,6 @@ from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.settings import check_numbers
 
 _SUDDEN: Final = 0.2  # share of a length by which one frame may differ and count in full
-_SETTLED: Final = 1.0  # time after which small differences no longer count [s]
-_SMALL: Final = 0.02  # share of a length that counts as a small difference
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
 _POSES: Final = 256  # random ones, for the thumb's length
 _TINY: Final = 1e-9
@@ -38,7 +36,6 @@ class CorrespondenceConfig:
     Attributes:
         share: how far a fingertip goes from the human's, as the palms are aligned, to its
             counterpart on the robot's finger: 1 all the way; 0 leaves fingertips where they are.
-        longest: greatest gain of a finger, robot length over human length.
         near: distance of thumb and finger, on the robot's scale, under which the vector between
             them is the human's own [m].
         far: distance over which they do not move each other [m].
@@ -53,7 +50,6 @@ class CorrespondenceConfig:
     """
 
     share: float = 1.0
-    longest: float = 2.5
     near: float = 0.012
     far: float = 0.08
     folded: float = 0.35
@@ -66,7 +62,7 @@ class CorrespondenceConfig:
         check_numbers(
             self,
             "correspondence.",
-            positive=("longest", "far", "catch_up", "span"),
+            positive=("far", "catch_up", "span"),
             not_negative=("share", "near", "folded", "thumb_share", "thumb_follows"),
         )
         if not self.near < self.far:
@@ -197,11 +193,8 @@ class Correspondence:
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
     ) -> CorrespondenceState:
-        """The operator after a frame.
-
-        A mean over the time since the start that follows only differences of over 2 % once it has
-        settled; a difference of over 20 % counts as one of 20 %.
-        """
+        """The operator after a frame: running means over the time since the start, for which a
+        difference of over 20 % counts as one of 20 %: it is the tracker's fault."""
         chains = aligned[self._chains]
         bones = jnp.diff(chains, axis=1)
         lengths = jnp.sqrt((bones * bones).sum(-1)).sum(-1)
@@ -209,13 +202,10 @@ class Correspondence:
         time = jnp.where(restart, 0.0, before.time)
         share = jnp.where(finite, dt / (dt + jnp.minimum(time, self.config.span)), 0.0)
         most = jnp.where(time <= 0, jnp.inf, _SUDDEN * before.lengths)  # the first counts in full
-        least = jnp.where(time < _SETTLED, 0.0, _SMALL * before.lengths)
 
         def moved(mean: Array, now: Array) -> Array:
             change = jnp.where(finite[:, None], now - mean, 0.0)
-            size = jnp.sqrt((change * change).sum(-1)) + _TINY
-            counts = jnp.clip(size - least, 0.0, most) / size
-            return mean + (share * counts)[:, None] * change
+            return mean + share[:, None] * _shortened(change, most[:, None])
 
         return before._replace(
             bases=moved(before.bases, chains[:, 0]),
@@ -256,7 +246,7 @@ class Correspondence:
         """
         config = self.config
         bases, reach = (jnp.asarray(part, tips.dtype) for part in self._robot)
-        gain = jnp.minimum(reach / operator.lengths, config.longest)
+        gain = reach / operator.lengths
         alone = bases + gain[:, None] * (tips - operator.bases)
         alone = tips + config.share * (alone - tips)
         gain = 1 + config.share * (gain - 1)
