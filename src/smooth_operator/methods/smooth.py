@@ -86,7 +86,7 @@ class SmoothConfig(ObjectiveMethodConfig):
 
     Attributes:
         alignment: alignment of human landmarks to the palm frame.
-        objective: targets, loss, pose and velocity weight. The velocity weight is that at 100 Hz.
+        objective: targets, loss and pose weight. There is no velocity weight but that of pinches.
         motion_weight: weight of fingertips that move as the human's do, at 100 Hz.
         motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
             with the square of the speed, since a correction of the same size turns a fast motion
@@ -111,7 +111,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     objective: ObjectiveConfig = field(
         default_factory=lambda: ObjectiveConfig(
-            targets=CloseTargets(), pose_weight=0.026, velocity_weight=0.27
+            targets=CloseTargets(), pose_weight=0.026, velocity_weight=0.0
         )
     )
     motion_weight: float = 6000.0
