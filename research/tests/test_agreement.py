@@ -7,8 +7,8 @@ import pytest
 from smooth_operator import Retargeter, assemble_trace, evaluate, load_hand
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 
-MOST = {"mimic_p050": (3.0, 0.0), "allegro_hand": (20.0, 0.02), "wuji_hand": (15.0, 0.08)}
-"""Hand -> largest distance [mm] more than a second after a fault, and share of frames over 3 mm."""
+LEAST = {"wuji_hand": 0.9, "leap_hand": 0.95, "allegro_hand": 0.95}
+"""Hand -> share of frames in which two runs agree from a second after a fault on; .97 for others."""
 
 
 @pytest.mark.parametrize(
@@ -28,10 +28,8 @@ def test_fast_fists_of_a_camera(name, shared, monkeypatch):
 
     recording = shared / "recordings" / "wilor_workspace_21x3.npz"
     source = load_sources([parse_request(f"{recording}@30hz,camera,1100:1700")])[0]
-    largest, share = MOST.get(name, (6.0, 0.01))
-    for fault, (most, over) in looks.fault_rows("smooth", name, source.recording).items():
-        assert most <= largest, fault
-        assert over <= share, fault
+    for fault, (_, share) in looks.fault_rows("smooth", name, source.recording).items():
+        assert fault == "begins later" or share >= LEAST.get(name, 0.97), fault
 
 
 def test_the_fingers_of_leap_do_not_leap(shared):
