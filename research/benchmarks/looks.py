@@ -94,7 +94,7 @@ def panel_of(recording: str, hand: str, traces: Mapping[str, Trace]) -> Panel:
 
 def faulty(recording: HandRecording, fault: str, at: int) -> tuple[HandRecording, int]:
     """The recording with a fault from a frame on, and the first frame after it."""
-    landmarks, valid = recording.landmarks.copy(), recording.valid.copy()
+    landmarks, valid = recording.landmarks.copy(), np.array(recording.valid)
     end = at + {"begins later": 0, "one mirrored frame": 1, "20 frames of the other hand": 20}.get(
         fault, 5
     )
@@ -157,8 +157,8 @@ def print_faults(
         for fault in FAULTS:
             every = [faults[fault] for faults in rows.values() if fault in faults]
             if every:
-                most, share = max(m for m, _ in every), np.mean([s for _, s in every])
-                print(f"| {method} | **all {len(every)}** | {fault} | {most:.1f} | {share:.3f} |")
+                largest, mean = max(m for m, _ in every), np.mean([s for _, s in every])
+                print(f"| {method} | **all {len(every)}** | {fault} | {largest:.1f} | {mean:.3f} |")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
