@@ -114,7 +114,7 @@ def filter_fingertips(
     step = measured - followed
     step = step / (1 + (_lengths(step) / (config.jump + config.jump_speed * dt)) ** 2)
     followed = followed + step
-    left = (_lengths(followed - points) / (config.reach * (before.shake + _TINY))) ** 2
+    left = (_lengths(followed - points) / (config.reach * (before.shake + _TINY))) ** 4
     share = (config.share + left) / (1 + left)
     points = points + share * step
     points = points + dt / (dt + config.settle) * (followed - points)

