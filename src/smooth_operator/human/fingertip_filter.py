@@ -48,8 +48,8 @@ class FingertipFilterConfig:
         jump_speed: what that step grows by with the time between two frames [m/s].
     """
 
-    share: float = 0.3
-    reach: float = 6.0
+    share: float = 0.2
+    reach: float = 3.0
     settle: float = 0.5
     jump: float = 0.06
     jump_speed: float = 1.5

@@ -114,7 +114,7 @@ class SmoothConfig(ObjectiveMethodConfig):
             targets=CloseTargets(), pose_weight=0.026, velocity_weight=0.0
         )
     )
-    motion_weight: float = 6000.0
+    motion_weight: float = 4000.0
     motion_speed: float = 0.05
     pinch_damping: float = 100.0
     spread_weight: float = 1.0
@@ -338,8 +338,7 @@ class Smooth(Method):
         points, tips = filtered.followed, [TIPS[FINGERS.index(f)] for f in self.hand.fingers]
         at, wrist = np.array([self.needs.index(i) for i in tips]), self.needs.index(WRIST)
         whole = steps[at] - steps[wrist]
-        moved = jnp.where(clock.restart, 0.0, filtered.points - state.filtered.points)
-        moves = moved[at] - moved[wrist] if __import__("os").environ.get("DZ") else share[at, None] * whole
+        moves = share[at, None] * whole
         goal_points, operator, speeds = points, state.operator, moves
         origin = jnp.asarray(self.hand.wrist, points.dtype)
         if operator:  # a tuple of arrays; empty without a correspondence
