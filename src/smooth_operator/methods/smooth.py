@@ -79,6 +79,9 @@ has leapt: the tracker was wrong, or is."""
 SETTLED: Final = 0.15
 """Time after a leap at which the past is forgotten [s]."""
 
+PINCH_SHAKE: Final = 1e-3
+"""Shake of a tracker with which ``pinch_damping`` counts in full [m]."""
+
 
 @dataclass(frozen=True)
 class SmoothConfig(ObjectiveMethodConfig):
@@ -92,7 +95,8 @@ class SmoothConfig(ObjectiveMethodConfig):
             with the square of the speed, since a correction of the same size turns a fast motion
             less. 0 leaves it constant.
         pinch_damping: added to the velocity weight of joints that move the thumb or a finger that
-            the targets have latched to it, for fingers that move roll out what they hold. It falls
+            the targets have latched to it, for fingers that move roll out what they hold; of a
+            tracker that shakes by 1 mm, and of others in proportion to their shake. It falls
             as the motion weight does, so that a hand that opens is not held back.
         spread_weight: cost of a long finger that spreads by over 0.2 rad to a side, per squared
             radian beyond.
@@ -114,7 +118,7 @@ class SmoothConfig(ObjectiveMethodConfig):
             targets=CloseTargets(), pose_weight=0.026, velocity_weight=0.0
         )
     )
-    motion_weight: float = 4000.0
+    motion_weight: float = 6000.0
     motion_speed: float = 0.05
     pinch_damping: float = 100.0
     spread_weight: float = 1.0
@@ -388,7 +392,8 @@ class Smooth(Method):
         if latched is not None and not is_off(config.pinch_damping):
             pinching = slow * jnp.concatenate([latched.any()[None], latched])
             damped = (pinching[:, None] * jnp.asarray(self.pose_table.moves)).max(axis=0)
-            velocity = velocity + config.pinch_damping * holds * damped
+            shake = state.filtered.shake / PINCH_SHAKE
+            velocity = velocity + config.pinch_damping * shake * holds * damped
         goal = FrameGoal(targets.vectors, targets.weights, state.q, velocity)
         return goal, motion, policy_state
 
