@@ -300,6 +300,13 @@ def test_latches_are_shown_for_methods_that_have_them():
     )
 
 
+def test_the_distances_where_pinches_close_are_shown():
+    hand = {"mode": "tracking", "latched": None}
+    assert "closes" not in live_texts.modes({"right": {**hand, "closes_at_mm": None}})
+    shown = live_texts.modes({"right": {**hand, "closes_at_mm": {"index": 24.4, "ring": 8.0}}})
+    assert "pinch closes at: index 24, ring 8 mm" in shown
+
+
 def plain(markup: str) -> str:
     return html.unescape(re.sub(r"<[^>]*>", "", markup))
 

@@ -10,8 +10,13 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS, PinchGapEstimate, PinchGapState
+from smooth_operator.lab.offline import execute
 from smooth_operator.landmarks import TIPS
+from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.planning import Plan
+from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.synthetic.tracker import tracker_model
 
 THUMB, INDEX = TIPS[0], TIPS[1]
 OPEN = 0.8  # distance of thumb and index finger of an open hand [palm lengths]
@@ -113,6 +118,21 @@ def test_retargeter_starts_with_known_gaps():
     assert retargeter.pinch_gaps() == pytest.approx({k: MEDIAPIPE[k] for k in hand.fingers[1:]})
     assert Retargeter(hand).pinch_gaps() == {}
     assert Retargeter(hand, method="sbr", pinch_gaps=MEDIAPIPE).pinch_gaps() == {}
+
+
+@pytest.mark.weekly
+@pytest.mark.parametrize("preset", ["teleop", "offline"])
+def test_a_cameras_pinches_close_on_the_robot(preset):
+    camera = tracker_model("camera")
+    human = SyntheticOperator(seed=2, gestures=("pinch_index",), tracker=camera).record(6.0)
+    hand, config = load_hand("mimic_p050"), method_config("smooth", preset)
+    nearest = []
+    for known in (None, MEDIAPIPE):
+        plan = Plan(human, hand, "smooth", preset, config, 0, pinch_gaps=known)
+        tips = hand.tips(execute(plan).commands.joint_positions)
+        nearest.append(np.linalg.norm(tips[:, 1] - tips[:, 0], axis=-1).min())
+    assert nearest[0] > 0.015
+    assert nearest[1] < 0.01
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ import pytest
 from live_time import PATIENCE_S, until
 
 from smooth_operator import Retargeter, load_hand
+from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.errors import ConfigError, SinkError, SourceError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import temporary_spec
 from smooth_operator.teleop import TeleopLoop, read_log, teleoperate
@@ -103,6 +104,22 @@ def test_a_run_is_one_call_from_text_or_objects_to_a_summary(tmp_path, caplog):
     said = [record.message for record in caplog.records]
     assert any(text.startswith("compiling joint_angle for leap_hand right") for text in said)
     assert any("frames in" in text for text in said)
+
+
+def test_an_operators_file_is_made_and_kept(tmp_path):
+    source = build_source("synthetic", "right")
+    camera = type("Camera", (type(source),), {"pinch_gaps": {"index": 0.3}})()
+    path = tmp_path / "anna.json"
+    run = {"operator": path, "duration": 0.3}
+    teleoperate(camera, [Kept()], pinch_gaps="off", **run)
+    assert not path.exists()  # nothing was learnt
+    teleoperate(camera, [Kept()], **run)
+    assert read_operator(path).pinch_gaps == {"index": 0.3}
+    kept = Kept()
+    teleoperate(source, [kept], **run)  # another session, with a tracker that closes pinches
+    assert kept.config["pinch_gaps"] == {"right": {"index": 0.3}}
+    with pytest.raises(ConfigError, match="of a right hand"):
+        teleoperate("synthetic", [Kept()], side="left", **run)
 
 
 def test_another_thread_may_run_and_end_it():
