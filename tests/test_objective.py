@@ -14,8 +14,12 @@ from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import FINGERS, LANDMARKS
 from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.objective.loss import ObjectiveConfig
-from smooth_operator.objective.published import DexPilotTargets, LatchState, PlainTargets
+from smooth_operator.objective.published import (
+    DexPilotTargets,
+    LatchState,
+    ObjectiveConfig,
+    PlainTargets,
+)
 from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.targets import Targets
 from smooth_operator.objective.terms import FrameGoal

@@ -31,8 +31,7 @@ from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.methods.smooth import SmoothConfig
-from smooth_operator.objective.loss import ObjectiveConfig
-from smooth_operator.objective.published import PlainTargets
+from smooth_operator.objective.published import ObjectiveConfig, PlainTargets
 from smooth_operator.planning import make_request
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig

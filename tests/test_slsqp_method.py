@@ -21,7 +21,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.objective.published import ObjectiveConfig
 from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.synthetic import SyntheticOperator

@@ -17,7 +17,8 @@ from smooth_operator.hands.finger_circles import spread_joints
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.methods.method import FrameClock
 from smooth_operator.methods.program import tick_after, ticks_of
-from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.published import ObjectiveConfig
 from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,

@@ -47,12 +47,21 @@ def test_the_constants_of_the_page_are_the_presets():
         thousandth = np.where(" m" in shown, np.abs(values) < np.abs(numbers(shown)) / 100, False)
         np.testing.assert_allclose(np.where(thousandth, 1e3, 1.0) * values, numbers(shown))
         seen |= set(paths)
-    left_out = {"alignment", "sampling", "objective.loss", "objective.transition"}
+    left_out = {"alignment", "objective.transition"}
     rest = {path for path in settings if path not in seen and path.split(".")[0] not in left_out}
     added = "objective.terms"  # of a user, and empty without one
     assert settings[added] == ()
-    none = {"objective.pose_centre", "objective.velocity_loss", added}
+    none = {added}
     assert rest - left_out == none
+
+
+def test_smooth_has_at_most_35_settings():
+    """Numbers, switches and tuples of numbers, nested ones too."""
+    settings = flat(asdict(method_config("smooth")))
+    counted = [
+        path for path, value in settings.items() if isinstance(value, (bool, int, float, tuple))
+    ]
+    assert len(counted) <= 35, counted
 
 
 @pytest.mark.parametrize("method", ["smooth", "sbr"])

@@ -26,8 +26,7 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.io.documents import parse_json
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
-from smooth_operator.objective.loss import ObjectiveConfig
-from smooth_operator.objective.published import PlainTargets
+from smooth_operator.objective.published import ObjectiveConfig, PlainTargets
 from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.types import as_side

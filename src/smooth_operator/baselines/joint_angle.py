@@ -57,8 +57,7 @@ from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.human.palm import PalmAxes, unit_vectors
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS, WRIST
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
-from smooth_operator.objective.loss import ObjectiveConfig
-from smooth_operator.objective.published import PlainTargets
+from smooth_operator.objective.published import ObjectiveConfig, PlainTargets
 from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal
 

@@ -37,8 +37,12 @@ from smooth_operator.landmarks import WRIST
 from smooth_operator.methods.host_method import HostMethod
 from smooth_operator.methods.method import Compiling, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.objective.keyvectors import VectorLayout, tips_of
-from smooth_operator.objective.loss import ObjectiveConfig
-from smooth_operator.objective.published import DexPilotTargets, PlainTargets, StatelessTargets
+from smooth_operator.objective.published import (
+    DexPilotTargets,
+    ObjectiveConfig,
+    PlainTargets,
+    StatelessTargets,
+)
 from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.targets import Targets
 from smooth_operator.objective.terms import FrameGoal

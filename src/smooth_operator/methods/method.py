@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.loss import Objective, TermsConfig
 from smooth_operator.settings import LARGEST, RATE_RANGE_HZ, check_numbers
 
 C = TypeVar("C", bound="MethodConfig")
@@ -200,7 +200,7 @@ class MethodConfig(ABC):
 class ObjectiveMethodConfig(MethodConfig):
     """Settings of a method that minimises Eq. (1): those with a field ``objective``."""
 
-    objective: ObjectiveConfig
+    objective: TermsConfig
     """Targets and weights of Eq. (1)."""
 
     def without_pull(self: C) -> C:

@@ -29,8 +29,8 @@ from smooth_operator.methods.method import (
     TrajectoryMethodConfig,
 )
 from smooth_operator.objective.keyvectors import tips_of
-from smooth_operator.objective.loss import Objective, ObjectiveConfig
-from smooth_operator.objective.published import DexPilotTargets
+from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.published import DexPilotTargets, ObjectiveConfig
 from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.settings import check_numbers, is_off

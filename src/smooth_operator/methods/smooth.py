@@ -45,7 +45,7 @@ from smooth_operator.methods.method import (
     ObjectiveMethodConfig,
     TrajectoryMethodConfig,
 )
-from smooth_operator.objective.loss import Objective, ObjectiveConfig
+from smooth_operator.objective.loss import Objective, TermsConfig
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
@@ -89,7 +89,7 @@ class SmoothConfig(ObjectiveMethodConfig):
 
     Attributes:
         alignment: alignment of human landmarks to the palm frame.
-        objective: targets, loss and pose weight. There is no velocity weight but that of pinches.
+        objective: targets, pose weight, and terms of your own.
         motion_weight: weight of fingertips that move as the human's do, at 100 Hz.
         motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
             with the square of the speed, since a correction of the same size turns a fast motion
@@ -113,11 +113,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
-    objective: ObjectiveConfig = field(
-        default_factory=lambda: ObjectiveConfig(
-            targets=CloseTargets(), pose_weight=0.026, velocity_weight=0.0
-        )
-    )
+    objective: TermsConfig = field(default_factory=TermsConfig)
     motion_weight: float = 6000.0
     motion_speed: float = 0.05
     pinch_damping: float = 100.0
@@ -382,7 +378,7 @@ class Smooth(Method):
         targets, policy_state = config.objective.targets(state.targets, layout, human)
         # the further apart two frames are, the less they hold each other
         holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
-        velocity = config.objective.velocity_weight * holds
+        velocity = jnp.zeros(len(self.hand.neutral), points.dtype)
         slow = jnp.ones(len(moves), points.dtype)
         if not is_off(config.motion_speed):
             speed = jnp.sqrt((moves * moves).sum(-1) + 1e-18) / clock.dt
@@ -393,7 +389,7 @@ class Smooth(Method):
             pinching = slow * jnp.concatenate([latched.any()[None], latched])
             damped = (pinching[:, None] * jnp.asarray(self.pose_table.moves)).max(axis=0)
             shake = state.filtered.shake / PINCH_SHAKE
-            velocity = velocity + config.pinch_damping * shake * holds * damped
+            velocity = config.pinch_damping * shake * holds * damped
         goal = FrameGoal(targets.vectors, targets.weights, state.q, velocity)
         return goal, motion, policy_state
 

@@ -12,7 +12,7 @@ import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,61 +26,47 @@ from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.objective.keyvectors import VectorLayout
-from smooth_operator.objective.targets import TargetPolicy
+from smooth_operator.objective.targets import CloseTargets, TargetPolicy
 from smooth_operator.objective.terms import (
     FrameGoal,
     JointTerm,
     Keyvectors,
-    Loss,
     PointTerm,
     Pull,
     Quadratic,
     RobotVectors,
     Term,
 )
-from smooth_operator.settings import check_choice, check_numbers
-
-
-def _published_targets() -> TargetPolicy[Any, Any]:
-    from smooth_operator.objective.published import DexPilotTargets  # not of ``smooth``
-
-    return DexPilotTargets()
+from smooth_operator.settings import check_numbers
 
 
 @dataclass(frozen=True)
-class ObjectiveConfig:
-    """Weights of Eq. (1).
+class TermsConfig:
+    """Settings of an objective: those of ``smooth``; ``ObjectiveConfig`` has all of Eq. (1).
 
     Attributes:
-        targets: the target policy; by default DexPilot's, as the paper's table has it.
-        loss: ``smooth_l1`` per component, as in the authors' released code and in the figures of
-            the paper; ``squared``, as Eq. (1) is printed; or ``smooth_l1_norm``, smooth-L1 of the
-            weight times the length of the error, as in "Analyzing Key Objectives" (AKO).
+        targets: the target policy.
         transition: where smooth-L1 turns from quadratic to linear [m].
-        pose_weight: lambda_reg (gamma of the paper's table), pull to a pose.
-        pose_centre: that pose: the hand's ``neutral`` pose, or ``zero`` angles.
-        velocity_weight: lambda_vel (w_v of the table), penalty on the change of the command.
-        velocity_loss: ``squared``, the weight times the squared change, as in Eq. (1); or
-            ``smooth_l1``, smooth-L1 of the weight times the change of each joint, as in AKO, with
-            the same ``transition`` [rad].
+        pose_weight: lambda_reg (gamma of the paper's table), pull to the neutral pose.
         terms: more terms, which are built for the hand.
     """
 
-    targets: TargetPolicy[Any, Any] = field(default_factory=_published_targets)
-    loss: Loss = "smooth_l1"
+    targets: TargetPolicy[Any, Any] = field(default_factory=CloseTargets)
     transition: float = 0.02
-    pose_weight: float = 0.05
-    pose_centre: Literal["neutral", "zero"] = "neutral"
-    velocity_weight: float = 0.1
-    velocity_loss: Literal["squared", "smooth_l1"] = "squared"
+    pose_weight: float = 0.026
     terms: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
-        check_choice(self, "loss", get_args(Loss))
-        check_choice(self, "pose_centre", ("neutral", "zero"))
-        check_choice(self, "velocity_loss", ("squared", "smooth_l1"))
-        weights = ("pose_weight", "velocity_weight")
-        check_numbers(self, positive=("transition",), not_negative=weights)
+        check_numbers(self, positive=("transition",), not_negative=("pose_weight",))
+
+    def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
+        """First term of Eq. (1)."""
+        return Keyvectors(vectors, self.transition)
+
+    def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
+        """Second and third term of Eq. (1), of a hand's neutral pose [rad]."""
+        pose = Pull(lambda _: (self.pose_weight, neutral))
+        return pose, Pull(lambda goal: (goal.velocity_weight, goal.previous))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +80,7 @@ class Objective:
     """
 
     hand: Hand
-    config: ObjectiveConfig
+    config: TermsConfig
     more: tuple[PointTerm | JointTerm, ...] = ()
 
     @cached_property
@@ -120,12 +106,7 @@ class Objective:
     @cached_property
     def keyvectors(self) -> Keyvectors:
         """First term of Eq. (1)."""
-        vectors, loss = RobotVectors(self.hand, self.layout), self.config.loss
-        if loss == "smooth_l1":
-            return Keyvectors(vectors, self.config.transition)
-        from smooth_operator.objective.published import KEYVECTORS  # not of ``smooth``
-
-        return KEYVECTORS[loss](vectors, self.config.transition)
+        return self.config.keyvectors(RobotVectors(self.hand, self.layout))
 
     @cached_property
     def point_terms(self) -> tuple[PointTerm, ...]:
@@ -136,17 +117,8 @@ class Objective:
     @cached_property
     def joint_terms(self) -> tuple[JointTerm, ...]:
         """Terms of joints: neutral pose, velocity, then the method's and the preset's own."""
-        neutral: np.ndarray = self.hand.neutral
-        centre = neutral if self.config.pose_centre == "neutral" else np.zeros_like(neutral)
-        weight = self.config.pose_weight
-        pose = Pull(lambda _: (weight, centre))
-        velocity: JointTerm = Pull(lambda goal: (goal.velocity_weight, goal.previous))
-        if self.config.velocity_loss == "smooth_l1":
-            from smooth_operator.objective.published import SmoothL1Velocity  # of AKO alone
-
-            velocity = SmoothL1Velocity(self.config.transition)
         own = (term for term in self._own if isinstance(term, JointTerm))
-        return (pose, velocity, *own)
+        return (*self.config.pulls(self.hand.neutral), *own)
 
     @cached_property
     def _own(self) -> tuple[Term, ...]:

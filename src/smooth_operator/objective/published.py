@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
 
 import jax
 import jax.numpy as jnp
@@ -14,18 +14,23 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind
 from smooth_operator.objective.keyvectors import KeyvectorLayout
+from smooth_operator.objective.loss import TermsConfig
 from smooth_operator.objective.targets import LayoutT, TargetPolicy, Targets, base_weights
 from smooth_operator.objective.terms import (
     TINY_AREA,
     FrameGoal,
     JointTerm,
     Keyvectors,
-    Loss,
+    RobotVectors,
     VectorSlopes,
     smooth_l1,
     smooth_l1_slopes,
 )
-from smooth_operator.settings import check_numbers
+from smooth_operator.settings import check_choice, check_numbers
+
+Loss: TypeAlias = Literal["smooth_l1", "squared", "smooth_l1_norm"]
+"""``smooth_l1``: weight times smooth-L1 of each component; ``squared``: weight times the square of
+each; ``smooth_l1_norm``: smooth-L1 of the weight times the length of the error."""
 
 
 class StatelessTargets(TargetPolicy[LayoutT, tuple[()]]):
@@ -237,3 +242,49 @@ class SmoothL1Velocity(JointTerm):
         weight = goal.velocity_weight
         first, second = smooth_l1_slopes(weight * (q - goal.previous), self.transition)
         return weight * first, weight**2 * second
+
+
+@dataclass(frozen=True)
+class ObjectiveConfig(TermsConfig):
+    """Weights of Eq. (1).
+
+    Attributes:
+        targets: the target policy; by default DexPilot's, as the paper's table has it.
+        transition: where smooth-L1 turns from quadratic to linear [m].
+        pose_weight: lambda_reg (gamma of the paper's table), pull to a pose.
+        terms: more terms, which are built for the hand.
+        loss: ``smooth_l1`` per component, as in the authors' released code and in the figures of
+            the paper; ``squared``, as Eq. (1) is printed; or ``smooth_l1_norm``, smooth-L1 of the
+            weight times the length of the error, as in "Analyzing Key Objectives" (AKO).
+        pose_centre: that pose: the hand's ``neutral`` pose, or ``zero`` angles.
+        velocity_weight: lambda_vel (w_v of the table), penalty on the change of the command.
+        velocity_loss: ``squared``, the weight times the squared change, as in Eq. (1); or
+            ``smooth_l1``, smooth-L1 of the weight times the change of each joint, as in AKO, with
+            the same ``transition`` [rad].
+    """
+
+    targets: TargetPolicy[Any, Any] = field(default_factory=DexPilotTargets)
+    pose_weight: float = 0.05
+    loss: Loss = "smooth_l1"
+    pose_centre: Literal["neutral", "zero"] = "neutral"
+    velocity_weight: float = 0.1
+    velocity_loss: Literal["squared", "smooth_l1"] = "squared"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice(self, "loss", get_args(Loss))
+        check_choice(self, "pose_centre", ("neutral", "zero"))
+        check_choice(self, "velocity_loss", ("squared", "smooth_l1"))
+        check_numbers(self, not_negative=("velocity_weight",))
+
+    def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
+        """First term of Eq. (1), with the penalty of the settings."""
+        return KEYVECTORS[self.loss](vectors, self.transition)
+
+    def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
+        """Second and third term of Eq. (1), of a hand's neutral pose [rad]."""
+        centre = neutral if self.pose_centre == "neutral" else np.zeros_like(neutral)
+        pose, velocity = super().pulls(centre)
+        if self.velocity_loss == "smooth_l1":
+            velocity = SmoothL1Velocity(self.transition)
+        return pose, velocity

@@ -18,11 +18,14 @@ from jaxtyping import Array, Float
 from smooth_operator.hands.kinematics import Vector
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.objective.loss import Objective
+from smooth_operator.objective.published import ObjectiveConfig
 from smooth_operator.objective.terms import FrameGoal, Keyvectors, PointTerm, Pull
 
 
 class SampledObjective(Objective):
-    """``Objective`` for many poses; the batch comes last."""
+    """``Objective`` of Eq. (1) for many poses; the batch comes last."""
+
+    config: ObjectiveConfig
 
     def tracking(self, q: Sequence[Array], goal: FrameGoal, *, within_limits: bool = True) -> Array:
         """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H).

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeAlias, TypeVar
+from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -27,10 +27,6 @@ from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.objective.keyvectors import KeyvectorLayout, VectorLayout
 
 T = TypeVar("T", bound="Term")
-
-Loss: TypeAlias = Literal["smooth_l1", "squared", "smooth_l1_norm"]
-"""``smooth_l1``: weight times smooth-L1 of each component; ``squared``: weight times the square of
-each; ``smooth_l1_norm``: smooth-L1 of the weight times the length of the error."""
 
 TINY_AREA: Final = 1e-12
 """Added to the square of a length, so that its root has a derivative at 0 [m^2]."""

@@ -20,7 +20,7 @@ from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.lab.benchmark.suite import check_folder as check_benchmark_folder
 from smooth_operator.lab.offline.finished import read_configuration
-from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.objective.published import ObjectiveConfig
 from smooth_operator.parallel import TaskResult
 from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import (

@@ -30,7 +30,7 @@ from smooth_operator.lab.benchmark.quality import Watch
 from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
-from smooth_operator.objective.loss import ObjectiveConfig
+from smooth_operator.objective.published import ObjectiveConfig
 from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.targets import Targets
 from smooth_operator.objective.terms import FrameGoal
