@@ -262,7 +262,7 @@ def descents() -> Iterator[tuple[Retargeter, list[int]]]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(smooth_module, "damped_newton", counted)
-        config = replace(SMOOTH_TELEOP, rate_hz=101.0)  # a program of its own
+        config = replace(SMOOTH_TELEOP, motion_speed=0.051)  # a program of its own
         retargeter = Retargeter("leap_hand", config=config, cache=False)
         retargeter.warm_up()
         yield retargeter, steps
@@ -373,7 +373,7 @@ def test_a_pinch_closes(smooth, hand):
 
 @pytest.mark.parametrize(
     "bad",
-    [{"motion_weight": -1.0}, {"rate_hz": 0.0}, {"gap": -1.0}],
+    [{"motion_weight": -1.0}, {"motion_speed": -1.0}],
     ids=lambda bad: next(iter(bad)),
 )
 def test_settings_are_checked(bad):

@@ -161,7 +161,7 @@ def problem(
     )
     direction_length = DirectionLengthConfig(*((1.5, 3.0) if held else (0.0, 0.0)), 0.002, 0.04)
     more = (
-        FingertipMotion(hand, config.transition),
+        FingertipMotion(hand),
         DirectionLength(eq_1.keyvectors.vectors, direction_length),
         SelfCollision(hand, SelfCollisionConfig(self_collision, margin=0.002)),
     )
@@ -419,7 +419,7 @@ def test_no_gap_counts_as_a_short_one():
 
 def test_a_clock_of_frames_believes_stamps_at_every_rate():
     def dt(ticks: int, frames: int = 5) -> float:
-        clock = FrameClock.of(np.uint32(ticks), np.uint32(frames), 100.0, 0.25)
+        clock = FrameClock.of(np.uint32(ticks), np.uint32(frames))
         return float(clock.dt)
 
     for ticks in (500, 600, 999, 1000, 1001, 8000):  # 2 kHz is the fastest tracker

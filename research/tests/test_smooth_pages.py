@@ -47,7 +47,7 @@ def test_the_constants_of_the_page_are_the_presets():
         thousandth = np.where(" m" in shown, np.abs(values) < np.abs(numbers(shown)) / 100, False)
         np.testing.assert_allclose(np.where(thousandth, 1e3, 1.0) * values, numbers(shown))
         seen |= set(paths)
-    left_out = {"alignment", "objective.transition"}
+    left_out = {"alignment"}
     rest = {path for path in settings if path not in seen and path.split(".")[0] not in left_out}
     added = "objective.terms"  # of a user, and empty without one
     assert settings[added] == ()

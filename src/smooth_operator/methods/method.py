@@ -320,6 +320,14 @@ _SHORTEST: Final = 0.5 / RATE_RANGE_HZ[1]
 bunch count as this far apart."""
 
 
+USUAL_RATE: Final = 100.0
+"""Rate that is assumed where stamps stand still [Hz]."""
+
+LONGEST_GAP: Final = 0.25
+"""Longest time between frames that counts as motion [s]; after a longer one the last answer no
+longer counts."""
+
+
 class FrameClock(NamedTuple):
     """Time since the last frame.
 
@@ -336,20 +344,16 @@ class FrameClock(NamedTuple):
         cls,
         passed: UInt32[Array, ""],
         frames: UInt32[Array, ""],
-        rate_hz: float,
-        gap: float,
     ) -> FrameClock:
         """Time of a frame; traceable.
 
         Args:
             passed: ticks since the last one, in microseconds modulo 2^32.
             frames: number of frames before it.
-            rate_hz: rate that is assumed where stamps stand still.
-            gap: longest time between frames that counts as motion [s].
         """
         elapsed = passed.astype(jnp.int32) * 1e-6
         # a stamp that goes back belongs to another recording
-        restart = (frames == 0) | (elapsed > gap) | (elapsed < 0)
+        restart = (frames == 0) | (elapsed > LONGEST_GAP) | (elapsed < 0)
         stamped = (passed > 0) & ~restart
-        dt = jnp.where(stamped, jnp.maximum(elapsed, _SHORTEST), 1 / rate_hz).astype(jnp.float32)
+        dt = jnp.where(stamped, jnp.maximum(elapsed, _SHORTEST), 1 / USUAL_RATE).astype(jnp.float32)
         return cls(dt, restart)

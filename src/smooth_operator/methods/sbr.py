@@ -38,11 +38,6 @@ from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.random_words import frame_key, seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
 
-_RATE: Final = 100.0
-"""Rate that is assumed where stamps stand still [Hz]."""
-_GAP: Final = 0.25
-"""Longest time between frames that counts as motion [s]."""
-
 
 @dataclass(frozen=True)
 class SbrConfig(ObjectiveMethodConfig):
@@ -217,7 +212,7 @@ class Sbr(Method):
         before = state.operator
         if not before:  # a tuple of arrays; empty without a correspondence
             return aligned, ()
-        clock = FrameClock.of(now - before.ticks, state.frames, _RATE, _GAP)
+        clock = FrameClock.of(now - before.ticks, state.frames)
         at = np.array(tips_of(self.hand.fingers))
         tips = aligned[at]
         steps = jnp.where(clock.restart, 0.0, tips - before.tips)

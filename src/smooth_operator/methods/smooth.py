@@ -108,8 +108,6 @@ class SmoothConfig(ObjectiveMethodConfig):
         fingertips: filter of the human's fingertips.
         polish: Newton steps of a descent, at most. Most frames need two to four; where fingers
             touch and close fast, those that stop early end far from each other.
-        rate_hz: rate that is assumed where stamps stand still.
-        gap: after a longer gap in the stamps [s] the last answer no longer counts.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -130,13 +128,10 @@ class SmoothConfig(ObjectiveMethodConfig):
             damping=(0.0, 1.0, 30.0, 1000.0, 30000.0),
         )
     )
-    rate_hz: float = 100.0
-    gap: float = 0.25
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            positive=("rate_hz", "gap"),
             not_negative=("motion_weight", "motion_speed", "pinch_damping", "spread_weight"),
         )
 
@@ -229,7 +224,7 @@ class Smooth(Method):
     @cached_property
     def motion(self) -> FingertipMotion:
         """The term of fingertip motion."""
-        return FingertipMotion(self.hand, self.config.objective.transition)
+        return FingertipMotion(self.hand)
 
     @cached_property
     def closing(self) -> PinchGapEstimate:
@@ -328,7 +323,7 @@ class Smooth(Method):
     ) -> _Observed:
         """The landmarks of a frame, filtered, and what they ask."""
         config = self.config
-        clock = FrameClock.of(now - state.ticks, state.frames, config.rate_hz, config.gap)
+        clock = FrameClock.of(now - state.ticks, state.frames)
         gaps, closed = self.closing.step(state.gaps, aligned, clock.dt, clock.restart)
         measured = closed[np.array(self.needs)]
         filtered, share = filter_fingertips(

@@ -28,6 +28,7 @@ from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.objective.keyvectors import VectorLayout
 from smooth_operator.objective.targets import CloseTargets, TargetPolicy
 from smooth_operator.objective.terms import (
+    TRANSITION,
     FrameGoal,
     JointTerm,
     Keyvectors,
@@ -46,22 +47,20 @@ class TermsConfig:
 
     Attributes:
         targets: the target policy.
-        transition: where smooth-L1 turns from quadratic to linear [m].
         pose_weight: lambda_reg (gamma of the paper's table), pull to the neutral pose.
         terms: more terms, which are built for the hand.
     """
 
     targets: TargetPolicy[Any, Any] = field(default_factory=CloseTargets)
-    transition: float = 0.02
     pose_weight: float = 0.026
     terms: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
-        check_numbers(self, positive=("transition",), not_negative=("pose_weight",))
+        check_numbers(self, not_negative=("pose_weight",))
 
     def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
         """First term of Eq. (1)."""
-        return Keyvectors(vectors, self.transition)
+        return Keyvectors(vectors, TRANSITION)
 
     def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
         """Second and third term of Eq. (1), of a hand's neutral pose [rad]."""

@@ -18,6 +18,7 @@ from smooth_operator.objective.loss import TermsConfig
 from smooth_operator.objective.targets import LayoutT, TargetPolicy, Targets, base_weights
 from smooth_operator.objective.terms import (
     TINY_AREA,
+    TRANSITION,
     FrameGoal,
     JointTerm,
     Keyvectors,
@@ -250,9 +251,9 @@ class ObjectiveConfig(TermsConfig):
 
     Attributes:
         targets: the target policy; by default DexPilot's, as the paper's table has it.
-        transition: where smooth-L1 turns from quadratic to linear [m].
         pose_weight: lambda_reg (gamma of the paper's table), pull to a pose.
         terms: more terms, which are built for the hand.
+        transition: where smooth-L1 turns from quadratic to linear [m].
         loss: ``smooth_l1`` per component, as in the authors' released code and in the figures of
             the paper; ``squared``, as Eq. (1) is printed; or ``smooth_l1_norm``, smooth-L1 of the
             weight times the length of the error, as in "Analyzing Key Objectives" (AKO).
@@ -265,6 +266,7 @@ class ObjectiveConfig(TermsConfig):
 
     targets: TargetPolicy[Any, Any] = field(default_factory=DexPilotTargets)
     pose_weight: float = 0.05
+    transition: float = TRANSITION
     loss: Loss = "smooth_l1"
     pose_centre: Literal["neutral", "zero"] = "neutral"
     velocity_weight: float = 0.1
@@ -275,7 +277,7 @@ class ObjectiveConfig(TermsConfig):
         check_choice(self, "loss", get_args(Loss))
         check_choice(self, "pose_centre", ("neutral", "zero"))
         check_choice(self, "velocity_loss", ("squared", "smooth_l1"))
-        check_numbers(self, not_negative=("velocity_weight",))
+        check_numbers(self, positive=("transition",), not_negative=("velocity_weight",))
 
     def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
         """First term of Eq. (1), with the penalty of the settings."""

@@ -18,6 +18,7 @@ from smooth_operator.hands.differential import PointKinematics, contracted
 from smooth_operator.hands.finger_circles import spread_joints
 from smooth_operator.hands.hand import Hand
 from smooth_operator.objective.terms import (
+    TRANSITION,
     FrameGoal,
     JointTerm,
     PointTerm,
@@ -26,9 +27,6 @@ from smooth_operator.objective.terms import (
     VectorTerm,
 )
 from smooth_operator.settings import check_numbers, is_off
-
-TRANSITION: Final = 0.02
-"""That of the keyvectors' smooth-L1 [m], so that weights compare."""
 
 _SHORT: Final = 0.002
 """Length by which a vector is rounded, since a vector of length 0 has no direction [m]."""
@@ -45,11 +43,9 @@ class FingertipMotion(PointTerm):
 
     Attributes:
         hand: the robot hand.
-        transition: beta, that of the keyvectors' smooth-L1, so that weights compare [m].
     """
 
     hand: Hand
-    transition: float
 
     def points(self) -> tuple[str, ...]:
         """Fingertips, thumb first."""
@@ -63,7 +59,7 @@ class FingertipMotion(PointTerm):
             raise ValueError(
                 "the term of fingertip motion needs a goal with tips and their weights"
             )
-        weights = jnp.repeat(goal.motion_weights / self.transition, 3)
+        weights = jnp.repeat(goal.motion_weights / TRANSITION, 3)
         error = points - goal.tips
         return Quadratic(
             0.5 * (weights * (error * error).reshape(-1)).sum(),

@@ -28,6 +28,10 @@ from smooth_operator.objective.keyvectors import KeyvectorLayout, VectorLayout
 
 T = TypeVar("T", bound="Term")
 
+TRANSITION: Final = 0.02
+"""Where the keyvectors' smooth-L1 turns from quadratic to linear [m]; quadratic terms divide their
+weights by it, so that all weights compare."""
+
 TINY_AREA: Final = 1e-12
 """Added to the square of a length, so that its root has a derivative at 0 [m^2]."""
 
