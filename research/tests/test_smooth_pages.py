@@ -64,6 +64,17 @@ def test_smooth_has_at_most_35_settings():
     assert len(counted) <= 35, counted
 
 
+def test_the_equations_take_at_most_60_lines():
+    text = (
+        PAGE.read_text(encoding="utf-8")
+        .split("## Equations", 1)[1]
+        .split("**Why these terms", 1)[0]
+    )
+    lines = [line for line in text.splitlines() if line]
+    assert len(lines) <= 60
+    assert max(map(len, lines)) <= 280
+
+
 @pytest.mark.parametrize("method", ["smooth", "sbr"])
 def test_the_constants_of_the_offline_presets_are_the_pages(method):
     config = method_config(method, "offline")
