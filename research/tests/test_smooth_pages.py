@@ -1,7 +1,10 @@
 """The constants on the pages about ``smooth`` are those of its presets."""
 
+import ast
 import hashlib
+import io
 import re
+import tokenize
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -62,6 +65,41 @@ def test_smooth_has_at_most_35_settings():
         path for path, value in settings.items() if isinstance(value, (bool, int, float, tuple))
     ]
     assert len(counted) <= 35, counted
+
+
+MOST_LINES = 1800
+"""2,160 on 2026-11-27, without pinch gaps (102) and grip (36), which are new since."""
+
+A_FRAME = (
+    "human/alignment", "human/palm", "human/pinch_gaps", "human/fingertip_filter",
+    "human/correspondence", "human/grip", "objective/targets", "objective/keyvectors",
+    "objective/terms", "objective/smooth_terms", "objective/loss", "objective/straight_fingers",
+    "hands/differential", "hands/pose_table", "solvers/newton", "methods/method", "methods/smooth",
+    "methods/frame", "methods/program",
+)  # fmt: skip
+"""Modules that a frame of ``smooth`` passes from landmarks to command."""
+
+
+def lines_of_code(text: str) -> int:
+    """Lines without blank ones, comments, docstrings and imports."""
+    idle = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
+    lines: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in (*idle, tokenize.ENDMARKER):
+            lines |= set(range(token.start[0], token.end[0] + 1))
+    for node in ast.walk(ast.parse(text)):
+        said = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        if isinstance(node, ast.Import | ast.ImportFrom) or (
+            said and isinstance(node.value.value, str)
+        ):
+            lines -= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    return len(lines)
+
+
+def test_a_frame_takes_no_more_code_than_it_did():
+    source = ROOT / "src" / "smooth_operator"
+    count = {name: lines_of_code((source / f"{name}.py").read_text("utf-8")) for name in A_FRAME}
+    assert sum(count.values()) <= MOST_LINES, count
 
 
 def test_the_equations_take_at_most_60_lines():
