@@ -1,12 +1,13 @@
 """What posture, directions of the thumb, motion and stillness cost each other, by setting.
 
-    python research/benchmarks/fronts.py RECORDING... [--still GLOVE...] [--hands leap_hand...]
-        [--output FOLDER]
+    python research/benchmarks/fronts.py [RECORDING...] [--still RECORDING...]
+        [--hands leap_hand...] [--output FOLDER]
 
 Each curve is one setting of the default method, the others as they are; each point is the mean over
-the recordings, one recording one unit. ``--still``: recordings for flatness (the first panel of two
-trackers can't be compared by it). ``--hands``: the same front between ``smooth:precise`` and
-``smooth`` by ``correspondence.share``, on other hands. Prints tables and draws ``fronts.svg``.
+the recordings, one recording one unit. ``--still``: recordings with rests, for the front of shake
+at rest and motion, drawn as ``stillness.svg``. ``--hands``: the front between ``smooth:precise``
+and ``smooth`` by ``correspondence.share``, on other hands. Prints tables, and draws ``fronts.svg``
+if recordings are given for posture.
 """
 
 from __future__ import annotations
@@ -31,19 +32,17 @@ from smooth_operator.types import HandRecording
 PLACES: Final[Mapping[str, Sequence[float]]] = {
     "correspondence.share": (0.0, 0.4, 0.7, 0.85, 1.0),
     "correspondence.thumb_follows": (0.0, 0.1, 0.3, 1.0),
-    "objective.targets.w_thumb": (4.0, 8.0, 20.0),
     "pinch_damping": (0.0, 30.0, 100.0, 300.0),
     "direction_length.direction": (1.0, 1.5, 1.9, 3.0, 6.0),
 }
 """Setting -> values that trade posture for directions of the thumb."""
 STILLNESS: Final[Mapping[str, Sequence[float]]] = {
     "fingertips.share": (0.1, 0.2, 0.3, 0.5, 1.0),
-    "fingertips.reach": (3.0, 6.0, 12.0),
-    "objective.velocity_weight": (0.0, 0.27, 1.0, 3.0, 10.0),
+    "fingertips.reach": (1.5, 3.0, 5.0, 8.0),
     "motion_weight": (1500.0, 3000.0, 6000.0, 12000.0),
-    "motion_speed": (0.02, 0.05, 0.1, 0.3),
+    "motion_speed": (0.02, 0.05, 0.1),
 }
-"""Setting -> values that trade motion for flatness."""
+"""Setting -> values that trade motion for stillness."""
 
 
 def row(
@@ -78,12 +77,12 @@ def front(
 
 def draw_front(
     ax: Any, curves: Mapping[str, np.ndarray], sweep: Mapping[str, Sequence[float]],
-    x: str, y: str, factor: float = 1.0,
+    x: str, y: str,
 ) -> None:  # fmt: skip
     """One curve a setting, each point with its value; the axes are two of the metrics."""
     columns = [list(COLUMNS.values()).index(name) for name in (x, y)]
     for name, means in curves.items():
-        points = means[:, columns] * (factor, 1.0)
+        points = means[:, columns]
         ax.plot(*points.T, marker="o", ms=4, label=name.rpartition(".")[2])
         for value, point in zip(sweep.get(name, ()), points, strict=False):
             ax.annotate(f"{value:g}", point, (3, 3), textcoords="offset points", size=6)
@@ -94,7 +93,7 @@ def draw_front(
 def main(arguments: Sequence[str] | None = None) -> None:
     """Prints the tables and draws the picture."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("recordings", nargs="+")
+    parser.add_argument("recordings", nargs="*", default=())
     parser.add_argument("--still", nargs="+", default=())
     parser.add_argument("--hand", default="mimic_p050")
     parser.add_argument("--hands", nargs="*", default=())
@@ -102,21 +101,35 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     recordings, still = (
         [s.recording for s in load_sources([parse_request(t) for t in texts]) if s.recording]
+        if texts
+        else []
         for texts in (options.recordings, options.still)
     )
+    from matplotlib.figure import Figure
+
+    options.output.mkdir(parents=True, exist_ok=True)
+    if still:
+        curves = front(options.hand, STILLNESS, still)
+        with styled():
+            drawn = Figure(figsize=(4.5, 3.8), layout="constrained")
+            draw_front(drawn.subplots(), curves, STILLNESS, "shake", "motion")
+            (ax,) = drawn.axes
+            ax.axvline(0.7, color=INK, lw=0.5, ls=":")
+            ax.axhline(0.92, color=INK, lw=0.5, ls=":")
+            ax.set(xlabel="shake at rest, robot / human", ylabel="motion preservation")
+            write_figure(drawn, options.output / "stillness")
+    if not recordings:
+        return
     share = {"correspondence.share": PLACES["correspondence.share"]}
     places = front(options.hand, PLACES, recordings)
-    stillness = front(options.hand, STILLNESS, still) if still else {}
     hands, precise = {}, {}
     for hand in options.hands:
         hands[hand] = front(hand, share, recordings)["correspondence.share"]
         precise[hand] = np.array(row(hand, {}, recordings, "precise"))
         print("| `smooth:precise` | | " + " | ".join(f"{x:.3g}" for x in precise[hand]) + " |")
-    from matplotlib.figure import Figure
-
     with styled():
-        drawn = Figure(figsize=(12.0, 3.8), layout="constrained")
-        one, two, three = drawn.subplots(1, 3)
+        drawn = Figure(figsize=(8.0, 3.8), layout="constrained")
+        one, two = drawn.subplots(1, 2)
         draw_front(one, places, PLACES, "extension", "thumb cos")
         one.axvline(0.04, color=INK, lw=0.5, ls=":")
         one.axhline(0.97, color=INK, lw=0.5, ls=":")
@@ -127,11 +140,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for line, means in zip(two.get_lines(), precise.values(), strict=True):
             two.plot(*means[columns], "s", ms=6, color=line.get_color())
         two.set(xlabel="extension error", ylabel="thumb cosine", title="by share; square: precise")
-        draw_front(three, stillness, STILLNESS, "flatness", "motion", 1e6)
-        three.axvline(1.5, color=INK, lw=0.5, ls=":")
-        three.axhline(0.92, color=INK, lw=0.5, ls=":")
-        three.set(xlabel="flatness [1e-6 m²]", ylabel="motion preservation", title="glove 0-499")
-        options.output.mkdir(parents=True, exist_ok=True)
         write_figure(drawn, options.output / "fronts")
 
 
