@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from smooth_operator import AlignmentConfig
 from smooth_operator.methods import Method, MethodOutput, ObjectiveMethodConfig
-from smooth_operator.objective import FrameGoal, Objective, ObjectiveConfig
+from smooth_operator.objective import FrameGoal, ObjectiveConfig, SampledObjective
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Descent(Method):
 
     @cached_property
     def objective(self):
-        return Objective(self.hand, self.config.objective)
+        return SampledObjective(self.hand, self.config.objective)
 
     @property
     def needs(self):
