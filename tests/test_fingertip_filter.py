@@ -21,16 +21,16 @@ RATES = [10.0, 30.0, 100.0, 500.0]
 def play(
     path: np.ndarray, rate: float, config: FingertipFilterConfig = CONFIG
 ) -> tuple[FilterState, np.ndarray]:
-    """States after each frame of a (T, n, 3) path, and the (T, n) shares that were followed."""
+    """States after each frame of a (T, n, 3) path, and the (T, n, 3) steps of the points."""
 
     def frame(state: FilterState, given: Any) -> Any:
-        after, share = filter_fingertips(state, given[0], 1 / rate, config, given[1])
-        return after, (after, share)
+        after, moved = filter_fingertips(state, given[0], 1 / rate, config, given[1])
+        return after, (after, moved)
 
     first = jnp.arange(len(path)) == 0
     start = FilterState.unseen(path.shape[1])
-    _, (states, shares) = jax.lax.scan(frame, start, (jnp.asarray(path, jnp.float32), first))
-    return states, np.asarray(shares)
+    _, (states, steps) = jax.lax.scan(frame, start, (jnp.asarray(path, jnp.float32), first))
+    return states, np.asarray(steps)
 
 
 def shaken(seconds: float, rate: float, size: float = 5e-4, lasts: float = 0.08) -> np.ndarray:
@@ -61,12 +61,13 @@ def test_a_hand_at_rest_shakes_less_at_any_rate(rate):
 def test_motion_is_followed_without_delay_or_stopping(rate):
     """A shaking hand rests, and then moves steadily."""
     t = np.arange(int(20 * rate)) / rate
-    for speed, least in ((0.01, 0.35), (0.03, 0.6), (0.3, 0.85)):
+    for speed in (0.01, 0.03, 0.3):
         path = shaken(20.0, rate)
         path[..., 0] += speed * np.clip(t - 10, 0, None)[:, None]
-        states, shares = play(path, rate)
-        assert shares[(t > 5) & (t < 10)].mean() < 0.5
-        assert shares[t > 11].mean() > least
+        states, steps = play(path, rate)
+        resting = (t > 5) & (t < 10)
+        assert rms(steps[resting]) < 0.6 * rms(np.diff(path, axis=0)[resting[1:]])
+        assert steps[t > 12, :, 0].mean() == pytest.approx(speed / rate, rel=0.1)
         points = np.asarray(states.points)[..., 0].mean(axis=1)[t > 12]
         paces = np.diff(points[:: max(1, round(0.3 * rate))])
         assert paces.min() > 0.5 * paces.mean()  # no stick and slip
@@ -93,7 +94,7 @@ def test_a_jump_of_one_frame_is_not_followed(rate):
     path[30, 1] += [0.3, 0.0, 0.0]
     states, _ = play(path, rate)
     for points in (states.points, states.followed):
-        assert np.abs(np.asarray(points)).max() < 0.05
+        assert np.abs(np.asarray(points)).max() < 0.1
     path[30:, 1] = [0.3, 0.0, 0.0]  # it stays there
     followed = np.asarray(play(path, rate)[0].followed)[:, 1, 0]
     assert (np.diff(followed) >= -1e-6).all()
@@ -103,9 +104,8 @@ def test_a_jump_of_one_frame_is_not_followed(rate):
 def test_a_share_of_one_filters_nothing():
     path = shaken(2.0, 100.0)
     config = FingertipFilterConfig(share=1.0, jump=10.0)
-    states, shares = play(path, 100.0, config)
+    states, _ = play(path, 100.0, config)
     np.testing.assert_allclose(states.points, path, atol=1e-7)
-    np.testing.assert_array_equal(shares, 1.0)
 
 
 def test_after_a_gap_points_are_taken_as_they_are_and_the_shake_stays():

@@ -155,16 +155,15 @@ class Correspondence:
         measured: Float[Array, "F 3"],
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
-    ) -> tuple[CorrespondenceState, Float[Array, "F 3"], Float[Array, " F"]]:
-        """The state after a frame; (F, 3) steps of the fingertips' places in it [m], in the human's
-        direction; and (F,) the distance that each place still has to go, since its speed is
-        limited [m]. Traceable.
+    ) -> tuple[CorrespondenceState, Float[Array, "F 3"]]:
+        """The state after a frame, and (F, 3) steps of the fingertips' places in it [m], in the
+        human's direction. Traceable.
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
             tips: (F, 3) the human's fingertips in the palm frame, thumb first [m].
-            steps: (F, 3) their steps in this frame that are followed at once [m].
-            measured: (F, 3) their whole steps [m].
+            steps: (F, 3) steps of the filtered fingertips in this frame [m].
+            measured: (F, 3) steps of the fingertips as measured [m].
             dt: time between the two frames [s].
             restart: nothing came before, or too long ago: it may be another operator.
         """
@@ -180,11 +179,8 @@ class Correspondence:
         size = jnp.sqrt((measured * measured).sum(-1))
         most = (jnp.maximum(gain, 1.0) * size + self.config.catch_up * dt)[:, None]
         last = jnp.where(restart, places, before.places)
-        way = places - last
-        places = last + _shortened(way, most)
-        behind = last + way - places
-        moves = _shortened(motion_gain[:, None] * steps, most)
-        return operator._replace(places=places), moves, jnp.sqrt((behind * behind).sum(-1))
+        places = last + _shortened(places - last, most)
+        return operator._replace(places=places), _shortened(motion_gain[:, None] * steps, most)
 
     def _measured(
         self,

@@ -2,8 +2,8 @@
 
 A tracker's points shake, a hand at rest included. Low-pass filters trade that shake for delay. This
 one makes the *step* of a point smaller and keeps its direction: while a point stays within a few
-shakes of the filtered one, a share of its step is followed at once and the rest within half a
-second. The further it leaves, the larger that share, up to the whole step. So a motion begins
+shakes of the filtered one, a share of its step is followed at once and the rest within seconds. The
+further it leaves, the larger that share, up to the whole step. So a motion begins
 without delay, whether slow or fast, a few shakes behind the human's, and catches up.
 
 How large the shake is, is measured while the hand is in use: by what points do over some hundredths
@@ -48,11 +48,11 @@ class FingertipFilterConfig:
         jump_speed: what that step grows by with the time between two frames [m/s].
     """
 
-    share: float = 0.2
-    reach: float = 3.0
-    settle: float = 0.5
+    share: float = 0.3
+    reach: float = 4.0
+    settle: float = 2.0
     jump: float = 0.06
-    jump_speed: float = 1.5
+    jump_speed: float = 4.0
 
     def __post_init__(self) -> None:
         check_numbers(
@@ -98,10 +98,11 @@ def filter_fingertips(
     dt: Float[Array, ""] | float,
     config: FingertipFilterConfig,
     restart: Bool[Array, ""] | bool = False,
-) -> tuple[FilterState, Float[Array, " n"]]:
-    """The state after a frame of (n, 3) measured points [m], a time ``dt`` [s] after the last.
+) -> tuple[FilterState, Float[Array, "n 3"]]:
+    """The state after a frame of (n, 3) measured points [m], a time ``dt`` [s] after the last, and
+    (n, 3) the steps of the filtered points in it [m].
     After a ``restart`` the last frame was too long ago to count; the measured shake is kept."""
-    points = jnp.where(restart, measured, before.points)
+    start = jnp.where(restart, measured, before.points)
     followed = jnp.where(restart, measured, before.followed)
     beyond, means = measured, []
     for order in range(ORDER):
@@ -114,12 +115,11 @@ def filter_fingertips(
     step = measured - followed
     step = step / (1 + (_lengths(step) / (config.jump + config.jump_speed * dt)) ** 2)
     followed = followed + step
-    left = (_lengths(followed - points) / (config.reach * (before.shake + _TINY))) ** 4
+    left = (_lengths(followed - start) / (config.reach * (before.shake + _TINY))) ** 4
     share = (config.share + left) / (1 + left)
-    points = points + share * step
+    points = start + share * step
     points = points + dt / (dt + config.settle) * (followed - points)
-    after = FilterState(points, followed, jnp.stack(means), shake)
-    return after, share[:, 0]
+    return FilterState(points, followed, jnp.stack(means), shake), points - start
 
 
 def _lengths(vectors: Float[Array, "n 3"]) -> Float[Array, "n 1"]:

@@ -10,9 +10,9 @@ human who opens lets go at once.
 For finger i at distance d_i from the thumb, with the mean D_i of it over ``time`` and the nearness
 n_i of the correspondence, which is 0 for a finger that pinches nothing:
 
-    g_i <- min(g_i + dt / time, max(0, 1 - ((d_i - D_i) / release)^2))
+    g_i <- min(g_i + dt / time, max(0, 1 - ((d_i - D_i) / 5 mm)^2))
 
-The finger's place moves towards the thumb by n_i g_i d_i ``depth`` / (2 (d_i + ``depth``)), which
+The finger's place moves towards the thumb by n_i^4 g_i d_i ``depth`` / (2 (d_i + ``depth``)), which
 never turns the vector between them. The thumb's place moves by the largest of these lengths, along
 the sum of these steps reversed.
 """
@@ -29,6 +29,8 @@ from jaxtyping import Array, Bool, Float
 
 from smooth_operator.settings import check_numbers
 
+RELEASE: Final = 0.005
+"""Change of the distance that ends the grip [m]."""
 _TINY: Final = 1e-9
 
 
@@ -40,15 +42,13 @@ class GripConfig:
         depth: by how much the robot's thumb and finger are asked to be nearer to each other than
             the human's, whose distance is long against it [m]; 0 for no grip.
         time: time in which the grip grows to that, and of the mean distance [s].
-        release: change of the distance that ends the grip [m].
     """
 
     depth: float = 0.004
     time: float = 0.25
-    release: float = 0.005
 
     def __post_init__(self) -> None:
-        check_numbers(self, "grip.", positive=("time", "release"), not_negative=("depth",))
+        check_numbers(self, "grip.", positive=("time",), not_negative=("depth",))
 
 
 class GripState(NamedTuple):
@@ -93,10 +93,12 @@ def grip(
     distances = jnp.sqrt((vectors * vectors).sum(-1) + _TINY)
     mean = jnp.where(restart, distances, before.distances)
     change = distances - mean
-    stays = jnp.maximum(1 - (change / config.release) ** 2, 0.0)
+    stays = jnp.maximum(1 - (change / RELEASE) ** 2, 0.0)
     shares = jnp.minimum(jnp.where(restart, 0.0, before.shares) + dt / config.time, stays)
-    # less for tips that nearly meet: the vector between them keeps its direction
-    lengths = 0.5 * config.depth * nearness * shares * distances / (distances + config.depth)
+    # The fourth power leaves fingers round a handle as they are: harder pressed, one of them takes
+    # the force and the handle turns. Tips that nearly meet are moved less, so that the vector
+    # between them keeps its direction.
+    lengths = 0.5 * config.depth * nearness**4 * shares * distances / (distances + config.depth)
     pulls = (lengths / distances)[:, None] * vectors
     thumb = pulls.sum(0)
     thumb = thumb * (lengths.max() / (jnp.sqrt((thumb * thumb).sum()) + _TINY))

@@ -53,6 +53,7 @@ from smooth_operator.objective.smooth_terms import (
     FingertipMotion,
     FingertipPosition,
     FingertipPositionConfig,
+    PadDirection,
     SelfCollision,
     SelfCollisionConfig,
 )
@@ -100,6 +101,8 @@ class SmoothConfig(ObjectiveMethodConfig):
             as the motion weight does, so that a hand that opens is not held back.
         spread_weight: cost of a long finger that spreads by over 0.2 rad to a side, per squared
             radian beyond.
+        pad_weight: cost of one minus the cosine between the last segments of the robot's and the
+            human's thumb.
         fingertip_position: cost of fingertips that are nearly where the human's are.
         self_collision: cost of parts of the hand inside each other.
         direction_length: cost of direction and length of the thumb-to-tip vectors.
@@ -116,6 +119,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     motion_speed: float = 0.05
     pinch_damping: float = 100.0
     spread_weight: float = 1.0
+    pad_weight: float = 2.0
     fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
     self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
     direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
@@ -132,7 +136,13 @@ class SmoothConfig(ObjectiveMethodConfig):
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            not_negative=("motion_weight", "motion_speed", "pinch_damping", "spread_weight"),
+            not_negative=(
+                "motion_weight",
+                "motion_speed",
+                "pinch_damping",
+                "spread_weight",
+                "pad_weight",
+            ),
         )
 
     def build(self, hand: Hand) -> Smooth:
@@ -206,7 +216,7 @@ class Smooth(Method):
 
     @cached_property
     def objective(self) -> Objective:
-        """The terms that are minimised: those of Eq. (1), and five more."""
+        """The terms that are minimised: those of Eq. (1), and six more."""
         config = self.config
         vectors = Objective(self.hand, config.objective).keyvectors.vectors
         return Objective(
@@ -218,6 +228,7 @@ class Smooth(Method):
                 DirectionLength(vectors, config.direction_length),
                 SelfCollision(self.hand, config.self_collision),
                 FingerSpread(self.hand, config.spread_weight),
+                PadDirection(self.hand, config.pad_weight),
             ),
         )
 
@@ -326,18 +337,18 @@ class Smooth(Method):
         clock = FrameClock.of(now - state.ticks, state.frames)
         gaps, closed = self.closing.step(state.gaps, aligned, clock.dt, clock.restart)
         measured = closed[np.array(self.needs)]
-        filtered, share = filter_fingertips(
+        filtered, still = filter_fingertips(
             state.filtered, measured, clock.dt, config.fingertips, clock.restart
         )
         steps = jnp.where(clock.restart, 0.0, filtered.followed - state.filtered.followed)
         points, tips = filtered.followed, [TIPS[FINGERS.index(f)] for f in self.hand.fingers]
         at, wrist = np.array([self.needs.index(i) for i in tips]), self.needs.index(WRIST)
         whole = steps[at] - steps[wrist]
-        moves = share[at, None] * whole
+        moves = still[at] - still[wrist]
         goal_points, operator, speeds = points, state.operator, moves
         origin = jnp.asarray(self.hand.wrist, points.dtype)
         if operator:  # a tuple of arrays; empty without a correspondence
-            operator, moves, _ = self.correspondence.step(
+            operator, moves = self.correspondence.step(
                 operator, aligned, points[at], moves, whole, clock.dt, clock.restart
             )
             nearness = self.correspondence.pinching(operator, points[at])[1]
@@ -350,6 +361,8 @@ class Smooth(Method):
         else:
             places = points[at] - points[wrist] + origin
         goal, weights, policy = self._goal(state, goal_points, speeds, clock)
+        pad = aligned[TIPS[0]] - aligned[TIPS[0] - 1]
+        goal = goal._replace(pad=pad / jnp.sqrt((pad * pad).sum() + 1e-12))
         off = (measured - state.filtered.followed)[at]
         leaps = jnp.sqrt((off * off).sum(-1)) > LEAP[0] + LEAP[1] * clock.dt
         leapt = jnp.where(leaps.any() & ~clock.restart, 0.0, state.leapt + clock.dt)
@@ -449,6 +462,7 @@ SMOOTH_PRECISE: Final = replace(
     motion_speed=0.1,
     pinch_damping=0.0,
     spread_weight=0.0,
+    pad_weight=0.0,
     direction_length=DirectionLengthConfig(direction=2.5),
 )
 """For the paper's metrics: the human's fingertips as the palms are aligned, and of them first the

@@ -17,6 +17,7 @@ from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments
 from smooth_operator.hands.differential import PointKinematics, contracted
 from smooth_operator.hands.finger_circles import spread_joints
 from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import LANDMARKS, TIPS
 from smooth_operator.objective.terms import (
     TRANSITION,
     FrameGoal,
@@ -28,6 +29,8 @@ from smooth_operator.objective.terms import (
 )
 from smooth_operator.settings import check_numbers, is_off
 
+BELOW_THUMB_TIP: Final = LANDMARKS[TIPS[0] - 1]
+"""Landmark at the other end of the thumb's last segment."""
 _SHORT: Final = 0.002
 """Length by which a vector is rounded, since a vector of length 0 has no direction [m]."""
 _LEAST: Final = 0.25
@@ -126,6 +129,51 @@ class FingertipPosition(VectorTerm):
         cost = 0.5 * stiffness * (squared * share).sum()
         return VectorSlopes(
             cost, weights[:, None] * errors, jnp.repeat(weights, 3).reshape(errors.shape)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PadDirection(PointTerm):
+    """The thumb's last segment points as the human's does, which turns the thumb's pad.
+
+    Weight times one minus the cosine between the two segments. Most thumbs have more joints than a
+    fingertip's place decides. The way the pad faces then decides whether what it holds stays or
+    rolls.
+
+    Attributes:
+        hand: the robot hand.
+        weight: of one minus the cosine.
+    """
+
+    hand: Hand
+    weight: float
+
+    @property
+    def is_off(self) -> bool:
+        """Without weight, and for a hand without a landmark below the thumb's tip."""
+        return is_off(self.weight) or BELOW_THUMB_TIP not in self.hand.tree.names
+
+    def points(self) -> tuple[str, ...]:
+        """The thumb's tip, and the joint below it."""
+        return self.hand.tip_names[self.hand.fingers.index("thumb")], BELOW_THUMB_TIP
+
+    def expand(
+        self, points: Float[Array, "2 3"], jacobian: Float[Array, "2 J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``; nothing where the human's segment is not known."""
+        known = goal.pad is not None and jnp.isfinite(goal.pad).all()
+        weight = jnp.where(known, self.weight, 0.0)
+        aim = jnp.where(known, jnp.zeros(3) if goal.pad is None else goal.pad, 0.0)
+        segment = points[0] - points[1]
+        size = jnp.sqrt((segment * segment).sum() + _SHORT**2)
+        unit = segment / size
+        cosine = aim @ unit
+        turn = -(weight / size) * (aim - cosine * unit)
+        across = jacobian[0] - jacobian[1]
+        across = across - (across @ unit)[:, None] * unit
+        curvature = weight * jnp.maximum(cosine, _LEAST) / size**2
+        return Quadratic(
+            weight * (1 - cosine), jnp.stack([turn, -turn]), across.T, jnp.full(3, curvature)
         )
 
 

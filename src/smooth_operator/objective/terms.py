@@ -48,6 +48,7 @@ class FrameGoal(NamedTuple):
         tips: (F, 3) where fingertips arrive if they move as the human's do [m]; for the term of
             fingertip motion only.
         motion_weights: (F,) weights of that term, in the units of a keyvector's weight.
+        pad: (3,) direction of the last segment of the human's thumb; for ``PadDirection`` only.
     """
 
     vectors: Float[AnyArray, "K 3"]
@@ -56,6 +57,7 @@ class FrameGoal(NamedTuple):
     velocity_weight: Float[Array, ""] | Float[Array, " m"] | float
     tips: Float[Array, "F 3"] | None = None
     motion_weights: Float[Array, " F"] | None = None
+    pad: Float[Array, "3"] | None = None
 
 
 class Quadratic(NamedTuple):
