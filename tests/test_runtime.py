@@ -432,9 +432,9 @@ def test_what_a_method_remembers_ends_with_the_loss_of_the_hand(retargeter, moti
     begun: list[float] = []
     first = retargeter.init
 
-    def init() -> RetargetState:
+    def init(**given: Any) -> RetargetState:
         begun.append(stage.now)
-        return first()
+        return first(**given)
 
     stage, frames = Stage(retargeter), list(motion)
     stage.play(frames[:50])

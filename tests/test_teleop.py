@@ -494,7 +494,7 @@ class Unfinished(Sink):
         (["--source", "synthetic:sped=2"], "Did you mean 'speed'"),
         (["--rate", "0"], "rate must be 1 to 1000 Hz, not"),
         (["--hand", "mimic_p05"], "Did you mean 'mimic_p050'"),
-        (["--operator", "/nowhere.json"], "/nowhere.json"),
+        (["--operator", "/nowhere/operator.json"], "/nowhere"),
         (["--safety.stale-s", "-1"], "stale_s must be positive"),
         (["--model", "hand.xml"], "--no-view leaves the page out"),
     ],
