@@ -5,7 +5,7 @@ import itertools
 import math
 import warnings
 from dataclasses import replace
-from typing import get_args, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest

@@ -445,9 +445,15 @@ class _Run:
 
 
 def _known(path: Path | None, side: Side) -> OperatorProfile | None:
-    """What an operator's file says; nothing yet where there is none."""
+    """What an operator's file says; nothing yet where there is none.
+
+    Raises:
+        ConfigError: the file can't be read, or its folder isn't there.
+    """
     if path is None:
         return None
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path}: there is no folder {path.parent}; make it, or name another")
     return read_operator(path) if path.exists() else OperatorProfile(side)
 
 
