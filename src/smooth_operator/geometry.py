@@ -111,6 +111,12 @@ def umeyama(
     return Similarity(rotation, translation, ratio, condition)
 
 
+def smooth_step(share: Array) -> Array:
+    """The share, limited to 0 to 1, with level ends: 3 s^2 - 2 s^3 (Hermite)."""
+    share = jnp.clip(share, 0.0, 1.0)
+    return share * share * (3 - 2 * share)
+
+
 def on_gpu() -> bool:
     """Programs that are traced now are for a GPU."""
     config: Any = jax.config  # its attributes are made at run time

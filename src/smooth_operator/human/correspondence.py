@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.geometry import smooth_step
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.settings import check_numbers
@@ -157,7 +158,7 @@ class Correspondence:
         restart: Bool[Array, ""],
     ) -> tuple[CorrespondenceState, Float[Array, "F 3"]]:
         """The state after a frame, and (F, 3) steps of the fingertips' places in it [m], in the
-        human's direction. Traceable.
+        direction of ``steps``. Traceable.
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
@@ -221,12 +222,12 @@ class Correspondence:
         """
         config, human = self.config, tips[1:] - tips[0]
         apart = jnp.sqrt((human * human).sum(-1) + _TINY)
-        close = _smooth_step(jnp.clip((config.far - apart) / (config.far - config.near), 0.0, 1.0))
+        close = smooth_step((config.far - apart) / (config.far - config.near))
         away = tips[1:] - operator.bases[1:]
         extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
-        unfolded = jnp.clip(0.5 + (extension - config.folded) / _FOLDS, 0.0, 1.0)
+        unfolded = smooth_step(0.5 + (extension - config.folded) / _FOLDS)
         # squared: a thumb at the side of a finger that points does not bend it
-        return close, close**2 * _smooth_step(unfolded)
+        return close, close**2 * unfolded
 
     def _places(
         self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
@@ -255,11 +256,6 @@ class Correspondence:
         # fingers that pinch move as one
         nearest = jnp.concatenate([nearness.max()[None], nearness])
         return jnp.concatenate([thumb[None], fingers]), gain, gain + nearest * (1 - gain)
-
-
-def _smooth_step(share: Float[Array, " n"]) -> Float[Array, " n"]:
-    """0 to 1 with level ends."""
-    return share * share * (3 - 2 * share)
 
 
 def _shortened(vectors: Float[Array, "F 3"], most: Float[Array, "F 1"]) -> Float[Array, "F 3"]:

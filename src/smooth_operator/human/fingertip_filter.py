@@ -1,10 +1,10 @@
 """Filter of fingertips: still while the human is still, without delay when he moves.
 
-A tracker's points shake, a hand at rest included. Low-pass filters trade that shake for delay. This
-one makes the *step* of a point smaller and keeps its direction: while a point stays within a few
-shakes of the filtered one, a share of its step is followed at once and the rest within seconds. The
-further it leaves, the larger that share, up to the whole step. So a motion begins
-without delay, whether slow or fast, a few shakes behind the human's, and catches up.
+A tracker's points shake, also while the hand rests. Low-pass filters trade that shake for delay.
+This one makes the *step* of a point smaller: while a point stays within a few shakes of the
+filtered one, a share of its step is followed at once and the rest within seconds. The further it
+leaves, the larger that share, up to the whole step. So a motion begins without delay, whether slow
+or fast, a few shakes behind the human's, and catches up.
 
 How large the shake is, is measured while the hand is in use: by what points do over some hundredths
 of a second beyond steady motion, in the stillest quarter of the time. It is the same measure at any

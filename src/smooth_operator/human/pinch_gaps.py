@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.geometry import smooth_step
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
 
@@ -138,10 +139,10 @@ class PinchGapEstimate:
         state = self._estimated(state, distance, extension, dt, restart)
         gap = (1 + _SPREAD) * state.closed + _TINY
         left = jnp.minimum(gap, _LEFT)
-        fade = _smooth_step(1 + (gap - distance) / (_FADE * gap))
+        fade = smooth_step(1 + (gap - distance) / (_FADE * gap))
         beyond = distance - (gap - left) * fade
         closed = jnp.where(distance < gap, distance * left / gap, beyond)
-        unfolded = _smooth_step((extension - _FOLDED) / (_UNFOLDED - _FOLDED))
+        unfolded = smooth_step((extension - _FOLDED) / (_UNFOLDED - _FOLDED))
         share = unfolded * (1 - closed / distance)
         share = jnp.where(share > 0, share, 0.0)[:, None]  # NaN where bones are not known
         near = jnp.where(share > 0, (unfolded * fade)[:, None], 0.0)
@@ -177,9 +178,3 @@ class PinchGapEstimate:
 
 def _length(vectors: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
     return jnp.sqrt((vectors * vectors).sum(-1) + _TINY**2)
-
-
-def _smooth_step(share: Float[Array, " n"]) -> Float[Array, " n"]:
-    """0 to 1 with level ends, of a share that is limited to 0 to 1."""
-    share = jnp.clip(share, 0.0, 1.0)
-    return share * share * (3 - 2 * share)

@@ -1,9 +1,10 @@
 """``smooth``: accurate, smooth and clear of itself, for a live loop.
 
-Eq. (1) with five ideas more; a weight of 0 leaves its idea out. Fingertips move as the human's do,
+Eq. (1) with six ideas more; a weight of 0 leaves its idea out. Fingertips move as the human's do,
 while their places are corrected little by little, and most while the hand moves. Fingertips that
 can be where the human's are, are exactly there. The thumb's vectors are held by angle and length
-and not by distance alone. Parts of the hand stay out of each other. The fingertip filter takes out
+and not by distance alone. The thumb's pad faces as the human's does. Parts of the hand stay out of
+each other. The fingertip filter takes out
 most of the tracker's shake and limits its jumps. docs/explanation/smooth.md has equations,
 smooth-appendix.md measurements.
 """

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -132,6 +132,36 @@ class FingertipPosition(VectorTerm):
         )
 
 
+class _Turn(NamedTuple):
+    """Cost of the direction of vectors, and its derivatives.
+
+    Attributes:
+        size: (...) lengths of the vectors, rounded near 0 [m].
+        unit: (..., 3) the vectors over those.
+        cost: (...) weight times one minus the cosine to the direction that is aimed at.
+        slope: (..., 3) its first derivative.
+        curvature: (...) its second derivative across the vector; along it there is none.
+    """
+
+    size: Array
+    unit: Array
+    cost: Array
+    slope: Array
+    curvature: Array
+
+
+def _turned(
+    vectors: Float[Array, "*n 3"], aim: Float[Array, "*n 3"], weight: Array | float
+) -> _Turn:
+    """Cost of vectors that point another way than the unit vectors ``aim``."""
+    size = jnp.sqrt((vectors * vectors).sum(-1) + _SHORT**2)
+    unit = vectors / size[..., None]
+    cosine = (aim * unit).sum(-1)
+    slope = -(weight / size)[..., None] * (aim - cosine[..., None] * unit)
+    curvature = weight * jnp.maximum(cosine, _LEAST) / size**2
+    return _Turn(size, unit, weight * (1 - cosine), slope, curvature)
+
+
 @dataclass(frozen=True, eq=False)
 class PadDirection(PointTerm):
     """The thumb's last segment points as the human's does, which turns the thumb's pad.
@@ -161,19 +191,17 @@ class PadDirection(PointTerm):
         self, points: Float[Array, "2 3"], jacobian: Float[Array, "2 J 3"], goal: FrameGoal
     ) -> Quadratic:
         """See ``PointTerm``; nothing where the human's segment is not known."""
-        known = goal.pad is not None and jnp.isfinite(goal.pad).all()
-        weight = jnp.where(known, self.weight, 0.0)
-        aim = jnp.where(known, jnp.zeros(3) if goal.pad is None else goal.pad, 0.0)
-        segment = points[0] - points[1]
-        size = jnp.sqrt((segment * segment).sum() + _SHORT**2)
-        unit = segment / size
-        cosine = aim @ unit
-        turn = -(weight / size) * (aim - cosine * unit)
-        across = jacobian[0] - jacobian[1]
-        across = across - (across @ unit)[:, None] * unit
-        curvature = weight * jnp.maximum(cosine, _LEAST) / size**2
+        pad = jnp.full(3, jnp.nan) if goal.pad is None else goal.pad
+        known = jnp.isfinite(pad).all()
+        weight, aim = jnp.where(known, self.weight, 0.0), jnp.where(known, pad, 0.0)
+        turn = _turned(points[0] - points[1], aim, weight)
+        moves = jacobian[0] - jacobian[1]
+        across = moves - (moves @ turn.unit)[:, None] * turn.unit
         return Quadratic(
-            weight * (1 - cosine), jnp.stack([turn, -turn]), across.T, jnp.full(3, curvature)
+            turn.cost,
+            jnp.stack([turn.slope, -turn.slope]),
+            across.T,
+            jnp.full(3, turn.curvature),
         )
 
 
@@ -283,22 +311,19 @@ class DirectionLength(VectorTerm):
         # term, and the rounding decides when Newton steps stop
         vectors = errors + targets
         goal_length = jnp.sqrt((targets * targets).sum(-1) + 1e-12)
-        size = jnp.sqrt((vectors * vectors).sum(-1) + _SHORT**2)
-        aim, unit = targets / goal_length[:, None], vectors / size[:, None]
-        cosine = (aim * unit).sum(-1)
-        turn = -(config.direction / size)[:, None] * (aim - cosine[:, None] * unit)
+        turn = _turned(vectors, targets / goal_length[:, None], config.direction)
+        unit = turn.unit
         along = unit[:, :, None] * unit[:, None, :]
         across = jnp.eye(3, dtype=unit.dtype) - along
-        turn_weight = config.direction * jnp.maximum(cosine, _LEAST) / size**2
         slope = config.length / (1 + (goal_length / config.near) ** 4)
-        longer = size - goal_length
+        longer = turn.size - goal_length
         rounded = jnp.sqrt(longer * longer + config.huber_width**2)
         # the second derivative of the parabola that touches the cost on both sides: not too little
         length_weight = slope / rounded
         return VectorSlopes(
-            (config.direction * (1 - cosine) + slope * (rounded - config.huber_width)).sum(),
-            turn + (length_weight * longer)[:, None] * unit,
-            turn_weight[:, None, None] * across + length_weight[:, None, None] * along,
+            (turn.cost + slope * (rounded - config.huber_width)).sum(),
+            turn.slope + (length_weight * longer)[:, None] * unit,
+            turn.curvature[:, None, None] * across + length_weight[:, None, None] * along,
         )
 
 
