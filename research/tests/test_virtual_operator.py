@@ -11,9 +11,11 @@ import pytest
 
 from smooth_operator import Hand, Retargeter, load_hand
 from smooth_operator.errors import ConfigError, StudyError
+from smooth_operator.human.pinch_gaps import MEDIAPIPE
 from smooth_operator.landmarks import TIPS
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.task import TASKS
+from smooth_operator.simulation.tasks.trial import Outcome
 from smooth_operator.study.data import read_study
 from smooth_operator.study.design.plan import Plan, make_plan
 from smooth_operator.study.design.plan_file import write_plan
@@ -29,7 +31,13 @@ from smooth_operator_research.study_simulation.run import (
     simulate_chunk,
     simulate_study,
 )
-from smooth_operator_research.virtual_operator import Familiar, draw_person, simulate_trial
+from smooth_operator_research.virtual_operator import (
+    Familiar,
+    OperatorTrial,
+    draw_person,
+    make_familiar,
+    simulate_trial,
+)
 from smooth_operator_research.virtual_operator.hand_model import (
     GripReach,
     HandModel,
@@ -201,6 +209,19 @@ def test_a_person_learns_where_to_put_a_finger():
     assert error.max() < 0.005
 
 
+def test_a_person_learns_how_the_robot_moves_behind_a_tracker():
+    """Behind a camera that shows no contact, the robot's pinch needs a closer one of one's own."""
+    retargeter = Retargeter(load_hand("mimic_p050", "right"), method="geort")
+    gaps = TrackerModel(pinch_gaps=(0.3, 0.3, 0.3, 0.3))
+    tips = retargeter.hand.tips(retargeter.hand.full_configuration(retargeter.hand.neutral))
+    tips[1] = tips[0] + (0.0, 0.0, 0.01)
+    apart = []
+    for tracker in (TrackerModel(), gaps):
+        own = make_familiar(draw_person(0), retargeter, tracker).model.own_tips(tips)
+        apart.append(np.linalg.norm(own[1] - own[0]))
+    assert apart[1] < apart[0] - 0.001
+
+
 def test_closing_fingers_stop_where_they_are_seen_to_touch():
     wide = {0: np.array([0.0, 0.0, 0.0]), 1: np.array([0.06, 0.0, 0.0])}
     inward = {0: np.array([1.0, 0.0, 0.0]), 1: np.array([-1.0, 0.0, 0.0])}
@@ -339,6 +360,22 @@ def test_the_plan_is_done_by_so_many(tmp_path):
         plan_for(replace(plan, enrolled=()), None)
     done = [trial for chunk in chunks(SimulationSettings(plan)) for trial in chunk.trials]
     assert len(done) == 2 * 2 * 2
+
+
+@pytest.mark.parametrize("kind", ["camera", "headset"])
+def test_a_study_is_behind_its_tracker_at_the_rate_of_the_plan(monkeypatch, kind):
+    """And its retargeters know the gaps of a webcam, as in ``teleop``."""
+    seen = []
+
+    def note(familiar: Familiar, *_: object, tracker: TrackerModel, **__: object) -> OperatorTrial:
+        seen.append((familiar.retargeter.known_gaps, tracker))
+        return OperatorTrial(Outcome(0.0, "", 1.0, "time", "", 0), 1, 1, 0)
+
+    monkeypatch.setattr("smooth_operator_research.study_simulation.run.simulate_trial", note)
+    simulate_chunk(next(iter(chunks(SimulationSettings(small_plan(rate_hz=20.0), tracker=kind)))))
+    gaps, tracker = seen[0]
+    assert gaps == (MEDIAPIPE if kind == "camera" else {})
+    assert tracker == replace(tracker_model(kind), rate_hz=20.0)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.landmarks import BASES, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.poses import from_rotation_vectors
 from smooth_operator.settings import LARGEST, check_range
@@ -136,6 +138,14 @@ def tracker_model(
         landmark_loss=landmark_loss,
         rate_jitter=model.rate_jitter if rate_jitter is None else rate_jitter,
     )
+
+
+def known_gaps(name: str | None) -> Mapping[str, float]:
+    """Gaps that a tracker of a kind is known to leave in pinches: of a camera, those of a webcam.
+
+    They are another person's than those of the kind's own model, as in real use.
+    """
+    return MEDIAPIPE if name == "camera" else NO_GAPS
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,13 +21,12 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
-from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.lab.benchmark.cells import ALL, method_label, select_hands, select_methods
 from smooth_operator.lab.offline import built_for, execute
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import Plan
-from smooth_operator.synthetic.tracker import TRACKERS, tracker_model
+from smooth_operator.synthetic.tracker import TRACKERS, known_gaps, tracker_model
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 from smooth_operator_research.physics.results import Figure, MeasureResults, Row
 
@@ -186,8 +185,7 @@ class Case:
         """The method, compiled, for a loop that steps it; kept in the process as well.
 
         Args:
-            tracker: kind of tracker that the loop has. Of a camera the pinch gaps of MediaPipe are
-                known, as of a webcam; they are another person's than the simulated ones.
+            tracker: kind of tracker that the loop has, whose pinch gaps are known.
 
         Raises:
             ConfigError: the preset needs the whole recording.
@@ -195,9 +193,8 @@ class Case:
         if self.config.trajectory is not None:
             return Retargeter(self.hand, config=self.config, seed=self.seed)  # says why not
         nothing = HandRecording(reference_landmarks(self.hand)[None], np.zeros(1), self.side)
-        gaps = MEDIAPIPE if tracker == "camera" else NO_GAPS
         # which does not look at the recording
-        runner, _ = built_for(replace(self._plan(nothing), pinch_gaps=gaps))
+        runner, _ = built_for(replace(self._plan(nothing), pinch_gaps=known_gaps(tracker)))
         assert isinstance(runner, Retargeter)
         return runner
 

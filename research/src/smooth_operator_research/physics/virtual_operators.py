@@ -52,13 +52,15 @@ class VirtualOperators:
     def run(self, case: Case) -> Measured:
         """Some trials of one person, after free movement with the method."""
         number, seed = case.unit.data
-        task, tracker = case.condition.split()
-        familiar = make_familiar(draw_person(number, seed), case.retargeter(tracker), seed=seed)
+        task, kind = case.condition.split()
+        tracker = tracker_model(kind)
+        person, retargeter = draw_person(number, seed), case.retargeter(kind)
+        familiar = make_familiar(person, retargeter, tracker, seed=seed)
         done = [
             simulate_trial(
                 familiar,
                 task_named(task),
-                tracker=tracker_model(tracker),
+                tracker=tracker,
                 practised=trial,
                 practised_here=trial,
                 seconds=QUICK_SECONDS if case.quick else None,
@@ -71,7 +73,7 @@ class VirtualOperators:
         return Measured(
             {
                 "task": task,
-                "tracker": tracker,
+                "tracker": kind,
                 "success": len(times),
                 "score": sum(outcome.score for outcome in outcomes) / len(done),
                 "time_s": sum(times) / len(times) if times else None,

@@ -22,7 +22,7 @@ from smooth_operator.study.chunks import chunk_values
 from smooth_operator.study.design.plan import Block, Plan, lot, make_plan, scaled
 from smooth_operator.study.design.plan_file import plan_table
 from smooth_operator.study.store.export import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
-from smooth_operator.synthetic.tracker import tracker_model
+from smooth_operator.synthetic.tracker import known_gaps, tracker_model
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND
 from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial
@@ -46,7 +46,7 @@ class SimulationSettings:
         hand: robot hand, which must be able to do the tasks.
         body: whose kinematics the persons' hands have.
         tracker: kind of tracker that they are before: ``glove``, ``headset`` or ``camera``; at the
-            plan's rate, if it has one.
+            plan's rate, if it has one. The retargeters know the pinch gaps of its kind.
         seed: seed of persons and trials.
     """
 
@@ -144,8 +144,9 @@ def simulate_chunk(chunk: Chunk) -> list[dict[str, Any]]:
     """Rows of some trials; what a worker does."""
     key = chunk.key
     familiar = _familiar(
-        key["person"], key["seed"], key["hand"], key["method"], key["preset"], key["body"]
-    )
+        key["person"], key["seed"], key["hand"], key["method"], key["preset"], key["body"],
+        key["tracker"],
+    )  # fmt: skip
     tracker = tracker_model(key["tracker"])
     if key["rate_hz"] is not None:
         tracker = replace(tracker, rate_hz=key["rate_hz"])
@@ -172,15 +173,19 @@ def simulate_chunk(chunk: Chunk) -> list[dict[str, Any]]:
 
 
 @lru_cache(maxsize=4)
-def _retargeter(hand: str, method: str, preset: str | None) -> Retargeter:
-    return Retargeter(load_hand(hand, "right"), method=method, preset=preset)
+def _retargeter(hand: str, method: str, preset: str | None, tracker: str) -> Retargeter:
+    return Retargeter(
+        load_hand(hand, "right"), method=method, preset=preset, pinch_gaps=known_gaps(tracker)
+    )
 
 
 @lru_cache(maxsize=8)
 def _familiar(
-    person: int, seed: int, hand: str, method: str, preset: str | None, body: Body
+    person: int, seed: int, hand: str, method: str, preset: str | None, body: Body, tracker: str
 ) -> Familiar:
-    return make_familiar(draw_person(person, seed), _retargeter(hand, method, preset), body, seed)
+    retargeter = _retargeter(hand, method, preset, tracker)
+    model = tracker_model(tracker)
+    return make_familiar(draw_person(person, seed), retargeter, model, body, seed)
 
 
 LOG: Final = "simulated-trials.jsonl"

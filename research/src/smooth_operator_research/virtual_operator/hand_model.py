@@ -26,6 +26,7 @@ from smooth_operator.simulation.scenes.scene import Scene
 from smooth_operator.synthetic.gestures import RELAXED
 from smooth_operator.synthetic.hand_anatomy import FREE, LOWER, UPPER, couple, mirror, pose_hand
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
+from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream
 from smooth_operator.types import HandFrame, Side
 from smooth_operator_research.virtual_operator.person import Person
 
@@ -482,8 +483,10 @@ class InternalModel:
         return out
 
 
-def familiarise(model: HandModel, retargeter: Retargeter, seed: int = 0) -> InternalModel:
-    """Move freely with a retargeter, and learn."""
+def familiarise(
+    model: HandModel, retargeter: Retargeter, tracker: TrackerModel, seed: int = 0
+) -> InternalModel:
+    """Move freely with a retargeter behind a tracker, and learn."""
     hand, rng = retargeter.hand, np.random.default_rng([seed, 0xFA])
     reach = rng.uniform(0.02, 0.98, (POSTURES, len(model.relaxed)))
     postures = np.concatenate([[model.relaxed], model.lower + (model.upper - model.lower) * reach])
@@ -493,7 +496,8 @@ def familiarise(model: HandModel, retargeter: Retargeter, seed: int = 0) -> Inte
     points = np.array([model.landmarks(q)[0] for q in path.reshape(-1, len(model.relaxed))])
     fingers = [FINGERS.index(name) for name in hand.fingers]
     state, robot = retargeter.init(seed), []
-    for k, landmarks in enumerate(points):
+    shown = TrackerStream(tracker, _RATE_HZ).next(len(points)).shown(points)
+    for k, landmarks in enumerate(shown):
         state, result = retargeter.step(state, HandFrame(landmarks, k / _RATE_HZ, hand.spec.side))
         robot.append(hand.tips(result.command.joint_positions))
     return InternalModel(np.array(robot), points[:, [TIPS[row] for row in fingers]], fingers)

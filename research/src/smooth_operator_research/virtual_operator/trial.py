@@ -59,11 +59,15 @@ class Familiar:
 
 
 def make_familiar(
-    person: Person, retargeter: Retargeter, body: Body = "matched", seed: int = 0
+    person: Person,
+    retargeter: Retargeter,
+    tracker: TrackerModel,
+    body: Body = "matched",
+    seed: int = 0,
 ) -> Familiar:
-    """Have a person move freely with a retargeter."""
+    """Have a person move freely with a retargeter behind a tracker."""
     model = hand_model(person, retargeter.hand, body)
-    learnt = familiarise(model, retargeter, seed)
+    learnt = familiarise(model, retargeter, tracker, seed)
     return Familiar(person, retargeter, model, learnt)
 
 

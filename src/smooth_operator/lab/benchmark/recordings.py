@@ -23,11 +23,11 @@ from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorEr
 from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.formats.registry import recording_suffixes
-from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS
+from smooth_operator.human.pinch_gaps import MEDIAPIPE
 from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.synthetic.tracker import TRACKERS, tracker_model
+from smooth_operator.synthetic.tracker import TRACKERS, known_gaps, tracker_model
 from smooth_operator.types import HandRecording, Side, as_side
 
 SYNTHETIC: Final = "synthetic"
@@ -137,8 +137,9 @@ class Source:
     @property
     def pinch_gaps(self) -> Mapping[str, float]:
         """Gaps that its tracker is known for, as for ``Retargeter``."""
-        camera = self.tracker == SYNTHETIC and self.request.tracker == "camera"
-        return MEDIAPIPE if camera or self.request.mediapipe else NO_GAPS
+        if self.request.mediapipe:
+            return MEDIAPIPE
+        return known_gaps(self.request.tracker if self.tracker == SYNTHETIC else None)
 
     @property
     def facts(self) -> dict[str, object]:

@@ -13,12 +13,11 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.settings import check_range
 from smooth_operator.synthetic.gestures import GESTURES
 from smooth_operator.synthetic.operator import SyntheticOperator
-from smooth_operator.synthetic.tracker import WristMotion, tracker_model
+from smooth_operator.synthetic.tracker import WristMotion, known_gaps, tracker_model
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource, on_time
 from smooth_operator.teleop.sources.stream import Hands, sides_of
 from smooth_operator.types import HandFrame, HandRecording, Side
@@ -154,8 +153,8 @@ class SyntheticSource(ThreadedSource):
 
     @property
     def pinch_gaps(self) -> Mapping[str, float]:
-        """Gaps that the tracker is known to leave in pinches: of the camera, those of a webcam."""
-        return MEDIAPIPE if self.tracker == "camera" else NO_GAPS
+        """Gaps that the tracker is known to leave in pinches."""
+        return known_gaps(self.tracker)
 
     def run(self, running: Running) -> None:
         """Post the frames when they are due."""
