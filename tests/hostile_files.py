@@ -248,7 +248,7 @@ base = "realtime"
 "sampling.sigma" = 0.2
 
 [made]
-by = "smooth-operator tune"
+by = "a search"
 on = ["a.npz", "b.npz"]
 """
 

@@ -119,7 +119,7 @@ def test_no_option_has_none_for_a_default(monkeypatch):
             assert not re.search(
                 r"\(default: (None|False|)\)", printed(monkeypatch, *words, "--help-all")
             )
-    for words in (("tune",), ("hands", "add"), ("study", "new")):
+    for words in (("hands", "add"), ("study", "new")):
         assert "(repeatable)" in printed(monkeypatch, *words, "--help-all")
     assert "(default: mimic_p050)" in " ".join(printed(monkeypatch, "demo", "--help-all").split())
 

@@ -151,8 +151,6 @@ def machine(
             added = ["--port", "0", "--no-browser"]
         elif words[:2] == ["hardware", "monitor"]:
             added = ["--seconds", "0.3"]
-        elif words[0] == "tune":
-            added = ["--trials", "2"]
         elif words[:2] == ["study", "power"]:
             added = ["--studies", "2"]
         elif words[:2] == ["study", "run"]:

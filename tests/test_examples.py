@@ -70,7 +70,7 @@ def packages() -> list[str]:
 
 def test_the_examples_are_numbered():
     numbers = [int(path.name.split("_")[0]) for path in EXAMPLES]
-    assert numbers == list(range(1, 11))
+    assert numbers == list(range(1, 12))
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

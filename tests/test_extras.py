@@ -24,13 +24,13 @@ BASE = {"flatbuffers", "jax", "jaxtyping", "mujoco", "nlopt", "numpy", "rich", "
 """Distributions that everyone gets; their modules have the same names."""
 EXTRAS = [
     "teleop", "lab", "study", "all", "ability", "allegro", "arm", "avp", "cluster", "datasets",
-    "dynamixel", "hdf5", "inspire", "isaac", "lerobot", "linker", "menagerie", "tune", "orca",
+    "dynamixel", "hdf5", "inspire", "isaac", "lerobot", "linker", "menagerie", "orca",
     "ros2", "rerun", "revo2", "webcam", "webxr", "wuji", "zmq", "docs", "test",
 ]  # fmt: skip
 """Names that stand in scripts."""
 LIBRARIES = [
     "bc_stark_sdk", "can", "cryptography", "cv2", "google", "grpc", "cyclonedds", "daqp",
-    "dynamixel_sdk", "h5py", "optuna", "isaacteleop", "jinja2", "mcap", "mediapipe", "matplotlib",
+    "dynamixel_sdk", "h5py", "isaacteleop", "jinja2", "mcap", "mediapipe", "matplotlib",
     "mink", "mujoco_menagerie", "optax", "orca_core", "pandas", "pyarrow", "pymodbus", "ray",
     "rerun", "segno", "serial", "statsmodels", "trimesh", "viser", "websockets", "wujihandpy",
     "zmq", "zstandard",
@@ -204,7 +204,6 @@ LACK = {
     "convert in.npz --output x.h5": "hdf5",
     "bench in.npz --output bench": "lab",
     "calibrate in.npz --output operator.json": "lab",
-    "tune sbr in.npz --vary pose_weight=0.01:0.1:log --output tuned": "tune",
     "train geort in.npz --output trained": "lab",
     "study new plan": "study",
     "study analyze x.csv --output analysis": "study",

@@ -410,7 +410,7 @@ def settings_of(config: object) -> Iterator[tuple[object, str, float]]:
 
 @pytest.mark.parametrize("method", method_names())
 def test_no_setting_takes_what_no_program_can_use(method):
-    """A preset file or ``tune`` sets them, and an objective of NaN moves nothing, in silence."""
+    """A preset file sets them, and an objective of NaN moves nothing, in silence."""
     taken = []
     for part, name, _ in (each for c in PRESETS[method].values() for each in settings_of(c)):
         for bad in (np.nan, np.inf, -np.inf, -1.0):

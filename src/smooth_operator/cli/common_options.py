@@ -22,7 +22,7 @@ METHOD_HELP: Final = (
 PRESET_HELP: Final = (
     "Preset of the method. Default: its first one. "
     + "; ".join(f"{name}: {entry.summary}" for name, entry in METHODS.items())
-    + ". Any method also accepts a preset.toml written by tune."
+    + ". Any method also accepts a preset file (docs/how-to/tune.md)."
 )
 PINCH_GAPS_HELP: Final = (
     "smooth closes the gap that a tracker leaves between thumb and finger where they touch, and "

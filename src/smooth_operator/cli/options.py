@@ -34,7 +34,6 @@ from smooth_operator.cli.sample import Sample
 from smooth_operator.cli.study_options import Study
 from smooth_operator.cli.teleop import Teleop
 from smooth_operator.cli.train import Train
-from smooth_operator.cli.tune_options import Tune
 from smooth_operator.cli.view import View
 from smooth_operator.errors import ConfigError, UnknownNameError, did_you_mean
 from smooth_operator.plugins import Entry, Registry
@@ -218,8 +217,6 @@ EXAMPLES: Final = """Examples:
       the gaps that a tracker leaves in an operator's pinches; a file for --operator
   smooth-operator train geort glove.npz --output my-geort
       a model of the learning-based method for a hand and its operator
-  smooth-operator tune sbr mine.npz --vary pose_weight=0.01:0.1:log --output out
-      tune a preset's settings; held-out recordings are never used
   smooth-operator hands list
       the robot hands; hands show NAME has joints and limits, and a page
   smooth-operator hardware list
@@ -248,7 +245,6 @@ Command: TypeAlias = (
     | Study
     | Teleop
     | Train
-    | Tune
     | View
 )
 
@@ -263,7 +259,6 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "convert": Convert,
     "bench": Bench,
     "train": Train,
-    "tune": Tune,
     "hands": Hands,
     "hardware": Hardware,
     "calibrate": Calibrate,

@@ -10,14 +10,13 @@ A preset file is a preset of a method with some of its numbers changed, as a sma
     "objective.pose_weight" = 0.031
 
     [made]                       # optional: how it was found, for a person
-    by = "smooth-operator tune"
+    by = "a search with Optuna"
 
 The file stands wherever the name of a preset does: ``--method sbr --preset mine.toml``.
 """
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -47,24 +46,6 @@ def numeric_settings(config: object) -> dict[str, float | int]:
     return dict(_numbers(config, ""))
 
 
-def find_setting(config: object, name: str) -> str:
-    """The path of a setting that is named by its path, or by the end of it.
-
-    Raises:
-        UnknownNameError: there is none.
-        ConfigError: more than one path ends so.
-    """
-    settings = numeric_settings(config)
-    if name in settings:
-        return name
-    matching = [path for path in settings if path.endswith(f".{name}")]
-    if len(matching) > 1:
-        raise ConfigError(f"{name!r} is the end of several settings: {', '.join(matching)}")
-    if not matching:
-        raise UnknownNameError("setting", name, settings)
-    return matching[0]
-
-
 def with_settings(config: C, values: Mapping[str, float | int]) -> C:
     """A configuration with other values.
 
@@ -85,12 +66,7 @@ def with_settings(config: C, values: Mapping[str, float | int]) -> C:
         if not abs(values[path]) <= most:  # NaN too
             raise ConfigError(f"setting {path!r} can be at most {most}, not {values[path]:g}")
     rounded = {path: round(v) if path in whole else float(v) for path, v in values.items()}
-    return cast(C, _replaced(config, rounded, checked=True))
-
-
-def with_unchecked(config: C, values: Mapping[str, Any]) -> C:
-    """The same without a look at the values, which may be what a compiler traces."""
-    return cast(C, _replaced(config, values, checked=False))
+    return cast(C, _replaced(config, rounded))
 
 
 def _numbers(config: object, prefix: str) -> Iterator[tuple[str, float | int]]:
@@ -114,9 +90,9 @@ def _is_settings(value: object) -> bool:
     return dataclasses.is_dataclass(value) and not isinstance(value, type)
 
 
-def _replaced(config: Any, values: Mapping[str, Any], *, checked: bool) -> Any:
+def _replaced(config: Any, values: Mapping[str, float | int]) -> Any:
     changes: dict[str, Any] = {}
-    inner: dict[str, dict[str, Any]] = {}
+    inner: dict[str, dict[str, float | int]] = {}
     for path, value in values.items():
         name, dot, rest = path.partition(".")
         if dot:
@@ -125,15 +101,10 @@ def _replaced(config: Any, values: Mapping[str, Any], *, checked: bool) -> Any:
             changes[name] = value
     parts = _parts(config)
     for name, below in inner.items():
-        changes[name] = _replaced(parts[name], below, checked=checked)
+        changes[name] = _replaced(parts[name], below)
     if isinstance(config, tuple):
         return tuple(changes.get(str(i), one) for i, one in enumerate(config))
-    if checked:
-        return dataclasses.replace(config, **changes)
-    changed = copy.copy(config)
-    for name, value in changes.items():
-        object.__setattr__(changed, name, value)  # of a frozen dataclass, past its own checks
-    return changed
+    return dataclasses.replace(config, **changes)
 
 
 FORMAT: Final = 1

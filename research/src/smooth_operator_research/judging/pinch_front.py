@@ -20,7 +20,6 @@ import tyro
 from smooth_operator import SmoothOperatorError
 from smooth_operator.formats.setting_paths import with_settings
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
-from smooth_operator.lab.tuning.search_plan import figure
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.metrics import evaluate
@@ -92,7 +91,7 @@ def measure(task: Task) -> Mapping[str, float | None]:
     trace = assemble_trace(recording, case.commands(recording), case.hand, reach_samples=0)
     figures = evaluate(trace)
     values: dict[str, float | None] = {name: _number(row[name]) for name in PINCH}
-    return values | {name: figure(figures, metric) for name, metric in FOLLOWING.items()}
+    return values | {name: _number(figures[metric]) for name, metric in FOLLOWING.items()}
 
 
 def rows_of(settings: Settings) -> dict[str, tuple[str, MethodConfig]]:
