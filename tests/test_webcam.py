@@ -33,13 +33,11 @@ from smooth_operator.teleop.sources.webcam.picture_tracker import (
     PATIENCE,
     SWITCH,
     HandLandmarker,
-    OneEuroState,
     PictureConfig,
     PictureTracker,
     SeenHand,
     assign_sides,
     landmarks_of,
-    one_euro,
 )
 from smooth_operator.teleop.sources.webcam.webcam_source import Video, Webcam, track_video
 from smooth_operator.types import Side
@@ -107,20 +105,6 @@ def test_a_mirrored_picture_is_turned_back_before_it_is_looked_at(fake, mirrored
     np.testing.assert_array_equal(looked_at[0, 0 if mirrored else -1], (0, 0, 0))
 
 
-def test_smoothing_is_of_each_hand_and_off_by_default(fake):
-    jumps = [np.zeros((21, 3)), np.full((21, 3), 0.01)]
-
-    def last(smoothing: float) -> np.ndarray:
-        tracker = PictureTracker(PictureConfig(smoothing=smoothing))
-        tracker._landmarker.find = lambda _, time: [
-            SeenHand("right", 0.9, jumps[round(time * 30)], np.eye(21, 3), np.ones(21, bool))
-        ]
-        return [tracker.frames(plain(9), k / 30)[0].landmarks for k in range(2)][-1]
-
-    np.testing.assert_array_equal(last(0.0), 0.01)
-    assert (last(4.0) < 0.009).all()
-
-
 def test_a_video_is_played_at_its_own_pace(fake, tmp_path):
     path = write_video(tmp_path / "clip.mp4", [plain(200)] * 20, rate=20.0)
     source, mailbox = build_source(f"video:{path},speed=2,every=true"), Mailbox()
@@ -181,7 +165,7 @@ def test_what_is_no_video_is_refused_with_its_name(tmp_path, name):
 @pytest.mark.parametrize(
     "text",
     ["webcam:0,max_hands=3", "webcam:0,confidence=1.5", "webcam:-1", "webcam:0,rate=0",
-     "video:a.mp4,speed=0", "video:a.mp4,points=depth", "webcam:0,smoothing=-2", "video"],
+     "video:a.mp4,speed=0", "video:a.mp4,points=depth", "video"],
 )  # fmt: skip
 def test_settings_are_checked_before_anything_starts(text):
     with pytest.raises(ConfigError):
@@ -566,61 +550,3 @@ def test_points_of_the_picture_get_the_size_of_those_in_metres():
         landmarks_of(hand, "picture"), world - world.mean(axis=0), atol=1e-12
     )
     np.testing.assert_array_equal(landmarks_of(hand, "world"), world)
-
-
-RATE = 30.0
-
-
-def run(points: np.ndarray, gain: float = 20.0) -> np.ndarray:
-    state: OneEuroState | None = None
-    out = []
-    for i, frame in enumerate(points):
-        state = one_euro(state, frame, i / RATE, 4.0, gain)
-        out.append(state.points)
-    return np.array(out)
-
-
-def test_noise_at_rest_is_more_than_halved():
-    noise = np.random.default_rng(0).normal(scale=1e-3, size=(400, 21, 3))
-    filtered = run(noise)
-    assert np.std(filtered[50:]) < 0.65 * np.std(noise)
-    jitter = [np.mean(np.sum(np.diff(x, 2, axis=0) ** 2, axis=-1)) for x in (filtered, noise)]
-    assert jitter[0] < 0.2 * jitter[1]
-
-
-def test_a_moving_hand_is_followed_within_a_frame():
-    t = np.arange(90) / RATE
-    truth = np.zeros((90, 21, 3))
-    truth[..., 0] = 0.08 * np.sin(2 * np.pi * 0.7 * t)[:, None]  # up to 0.35 m/s
-    filtered = run(truth)
-    speed = np.abs(np.diff(truth[:, 0, 0])).max() * RATE
-    behind = np.abs(filtered - truth)[30:, 0, 0].max() / speed
-    assert behind < 1.0 / RATE
-    constant = np.abs(run(truth, gain=0.0) - truth)[30:, 0, 0].max() / speed
-    assert behind < 0.75 * constant  # it is the speed that makes it quick
-
-
-def test_no_direction_is_preferred():
-    """Motion that is turned in space is answered by the answer, turned alike."""
-    rng = np.random.default_rng(1)
-    points = np.cumsum(rng.normal(scale=0.01, size=(60, 21, 3)), axis=0)
-    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
-    np.testing.assert_allclose(run(points @ turn), run(points) @ turn, atol=1e-12)
-
-
-def test_a_lost_landmark_stays_lost_and_comes_back_clean():
-    points = np.full((6, 2, 3), 0.1)
-    points[2:4, 1] = np.nan
-    points[4:, 1] = 0.3
-    filtered = run(points)
-    assert np.isnan(filtered[2:4, 1]).all()
-    np.testing.assert_allclose(filtered[4:, 1], 0.3)
-    np.testing.assert_allclose(filtered[:, 0], 0.1)
-
-
-@pytest.mark.parametrize("stamp", [0.5, 0.0, -1.0])
-def test_it_begins_anew_after_a_gap_and_when_stamps_go_back(stamp):
-    first = one_euro(None, np.zeros((1, 3)), 0.0, 4.0)
-    again = one_euro(first, np.ones((1, 3)), stamp, 4.0)
-    np.testing.assert_array_equal(again.points, 1.0)
-    np.testing.assert_array_equal(again.velocity, 0.0)

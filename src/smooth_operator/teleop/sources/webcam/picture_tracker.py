@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import http.client
-import math
 import os
 import sys
 import tempfile
@@ -41,7 +40,6 @@ class PictureConfig:
         confidence: smallest confidence of the tracker in a hand, 0 to 1.
         points: ``world``, the tracker's own positions in metres; ``picture``, its positions in the
             picture, scaled to the size of those.
-        smoothing: cutoff of a One Euro filter for a hand at rest [Hz]; 0 for no filter.
         model: the hand-landmarker file; None for the published one, downloaded once.
     """
 
@@ -49,7 +47,6 @@ class PictureConfig:
     max_hands: int = 2
     confidence: float = 0.5
     points: Points = "world"
-    smoothing: float = 0.0
     model: Path | None = None
 
     def __post_init__(self) -> None:
@@ -59,10 +56,6 @@ class PictureConfig:
             raise ConfigError(f"confidence must be between 0 and 1, not {self.confidence}")
         if self.points not in ("world", "picture"):
             raise ConfigError(f"points must be world or picture, not {self.points!r}")
-        if self.smoothing != 0.0 and not 0.1 <= self.smoothing <= 100.0:  # NaN too
-            raise ConfigError(
-                f"smoothing must be 0 for none, or 0.1 to 100 Hz, not {self.smoothing}"
-            )
 
 
 class PictureTracker:
@@ -83,7 +76,6 @@ class PictureTracker:
             hand_model(config.model), max_hands=config.max_hands, confidence=config.confidence
         )
         self._tracks: Mapping[Side, Track] = {}
-        self._filtered: dict[Side, OneEuroState] = {}
 
     def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
         """Hands of a picture, at most one of each side.
@@ -99,17 +91,9 @@ class PictureTracker:
         hands_seen = self._landmarker.find(turned, time)
         hands, self._tracks = assign_sides(hands_seen, self._tracks, time)
         return [
-            HandFrame(self._landmarks(side, hand, time), time, side, valid=hand.inside)
+            HandFrame(landmarks_of(hand, self._config.points), time, side, valid=hand.inside)
             for side, hand in hands.items()
         ]
-
-    def _landmarks(self, side: Side, hand: SeenHand, time: float) -> Float[np.ndarray, "21 3"]:
-        landmarks = landmarks_of(hand, self._config.points)
-        if not self._config.smoothing:
-            return landmarks
-        state = one_euro(self._filtered.get(side), landmarks, time, self._config.smoothing)
-        self._filtered[side] = state
-        return state.points
 
     def close(self) -> None:
         """Give everything back; a second call does nothing."""
@@ -131,65 +115,6 @@ def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
     size = np.linalg.norm(hand.world - hand.world.mean(axis=0))
     scaled: np.ndarray = centred * (size / max(float(np.linalg.norm(centred)), 1e-9))
     return scaled
-
-
-_GAIN: Final = 20.0
-"""Rise of the filter's cutoff with speed [Hz per m/s]."""
-_SPEED_CUTOFF: Final = 1.0
-"""Cutoff of the low-pass on the speed [Hz]."""
-_GAP_S: Final = 0.25
-"""Longest gap in the stamps after which the filter goes on [s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class OneEuroState:
-    """State of the filter.
-
-    Attributes:
-        points: (N, 3) filtered points [m].
-        velocity: (N, 3) their filtered velocity [m/s].
-        stamp: time of the last frame [s].
-    """
-
-    points: Float[np.ndarray, "N 3"]
-    velocity: Float[np.ndarray, "N 3"]
-    stamp: float
-
-
-def one_euro(
-    state: OneEuroState | None,
-    points: Float[np.ndarray, "N 3"],
-    stamp: float,
-    cutoff: float,
-    gain: float = _GAIN,
-) -> OneEuroState:
-    """Filter one frame with a One Euro filter.
-
-    Args:
-        state: state of the last frame; None at the start.
-        points: (N, 3) points [m]; one that is not finite stays so, and restarts afterwards.
-        stamp: time of the frame [s]; if it does not increase, the filter restarts.
-        cutoff: cutoff of a point at rest [Hz]; lower is smoother, with more delay.
-        gain: rise of the cutoff with speed [Hz per m/s].
-
-    Returns:
-        the new state; its ``points`` are the filtered ones.
-    """
-    step = math.inf if state is None else stamp - state.stamp
-    if state is None or not 0.0 < step <= _GAP_S:
-        return OneEuroState(points, np.zeros_like(points), stamp)
-    complete = np.isfinite(state.points).all(axis=1, keepdims=True)
-    before = np.where(complete, state.points, points)
-    velocity = np.where(np.isfinite(state.velocity), state.velocity, 0.0)
-    velocity = velocity + _share(_SPEED_CUTOFF, step) * ((points - before) / step - velocity)
-    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    moved = before + _share(cutoff + gain * speed, step) * (points - before)
-    return OneEuroState(moved, np.where(complete, velocity, 0.0), stamp)
-
-
-def _share(cutoff: float | np.ndarray, step: float) -> np.ndarray:
-    """Weight of the new value in a first-order low-pass."""
-    return np.asarray(1.0 / (1.0 + 1.0 / (2.0 * math.pi * cutoff * step)))
 
 
 MEMORY_S: Final = 0.3
