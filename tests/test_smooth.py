@@ -295,7 +295,7 @@ def test_the_steps_of_a_frame_are_bounded_whatever_comes(descents):
     after_gaps = HandRecording(poses, np.arange(150) * 0.3, "right")
     for frames in (after_gaps, recording(poses)):
         steps = steps_of(descents, frames)
-        assert max(map(sum, steps)) <= 4 * SMOOTH_TELEOP.polish.iterations
+        assert max(map(sum, steps)) <= 4 * SMOOTH_TELEOP.iterations
     # a hand that moves on pays for one descent, and hardly any step
     steadily = SyntheticOperator(seed=1).record(1.5)
     usual = steps_of(descents, steadily)[1:]

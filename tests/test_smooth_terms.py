@@ -30,7 +30,7 @@ from smooth_operator.objective.smooth_terms import (
 )
 from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.objective.terms import FrameGoal, VectorSlopes
-from smooth_operator.solvers.newton import NewtonConfig, damped_newton
+from smooth_operator.solvers.newton import damped_newton
 
 NO_GOAL = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 0.0)
 HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")
@@ -220,7 +220,7 @@ def test_the_descent_reaches_a_bounded_minimum():
                 lambda few: smooth.values(few, goal),
                 q,
                 hand.limits,
-                NewtonConfig(iterations=300, damping=(0.0, 1.0, 30.0, 1000.0)),
+                300,
                 still=1e-9,
             )
         )
@@ -245,15 +245,40 @@ def test_the_cost_never_rises():
         return root.sum(), q / root, jnp.diag(root**-3)
 
     limits = np.array([[-100.0, 100.0]] * 2)
-    for iterations in (1, 5):
-        bare = NewtonConfig(iterations=iterations, damping=(0.0,))
-        start = jnp.array([1.5, 1.2])
-        held, cost, _ = damped_newton(derivatives, values, start, limits, bare)
-        np.testing.assert_array_equal(held, np.float32([1.5, 1.2]))
-        np.testing.assert_allclose(cost, values(start), rtol=1e-6)
-    helped = NewtonConfig(iterations=20, damping=(0.0, 1.0))
-    found, *_ = damped_newton(derivatives, values, jnp.array([1.5, 1.2]), limits, helped)
+    start, last = jnp.array([15.0, 12.0]), jnp.inf
+    for iterations in range(1, 8):
+        found, cost, _ = damped_newton(derivatives, values, start, limits, iterations)
+        np.testing.assert_allclose(cost, values(found), rtol=1e-6)
+        assert cost < last or np.abs(found).max() < 1e-3
+        last = cost
+    found, *_ = damped_newton(derivatives, values, start, limits, 20)
     np.testing.assert_allclose(found, 0, atol=1e-3)
+
+
+def test_a_step_that_does_not_descend_is_tried_shorter():
+    """Each damping that is tried first leads beyond the narrow valley; the descent still ends in
+    its floor. A hilltop's start, from which nothing descends, stays."""
+    steep = 1e4
+
+    def values(q: jax.Array) -> jax.Array:
+        return (0.5 * q**2 + steep * jnp.maximum(q - 0.01, 0.0) ** 2 - q).sum(axis=-1)
+
+    def derivatives(q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        slope = q + 2 * steep * jnp.maximum(q - 0.01, 0.0) - 1
+        return values(q), slope, jnp.eye(1)  # as of the side from which it comes
+
+    limits = np.array([[-10.0, 10.0]])
+    found, _, steps = damped_newton(derivatives, values, jnp.zeros(1), limits, 50, 1e-6)
+    np.testing.assert_allclose(found, 0.01 + (1 - 0.01) / (1 + 2 * steep), atol=1e-5)
+    assert 2 < steps < 50
+    held, *_ = damped_newton(
+        lambda q: (-(q**2).sum(), -2 * q, -2 * jnp.eye(1)),
+        lambda q: jnp.where(q[..., 0] == 0, 0.0, jnp.inf),
+        jnp.zeros(1),
+        limits,
+        50,
+    )
+    np.testing.assert_array_equal(held, 0)
 
 
 def targets_of(config: CloseTargets, human: np.ndarray):

@@ -1,4 +1,4 @@
-"""How many starts about an answer of the default method end in one minimum, by Newton settings.
+"""How many starts about an answer of the default method end in one minimum, by Newton steps.
 
     python research/benchmarks/convergence.py RECORDING --frames 1449 1517 1590
         [--hand allegro_hand] [--starts 60]
@@ -24,36 +24,30 @@ from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.program import ticks_of
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.smooth import Smooth, SmoothConfig
-from smooth_operator.solvers.newton import STILL, NewtonConfig, damped_newton
+from smooth_operator.objective.straight_fingers import frame_limits
+from smooth_operator.solvers.newton import STILL, damped_newton
 
-FIVE: Final = (0.0, 1.0, 30.0, 1000.0, 30000.0)
-MANY: Final = (0.0, *np.logspace(-1, 5, 13).tolist())
-SETTINGS: Final = (
-    (NewtonConfig(6, FIVE), STILL),
-    (NewtonConfig(50, FIVE), STILL),
-    (SmoothConfig().polish, STILL),
-    (NewtonConfig(200, MANY), 1e-5),
-)
-"""Dampings and iterations, and the step that ends a descent [rad]."""
+SETTINGS: Final = ((6, STILL), (SmoothConfig().iterations, STILL), (500, 1e-5))
+"""Iterations, and the step that ends a descent [rad]."""
 SPREAD: Final = 0.3
 SAME: Final = 0.05  # largest difference of a joint between ends in one minimum [rad]
 
 
-def descent(method: Smooth, newton: NewtonConfig, still: float) -> Callable[..., Any]:
+def descent(method: Smooth, iterations: int, still: float) -> Callable[..., Any]:
     """A compiled function of a start, state, landmarks, validity and ticks, to the end and cost."""
 
     def run(start: Any, state: Any, landmarks: Any, valid: Any, ticks: Any) -> Any:
         aligned = align_frame(method, method.config.alignment, landmarks, valid).aligned
         frame = method._observed(state, aligned, ticks)
-        goal, places = method._goal_of(state, frame, aligned), frame.places
-        limits = method.straight_fingers.limits(method.hand.limits, goal.vectors[: len(places)])
+        goal = method._goal_of(state, frame)
+        limits = frame_limits(method.hand, goal.vectors[: len(frame.places)])
         return damped_newton(
             lambda one: method.objective.value_grad_hess(one, goal),
             lambda few: method.objective.values(few, goal),
             jnp.clip(start, limits[:, 0], limits[:, 1]),
             limits,
-            newton,
-            still=still,
+            iterations,
+            still,
         )[:2]
 
     return jax.jit(run)
@@ -88,11 +82,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         costs = np.array([[float(cost) for _, cost in one] for one in ends])
         best = poses[np.unravel_index(costs.argmin(), costs.shape)]
         rows.append((np.abs(poses - best).max(axis=-1) < SAME).sum(axis=1))
-    print("| dampings | iterations | " + " | ".join(map(str, sorted(options.frames))) + " |")
+    print("| iterations | to | " + " | ".join(map(str, sorted(options.frames))) + " |")
     print("|---:|---:|" + "---:|" * len(rows))
-    for (newton, _), *ended in zip(SETTINGS, *rows, strict=True):
-        counts = " | ".join(map(str, ended))
-        print(f"| {len(newton.damping)} | {newton.iterations} | {counts} |")
+    for (iterations, still), *ended in zip(SETTINGS, *rows, strict=True):
+        print(f"| {iterations} | {still:g} rad | {' | '.join(map(str, ended))} |")
 
 
 if __name__ == "__main__":

@@ -62,7 +62,7 @@ from smooth_operator.objective.straight_fingers import frame_limits
 from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.settings import check_numbers, is_off
-from smooth_operator.solvers.newton import NewtonConfig, damped_newton
+from smooth_operator.solvers.newton import damped_newton
 
 REFERENCE: Final = 0.01
 """Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an
@@ -110,8 +110,8 @@ class SmoothConfig(ObjectiveMethodConfig):
         correspondence: where the robot's fingertips belong, by fingers of other lengths.
         grip: how thumb and finger press on what they hold; it needs the correspondence.
         fingertips: filter of the human's fingertips.
-        polish: Newton steps of a descent, at most. Most frames need two to four; where fingers
-            touch and close fast, those that stop early end far from each other.
+        iterations: Newton steps of a descent, at most. Most frames need two to four, and one in a
+            hundred 15; descents that are stopped early end far from each other.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -127,16 +127,12 @@ class SmoothConfig(ObjectiveMethodConfig):
     correspondence: CorrespondenceConfig = field(default_factory=CorrespondenceConfig)
     grip: GripConfig = field(default_factory=GripConfig)
     fingertips: FingertipFilterConfig = field(default_factory=FingertipFilterConfig)
-    polish: NewtonConfig = field(
-        default_factory=lambda: NewtonConfig(
-            iterations=50,
-            damping=(0.0, 1.0, 30.0, 1000.0, 30000.0),
-        )
-    )
+    iterations: int = 50
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
+            positive=("iterations",),
             not_negative=(
                 "motion_weight",
                 "motion_speed",
@@ -430,7 +426,7 @@ class Smooth(Method):
                 lambda few: self.objective.values(few, now),
                 jnp.clip(jnp.stack([last, pose, table, neutral])[start], *limits.T),
                 limits,
-                self.config.polish,
+                self.config.iterations,
             )
             taken = (start != 1) & (cost <= lowest)
             bar = jnp.where(start == 0, jnp.inf, jnp.where(start == 1, BETTER * cost, cost))

@@ -29,6 +29,17 @@ STILL: Final = 3e-3
 """``damped_newton`` stops after a step in which no variable moves further than this [rad]: since it
 converges quadratically, the next step would be too small to see."""
 
+AT_FIRST: Final = 3.0
+"""Damping of the first step of ``damped_newton``."""
+DAMPINGS: Final = (0.0, 0.2, 2.0)
+"""Dampings of its candidates, in units of that of the step before."""
+GROWTH: Final = 20.0
+"""Factor of the damping after a step of which no candidate descends."""
+LEAST: Final = 0.01
+"""Least damping; each joint's pull to the neutral pose curves the cost by five times as much."""
+MOST: Final = 1e5
+"""Damping with which a step hardly moves: the descent ends."""
+
 _AT_BOUND: Final = 1e-6
 """A variable this near a bound is at it [rad]: solvers return 1e-15 for 0."""
 
@@ -98,7 +109,7 @@ def newton_candidates(
     gradient: Float[Array, " m"],
     hessian: Float[Array, "m m"],
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
-    config: NewtonConfig,
+    dampings: Float[Array, " c"] | tuple[float, ...],
 ) -> Float[Array, "c m"]:
     """(c, m) ends of damped Newton steps from a point within (m, 2) bounds, clipped to them; one
     candidate per damping.
@@ -109,7 +120,7 @@ def newton_candidates(
 
     low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))
     identity = jnp.eye(len(limits), dtype=q.dtype)
-    damping = jnp.asarray(config.damping, q.dtype)[:, None, None]
+    damping = jnp.asarray(dampings, q.dtype)[:, None, None]
     under, over = q <= low + _AT_BOUND, q >= high - _AT_BOUND
     held = (under & (gradient > 0)) | (over & (gradient < 0))
     matrices = jnp.where(held[:, None] | held[None, :], identity, hessian) + damping * identity
@@ -141,7 +152,7 @@ def newton_minimise(
 
     def step(_: Array, last: tuple[Array, ...]) -> tuple[Array, ...]:
         q, lowest, gradient, hessian = last
-        candidates = newton_candidates(q, gradient, hessian, limits, config)
+        candidates = newton_candidates(q, gradient, hessian, limits, config.damping)
         costs, gradients, hessians = value_grad_hess(candidates)
         winner, cost = _best(costs)
         following = (candidates[winner], cost, gradients[winner], hessians[winner])
@@ -164,43 +175,42 @@ def damped_newton(
     values: Callable[[Array], Array],
     start: Float[Array, " m"],
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
-    config: NewtonConfig,
-    most: Int[Array, ""] | int | None = None,
+    iterations: int,
     still: float = STILL,
 ) -> tuple[Float[Array, " m"], Float[Array, ""], Int[Array, ""]]:
     """Descend from a start within bounds, with derivatives once per step; the cost never rises.
+
+    Levenberg's method, with a few dampings side by side: where parts touch, the quadratic model
+    changes from step to step, and a damping that fits one step rarely fits the next.
 
     Args:
         value_grad_hess: (m,) to cost, (m,) gradient and (m, m) Hessian.
         values: (c, m) candidates to their (c,) costs.
         start: (m,) a point within the bounds.
         limits: (m, 2) bounds.
-        config: settings; its iterations are the most that are made, none give the start back.
-        most: fewer iterations than the settings allow; None for those.
+        iterations: steps at most.
         still: see ``STILL``.
 
     Returns:
-        (m,) the best point found, its cost, which is infinite without iterations, and the number of
-        iterations.
+        (m,) the best point found, its cost, and the number of iterations.
     """
 
-    def better(q: Array, cost: Array, candidates: Array, costs: Array) -> tuple[Array, ...]:
-        winner, lowest = _best(costs)
-        after = jnp.where(lowest < cost, candidates[winner], q)
-        return after, jnp.minimum(lowest, cost), jnp.abs(after - q).max() > still
-
     def step(carry: tuple[Array, ...]) -> tuple[Array, ...]:
-        count, q, *_ = carry
+        count, q, _, damping, _ = carry
         cost, gradient, hessian = value_grad_hess(q)
-        candidates = newton_candidates(q, gradient, hessian, limits, config)
-        return count + 1, *better(q, cost, candidates, values(candidates))
+        dampings = damping * np.array(DAMPINGS, np.float32)
+        candidates = newton_candidates(q, gradient, hessian, limits, dampings)
+        winner, lowest = _best(values(candidates))
+        descends = lowest < cost
+        after = jnp.where(descends, candidates[winner], q)
+        damping = jnp.where(descends, jnp.maximum(dampings[winner], LEAST), GROWTH * damping)
+        goes_on = jnp.where(descends, jnp.abs(after - q).max() > still, damping < MOST)
+        return count + 1, after, jnp.minimum(lowest, cost), damping, goes_on
 
-    def goes_on(carry: tuple[Array, ...]) -> Array:
-        count, *_, moved = carry
-        return (count < limit) & moved
-
-    limit = config.iterations if most is None else jnp.minimum(most, config.iterations)
-    worst = jnp.asarray(jnp.inf, start.dtype)
-    begin = (jnp.int32(0), start, worst, jnp.bool_(True))
-    last_state: tuple[Array, ...] = jax.lax.while_loop(goes_on, step, begin)
-    return last_state[1], last_state[2], last_state[0]
+    worst, damping = (jnp.asarray(value, start.dtype) for value in (jnp.inf, AT_FIRST))
+    last: tuple[Array, ...] = jax.lax.while_loop(
+        lambda carry: (carry[0] < iterations) & carry[-1],
+        step,
+        (jnp.int32(0), start, worst, damping, jnp.bool_(True)),
+    )
+    return last[1], last[2], last[0]
