@@ -4,14 +4,15 @@
         [--hands mimic_p050 shadow_hand] [--sheets FOLDER] [--faults]
 
 A recording is named as for ``smooth-operator bench``: ``glove.npz@:500``, ``video.npz@30hz``. The
-mean of a method is over recordings, each one unit. ``--faults``: how far are two runs apart, one to
+mean of a method is over recordings, each one unit; settling is pooled over all openings of all
+fingers as well. ``--faults``: how far are two runs apart, one to
 five seconds after a fault that one of them had? Each fault comes at six places of a recording.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -23,7 +24,7 @@ from smooth_operator.lab.benchmark.contact_sheet import contact_sheet
 from smooth_operator.lab.benchmark.figures import Panel, Run
 from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.metrics import Trace, evaluate
+from smooth_operator.metrics import Trace, evaluate, posture
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.types import HandRecording
 
@@ -56,6 +57,8 @@ PLACES: Final = 6
 """Places in a recording, evenly spaced, at which each fault comes."""
 SETTLES: Final = (1.0, 5.0)
 """Time after a fault in which two runs are compared [s]."""
+SOON: Final = 0.12
+"""Time in which a finger should settle after a fast opening [s]."""
 SWAPPED: Final = np.r_[0:5, 17:21, 13:17, 9:13, 5:9]
 """Landmarks of a hand whose index finger is taken for the little one, and so on."""
 
@@ -69,6 +72,21 @@ def figures(trace: Trace) -> list[float]:
         value = value[part] if part and isinstance(value, dict) else value
         row.append(float(value) if isinstance(value, (int, float)) else np.nan)
     return row
+
+
+def settling(traces: Iterable[Trace]) -> str:
+    """Median of all openings of all fingers, and share that settles soon."""
+    parts = []
+    for trace in traces:
+        assert trace.straight_lengths is not None  # `assemble_trace` fills them in
+        human = posture.human_extensions(trace.human_fingers[:, 1:])
+        robot = posture.robot_extensions(trace.robot_fingers[:, 1:], trace.straight_lengths[1:])
+        parts.append(posture.settling_times(human, robot, trace.stamps))
+    times = np.concatenate(parts)
+    if not len(times):
+        return "no fast opening"
+    share = (times <= SOON).mean()
+    return f"{len(times)} openings settle in {np.median(times):.2f} s, {share:.0%} in {SOON} s"
 
 
 def run(method: str, hand_name: str, recordings: dict[str, HandRecording]) -> dict[str, Trace]:
@@ -186,6 +204,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 print(f"| {method} | {name} | " + " | ".join(f"{x:.3g}" for x in row) + " |")
             means = np.ma.masked_invalid(list(rows.values())).mean(axis=0).filled(np.nan)
             print(f"| {method} | **mean** | " + " | ".join(f"{x:.3g}" for x in means) + " |")
+        for method, by_recording in traces.items():
+            print(f"\n{method}: {settling(by_recording.values())}")
         if options.sheets is not None:
             options.sheets.mkdir(parents=True, exist_ok=True)
             for name in recordings:
