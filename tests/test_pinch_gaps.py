@@ -19,6 +19,7 @@ from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import tracker_model
 
 THUMB, INDEX = TIPS[0], TIPS[1]
+STEEPEST = 1 + 0.9 * 5  # slope of the closed distance, just beyond a contact
 OPEN = 0.8  # distance of thumb and index finger of an open hand [palm lengths]
 
 
@@ -69,7 +70,7 @@ def test_two_contacts_that_agree_are_a_gap(estimate, rate):
     assert (states.gap[:, 1:] == 0).all()  # of the other fingers nothing is known
     # led in: no frame changes the distance by more than the hand's own motion asks
     steps, own = np.abs(np.diff(closed)), np.abs(np.diff(distance))
-    assert (steps <= 3 * own + 0.1 / (0.3 * rate)).all()
+    assert (steps <= STEEPEST * own + 0.1 / (0.3 * rate)).all()
 
 
 def test_contacts_that_do_not_agree_or_lie_far_apart_are_no_gap(estimate):
@@ -85,10 +86,21 @@ def test_a_trackers_gap_is_closed_from_the_first_contact(estimate):
     _, closed, out = follow(estimate, points, MEDIAPIPE, 30)
     assert closed[distance < 0.31].max() < 0.04
     far = distance > 0.7
-    np.testing.assert_array_equal(out[far], points[far])
+    np.testing.assert_allclose(out[far], points[far], atol=1e-3)
     assert (np.diff(closed[: len(closed) // 3]) <= 0).all()  # closer stays closer
-    moved = np.nonzero((out != points).any(axis=(0, 2)))[0]
+    moved = np.nonzero((np.abs(out - points) > 1e-3).any(axis=(0, 2)))[0]
     assert moved.tolist() == [THUMB, INDEX]
+
+
+def test_a_thing_between_thumb_and_finger_keeps_them_apart(estimate):
+    """A tracker with a gap of 0.33 shows 0.35 as 0.43, and 0.5 as 0.54."""
+    held = np.array([0.35, 0.5])
+    points, distance = pinches(estimate, np.cbrt(held**3 + MEDIAPIPE["index"] ** 3), 30)
+    _, closed, _ = follow(estimate, points, MEDIAPIPE, 30)
+    nearest = [part.min() for part in np.split(closed, 2)]
+    np.testing.assert_allclose(nearest, held, atol=0.1)
+    closing = slice(0, 15)
+    assert (np.diff(closed[closing]) / np.diff(distance[closing])).max() <= STEEPEST
 
 
 def test_a_wrong_gap_does_not_last(estimate):
@@ -96,7 +108,7 @@ def test_a_wrong_gap_does_not_last(estimate):
     states, closed, _ = follow(estimate, points, {"index": 0.33}, 30)
     assert states.gap[-1, 0] < 0.07
     opening = (distance > 0.2) & (np.arange(len(distance)) > len(distance) * 0.8)
-    np.testing.assert_allclose(closed[opening], distance[opening], atol=1e-5)
+    np.testing.assert_allclose(closed[opening], distance[opening], atol=1e-3)
 
 
 def test_switched_off_nothing_moves(estimate):

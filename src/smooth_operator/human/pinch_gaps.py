@@ -38,9 +38,9 @@ _MORE: Final = 0.11  # by how much a gap may exceed the one that is known [palm 
 _DOWN: Final = 0.5  # share by which a contact below the estimate moves it
 _UP: Final = 0.1  # the same of one above it
 _LEAD: Final = 0.3  # time in which the correction follows the estimate [s]
-_SPREAD: Final = 0.15  # share of a gap by which contacts exceed it
-_LEFT: Final = 0.03  # what is left of a gap that is closed [palm lengths]
-_FADE: Final = 0.8  # share of a gap by which a distance exceeds it that is not corrected
+_SPREAD: Final = 0.1  # share of a gap by which contacts exceed it
+_CLOSED: Final = 0.9  # share of a contact's distance that is closed
+_FALL: Final = 6  # power with which that share falls beyond a contact
 _FOLDED: Final = 0.35  # extension of a finger, base to tip over its length, that pinches nothing
 _UNFOLDED: Final = 0.5  # extension from which a finger pinches as an open one
 _TINY: Final = 1e-9
@@ -121,8 +121,11 @@ class PinchGapEstimate:
     ) -> tuple[PinchGapState, Float[Array, "21 3"]]:
         """The state after a frame, and its landmarks with pinches closed; traceable.
 
-        Of a distance d, l = ``_LEFT`` remains at the gap g: d l / g below it, d - (g - l) s above
-        it, where s falls from 1 to 0. Thumb and finger each go half of the way.
+        A distance d is shortened by the share s min(1, g' / d)^p, where the greatest distance of a
+        contact is g' = (1 + ``_SPREAD``) g, s is ``_CLOSED``, and p is ``_FALL``. What thumb and
+        finger hold is shown a little farther apart than a contact. A share that falls fast leaves
+        them apart, and its slope stays bounded, so that it does not magnify the tracker's shake
+        into leaps. Thumb and finger each go half of the way.
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
@@ -137,15 +140,11 @@ class PinchGapEstimate:
         apart = (aligned[at] - aligned[TIPS[0]]) / self.palm
         distance = _length(apart)
         state = self._estimated(state, distance, extension, dt, restart)
-        gap = (1 + _SPREAD) * state.closed + _TINY
-        left = jnp.minimum(gap, _LEFT)
-        fade = smooth_step(1 + (gap - distance) / (_FADE * gap))
-        beyond = distance - (gap - left) * fade
-        closed = jnp.where(distance < gap, distance * left / gap, beyond)
         unfolded = smooth_step((extension - _FOLDED) / (_UNFOLDED - _FOLDED))
-        share = unfolded * (1 - closed / distance)
+        over = (1 + _SPREAD) * state.closed / distance
+        share = unfolded * _CLOSED * jnp.minimum(over, 1.0) ** _FALL
         share = jnp.where(share > 0, share, 0.0)[:, None]  # NaN where bones are not known
-        near = jnp.where(share > 0, (unfolded * fade)[:, None], 0.0)
+        near = jnp.minimum(2 * share, 1.0)
         step = share * apart * self.palm
         thumb = 0.5 * (near * step).sum(0) / jnp.maximum(near.sum(), 1.0)
         return state, aligned.at[TIPS[0]].add(thumb).at[at].add(near * thumb - step)
