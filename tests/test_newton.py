@@ -12,8 +12,8 @@ from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 
 
 def expansion(cost):
-    """Costs, gradients and Hessians of a few candidates, by automatic differentiation."""
-    return jax.vmap(lambda q: (cost(q), jax.grad(cost)(q), jax.hessian(cost)(q)))
+    """Cost, gradient and Hessian, by automatic differentiation."""
+    return lambda q: (cost(q), jax.grad(cost)(q), jax.hessian(cost)(q))
 
 
 def solve(cost, start, limits, config=NewtonConfig(iterations=20)):  # noqa: B008

@@ -18,9 +18,9 @@ from smooth_operator.lab.offline import TrajectoryRetargeter, build, execute
 from smooth_operator.lab.offline import trajectory_retargeter as trajectory_module
 from smooth_operator.lab.offline.trajectory_retargeter import check_method, windows
 from smooth_operator.lab.offline.trajectory_solver import Led, motion_price, smooth_trajectory
-from smooth_operator.methods.method import TrajectoryConfig, TrajectoryMethodConfig
 from smooth_operator.methods.presets import PRESETS, live_presets, method_config
 from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.methods.trajectory import TrajectoryConfig, TrajectoryMethodConfig
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.planning import make_request, plan

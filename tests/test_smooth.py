@@ -26,7 +26,7 @@ from smooth_operator.methods import smooth as smooth_module
 from smooth_operator.methods.smooth import SMOOTH_TELEOP, SmoothConfig
 from smooth_operator.metrics.consistency import frozen_share, motion_preservation
 from smooth_operator.objective.smooth_terms import SelfCollisionConfig
-from smooth_operator.solvers.newton import damped_newton
+from smooth_operator.solvers.levenberg import damped_newton
 
 RATE = 115.0
 

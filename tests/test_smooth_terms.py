@@ -30,7 +30,7 @@ from smooth_operator.objective.smooth_terms import (
 )
 from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.objective.terms import FrameGoal, VectorSlopes
-from smooth_operator.solvers.newton import damped_newton
+from smooth_operator.solvers.levenberg import damped_newton
 
 NO_GOAL = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 0.0)
 HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")

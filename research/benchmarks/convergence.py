@@ -25,7 +25,7 @@ from smooth_operator.methods.program import ticks_of
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.smooth import Smooth, SmoothConfig
 from smooth_operator.objective.straight_fingers import frame_limits
-from smooth_operator.solvers.newton import STILL, damped_newton
+from smooth_operator.solvers.levenberg import STILL, damped_newton
 
 SETTINGS: Final = ((6, STILL), (SmoothConfig().iterations, STILL), (500, 1e-5))
 """Iterations, and the step that ends a descent [rad]."""

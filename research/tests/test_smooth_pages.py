@@ -71,11 +71,11 @@ MOST_LINES = 1830
 """2,160 on 2026-11-27, without pinch gaps (102), grip (36) and the thumb's pad (25), new since."""
 
 A_FRAME = (
-    "human/alignment", "human/palm", "human/pinch_gaps", "human/fingertip_filter",
+    "human/alignment", "human/pinch_gaps", "human/fingertip_filter",
     "human/correspondence", "human/grip", "objective/targets", "objective/keyvectors",
     "objective/terms", "objective/smooth_terms", "objective/loss", "objective/straight_fingers",
-    "hands/differential", "hands/pose_table", "solvers/newton", "methods/method", "methods/smooth",
-    "methods/frame", "methods/program",
+    "hands/differential", "hands/pose_table", "solvers/levenberg", "methods/method",
+    "methods/smooth", "methods/frame", "methods/program",
 )  # fmt: skip
 """Modules that a frame of ``smooth`` passes from landmarks to command."""
 

@@ -35,8 +35,8 @@ from smooth_operator.lab.datasets.quality import quality_figures
 from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips, whole_config
 from smooth_operator.lab.datasets.sources import find_items
 from smooth_operator.lab.datasets.work import read_item
-from smooth_operator.methods.method import TrajectoryConfig, TrajectoryMethodConfig
 from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.methods.trajectory import TrajectoryConfig, TrajectoryMethodConfig
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.solvers.newton import NewtonConfig
 from smooth_operator.solvers.sampling import SamplingConfig

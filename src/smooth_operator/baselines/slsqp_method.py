@@ -203,7 +203,7 @@ class SlsqpMethod(HostMethod):
         if self.config.approach.iterations:
             low, high = (jnp.asarray(side, jnp.float32) for side in self.hand.limits.T)
             start, cost, gradient = newton_minimise(
-                lambda q: self.objective.few_value_grad_hess(q, goal),
+                lambda q: self.objective.value_grad_hess(q, goal),
                 jnp.clip(start, low, high),
                 self.hand.limits,
                 self.config.approach,

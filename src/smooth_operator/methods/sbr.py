@@ -20,14 +20,8 @@ from smooth_operator.human.correspondence import (
     CorrespondenceState,
 )
 from smooth_operator.landmarks import WRIST
-from smooth_operator.methods.method import (
-    FUTURE,
-    FrameClock,
-    Method,
-    MethodOutput,
-    ObjectiveMethodConfig,
-    TrajectoryMethodConfig,
-)
+from smooth_operator.methods.method import FrameClock, Method, MethodOutput, ObjectiveMethodConfig
+from smooth_operator.methods.trajectory import FUTURE, TrajectoryMethodConfig
 from smooth_operator.objective.keyvectors import tips_of
 from smooth_operator.objective.loss import Objective
 from smooth_operator.objective.published import DexPilotTargets, ObjectiveConfig
@@ -188,7 +182,7 @@ class Sbr(Method):
                 sigma,
             )
             solution = newton_minimise(
-                lambda few: self.objective.few_value_grad_hess(few, goal), q, limits, config.polish
+                lambda one: self.objective.value_grad_hess(one, goal), q, limits, config.polish
             )
             return solution[:2]
 

@@ -38,14 +38,8 @@ from smooth_operator.human.fingertip_filter import (
 from smooth_operator.human.grip import GripConfig, GripState, grip
 from smooth_operator.human.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
-from smooth_operator.methods.method import (
-    FUTURE,
-    FrameClock,
-    Method,
-    MethodOutput,
-    ObjectiveMethodConfig,
-    TrajectoryMethodConfig,
-)
+from smooth_operator.methods.method import FrameClock, Method, MethodOutput, ObjectiveMethodConfig
+from smooth_operator.methods.trajectory import FUTURE, TrajectoryMethodConfig
 from smooth_operator.objective.loss import Objective, TermsConfig
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,
@@ -62,7 +56,7 @@ from smooth_operator.objective.straight_fingers import frame_limits
 from smooth_operator.objective.targets import CloseTargets
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.settings import check_numbers, is_off
-from smooth_operator.solvers.newton import damped_newton
+from smooth_operator.solvers.levenberg import damped_newton
 
 REFERENCE: Final = 0.01
 """Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an

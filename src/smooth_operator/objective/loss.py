@@ -197,12 +197,6 @@ class Objective:
         moments = self.kinematics.moments(motion, gradient)
         return _Near(cost, motion, moments, *_gauss_newton(near, motion))
 
-    def few_value_grad_hess(
-        self, q: Float[Array, "c m"], goal: FrameGoal
-    ) -> tuple[Float[Array, " c"], Float[Array, "c m"], Float[Array, "c m m"]]:
-        """Values, gradients and Hessians of a few poses."""
-        return jax.vmap(lambda one: self.value_grad_hess(one, goal))(q)
-
     def values(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
         """Costs of a few poses, through the small program."""
         costs: Array = jax.vmap(

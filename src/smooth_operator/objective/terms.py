@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -119,31 +118,6 @@ class PointTerm(Term, ABC):
             points: (P, 3) the term's points [m].
             jacobian: (P, J, 3) their derivatives with respect to the J joints [m/rad].
         """
-
-
-class LeastSquaresTerm(PointTerm):
-    """Half the sum of squared residuals of some points; the simplest term to write."""
-
-    @abstractmethod
-    def residuals(self, points: Float[Array, "P 3"], goal: FrameGoal) -> Float[Array, " R"]:
-        """(R,) residuals at one pose, each times the root of its weight; differentiable."""
-
-    def expand(
-        self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
-    ) -> Quadratic:
-        """See ``PointTerm``; the derivatives of the residuals come from JAX."""
-        residuals, pull = jax.vjp(lambda p: self.residuals(p, goal), points)
-
-        def along(speeds: Array) -> Array:
-            _, rates = jax.jvp(lambda p: self.residuals(p, goal), (points,), (speeds,))
-            return jnp.asarray(rates)
-
-        return Quadratic(
-            0.5 * (residuals * residuals).sum(),
-            pull(residuals)[0],
-            jax.vmap(along, in_axes=1, out_axes=1)(jacobian),
-            jnp.ones_like(residuals),
-        )
 
 
 class JointTerm(Term, ABC):

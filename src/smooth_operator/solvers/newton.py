@@ -1,47 +1,22 @@
 """Newton descent within bounds, projected: a second-order polish in the right basin.
 
-Two drivers share one step. ``newton_minimise`` takes derivatives of all candidates of a step, and
-its program holds the objective once. ``damped_newton`` is for objectives whose derivatives cost
-many times what their value does: it takes values of the candidates, and derivatives of the winner.
+It takes derivatives of all candidates of a step. ``damped_newton`` (``levenberg.py``) is for
+objectives whose derivatives cost many times what their value does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from types import ModuleType
-from typing import Final, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.geometry import on_gpu
 from smooth_operator.settings import LARGEST, check_numbers
-
-ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
-"""(c, m) candidates to their costs (c,), gradients (c, m) and Hessians (c, m, m); or one point
-(m,) to its cost (), gradient (m,) and Hessian (m, m)."""
-
-STILL: Final = 3e-3
-"""``damped_newton`` stops after a step in which no variable moves further than this [rad]: since it
-converges quadratically, the next step would be too small to see."""
-
-AT_FIRST: Final = 3.0
-"""Damping of the first step of ``damped_newton``."""
-DAMPINGS: Final = (0.0, 0.2, 2.0)
-"""Dampings of its candidates, in units of that of the step before."""
-GROWTH: Final = 20.0
-"""Factor of the damping after a step of which no candidate descends."""
-LEAST: Final = 0.01
-"""Least damping; each joint's pull to the neutral pose curves the cost by five times as much."""
-MOST: Final = 1e5
-"""Damping with which a step hardly moves: the descent ends."""
-
-_AT_BOUND: Final = 1e-6
-"""A variable this near a bound is at it [rad]: solvers return 1e-15 for 0."""
+from smooth_operator.solvers.levenberg import ValueGradHess, best_of, newton_candidates
 
 
 @dataclass(frozen=True)
@@ -78,63 +53,6 @@ class NewtonResult(NamedTuple):
     gradient: Float[Array, " m"]
 
 
-def gpu_kernels(samples: int = 0) -> ModuleType | None:
-    """The module of GPU kernels, if programs that are traced now may hold them; ``samples`` is the
-    number of costs of a call of ``next_gaussian``."""
-    if not on_gpu():
-        return None
-    from smooth_operator.solvers import gpu_kernels
-
-    return gpu_kernels if gpu_kernels.kernels_available(samples) else None
-
-
-def solve_small(
-    matrices: Float[Array, "*c m m"], right: Float[Array, "*c m"]
-) -> Float[Array, "*c m"]:
-    """x of ``matrix @ x = right`` for one or a few small positive definite matrices, else NaN: by
-    LAPACK on a CPU, in one kernel on a GPU."""
-    if (kernels := gpu_kernels()) is not None:
-        size = right.shape[-1]
-        few = matrices.reshape(-1, size, size), right.reshape(-1, size)
-        solution: Array = kernels.solve_positive_definite(*few)
-        return solution.reshape(right.shape)
-    factor = jnp.linalg.cholesky(matrices)
-    if right.ndim == 1:
-        return jax.scipy.linalg.cho_solve((factor, True), right)
-    return jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]
-
-
-def newton_candidates(
-    q: Float[Array, " m"],
-    gradient: Float[Array, " m"],
-    hessian: Float[Array, "m m"],
-    limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
-    dampings: Float[Array, " c"] | tuple[float, ...],
-) -> Float[Array, "c m"]:
-    """(c, m) ends of damped Newton steps from a point within (m, 2) bounds, clipped to them; one
-    candidate per damping.
-
-    Variables at a bound that the gradient pushes outwards are held; the others take the step. An
-    indefinite damped Hessian has no Cholesky factor: its candidate is NaN, and so is its cost.
-    """
-
-    low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))
-    identity = jnp.eye(len(limits), dtype=q.dtype)
-    damping = jnp.asarray(dampings, q.dtype)[:, None, None]
-    under, over = q <= low + _AT_BOUND, q >= high - _AT_BOUND
-    held = (under & (gradient > 0)) | (over & (gradient < 0))
-    matrices = jnp.where(held[:, None] | held[None, :], identity, hessian) + damping * identity
-    right = jnp.broadcast_to(jnp.where(held, 0.0, gradient), (len(damping), len(limits)))
-    return jnp.clip(q - solve_small(matrices, right), low, high)
-
-
-def _best(costs: Float[Array, " c"]) -> tuple[Array, Array]:
-    """Index of the lowest finite cost, and that cost; infinite if there is none."""
-    costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
-    winner = jnp.argmin(costs)
-    return winner, costs[winner]
-
-
 def newton_minimise(
     value_grad_hess: ValueGradHess,
     start: Float[Array, " m"],
@@ -144,7 +62,7 @@ def newton_minimise(
     """Descend from a start within bounds, with derivatives of every candidate; cost never rises.
 
     Args:
-        value_grad_hess: costs, gradients and Hessians of a few candidates.
+        value_grad_hess: cost, gradient and Hessian of one candidate.
         start: (m,) a point within the bounds.
         limits: (m, 2) bounds.
         config: settings; no iterations give the start back.
@@ -153,64 +71,18 @@ def newton_minimise(
     def step(_: Array, last: tuple[Array, ...]) -> tuple[Array, ...]:
         q, lowest, gradient, hessian = last
         candidates = newton_candidates(q, gradient, hessian, limits, config.damping)
-        costs, gradients, hessians = value_grad_hess(candidates)
-        winner, cost = _best(costs)
+        costs, gradients, hessians = jax.vmap(value_grad_hess)(candidates)
+        winner, cost = best_of(costs)
         following = (candidates[winner], cost, gradients[winner], hessians[winner])
         better = cost < lowest
         return tuple(jnp.where(better, new, old) for new, old in zip(following, last, strict=True))
 
     if config.iterations == 0:
-        costs, gradients, _ = value_grad_hess(start[None])
-        return NewtonResult(start, costs[0], gradients[0])
+        cost, gradient, _ = value_grad_hess(start)
+        return NewtonResult(start, cost, gradient)
     # Without a gradient the first pass does not move: it only evaluates the start. That way the
     # program holds the objective once, and compiles in half the time.
     identity = jnp.eye(len(limits), dtype=start.dtype)
     nothing = (start, jnp.asarray(jnp.inf, start.dtype), jnp.zeros_like(start), identity)
     q, cost, gradient, _ = jax.lax.fori_loop(0, config.iterations + 1, step, nothing)
     return NewtonResult(q, cost, gradient)
-
-
-def damped_newton(
-    value_grad_hess: ValueGradHess,
-    values: Callable[[Array], Array],
-    start: Float[Array, " m"],
-    limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
-    iterations: int,
-    still: float = STILL,
-) -> tuple[Float[Array, " m"], Float[Array, ""], Int[Array, ""]]:
-    """Descend from a start within bounds, with derivatives once per step; the cost never rises.
-
-    Levenberg's method, with a few dampings side by side: where parts touch, the quadratic model
-    changes from step to step, and a damping that fits one step rarely fits the next.
-
-    Args:
-        value_grad_hess: (m,) to cost, (m,) gradient and (m, m) Hessian.
-        values: (c, m) candidates to their (c,) costs.
-        start: (m,) a point within the bounds.
-        limits: (m, 2) bounds.
-        iterations: steps at most.
-        still: see ``STILL``.
-
-    Returns:
-        (m,) the best point found, its cost, and the number of iterations.
-    """
-
-    def step(carry: tuple[Array, ...]) -> tuple[Array, ...]:
-        count, q, _, damping, _ = carry
-        cost, gradient, hessian = value_grad_hess(q)
-        dampings = damping * np.array(DAMPINGS, np.float32)
-        candidates = newton_candidates(q, gradient, hessian, limits, dampings)
-        winner, lowest = _best(values(candidates))
-        descends = lowest < cost
-        after = jnp.where(descends, candidates[winner], q)
-        damping = jnp.where(descends, jnp.maximum(dampings[winner], LEAST), GROWTH * damping)
-        goes_on = jnp.where(descends, jnp.abs(after - q).max() > still, damping < MOST)
-        return count + 1, after, jnp.minimum(lowest, cost), damping, goes_on
-
-    worst, damping = (jnp.asarray(value, start.dtype) for value in (jnp.inf, AT_FIRST))
-    last: tuple[Array, ...] = jax.lax.while_loop(
-        lambda carry: (carry[0] < iterations) & carry[-1],
-        step,
-        (jnp.int32(0), start, worst, damping, jnp.bool_(True)),
-    )
-    return last[1], last[2], last[0]

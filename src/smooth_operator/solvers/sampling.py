@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.settings import check_choice, check_numbers
-from smooth_operator.solvers.newton import gpu_kernels
+from smooth_operator.solvers.levenberg import gpu_kernels
 from smooth_operator.solvers.random_words import random_words
 
 _ROWS: Final = 32  # a bit of a word for each

@@ -40,8 +40,8 @@ from smooth_operator.lab.datasets.clip import Clip
 from smooth_operator.lab.datasets.retargeting import whole_config
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.lab.offline.trajectory_solver import FrameBlocks
-from smooth_operator.methods.method import TrajectoryMethodConfig
 from smooth_operator.methods.presets import method_config
+from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.planning import Plan
 from smooth_operator.types import CommandTrajectory, Side
 

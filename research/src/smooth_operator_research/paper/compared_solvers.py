@@ -404,7 +404,7 @@ class Newton(_FromStarts, CompiledSolver):
 
         def descend(q: Array) -> tuple[Array, Array]:
             return newton_minimise(
-                lambda few: objective.few_value_grad_hess(few, goal), q, objective.hand.limits,
+                lambda one: objective.value_grad_hess(one, goal), q, objective.hand.limits,
                 self.config,
             )[:2]  # fmt: skip
 

@@ -237,7 +237,7 @@ def _settling_program(objective: SampledObjective) -> Callable[..., Array]:
     def settle(q: Array, key: Array, goal: FrameGoal) -> Array:
         q = sample_minimise(lambda c: objective(c, goal), q, limits, key, _SETTLE)
         return newton_minimise(
-            lambda few: objective.few_value_grad_hess(few, goal), q, limits, NEWTON_CONFIG
+            lambda one: objective.value_grad_hess(one, goal), q, limits, NEWTON_CONFIG
         )[0]
 
     return compiled(settle)

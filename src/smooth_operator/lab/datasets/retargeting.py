@@ -18,7 +18,8 @@ from smooth_operator.lab.datasets.quality import Tracks, quality_tracks
 from smooth_operator.lab.datasets.registry import DATASETS, RESEARCH_PACKAGE, ReadingOptions
 from smooth_operator.lab.offline.execution import answers
 from smooth_operator.lab.offline.finished import digest, made_by
-from smooth_operator.methods.method import MethodConfig, TrajectoryMethodConfig
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, plan
 from smooth_operator.plugins import Entry
 from smooth_operator.result_cache import key_digest

@@ -36,8 +36,9 @@ from smooth_operator.lab.offline.trajectory_solver import (
 )
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.methods.frame import align_frame
-from smooth_operator.methods.method import Method, MethodConfig, TrajectoryMethodConfig
+from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.objective.loss import Objective
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
