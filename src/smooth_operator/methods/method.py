@@ -11,7 +11,7 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar, cast
+from typing import Any, ClassVar, Final, NamedTuple, TypeVar, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,9 +21,6 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.objective.loss import Objective, TermsConfig
 from smooth_operator.settings import RATE_RANGE_HZ
-
-if TYPE_CHECKING:
-    from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 
 C = TypeVar("C", bound="MethodConfig")
 
@@ -166,9 +163,9 @@ class MethodConfig(ABC):
         """
 
     @property
-    def trajectory(self) -> TrajectoryMethodConfig | None:
-        """The settings as those of trajectory optimisation, which needs the whole recording; None
-        for a method that answers frame by frame."""
+    def trajectory(self) -> Any:
+        """The settings as ``TrajectoryMethodConfig``, which needs the whole recording; None for a
+        method that answers frame by frame."""
         return None
 
     def with_alignment(self: C, **changes: Any) -> C:
