@@ -63,7 +63,7 @@ def test_human_and_robot_keyvectors():
     by_hand = np.stack([points[:, j] - points[:, i] for i, j in combinations(range(6), 2)], axis=1)
     order = [list(combinations(range(6), 2)).index(pair) for pair in FIVE.pairs]
     np.testing.assert_allclose(FIVE.human(landmarks), by_hand[:, order], atol=1e-15)
-    robot = FIVE.robot(points[:, 1:] - points[:, :1], np.zeros(3))
+    robot = FIVE.of_tips(points[:, 1:] - points[:, :1], np.zeros(3))
     np.testing.assert_allclose(robot, FIVE.human(landmarks), atol=1e-12)
     assert isinstance(FIVE.human(jnp.asarray(landmarks)), jax.Array)
 
@@ -75,7 +75,7 @@ def human_vectors(distances: list[float], layout: KeyvectorLayout = FIVE) -> jax
     directions = rng.standard_normal((len(distances), 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     tips = np.vstack([thumb, thumb + directions * np.array(distances)[:, None]])
-    return jnp.asarray(layout.robot(tips, np.zeros(3)), jnp.float32)
+    return jnp.asarray(layout.of_tips(tips, np.zeros(3)), jnp.float32)
 
 
 def first_frame(
@@ -201,7 +201,7 @@ def random_goal(hand: Hand, seed: int, velocity_weight: float = 0.1) -> FrameGoa
     rng = np.random.default_rng(seed)
     layout = KeyvectorLayout(hand.fingers)
     q = limited_poses(rng, hand.limits, 2)
-    vectors = layout.robot(hand.tips(hand.full_configuration(q[0])), hand.wrist)
+    vectors = layout.of_tips(hand.tips(hand.full_configuration(q[0])), hand.wrist)
     vectors = vectors + rng.normal(0, 0.02, vectors.shape)
     return FrameGoal(vectors, rng.uniform(0, 2, len(vectors)), q[1], velocity_weight)
 

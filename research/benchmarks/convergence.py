@@ -39,7 +39,7 @@ def descent(method: Smooth, iterations: int, still: float) -> Callable[..., Any]
     def run(start: Any, state: Any, landmarks: Any, valid: Any, ticks: Any) -> Any:
         aligned = align_frame(method, method.config.alignment, landmarks, valid).aligned
         frame = method._observed(state, aligned, ticks)
-        goal = method._goal_of(state, frame)
+        goal = frame.goal
         limits = frame_limits(method.hand, goal.vectors[: len(frame.places)])
         return damped_newton(
             lambda one: method.objective.value_grad_hess(one, goal),

@@ -156,9 +156,9 @@ class Correspondence:
         measured: Float[Array, "F 3"],
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
-    ) -> tuple[CorrespondenceState, Float[Array, "F 3"]]:
-        """The state after a frame, and (F, 3) steps of the fingertips' places in it [m], in the
-        direction of ``steps``. Traceable.
+    ) -> tuple[CorrespondenceState, Float[Array, "F 3"], Float[Array, " P"]]:
+        """The state after a frame, (F, 3) steps of the fingertips' places in it [m], in the
+        direction of ``steps``, and (F - 1,) nearness of each finger to a pinch, 0 to 1. Traceable.
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
@@ -176,12 +176,15 @@ class Correspondence:
             lengths=jnp.where(unseen, lengths, before.lengths),
         )
         operator = self._measured(before, aligned, dt, restart)
-        places, gain, motion_gain = self._places(operator, tips)
+        places, gain, nearness = self._places(operator, tips)
+        # fingers that pinch move as one
+        nearest = jnp.concatenate([nearness.max()[None], nearness])
+        moves = (gain + nearest * (1 - gain))[:, None] * steps
         size = jnp.sqrt((measured * measured).sum(-1))
         most = (jnp.maximum(gain, 1.0) * size + self.config.catch_up * dt)[:, None]
         last = jnp.where(restart, places, before.places)
         places = last + _shortened(places - last, most)
-        return operator._replace(places=places), _shortened(motion_gain[:, None] * steps, most)
+        return operator._replace(places=places), _shortened(moves, most), nearness
 
     def _measured(
         self,
@@ -233,7 +236,7 @@ class Correspondence:
         self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
     ) -> tuple[Float[Array, "F 3"], Float[Array, " F"], Float[Array, " F"]]:
         """Places of the fingertips, with a continuous slope; the fingers' gains, robot length over
-        human length; and the gains of their motion, which fall to 1 at a pinch.
+        human length; and their nearness to a pinch.
 
         Of the human's vectors h_i from thumb to finger i, places T by the fingers alone, gains g,
         closeness c_i and nearness n_i (c_i^2 of an unfolded finger) of 0 to 1, and weights
@@ -253,9 +256,7 @@ class Correspondence:
         scaled = human * (gain[1:] - close * (gain[1:] - 1))[:, None]
         thumb = (alone[0] + (weights * (alone[1:] - scaled)).sum(0)) / (1 + weights.sum(0))
         fingers = alone[1:] + nearness[:, None] * (thumb + human - alone[1:])
-        # fingers that pinch move as one
-        nearest = jnp.concatenate([nearness.max()[None], nearness])
-        return jnp.concatenate([thumb[None], fingers]), gain, gain + nearest * (1 - gain)
+        return jnp.concatenate([thumb[None], fingers]), gain, nearness
 
 
 def _shortened(vectors: Float[Array, "F 3"], most: Float[Array, "F 1"]) -> Float[Array, "F 3"]:

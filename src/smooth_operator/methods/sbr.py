@@ -210,7 +210,7 @@ class Sbr(Method):
         at = np.array(tips_of(self.hand.fingers))
         tips = aligned[at]
         steps = jnp.where(clock.restart, 0.0, tips - before.tips)
-        fingers, _ = self.correspondence.step(
+        fingers, *_ = self.correspondence.step(
             before.fingers, aligned, tips, steps, steps, clock.dt, clock.restart
         )
         wrist = jnp.asarray(self.hand.wrist, aligned.dtype)

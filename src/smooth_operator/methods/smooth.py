@@ -22,6 +22,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, UInt32
 
+from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.pose_table import PoseTable
 from smooth_operator.human.alignment import AlignmentConfig
@@ -37,9 +38,10 @@ from smooth_operator.human.fingertip_filter import (
 )
 from smooth_operator.human.grip import GripConfig, GripState, grip
 from smooth_operator.human.pinch_gaps import PinchGapEstimate, PinchGapState
-from smooth_operator.landmarks import FINGERS, NUM_LANDMARKS, TIPS, WRIST
+from smooth_operator.landmarks import TIPS
 from smooth_operator.methods.method import FrameClock, Method, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.methods.trajectory import FUTURE, TrajectoryMethodConfig
+from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.loss import Objective, TermsConfig
 from smooth_operator.objective.smooth_terms import (
     DirectionLength,
@@ -177,23 +179,28 @@ class SmoothState(NamedTuple):
 
 
 class _Observed(NamedTuple):
-    """A frame after the filters.
+    """What a frame asks.
 
     Attributes:
         state: the state after its landmarks.
         clock: its time.
-        goal: its goal, without the motion of fingertips.
-        moves: (F, 3) steps of the fingertips' places [m].
-        weights: (F,) weights of that motion.
+        goal: targets and weights.
         places: (F, 3) places of the fingertips in the palm frame [m].
+        table: (m,) the pose table's nearest pose [rad].
+        possible: (F,) distances of that pose's fingertips from their places [m].
     """
 
     state: SmoothState
     clock: FrameClock
     goal: FrameGoal
-    moves: Float[Array, "F 3"]
-    weights: Float[Array, " F"]
     places: Float[Array, "F 3"]
+    table: Float[Array, " m"]
+    possible: Float[Array, " F"]
+
+    def beyond(self, tips: Float[Array, "F 3"]) -> Float[Array, " F"]:
+        """By how much fingertips are further from their places than the table's [m]."""
+        off = tips - self.places
+        return jnp.maximum(jnp.sqrt((off * off).sum(-1)) - self.possible, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,9 +251,21 @@ class Smooth(Method):
         return PoseTable(self.hand)
 
     @property
+    def layout(self) -> KeyvectorLayout:
+        """The vectors from wrist and thumb's tip to the fingertips.
+
+        Raises:
+            ConfigError: the target policy speaks of others.
+        """
+        layout = self.objective.layout
+        if not isinstance(layout, KeyvectorLayout):
+            raise ConfigError(f"smooth needs the paper's keyvectors, not {type(layout).__name__}")
+        return layout
+
+    @property
     def needs(self) -> tuple[int, ...]:
         """Wrist and fingertips."""
-        return self.objective.layout.landmarks
+        return self.layout.landmarks
 
     @property
     def optional_landmarks(self) -> tuple[int, ...]:
@@ -305,20 +324,11 @@ class Smooth(Method):
     ) -> tuple[SmoothState, MethodOutput]:
         """One frame."""
         frame = self._observed(state, aligned, jnp.asarray(ticks, jnp.uint32))
-        goal = self._goal_of(state, frame)
-        solved, tips, astray = self._solve(state, goal, frame)
+        solved, tips, astray = self._solve(state, frame)
         after = frame.state._replace(q=solved, astray=astray, frames=state.frames + jnp.uint32(1))
         keyvectors = self.objective.keyvectors
-        errors = keyvectors.vectors.at(tips) - goal.vectors
-        return after, MethodOutput(solved, keyvectors.slopes(errors, goal).cost)
-
-    def _goal_of(self, state: SmoothState, frame: _Observed) -> FrameGoal:
-        """The whole goal of a frame."""
-        tips, weights = self.motion.tips(state.q) + frame.moves, frame.weights
-        if state.operator:  # its places are within reach: an error that stays is a fault's
-            off = self._beyond(tips, frame.places) / ASTRAY
-            weights = weights / (1 + off**4)
-        return frame.goal._replace(tips=tips, motion_weights=weights)
+        errors = keyvectors.vectors.at(tips) - frame.goal.vectors
+        return after, MethodOutput(solved, keyvectors.slopes(errors, frame.goal).cost)
 
     def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
@@ -327,73 +337,59 @@ class Smooth(Method):
         config = self.config
         clock = FrameClock.of(now - state.ticks, state.frames)
         gaps, closed = self.closing.step(state.gaps, aligned, clock.dt, clock.restart)
-        measured = closed[np.array(self.needs)]
+        measured = closed[np.array(self.needs)]  # the wrist and the fingertips
         filtered, still = filter_fingertips(
             state.filtered, measured, clock.dt, config.fingertips, clock.restart
         )
         steps = jnp.where(clock.restart, 0.0, filtered.followed - state.filtered.followed)
-        points, tips = filtered.followed, [TIPS[FINGERS.index(f)] for f in self.hand.fingers]
-        at, wrist = np.array([self.needs.index(i) for i in tips]), self.needs.index(WRIST)
-        whole = steps[at] - steps[wrist]
-        moves = still[at] - still[wrist]
-        goal_points, operator, speeds = points, state.operator, moves
-        origin = jnp.asarray(self.hand.wrist, points.dtype)
+        tips, origin = filtered.followed[1:], jnp.asarray(self.hand.wrist, aligned.dtype)
+        held, operator, speeds = state.grip, state.operator, still[1:] - still[0]
+        places, moves = tips - filtered.followed[0] + origin, speeds
         if operator:  # a tuple of arrays; empty without a correspondence
-            operator, moves = self.correspondence.step(
-                operator, aligned, points[at], moves, whole, clock.dt, clock.restart
+            operator, moves, nearness = self.correspondence.step(
+                operator, aligned, tips, speeds, steps[1:] - steps[0], clock.dt, clock.restart
             )
-            nearness = self.correspondence.pinching(operator, points[at])[1]
-            held = grip(state.grip, points[at], nearness, clock.dt, config.grip, clock.restart)
+            held = grip(held, tips, nearness, clock.dt, config.grip, clock.restart)
             places, moves = operator.places + held.offsets, moves + held.offsets
             moves = moves - jnp.where(clock.restart, held.offsets, state.grip.offsets)
-            state = state._replace(grip=held)
-            corners = jnp.concatenate([places, origin[None]])
-            goal_points = points.at[np.array([*at, wrist])].set(corners)
-        else:
-            places = points[at] - points[wrist] + origin
-        goal, weights, policy = self._goal(state, goal_points, speeds, clock)
-        pad = aligned[TIPS[0]] - aligned[TIPS[0] - 1]
-        goal = goal._replace(pad=pad / jnp.sqrt((pad * pad).sum() + 1e-12))
-        off = (measured - state.filtered.followed)[at]
+        off = (measured - state.filtered.followed)[1:]
         leaps = jnp.sqrt((off * off).sum(-1)) > LEAP[0] + LEAP[1] * clock.dt
         leapt = jnp.where(leaps.any() & ~clock.restart, 0.0, state.leapt + clock.dt)
-        state = state._replace(
-            operator=operator, gaps=gaps, filtered=filtered, targets=policy, ticks=now, leapt=leapt
-        )
-        return _Observed(state, clock, goal, moves, weights, places)
-
-    def _goal(
-        self,
-        state: SmoothState,
-        points: Float[Array, "L 3"],
-        moves: Float[Array, "F 3"],
-        clock: FrameClock,
-    ) -> tuple[FrameGoal, Float[Array, " F"], Any]:
-        """The goal of a frame but for motion, (F,) weights of the motion of fingertips, and the
-        target policy's state after the frame."""
-        config, layout = self.config, self.objective.layout
-        at = [self.needs.index(i) if i in self.needs else -1 for i in range(NUM_LANDMARKS)]
-        human = layout.human(points[np.array(at)])  # from landmarks that are needed
-        targets, policy_state = config.objective.targets(state.targets, layout, human)
+        policy, human = config.objective.targets, self.layout.of_tips(places, origin)
+        targets, latches = policy(state.targets, self.layout, human)
         # the further apart two frames are, the less they hold each other
         holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
-        velocity = jnp.zeros(len(self.hand.neutral), points.dtype)
-        slow = jnp.ones(len(moves), points.dtype)
+        slow = jnp.ones(len(moves), aligned.dtype)
         if not is_off(config.motion_speed):
-            speed = jnp.sqrt((moves * moves).sum(-1) + 1e-18) / clock.dt
+            speed = jnp.sqrt((speeds * speeds).sum(-1) + 1e-18) / clock.dt
             slow = 1 / (1 + (speed / config.motion_speed) ** 2)
-        motion = config.motion_weight * holds * slow
-        latched = config.objective.targets.latched(policy_state)
-        if latched is not None and not is_off(config.pinch_damping):
-            pinching = slow * jnp.concatenate([latched.any()[None], latched])
-            damped = (pinching[:, None] * jnp.asarray(self.pose_table.moves)).max(axis=0)
-            shake = state.filtered.shake / PINCH_SHAKE
-            velocity = config.pinch_damping * shake * holds * damped
-        goal = FrameGoal(targets.vectors, targets.weights, state.q, velocity)
-        return goal, motion, policy_state
+        latched = policy.latched(latches)
+        latched = jnp.zeros(len(tips) - 1, bool) if latched is None else latched
+        pinching = slow * jnp.concatenate([latched.any()[None], latched])
+        damped = (pinching[:, None] * jnp.asarray(self.pose_table.moves)).max(axis=0)
+        damping = config.pinch_damping * (state.filtered.shake / PINCH_SHAKE) * holds * damped
+        pad = aligned[TIPS[0]] - aligned[TIPS[0] - 1]
+        pad = pad / jnp.sqrt((pad * pad).sum() + 1e-12)
+        arrival, weights = self.motion.tips(state.q) + moves, config.motion_weight * holds * slow
+        goal = FrameGoal(*targets, state.q, damping, arrival, weights, pad)
+        after = state._replace(
+            operator=operator,
+            grip=held,
+            gaps=gaps,
+            filtered=filtered,
+            targets=latches,
+            ticks=now,
+            leapt=leapt,
+        )
+        frame = _Observed(after, clock, goal, places, *self.pose_table.nearest(places))
+        if not operator:
+            return frame
+        # the places are within reach: an error that stays is a fault's
+        weights = weights / (1 + (frame.beyond(arrival) / ASTRAY) ** 4)
+        return frame._replace(goal=goal._replace(motion_weights=weights))
 
     def _solve(
-        self, state: SmoothState, goal: FrameGoal, frame: _Observed
+        self, state: SmoothState, frame: _Observed
     ) -> tuple[Float[Array, " m"], Float[Array, "F 3"], Float[Array, ""]]:
         """(m,) the solver's answer, (F, 3) its fingertips [m], and the time for which a finger has
         been astray [s].
@@ -403,42 +399,35 @@ class Smooth(Method):
         pose: the lower cost counts. Where a fingertip has been astray for a while, it counts if it
         is much lower than that of a third one, from the hand's own pose.
         """
-        places, restart, last = frame.places, frame.clock.restart, state.q
-        limits = frame_limits(self.hand, goal.vectors[: len(places)])
-        table, _ = self.pose_table.nearest(places)
+        goal, last = frame.goal, state.q
+        limits = frame_limits(self.hand, goal.vectors[: len(frame.places)])
         neutral = jnp.asarray(self.hand.neutral, last.dtype)
-        free = goal._replace(
-            velocity_weight=jnp.zeros_like(goal.velocity_weight),
-            motion_weights=jnp.zeros(len(places), last.dtype),
-        )
 
         def descent(start: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
             pose, lowest = best
-            now = jax.tree.map(lambda a, b: jnp.where(start == 0, a, b), goal, free)
+            past = start == 0
+            now = goal._replace(
+                velocity_weight=jnp.where(past, goal.velocity_weight, 0.0),
+                motion_weights=jnp.where(past, jnp.asarray(goal.motion_weights), 0.0),
+            )
             end, cost, _ = damped_newton(
                 lambda one: self.objective.value_grad_hess(one, now),
                 lambda few: self.objective.values(few, now),
-                jnp.clip(jnp.stack([last, pose, table, neutral])[start], *limits.T),
+                jnp.clip(jnp.stack([last, pose, frame.table, neutral])[start], *limits.T),
                 limits,
                 self.config.iterations,
             )
             taken = (start != 1) & (cost <= lowest)
-            bar = jnp.where(start == 0, jnp.inf, jnp.where(start == 1, BETTER * cost, cost))
+            bar = jnp.where(past, jnp.inf, jnp.where(start == 1, BETTER * cost, cost))
             return jnp.where(taken, end, pose), jnp.minimum(bar, lowest)
 
-        forget = restart | ((state.leapt < SETTLED) & (frame.state.leapt >= SETTLED))
+        forget = frame.clock.restart | ((state.leapt < SETTLED) & (frame.state.leapt >= SETTLED))
         search = state.astray > PATIENCE
         first, after = jnp.where(forget, 2, 0), jnp.where(forget | search, 4, 1)
         pose, _ = lax.fori_loop(first, after, descent, (last, jnp.float32(jnp.inf)))
         tips = self.motion.tips(pose)
-        astray = (self._beyond(tips, places) > ASTRAY).any() & ~search & bool(state.operator)
+        astray = (frame.beyond(tips) > ASTRAY).any() & ~search & bool(state.operator)
         return pose, tips, jnp.where(astray, state.astray + frame.clock.dt, 0.0)
-
-    def _beyond(self, tips: Float[Array, "F 3"], places: Float[Array, "F 3"]) -> Float[Array, " F"]:
-        """By how much fingertips are further from their places than those of the table's nearest
-        pose [m]."""
-        off, (_, possible) = tips - places, self.pose_table.nearest(places)
-        return jnp.maximum(jnp.sqrt((off * off).sum(-1)) - possible, 0.0)
 
 
 SMOOTH_TELEOP: Final = SmoothConfig()

@@ -84,8 +84,8 @@ class KeyvectorLayout(VectorLayout):
         side, as in the thumb slice."""
         return tuple((k, i - 2, j - 2) for k, (i, j) in enumerate(self.pairs) if i >= 2)
 
-    def robot(self, tips: AnyKind, wrist: AnyArray) -> AnyKind:
-        """(..., K, 3) robot keyvectors [m], of (..., F, 3) fingertips and the (3,) wrist [m]."""
+    def of_tips(self, tips: AnyKind, wrist: AnyArray) -> AnyKind:
+        """(..., K, 3) keyvectors [m], of (..., F, 3) fingertips and the (3,) wrist [m]."""
         xp = array_namespace(tips)
         base = xp.broadcast_to(wrist, (*tips.shape[:-2], 3))
         points = [base, *(tips[..., i, :] for i in range(len(self.fingers)))]

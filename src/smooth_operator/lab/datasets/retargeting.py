@@ -49,11 +49,12 @@ def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
     Raises:
         ConfigError: it answers frame by frame.
     """
-    if config.trajectory is None:
+    trajectory: TrajectoryMethodConfig | None = config.trajectory
+    if trajectory is None:
         raise ConfigError(
             "objects are for whole recordings: choose a preset for them, such as smooth:offline"
         )
-    return config.trajectory
+    return trajectory
 
 
 @dataclass(frozen=True)
