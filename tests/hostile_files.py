@@ -103,7 +103,7 @@ def preset(path: Path) -> None:
 
 
 def plan(path: Path) -> None:
-    from smooth_operator.study.design.plan_file import plan_text, read_plan
+    from smooth_operator_study.design.plan_file import plan_text, read_plan
 
     plan_text(read_plan(path))
 
@@ -115,7 +115,7 @@ def geort(path: Path) -> None:
 
 
 def study(path: Path) -> None:
-    from smooth_operator.study.data.reading import read_study
+    from smooth_operator_study.data.reading import read_study
 
     read_study([path])
 
@@ -228,9 +228,9 @@ def _study_json() -> bytes:
 
 
 def _plan() -> bytes:
-    from smooth_operator.study.design.plan import make_plan
-    from smooth_operator.study.design.plan_file import plan_text
-    from smooth_operator.study.design.protocol import Condition, Protocol, Task
+    from smooth_operator_study.design.plan import make_plan
+    from smooth_operator_study.design.plan_file import plan_text
+    from smooth_operator_study.design.protocol import Condition, Protocol, Task
 
     conditions = tuple(map(Condition, ("sbr", "dexpilot")))
     return plan_text(

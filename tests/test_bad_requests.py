@@ -38,10 +38,10 @@ source.stop()
 CONSOLE = """
 import asyncio, sys
 from pathlib import Path
-from smooth_operator.study.console.server import ConsoleAuth
-from smooth_operator.study.console.server import Console
-from smooth_operator.study.console.session_service import SessionService
-from smooth_operator.study.store.study_store import open_study
+from smooth_operator_study.console.server import ConsoleAuth
+from smooth_operator_study.console.server import Console
+from smooth_operator_study.console.session_service import SessionService
+from smooth_operator_study.store.study_store import open_study
 from smooth_operator.web.listening import listen
 sys.path.insert(0, sys.argv[2])
 from study_console import console_plan

@@ -13,7 +13,7 @@ from study_cases import simulate
 import smooth_operator
 from smooth_operator.cli import main
 from smooth_operator.formats.csv_table import csv_text, plain_cell
-from smooth_operator.study.data import read_study
+from smooth_operator_study.data import read_study
 
 FORMULAS = (
     '=HYPERLINK("http://elsewhere.example","click")', "-1+cmd|' /C calc'!A0", "+1+1", "@SUM(A1)",

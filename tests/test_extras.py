@@ -218,7 +218,7 @@ MODULES = {
     "smooth_operator.teleop.sinks.record": "teleop",
     "smooth_operator.lab.training": "lab",
     "smooth_operator.reporting.drawing": "lab",
-    "smooth_operator.study.analysis": "study",
+    "smooth_operator_study.analysis": "study",
 }
 
 

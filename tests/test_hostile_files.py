@@ -28,7 +28,7 @@ from smooth_operator.io.documents import json_object, parse_json, read_text
 from smooth_operator.io.entries import parse_toml
 from smooth_operator.lab.offline.finished import identity
 from smooth_operator.lab.offline.folder import find_recordings
-from smooth_operator.study.data.reading import read_study
+from smooth_operator_study.data.reading import read_study
 from smooth_operator.teleop.control.rpc import _read
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.convert import read_episode, write_episode

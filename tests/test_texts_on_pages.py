@@ -10,10 +10,10 @@ from study_console import served
 
 from smooth_operator import load_hand
 from smooth_operator.cli import main
-from smooth_operator.study.console.session_service import SessionService
-from smooth_operator.study.design.plan import make_plan
-from smooth_operator.study.design.protocol import Condition, Protocol, RubricLine, Task
-from smooth_operator.study.store.study_store import open_study
+from smooth_operator_study.console.session_service import SessionService
+from smooth_operator_study.design.plan import make_plan
+from smooth_operator_study.design.protocol import Condition, Protocol, RubricLine, Task
+from smooth_operator_study.store.study_store import open_study
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_page import HandPage
 

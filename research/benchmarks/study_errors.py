@@ -23,15 +23,15 @@ import tyro
 
 from smooth_operator.cli.console import Progressing
 from smooth_operator.result_cache import Job, ResultLog, code_digest
-from smooth_operator.study.analysis.results import MODES, OUTCOMES, POOLED
-from smooth_operator.study.chunks import chunk_values
-from smooth_operator.study.data import StudyData
-from smooth_operator.study.data.rows import questionnaires_table
-from smooth_operator.study.design.plan import Plan, make_plan
-from smooth_operator.study.design.protocol import Condition, Protocol, Task
-from smooth_operator.study.power.power_run import rate, verdicts
-from smooth_operator.study.power.simulated_study import codes_of, planned_data
-from smooth_operator.study.store.nasa_tlx import SCALE_NAMES
+from smooth_operator_study.analysis.results import MODES, OUTCOMES, POOLED
+from smooth_operator_study.chunks import chunk_values
+from smooth_operator_study.data import StudyData
+from smooth_operator_study.data.rows import questionnaires_table
+from smooth_operator_study.design.plan import Plan, make_plan
+from smooth_operator_study.design.protocol import Condition, Protocol, Task
+from smooth_operator_study.power.power_run import rate, verdicts
+from smooth_operator_study.power.simulated_study import codes_of, planned_data
+from smooth_operator_study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator_research.run_report import markdown
 
 Three = tuple[float, float, float]

@@ -6,7 +6,6 @@ from smooth_operator import methods as methods
 from smooth_operator import metrics as metrics
 from smooth_operator import objective as objective
 from smooth_operator import solvers as solvers
-from smooth_operator import study as study
 from smooth_operator import teleop as teleop
 from smooth_operator.errors import SmoothOperatorError as SmoothOperatorError
 from smooth_operator.formats.commands import read_commands as read_commands

@@ -31,7 +31,7 @@ from smooth_operator.cli.hardware_options import Hardware
 from smooth_operator.cli.latency import Latency
 from smooth_operator.cli.retarget import Retarget
 from smooth_operator.cli.sample import Sample
-from smooth_operator.cli.study_options import Study
+from smooth_operator_study.commands.options import Study
 from smooth_operator.cli.teleop import Teleop
 from smooth_operator.cli.train import Train
 from smooth_operator.cli.view import View

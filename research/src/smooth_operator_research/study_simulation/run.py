@@ -18,10 +18,10 @@ from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.result_cache import Job, Note, ResultLog, no_note
 from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import task_named
-from smooth_operator.study.chunks import chunk_values
-from smooth_operator.study.design.plan import Block, Plan, lot, make_plan, scaled
-from smooth_operator.study.design.plan_file import plan_table
-from smooth_operator.study.store.export import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
+from smooth_operator_study.chunks import chunk_values
+from smooth_operator_study.design.plan import Block, Plan, lot, make_plan, scaled
+from smooth_operator_study.design.plan_file import plan_table
+from smooth_operator_study.store.export import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
 from smooth_operator.synthetic.tracker import known_gaps, tracker_model
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND

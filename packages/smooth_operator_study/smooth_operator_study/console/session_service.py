@@ -1,0 +1,509 @@
+"""Console without a network: commands of the pages, current operator, running teleoperation.
+
+All methods may be called from any thread. A command returns when its event is on disk. It is a JSON
+object: ``token`` (unique text), ``do`` (a word below), ``operator``, ``after`` (number of the last
+event that the page had seen), ``waited_s`` (age of the command [s]: it may have waited in a page
+without a connection) and the ``fields`` of its word.
+"""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Final, Literal, TypeAlias
+
+from smooth_operator.errors import SmoothOperatorError, StudyError
+from smooth_operator_study.console.page_state import experimenter_view, operator_view
+from smooth_operator_study.console.switching import SessionTeleop, Teleop
+from smooth_operator_study.design.plan import Plan
+from smooth_operator_study.store import events
+from smooth_operator_study.store.events import (
+    FamiliarisationEnded,
+    FamiliarisationStarted,
+    Noted,
+)
+from smooth_operator_study.store.nasa_tlx import ENGLISH, TlxWords
+from smooth_operator_study.store.progress import Progress, Trial, check_event
+from smooth_operator_study.store.study_store import StudyStore
+
+Role: TypeAlias = Literal["experimenter", "operator"]
+EVENTS: Final = {event.command: kind for kind, event in events.EVENTS.items() if event.command}
+"""Command -> kind of the event that it causes."""
+OTHER: Final = ("choose", "enrol", "switch")
+"""Commands that cause no event of the current operator."""
+OPERATOR_COMMANDS: Final = ("answer", "form")
+"""Commands of the operator's page; the experimenter's page has all others."""
+_LONGEST_WAIT: Final = 86_400.0
+_TOKEN: Final = range(8, 129)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A request of a page.
+
+    Attributes:
+        token: unique text of the command, the same each time that it is sent.
+        do: one of ``EVENTS`` or ``OTHER``.
+        operator: pseudonym.
+        after: number of the last event that the page had seen; None where that doesn't matter.
+        fields: further fields of the command.
+        waited_s: age of the command [s]; for a score the time since the clock was stopped.
+    """
+
+    token: str
+    do: str
+    operator: str
+    after: int | None
+    fields: Mapping[str, Any]
+    waited_s: float = 0.0
+
+
+def command_of(message: Mapping[str, Any], role: Role) -> Command:
+    """Makes a command of a page's message, checked as far as possible without the study.
+
+    Raises:
+        StudyError: the message is no command, or not one of this page.
+    """
+    token, do, operator = message.get("token"), message.get("do"), message.get("operator", "")
+    after, fields = message.get("after"), message.get("fields", {})
+    waited = message.get("waited_s", 0.0)
+    if not isinstance(token, str) or len(token) not in _TOKEN or not token.isprintable():
+        raise StudyError(f"a command needs a token of 8 to 128 characters, not {token!r}")
+    if not isinstance(do, str) or do not in (*EVENTS, *OTHER):
+        raise StudyError(f"no such command: {do!r}; reload the page")
+    if (role == "operator") != (do in OPERATOR_COMMANDS):
+        raise StudyError(f"the {role}'s page may not do {do!r}")
+    if not isinstance(operator, str) or not isinstance(fields, Mapping):
+        raise StudyError("a command needs an operator and its fields; reload the page")
+    if after is not None and (isinstance(after, bool) or not isinstance(after, int)):
+        raise StudyError(f"after must be the number of an event, not {after!r}")
+    number = isinstance(waited, int | float) and not isinstance(waited, bool)
+    if not number or not math.isfinite(waited) or not 0 <= waited <= _LONGEST_WAIT:
+        raise StudyError(f"waited_s must be 0 to {_LONGEST_WAIT:g} s, not {waited!r}")
+    return Command(token, do, operator, after, dict(fields), float(waited))
+
+
+def event_for(
+    command: Command,
+    progress: Progress,
+    elapsed_s: float | None,
+    measured_s: float | None = None,
+    more: Mapping[str, Any] | None = None,
+) -> events.Event:
+    """Makes the event of a command. Facts that the protocol decides are not taken from the page.
+
+    Args:
+        elapsed_s: time from the start of the trial to the command [s]; None without a trial.
+        measured_s: time of the trial by a simulation [s]; None without one.
+        more: fields that the console knows and the page does not send.
+
+    Raises:
+        StudyError: a field is missing, unknown or wrong, or no trial runs that could be scored.
+        UnknownNameError: the rubric has no such line.
+    """
+    values = dict(command.fields)
+    if command.do == "score":
+        line = str(values.get("line"))
+        values["score"] = progress.capped(line)
+        _check_reset(line, progress.running)
+        values["time_s"] = trial_time(progress, elapsed_s, command.waited_s, measured_s)
+    elif command.do == "start_block":
+        block = progress.step.block
+        values["condition"] = "" if block is None else block.condition.name
+    elif command.do == "amend":
+        values = _amended(values, progress)
+    return events.event_of(EVENTS[command.do], {**values, **(more or {})})
+
+
+def _check_reset(line: str, trial: Trial | None) -> None:
+    if trial is not None and not trial.resets and line.endswith("after-reset"):
+        raise StudyError(
+            f"line {line!r} of the rubric needs a reset, and this trial had none; if the object "
+            "was put back, say so first"
+        )
+
+
+def _amended(values: dict[str, Any], progress: Progress) -> dict[str, Any]:
+    """Completes an amendment by the trial's line and time, and by the score of the rubric."""
+    task, block, number = (values.get(name) for name in ("task", "block", "trial"))
+    trial = progress.scored_trial(str(task), _whole(block), _whole(number))
+    line = str(values.get("line") or trial.line)
+    if line != trial.line:
+        _check_reset(line, trial)
+    time_s = trial.time_s if values.get("time_s") is None else values["time_s"]
+    return {**values, "line": line, "score": progress.capped(line, trial), "time_s": time_s}
+
+
+def _whole(value: Any) -> int:
+    return value if isinstance(value, int) else -1
+
+
+def trial_time(
+    progress: Progress,
+    elapsed_s: float | None,
+    waited_s: float,
+    measured_s: float | None = None,
+) -> float:
+    """Time of the running trial [s], to the millisecond.
+
+    It goes from the stored start to the moment when the page stopped the clock, so that neither a
+    killed server nor a lost connection changes it. A trial whose score was undone keeps its time.
+
+    Args:
+        elapsed_s: time from the start of the trial until now [s].
+        waited_s: time since the page stopped the clock [s].
+        measured_s: time by the clock of a simulation, without pauses [s].
+    """
+    trial = progress.running
+    if trial is None or elapsed_s is None:
+        raise StudyError(f"operator {progress.operator}: no trial runs that could be scored")
+    if trial.undone_time_s is not None:
+        return trial.undone_time_s
+    if measured_s is not None:
+        return round(measured_s, 3)
+    return round(max(0.0, elapsed_s - waited_s - trial.paused_s), 3)
+
+
+def check_seen(command: Command, progress: Progress) -> None:
+    """Refuses a command of a page that had not seen the latest events.
+
+    Raises:
+        StudyError: says which event the page had not seen.
+    """
+    if command.after is None or command.do == "note":
+        return
+    for record in progress.records[command.after :]:
+        if isinstance(record.event, events.Amended) and command.do not in ("amend", "undo"):
+            continue  # it concerns an earlier trial: the step that is due is the same
+        if not isinstance(record.event, events.Noted):
+            what = record.event.kind.replace("_", " ")
+            raise StudyError(
+                f"not done: meanwhile another page, or this console itself, wrote event "
+                f"{record.number} ({what}); look again and repeat it if it is still right"
+            )
+
+
+_STARTS: Final = (
+    "calibrated", "recalibrate", "start_block", "start_familiarisation", "start_trial",
+)  # fmt: skip
+_TELEOP_COMMANDS: Final = (
+    *_STARTS,
+    "reset",
+    "void",
+    "score",
+    "pause",
+    "resume",
+    "withdraw",
+    "undo",
+)
+"""Commands that the teleoperation takes part in."""
+
+
+class StoreFailedError(StudyError):
+    """The store can't be used now. The command is right, and may succeed when sent again."""
+
+
+@contextmanager
+def store_failures() -> Iterator[None]:
+    """Turns an error of the database into ``StoreFailedError``."""
+    try:
+        yield
+    except StoreFailedError:
+        raise
+    except StudyError as error:
+        cause = error.__cause__
+        if isinstance(cause, sqlite3.Error | OSError) and not isinstance(
+            cause, SmoothOperatorError
+        ):
+            raise StoreFailedError(str(error)) from error
+        raise
+
+
+class SessionService:
+    """Carries out the commands of one console's pages and gives the content of the pages.
+
+    Args:
+        store: store of the study.
+        operator: current operator; None for the one with the last event who is not done.
+        blind: whether the experimenter sees labels instead of conditions.
+        teleop: running teleoperation that is switched to the conditions; None without one.
+        words: words of NASA-TLX for the operators.
+        enrolled: called with each plan that was changed here and is stored.
+        changed: called, from any thread, when the pages should be drawn again.
+        report: called with sentences for the terminal.
+
+    Raises:
+        UnknownNameError: there is no such operator.
+    """
+
+    def __init__(
+        self,
+        store: StudyStore,
+        *,
+        operator: str | None = None,
+        blind: bool = False,
+        teleop: Teleop | None = None,
+        words: TlxWords = ENGLISH,
+        enrolled: Callable[[Plan], None] = lambda plan: None,
+        changed: Callable[[], None] = lambda: None,
+        report: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._store = store
+        self._blind = blind
+        self._words = words
+        self._enrolled = enrolled
+        self._changed = changed
+        self._report = report
+        self._lock = threading.RLock()
+        self._switching = threading.RLock()
+        self._marks: tuple[object, ...] = ()
+        self._hand = None
+        if teleop is not None:
+            self._hand = SessionTeleop(
+                teleop, blind=blind, report=report, changed=lambda: self._changed()
+            )
+        if operator is not None:
+            store.progress(operator)
+        self.operator = self._latest() if operator is None else operator
+        """Current operator; None before one is chosen."""
+
+    # Commands.
+
+    def carry_out(self, command: Command, role: Role) -> int:
+        """Carries out a command; one that is sent again is not done again.
+
+        Returns:
+            Number of the event that is now stored; 0 where there is none.
+
+        Raises:
+            StoreFailedError: the event can't be written now.
+            SmoothOperatorError: the command is refused; nothing was written.
+        """
+        at = self._store.clock.now()  # time that is spent here does not count for the trial
+        with store_failures():
+            match command.do:
+                case "choose":
+                    return self._choose(command.operator)
+                case "enrol":
+                    return self._enrol(command)
+                case "switch":
+                    return self._switch_again()
+            if self._hand is not None and command.do in _TELEOP_COMMANDS:
+                return self._write_with(self._hand, command, role, at)
+            return self._write(command, role, at)
+
+    def _latest(self) -> str | None:
+        """The operator with the last event who is not done yet."""
+        everyone = [self._store.progress(code) for code in self._store.plan.codes]
+        latest = [(p.records[-1].at, p.operator) for p in everyone if p.records and not p.over]
+        return max(latest)[1] if latest else None
+
+    def _choose(self, operator: str) -> int:
+        """Makes an operator the current one, unless the other is in a trial or moves the hand."""
+        with self._lock:
+            self._store.progress(operator)  # refuses an unknown or erased one
+            if operator != self.operator and (current := self._busy()) is not None:
+                raise StudyError(
+                    f"not done: {current.step} of operator {current.operator} is on; end it, or "
+                    "void the trial, before another operator is chosen"
+                )
+            self.operator = operator
+        self._changed()
+        return 0
+
+    def _busy(self) -> Progress | None:
+        """The current operator during a trial or free movement."""
+        progress = None if self.operator is None else self._store.progress(self.operator)
+        return progress if progress is not None and progress.busy else None
+
+    def _choose_new(self, operator: str) -> int:
+        """Chooses a new operator, unless that would disturb the current one."""
+        if self._busy() is None:
+            return self._choose(operator)
+        self._changed()
+        return 0
+
+    def _enrol(self, command: Command) -> int:
+        """Adds an operator, or tasks for one, to the plan."""
+        tasks = command.fields.get("tasks")
+        listed = isinstance(tasks, list) and all(isinstance(task, str) for task in tasks)
+        if tasks is not None and not listed:
+            raise StudyError("tasks must be a list of names")
+        with self._lock:
+            plan, code = self._store.plan, command.operator
+            if code in self._store.erased:
+                raise StudyError(f"{code} was deleted; codes are not used again")
+            if code not in plan.codes or not set(tasks or ()) <= set(plan.enrolment(code).rows):
+                self._store.revise(plan.enrol(code, tasks or None, absent=self._store.absent()))
+                self._report_plan(code)
+            return self._choose_new(code)
+
+    def _report_plan(self, code: str) -> None:
+        try:
+            self._enrolled(self._store.plan)
+        except SmoothOperatorError as error:  # the store has the plan; the file is a copy
+            self._report(f"{code} is enrolled, but the files of the plan are old: {error}")
+
+    def _switch_again(self) -> int:
+        if self._hand is None or self.operator is None:
+            raise StudyError("no teleoperation is attached that could be switched")
+        with self._switching:
+            self._hand.again(self._store.progress(self.operator))
+        return 0
+
+    # Regular jobs.
+
+    def tick(self) -> bool:
+        """Ends free movement whose time is over.
+
+        Returns:
+            Whether it ended free movement.
+
+        Raises:
+            StoreFailedError: the end can't be written.
+        """
+        operator = self.operator
+        if operator is None:
+            return False
+        with store_failures(), self._lock:
+            progress = self._store.progress(operator)
+            step, block = progress.step, progress.step.block
+            if step.what != "familiarise" or block is None or step.since is None:
+                return False
+            moved = (self._store.clock.now() - step.since).total_seconds()
+            if moved < progress.plan.protocol.familiarisation_s:
+                return False
+            started = max(
+                r.number for r in progress.records if isinstance(r.event, FamiliarisationStarted)
+            )
+            # Once for each start: whoever undoes it wants the operator to go on moving.
+            token = f"time-over-{operator}-{started}"
+            if self._store.recorded(token) is not None:
+                return False
+            event = FamiliarisationEnded(block.task.name, block.number)
+            self._store.append(operator, event, author="system", token=token)
+        return True
+
+    def watch(self) -> None:
+        """Looks at the teleoperation, and puts it back on the condition of the current block.
+
+        Raises:
+            StoreFailedError: the store can't be read.
+        """
+        if self._hand is None or not self._switching.acquire(blocking=False):
+            return  # it is being switched right now
+        try:
+            with store_failures():
+                progress = None if self.operator is None else self._store.progress(self.operator)
+                text = self._hand.watch(progress)
+                if text and progress is not None:
+                    self._store.append(progress.operator, Noted(text), author="system")
+        finally:
+            self._switching.release()
+
+    # Content of the pages.
+
+    def look(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Returns the content of the experimenter's page and of the operator's page.
+
+        Raises:
+            StoreFailedError: the store can't be read.
+        """
+        with store_failures():
+            plan = self._store.plan
+            everyone = [self._store.progress(code) for code in plan.codes]
+        current = next((p for p in everyone if p.operator == self.operator), None)
+        view = experimenter_view(plan, everyone, current, self._blind)
+        view["teleop"] = None if self._hand is None else self._hand.view(current)
+        return view, operator_view(plan, current, self._words)
+
+    def now(self) -> datetime:
+        """Returns this moment by the clock of the store."""
+        return self._store.clock.now()
+
+    def has_news(self) -> bool:
+        """True if the store or the operator has changed since the last call."""
+        with store_failures():
+            before, self._marks = self._marks, (self.operator, *self._store.version())
+        return before != self._marks
+
+    # Events.
+
+    def _write(
+        self,
+        command: Command,
+        role: Role,
+        at: datetime,
+        measured_s: float | None = None,
+        more: Mapping[str, Any] | None = None,
+    ) -> int:
+        with self._lock:
+            if (number := self._written_number(command)) is not None:
+                return number
+            progress = self._due(command)
+            elapsed = self._elapsed(progress, at)
+            event = event_for(command, progress, elapsed, measured_s, more)
+            try:
+                number = self._store.append(
+                    command.operator, event, author=role, token=command.token
+                ).number
+            except StudyError:
+                # A connection that was lost may have committed what it did not acknowledge.
+                if (number := self._written_number(command)) is None:
+                    raise
+        self._changed()
+        return number
+
+    def _write_with(self, hand: SessionTeleop, command: Command, role: Role, at: datetime) -> int:
+        """Writes the event of a command, and lets the teleoperation follow it."""
+        with self._switching if command.do in _STARTS else nullcontext():
+            if (number := self._written_number(command)) is not None:
+                return number
+            with self._lock:
+                progress = self._due(command)
+                elapsed = self._elapsed(progress, at)
+                check_event(progress, event_for(command, progress, elapsed))
+            hand.before(command.do, command.fields, progress)
+            measured = hand.measured(progress) if command.do == "score" else None
+            facts = hand.facts(command.do, progress)
+            try:
+                number = self._write(command, role, at, measured, facts)
+            except StudyError:
+                if command.do == "start_trial":
+                    hand.abandon()
+                raise
+        # ``watch`` compares the hand with the log, so a pause is not seen half done.
+        with self._switching if command.do in ("pause", "resume") else nullcontext():
+            hand.along(command.do, progress)
+        return number
+
+    def _written_number(self, command: Command) -> int | None:
+        """Number of the event that this very command has caused already."""
+        written = self._store.recorded(command.token)
+        if written is None:
+            return None
+        operator, record = written
+        if operator != command.operator or record.event.kind != EVENTS[command.do]:
+            raise StudyError(f"token {command.token!r} belongs to another command already")
+        return record.number
+
+    def _due(self, command: Command) -> Progress:
+        """The operator's progress, if the command may be carried out now."""
+        if command.operator != self.operator:
+            raise StudyError(
+                f"not done: it is for operator {command.operator}, but operator "
+                f"{self.operator or 'nobody'} is on at this console"
+            )
+        progress = self._store.progress(command.operator)
+        check_seen(command, progress)
+        return progress
+
+    def _elapsed(self, progress: Progress, at: datetime) -> float | None:
+        """Time from the start of the running trial to a moment [s]."""
+        trial = progress.running
+        return None if trial is None else (at - trial.started).total_seconds()

@@ -1,2 +1,0 @@
-from smooth_operator.study.analysis.analyze import analyze_study as analyze_study
-from smooth_operator.study.data.reading import read_study as read_study
