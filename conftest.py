@@ -69,7 +69,11 @@ def _set_up_environment() -> None:
         draw_off_screen()
 
 
-PARTS = ((HOME / "research", "src"), (HOME / "packages" / "smooth_hand_datasets", ""))
+PARTS = (
+    (HOME / "research", "src"),
+    (HOME / "packages" / "smooth_hand_datasets", ""),
+    (HOME / "packages" / "smooth_operator_study", ""),
+)
 """Folder of a distribution of this repository, and the folder in it of its modules."""
 
 

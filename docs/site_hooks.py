@@ -14,7 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-SOURCE = Path(__file__).resolve().parents[1] / "src"
+_PROJECT = Path(__file__).resolve().parents[1]
+SOURCES = (_PROJECT / "src", _PROJECT / "packages" / "smooth_operator_study")
+"""Folders that the packages are in."""
 ROOT = "smooth_operator"
 # A title counts a thousand times as much as text, and each name of the API is a title.
 _BOOST = {"tutorials": 4.0, "how-to": 4.0, "robots": 3.0, "explanation": 2.0}
@@ -22,7 +24,10 @@ _LINE = re.compile(r"^\{\{ (public|modules) ([\w.]+) \}\}$", re.MULTILINE)
 
 
 def _folder(package: str) -> Path:
-    return SOURCE.joinpath(*package.split("."))
+    """The folder of a package, or the path of a module without its suffix."""
+    top = package.split(".")[0]
+    source = next((each for each in SOURCES if (each / top).is_dir()), SOURCES[0])
+    return source.joinpath(*package.split("."))
 
 
 def public_names(package: str) -> dict[str, str]:
@@ -58,10 +63,10 @@ def _modules(package: str) -> Iterator[tuple[str, str]]:
     folder = _folder(package)
     for path in sorted(folder.rglob("*.py")):
         doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
-        parts = path.relative_to(SOURCE).with_suffix("").parts
+        parts = path.relative_to(folder).with_suffix("").parts
         if parts[-1] == "__init__":
             parts = parts[:-1]
-        name = ".".join(parts)
+        name = ".".join((package, *parts))
         if doc and name != package:
             yield name, doc.split("\n\n")[0].replace("\n", " ").replace("|", "\\|")
 

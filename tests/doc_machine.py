@@ -19,13 +19,14 @@ from study_writers import due
 from test_headset_recordings import avp_lines, hts_lines
 
 from smooth_operator import SyntheticOperator
-from smooth_operator.cli import main, study_run
+from smooth_operator.cli import main
 from smooth_operator.hands.registry import hand_names
+from smooth_operator.teleop.sources.webcam import picture_tracker
+from smooth_operator.teleop.sources.webcam.picture_tracker import SeenHand
+from smooth_operator_study.commands import run as study_run
 from smooth_operator_study.design.plan_file import read_plan, write_plan_files
 from smooth_operator_study.store.export import export_study
 from smooth_operator_study.store.study_store import open_study
-from smooth_operator.teleop.sources.webcam import picture_tracker
-from smooth_operator.teleop.sources.webcam.picture_tracker import SeenHand
 
 _MODULES: Final = {
     "tracker": """

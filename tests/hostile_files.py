@@ -102,22 +102,10 @@ def preset(path: Path) -> None:
     method_config("sbr", str(path))
 
 
-def plan(path: Path) -> None:
-    from smooth_operator_study.design.plan_file import plan_text, read_plan
-
-    plan_text(read_plan(path))
-
-
 def geort(path: Path) -> None:
     from smooth_operator.baselines.geort import read_geort_model
 
     read_geort_model(path)
-
-
-def study(path: Path) -> None:
-    from smooth_operator_study.data.reading import read_study
-
-    read_study([path])
 
 
 def discovery(path: Path) -> None:
@@ -210,32 +198,6 @@ def _trial(folder: Path) -> bytes:
     record.outcome, record.about = Outcome(1.0, "done", 3.0, "success", "held", 0), {"x": 1}
     write_trial(folder / "t.npz", record)
     return (folder / "t.npz").read_bytes()
-
-
-_TRIALS = "operator,task,retargeter,block,trial_in_block,trial_global,score,time_s\n" + "".join(
-    f"P{o},A,{r},{b},{t},{2 * (b - 1) + t},{t % 2},{3.5 + t}\n"
-    for o in range(3) for b, r in ((1, "sbr"), (2, "dexpilot")) for t in (1, 2)
-)  # fmt: skip
-
-
-def _study_json() -> bytes:
-    lines = [line.split(",") for line in _TRIALS.split()]
-    rows = [dict(zip(lines[0], row, strict=True)) | {"block": int(row[3])} for row in lines[1:]]
-    return json.dumps({
-        "trials": rows,
-        "simulation_metrics": [{"operator": "P0", "retargeter": "sbr", "jitter": 0.5}],
-    }).encode()  # fmt: skip
-
-
-def _plan() -> bytes:
-    from smooth_operator_study.design.plan import make_plan
-    from smooth_operator_study.design.plan_file import plan_text
-    from smooth_operator_study.design.protocol import Condition, Protocol, Task
-
-    conditions = tuple(map(Condition, ("sbr", "dexpilot")))
-    return plan_text(
-        make_plan(Protocol("s", conditions, (Task("A", trials=3),), "sbr", 4))
-    ).encode()
 
 
 _PRESET = b"""format = 1
@@ -365,10 +327,12 @@ def mutate_dataset(rng: random.Random, folder: Path) -> None:
 
 
 Mutate = Callable[[random.Random, bytes], bytes]
+Seeds = dict[str, list[tuple[str, bytes, Mutate]]]
+"""Reader -> (name, content, how it is damaged) of its good files."""
 
 
-def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
-    """Reader -> (name, content, how it is damaged) of its good files."""
+def seeds(folder: Path) -> Seeds:
+    """Good files of the package's own readers."""
     from smooth_operator.teleop.recording.convert import write_episode
 
     one = good_episode()
@@ -383,7 +347,6 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
               ("b.npy", stream.getvalue(), fuzzing.mutate_bytes)]  # fmt: skip
     own = [("e.npz", npz, fuzzing.mutate_npz), ("e.mcap", log, mutate_log),
            ("e.h5", h5, mutate_hdf5)]  # fmt: skip
-    study_json, trials = _study_json(), _TRIALS.encode()
     return {
         "recording": [*arrays, *own],
         "episode": own,
@@ -393,12 +356,44 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
         "latency": own[1::2],
         "operator": [("o.json", _operator(folder), fuzzing.mutate_json)],
         "preset": [("p.toml", _PRESET, fuzzing.mutate_table)],
-        "plan": [("study.toml", _plan(), fuzzing.mutate_table)],
         "geort": [("model.npz", _geort(), fuzzing.mutate_npz)],
-        "study": [("trials.csv", trials, fuzzing.mutate_table),
-                  ("study.json", study_json, fuzzing.mutate_json)],
         "trial": [("t.npz", _trial(folder), fuzzing.mutate_npz)],
     }  # fmt: skip
+
+
+class Campaign:
+    """Has mutants read in a process with limits, and counts what comes of them.
+
+    Attributes:
+        tally: reader -> how often each outcome came.
+        faults: a line for each fault.
+    """
+
+    def __init__(self, process: fuzzing.ReaderProcess, seed: int) -> None:
+        self.tally: defaultdict[str, Counter[str]] = defaultdict(Counter)
+        self.faults: list[str] = []
+        self._process, self._seed = process, seed
+
+    def read(self, reader: str, function: str, path: Path, number: int) -> None:
+        """Has a file read by ``module:function``; a negative number stands for a good file."""
+        verdict = self._process.read(function, path)
+        if number < 0:  # an import may be slow
+            assert verdict.outcome in ("read", "slow"), (reader, path, verdict)
+            return
+        self.tally[reader][verdict.outcome] += 1
+        if not verdict.sound:
+            self.faults.append(f"{reader} {path.name} seed {self._seed} try {number}: {verdict}")
+
+    def damage(self, module: str, seeds: Seeds, folder: Path, tries: int) -> None:
+        """Has the good files read, and ``tries`` mutants, by the functions of a module."""
+        for reader, files in seeds.items():
+            for i in range(-len(files), tries):
+                file, content, mutate = files[i % len(files)]
+                path = folder / "mutant" / file
+                path.parent.mkdir(exist_ok=True)
+                rng = random.Random(f"{reader} {self._seed} {i}")
+                path.write_bytes(mutate(rng, content) if i >= 0 else content)
+                self.read(reader, f"{module}:{reader}", path, i)
 
 
 def campaign(tries: int, seed: int) -> tuple[dict[str, Counter[str]], list[str]]:
@@ -411,31 +406,13 @@ def campaign(tries: int, seed: int) -> tuple[dict[str, Counter[str]], list[str]]
     Returns:
         Reader -> how often each outcome came; and a line for each fault.
     """
-    tally: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    faults: list[str] = []
     with (
         tempfile.TemporaryDirectory() as name,
         fuzzing.ReaderProcess([str(Path(__file__).parent)]) as process,
     ):
         folder = Path(name)
-
-        def read(reader: str, function: str, path: Path, number: int) -> None:
-            verdict = process.read(f"hostile_files:{function}", path)
-            if number < 0:  # first, the good ones themselves; an import may be slow
-                assert verdict.outcome in ("read", "slow"), (reader, path, verdict)
-                return
-            tally[reader][verdict.outcome] += 1
-            if not verdict.sound:
-                faults.append(f"{reader} {path.name} seed {seed} try {number}: {verdict}")
-
-        for reader, files in seeds(folder).items():
-            for i in range(-len(files), tries):
-                file, content, mutate = files[i % len(files)]
-                path = folder / "mutant" / file
-                path.parent.mkdir(exist_ok=True)
-                rng = random.Random(f"{reader} {seed} {i}")
-                path.write_bytes(mutate(rng, content) if i >= 0 else content)
-                read(reader, reader, path, i)
+        run = Campaign(process, seed)
+        run.damage("hostile_files", seeds(folder), folder, tries)
         from smooth_operator.episode_files.lerobot import write_dataset
 
         write_dataset(folder / "set", [good_episode])
@@ -445,5 +422,5 @@ def campaign(tries: int, seed: int) -> tuple[dict[str, Counter[str]], list[str]]
             shutil.copytree(folder / "set", path)
             if i >= 0:
                 mutate_dataset(random.Random(f"lerobot {seed} {i}"), path)
-            read("lerobot", "episode", path, i)
-    return tally, faults
+            run.read("lerobot", "hostile_files:episode", path, i)
+    return run.tally, run.faults

@@ -17,7 +17,10 @@ RESEARCH = SOURCE.parents[1] / "research" / "src" / "smooth_operator_research"
 """Experiments outside the wheel: they may import all of the package, which imports none of them."""
 DATA_SETS = SOURCE.parents[1] / "packages" / "smooth_hand_datasets" / "smooth_hand_datasets"
 """Research data sets, outside the wheel in the same way."""
-ALL = pytest.mark.parametrize("source", [SOURCE, RESEARCH, DATA_SETS], ids=lambda path: path.name)
+STUDY = SOURCE.parents[1] / "packages" / "smooth_operator_study" / "smooth_operator_study"
+"""The user study, outside the wheel in the same way."""
+OTHERS = [RESEARCH, DATA_SETS, STUDY]
+ALL = pytest.mark.parametrize("source", [SOURCE, *OTHERS], ids=lambda path: path.name)
 
 ROOT = "__init__"
 """The package itself: the public names, re-exported from the levels up to its own."""
@@ -67,7 +70,7 @@ SHARED = {
 }
 """What several wings use: module -> level. It imports no wing."""
 
-WINGS = {"teleop": 8, "lab": 8, "study": 8}
+WINGS = {"teleop": 8, "lab": 8}
 """Wings: each imports the core, what is shared, and itself."""
 
 LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
@@ -340,6 +343,17 @@ def unpickling(source: Path) -> list[str]:
     return found
 
 
+def from_other_distributions(source: Path) -> list[tuple[str, str]]:
+    """(file:line, package) of the imports from the other distributions of the repository."""
+    others = {other.name for other in OTHERS} - {source.name}
+    return [
+        (f"{path.relative_to(source.parent).as_posix()}:{line}", name.split(".")[0])
+        for path in modules(source)
+        for line, name in imported_modules(source, path)
+        if name.split(".")[0] in others
+    ]
+
+
 def missing_code(source: Path) -> list[str]:
     """Paths given to ``code_digest`` that do not exist (any more)."""
     found = []
@@ -383,13 +397,18 @@ def test_modules_import_only_from_their_own_level_or_below():
 
 
 def test_the_package_imports_no_other_distribution_of_the_repository():
-    names = [
-        f"{path.relative_to(SOURCE)}:{line}"
-        for path in modules(SOURCE)
-        for line, name in imported_modules(SOURCE, path)
-        if name.split(".")[0] in (RESEARCH.name, DATA_SETS.name)
-    ]
-    assert names == []
+    assert from_other_distributions(SOURCE) == []
+
+
+def test_no_text_of_the_package_names_a_module_of_the_study():
+    named = re.compile(rf"{STUDY.name}\.\w")
+    assert [p.name for p in modules(SOURCE) if named.search(p.read_text(encoding="utf-8"))] == []
+
+
+def test_only_research_imports_the_study():
+    assert from_other_distributions(DATA_SETS) == []
+    assert from_other_distributions(STUDY) == []
+    assert {name for _, name in from_other_distributions(RESEARCH)} == {STUDY.name}
 
 
 @ALL
@@ -429,8 +448,9 @@ def test_nothing_unpickles(source):
     assert not unpickling(source), "\n".join(unpickling(source))
 
 
-def test_digests_of_code_name_files_that_exist():
-    assert not missing_code(SOURCE), "\n".join(missing_code(SOURCE))
+@pytest.mark.parametrize("source", [SOURCE, STUDY], ids=lambda path: path.name)
+def test_digests_of_code_name_files_that_exist(source):
+    assert not missing_code(source), "\n".join(missing_code(source))
 
 
 @ALL
@@ -458,7 +478,7 @@ def package(root: Path, files: dict[str, str]) -> Path:
         ("types.py", "import importlib\nimportlib.import_module('smooth_operator.hands.spec')"),
         ("solvers/sampling.py", "from ..cli import main"),
         ("__init__.pyi", "from smooth_operator.teleop.pages import live as live"),
-        ("study/analysis.py", "from smooth_operator import lab"),
+        ("teleop/loop.py", "from smooth_operator import lab"),
     ],
 )
 def test_an_upward_import_is_found(tmp_path, importer, statement):

@@ -35,30 +35,6 @@ print(source.addresses[0].rpartition(":")[2], flush=True)
 sys.stdin.read()
 source.stop()
 """
-CONSOLE = """
-import asyncio, sys
-from pathlib import Path
-from smooth_operator_study.console.server import ConsoleAuth
-from smooth_operator_study.console.server import Console
-from smooth_operator_study.console.session_service import SessionService
-from smooth_operator_study.store.study_store import open_study
-from smooth_operator.web.listening import listen
-sys.path.insert(0, sys.argv[2])
-from study_console import console_plan
-
-async def serve(listening, console):
-    stop = asyncio.Event()
-    port = listening.getsockname()[1]
-    loop = asyncio.get_running_loop()
-    loop.run_in_executor(None, lambda: (sys.stdin.read(), loop.call_soon_threadsafe(stop.set)))
-    await console.serve(listening, stop, lambda: print(port, flush=True))
-
-with open_study(Path(sys.argv[1]), console_plan()) as store:
-    listening = listen("127.0.0.1", 0)
-    auth = ConsoleAuth(None)
-    links = auth.links("127.0.0.1", listening.getsockname()[1])
-    asyncio.run(serve(listening, Console(SessionService(store), auth, links, local=True)))
-"""
 
 
 @dataclass
@@ -107,19 +83,31 @@ def request(path: bytes, *headers: bytes, host: bytes = b"localhost") -> bytes:
     return b"\r\n".join((b"GET " + path + b" HTTP/1.1", b"Host: " + host, *headers, b"", b""))
 
 
-@pytest.fixture(scope="module", params=["page", "page elsewhere", "console", "webxr"])
+@pytest.fixture(scope="module", params=["page", "page elsewhere", "webxr"])
 def server(request, tmp_path_factory) -> Iterator[Server]:
-    """In a process; in the end it must have printed nothing."""
-    tmp_path = tmp_path_factory.mktemp("server")
-    tests = str(Path(__file__).parent)
     words = {
         "page": (PAGE, "127.0.0.1"),
         "page elsewhere": (PAGE, "0.0.0.0"),
-        "console": (CONSOLE, str(tmp_path), tests),
         "webxr": (WEBXR,),
     }[request.param]
-    if request.param == "console":
-        pytest.importorskip("segno", reason="the extra 'study' is not installed")
+    webxr = request.param == "webxr"
+    folder = tmp_path_factory.mktemp("server")
+    with started(words, folder, path="/link" if webxr else "/", tls=webxr) as server:
+        yield server
+
+
+@contextlib.contextmanager
+def started(
+    words: tuple[str, ...], tmp_path: Path, *, path: str, tls: bool = False
+) -> Iterator[Server]:
+    """A program that serves, in a process; in the end it must have printed nothing.
+
+    Args:
+        words: text of the program, which prints its port and perhaps a token, and its arguments.
+        tmp_path: folder of its cache and of what it prints.
+        path: path of its WebSocket.
+        tls: true if it speaks TLS.
+    """
     errors = (tmp_path / "errors").open("w+b")
     process = subprocess.Popen(
         [sys.executable, "-c", *words],
@@ -131,8 +119,6 @@ def server(request, tmp_path_factory) -> Iterator[Server]:
     line = process.stdout.readline().decode().split()
     try:
         assert line, (tmp_path / "errors").read_text()
-        path = {"console": "/link", "webxr": "/link"}.get(request.param, "/")
-        tls = request.param == "webxr"
         yield Server(int(line[0]), "".join(line[1:]), tls, path)
         printed = process.communicate(timeout=PATIENCE_S)[0]
         assert printed + (tmp_path / "errors").read_bytes() == b""

@@ -463,11 +463,25 @@ def test_ctrl_c_on_a_page_is_the_usual_end(run, monkeypatch):
     assert "Ctrl-C ends" in err
 
 
-def test_a_command_of_research_says_what_to_install(monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("command", "distribution"),
+    [
+        ("paper --output x", "./research"),
+        ("bench --physics", "./research"),
+        ("study simulate x", "./research"),
+        ("study", "./packages/smooth_operator_study"),
+        ("study --help", "./packages/smooth_operator_study"),
+        ("study analyze trials.csv --output out", "./packages/smooth_operator_study"),
+    ],
+)
+def test_a_command_of_another_distribution_says_what_to_install(
+    command, distribution, monkeypatch, capsys
+):
     monkeypatch.setattr("smooth_operator.plugins._installed", lambda group: {})
-    for words in (["paper", "--output", "x"], ["bench", "--physics"], ["study", "simulate", "x"]):
-        assert main(words) == 2
-        assert "python -m pip install ./research" in capsys.readouterr().err
+    assert main(command.split()) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(distribution)
+    assert "which is not installed; in a clone of the repository: python -m pip install" in line
 
 
 def test_a_plugin_adds_a_command_to_a_group(monkeypatch, capsys):

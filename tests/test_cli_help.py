@@ -13,15 +13,17 @@ import pytest
 from smooth_operator.cli import main
 from smooth_operator.cli.common_options import Group, unwrapped
 from smooth_operator.cli.hands import List
-from smooth_operator.cli.options import _COMMANDS
+from smooth_operator.cli.options import COMMANDS
 from smooth_operator.plugins import Entry
 
 EDGES = " ╭╰│"
 
 
 def commands() -> Iterator[tuple[tuple[str, ...], Any]]:
-    for name, kind in _COMMANDS.items():
-        yield (name,), kind
+    """Words and options of each command, those of the repository's other distributions too."""
+    for name in [*COMMANDS.built_in, *COMMANDS.elsewhere]:
+        kind = COMMANDS.load(name)
+        yield tuple(name.split(".")), kind
         if issubclass(kind, Group):
             yield from (((name, inner), options) for inner, options in kind.members().items())
 

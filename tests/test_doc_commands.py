@@ -49,7 +49,7 @@ ELSEWHERE = {
     r"hardware check dynamixel": "asks about each motor; tests/test_hardware_command.py answers",
     r"teleop .*dynamixel:": "needs the table of that check; tests/test_dynamixel.py has one",
     r"teleop .*orca:": "the extra orca is not in the extra test",
-    r"study metrics my-study": "needs takes of its trials; packages/smooth_operator_study/tests/test_study_metrics.py has some",
+    r"study metrics my-study": "needs takes of its trials; test_study_metrics.py has some",
 }
 """Command lines that do not run here, and the reason."""
 

@@ -23,7 +23,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 BASE = {"flatbuffers", "jax", "jaxtyping", "mujoco", "nlopt", "numpy", "rich", "scipy", "tyro"}
 """Distributions that everyone gets; their modules have the same names."""
 EXTRAS = [
-    "teleop", "lab", "study", "all", "ability", "allegro", "arm", "avp", "cluster", "datasets",
+    "teleop", "lab", "all", "ability", "allegro", "arm", "avp", "cluster", "datasets",
     "dynamixel", "hdf5", "inspire", "isaac", "lerobot", "linker", "menagerie", "orca",
     "ros2", "rerun", "revo2", "webcam", "webxr", "wuji", "zmq", "docs", "test",
 ]  # fmt: skip
@@ -31,14 +31,14 @@ EXTRAS = [
 LIBRARIES = [
     "bc_stark_sdk", "can", "cryptography", "cv2", "google", "grpc", "cyclonedds", "daqp",
     "dynamixel_sdk", "h5py", "isaacteleop", "jinja2", "mcap", "mediapipe", "matplotlib",
-    "mink", "mujoco_menagerie", "optax", "orca_core", "pandas", "pyarrow", "pymodbus", "ray",
-    "rerun", "segno", "serial", "statsmodels", "trimesh", "viser", "websockets", "wujihandpy",
+    "mink", "mujoco_menagerie", "optax", "orca_core", "pyarrow", "pymodbus", "ray",
+    "rerun", "serial", "trimesh", "viser", "websockets", "wujihandpy",
     "zmq", "zstandard",
 ]  # fmt: skip
 """Modules of the extras."""
 AT_THE_TOP = (
-    "study/analysis/", "study/data/", "study/power/", "teleop/arm/", "teleop/isaac.py",
-    "teleop/pages/", "teleop/recording/messages.py", "teleop/ros2/",
+    "teleop/arm/", "teleop/isaac.py", "teleop/pages/", "teleop/recording/messages.py",
+    "teleop/ros2/",
 )  # fmt: skip
 """Where they may be imported with the module: its package says first what is missing."""
 
@@ -64,10 +64,9 @@ def test_every_extra_has_the_wing_that_it_is_part_of():
                 found |= {name for part in inner.split(",") for name in brought(part)}
         return found
 
-    assert {"teleop", "lab", "study"} <= brought("all") & brought("test")
-    for extra in EXTRAS[4:-2]:  # what worked with one of them alone works still
-        assert brought(extra) & {"teleop", "lab", "study"}, extra
-    assert "teleop" in brought("study")
+    assert {"teleop", "lab"} <= brought("all") & brought("test")
+    for extra in EXTRAS[3:-2]:  # what worked with one of them alone works still
+        assert brought(extra) & {"teleop", "lab"}, extra
 
 
 def imported_with_the_module(path: Path) -> Iterator[tuple[int, str]]:
@@ -148,12 +147,12 @@ def test_an_extra_is_added_to_what_is_installed(installed, monkeypatch, tmp_path
 
 
 def test_a_library_is_looked_for_and_not_imported(monkeypatch):
-    require("this", "study", "json", "antigravity")
+    require("this", "lab", "json", "antigravity")
     assert "antigravity" not in sys.modules
     monkeypatch.setitem(sys.modules, "wave", None)
     with pytest.raises(MissingExtraError) as caught:
-        require("this", "study", "json", "wave")
-    assert str(caught.value) == f"this needs the extra 'study': {install_command('study')}"
+        require("this", "lab", "json", "wave")
+    assert str(caught.value) == f"this needs the extra 'lab': {install_command('lab')}"
 
 
 # Runs in a fresh interpreter that has the base alone: what each command and import comes to.
@@ -205,10 +204,6 @@ LACK = {
     "bench in.npz --output bench": "lab",
     "calibrate in.npz --output operator.json": "lab",
     "train geort in.npz --output trained": "lab",
-    "study new plan": "study",
-    "study analyze x.csv --output analysis": "study",
-    "study power plan": "study",
-    "study run plan": "study",
 }
 MODULES = {
     "smooth_operator.teleop.pages.player": "teleop",
@@ -218,7 +213,6 @@ MODULES = {
     "smooth_operator.teleop.sinks.record": "teleop",
     "smooth_operator.lab.training": "lab",
     "smooth_operator.reporting.drawing": "lab",
-    "smooth_operator_study.analysis": "study",
 }
 
 

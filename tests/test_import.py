@@ -28,7 +28,7 @@ MOST_NAMES = 50
 PUBLIC_NAMES = Path(__file__).with_name("public_names.txt")
 PUBLIC_PACKAGES = (
     "calibration", "formats", "hands", "lab", "methods", "metrics", "objective", "solvers",
-    "study", "teleop",
+    "teleop",
 )  # fmt: skip
 
 PUBLIC_MODULES = ("errors", "landmarks")
@@ -140,7 +140,8 @@ def test_import_initialises_no_jax_backend():
 
 
 def packages() -> dict[str, ModuleType]:
-    names = ("smooth_operator", *(f"smooth_operator.{name}" for name in PUBLIC_PACKAGES))
+    own = (f"smooth_operator.{name}" for name in PUBLIC_PACKAGES)
+    names = ("smooth_operator", *own, "smooth_operator_study")
     return {name: importlib.import_module(name) for name in names}
 
 

@@ -11,11 +11,12 @@ from pathlib import Path
 import pytest
 
 import smooth_operator
+import smooth_operator_study
 
 PROJECT = Path(__file__).resolve().parents[1]
 PACKAGES = [
     "hands", "human", "calibration", "objective", "solvers", "methods", "metrics", "synthetic",
-    "formats", "teleop", "lab", "study",
+    "formats", "teleop", "lab",
 ]  # fmt: skip
 
 
@@ -90,3 +91,11 @@ def test_each_package_has_a_page_of_its_modules(site, package):
     folder = PROJECT / "src" / "smooth_operator" / package
     modules = [path.stem for path in folder.glob("*.py") if path.stem != "__init__"]
     assert [name for name in modules if f"smooth_operator.{package}.{name}<" not in page] == []
+
+
+def test_the_study_has_a_page_of_its_names_and_modules(site):
+    page = (site / "reference" / "api" / "study" / "index.html").read_text(encoding="utf-8")
+    documented = set(re.findall(r'id="smooth_operator_study\.[\w.]*?(\w+)"', page))
+    assert set(smooth_operator_study.__all__) <= documented
+    for name in ("analysis", "analysis.gee", "chunks", "commands.run", "design.plan"):
+        assert f"smooth_operator_study.{name}<" in page

@@ -6,7 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from study_console import eventually
+from live_time import until
 
 from smooth_operator.errors import StudyError
 from smooth_operator.hands.registry import load_hand
@@ -187,7 +187,7 @@ def test_what_ends_a_trial_ends_its_pause(simulation, tmp_path):
         end()
         assert not simulation.frozen
         assert not runner.report()["paused"]
-    eventually((tmp_path / "cube-001.npz").exists)
+    until((tmp_path / "cube-001.npz").exists)
     assert read_trial(tmp_path / "cube-001.npz").about == {"pauses": 1}
 
 
@@ -201,12 +201,12 @@ def test_the_record_of_an_undone_trial_is_marked(simulation, tmp_path):
     runner.cancel("undone", trial=1)  # it is the second that has just ended
     runner.cancel("undone", trial=2)
     names = {"cube-001.npz", "undone-cube-002.npz"}
-    eventually(lambda: {path.name for path in folder.glob("*.npz")} == names)
+    until(lambda: {path.name for path in folder.glob("*.npz")} == names)
     assert read_trial(folder / "undone-cube-002.npz").about == {"trial": 2, "marked": "undone"}
     runner.go(trial=3)
     simulation.run(0.1)
     runner.cancel("undone", trial=3)  # while it runs: nothing is kept
     runner.go(trial=3)
     runner.finish()
-    eventually((folder / "cube-003.npz").exists)
+    until((folder / "cube-003.npz").exists)
     assert len(list(folder.glob("*.npz"))) == 3

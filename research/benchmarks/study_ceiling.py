@@ -19,6 +19,7 @@ from typing import Final
 import numpy as np
 import tyro
 
+from smooth_operator_research.run_report import markdown
 from smooth_operator_study.analysis.frame import frame_of
 from smooth_operator_study.analysis.outcomes import analyze
 from smooth_operator_study.analysis.results import MODES, POOLED, ScopeResult
@@ -27,7 +28,6 @@ from smooth_operator_study.design.plan import make_plan
 from smooth_operator_study.design.protocol import ALPHA, Condition, Protocol, Task
 from smooth_operator_study.power.power_run import rate
 from smooth_operator_study.power.simulated_study import Simulator, Spread, assumptions_for
-from smooth_operator_research.run_report import markdown
 
 NAMES: Final = ("dexpilot", "geort", "hybrid", "sbr")
 PERFECT: Final = "sbr"

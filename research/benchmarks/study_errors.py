@@ -22,9 +22,10 @@ import pandas as pd
 import tyro
 
 from smooth_operator.cli.console import Progressing
-from smooth_operator.result_cache import Job, ResultLog, code_digest
+from smooth_operator.result_cache import Job, ResultLog
+from smooth_operator_research.run_report import markdown
 from smooth_operator_study.analysis.results import MODES, OUTCOMES, POOLED
-from smooth_operator_study.chunks import chunk_values
+from smooth_operator_study.chunks import chunk_values, study_digest
 from smooth_operator_study.data import StudyData
 from smooth_operator_study.data.rows import questionnaires_table
 from smooth_operator_study.design.plan import Plan, make_plan
@@ -32,7 +33,6 @@ from smooth_operator_study.design.protocol import Condition, Protocol, Task
 from smooth_operator_study.power.power_run import rate, verdicts
 from smooth_operator_study.power.simulated_study import codes_of, planned_data
 from smooth_operator_study.store.nasa_tlx import SCALE_NAMES
-from smooth_operator_research.run_report import markdown
 
 Three = tuple[float, float, float]
 """Effects on success [logit], time [s] and workload [points]."""
@@ -133,7 +133,7 @@ def main(settings: Settings) -> None:
         if not settings.designs or any(part in name for part in settings.designs)
     ]
     settings.output.mkdir(parents=True, exist_ok=True)
-    code = code_digest("study/design", "study/power", "study/analysis")
+    code = study_digest()
     chunks = [
         Chunk(name, settings.seed, first, min(CHUNK, settings.studies - first))
         for first in range(0, settings.studies, CHUNK)

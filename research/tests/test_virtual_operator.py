@@ -16,10 +16,6 @@ from smooth_operator.landmarks import TIPS
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.task import TASKS
 from smooth_operator.simulation.tasks.trial import Outcome
-from smooth_operator_study.data import read_study
-from smooth_operator_study.design.plan import Plan, make_plan
-from smooth_operator_study.design.plan_file import write_plan
-from smooth_operator_study.design.protocol import Condition, Protocol, Task
 from smooth_operator.synthetic.tracker import TrackerModel, tracker_model
 from smooth_operator_research.demonstrations.trial_loop import perform
 from smooth_operator_research.study_simulation.run import (
@@ -58,6 +54,10 @@ from smooth_operator_research.virtual_operator.person import (
     movement_time,
 )
 from smooth_operator_research.virtual_operator.strategies import Closing, Observation
+from smooth_operator_study.data import read_study
+from smooth_operator_study.design.plan import Plan, make_plan
+from smooth_operator_study.design.plan_file import write_plan
+from smooth_operator_study.design.protocol import Condition, Protocol, Task
 
 pytestmark = pytest.mark.weekly
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from typing import Any, Final
 
 _NO_WORD: Final = str.maketrans("(),", "   ")
-_WINGS: Final = ("teleop", "lab", "study")
+_WINGS: Final = ("teleop", "lab")
 """Packages whose libraries are an extra of the same name."""
 
 

@@ -1,4 +1,7 @@
-"""User studies of retargeters: data, analysis, report."""
+"""User studies of retargeters: plan, console, store, power, analysis, report.
+
+A distribution of its own, which uses ``smooth_operator`` and adds the command ``study`` to it.
+"""
 
 from smooth_operator.lazy_names import public_names
 

@@ -3,13 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, Final, TypeVar
 
 from smooth_operator.errors import StudyError
 from smooth_operator.parallel import run_tasks
-from smooth_operator.result_cache import Job, JobResult, ResultLog, compute_results, find_results
+from smooth_operator.result_cache import (
+    Job,
+    JobResult,
+    ResultLog,
+    code_digest,
+    compute_results,
+    find_results,
+)
 
 T = TypeVar("T")
+
+HOME: Final = Path(__file__).resolve().parent
+"""Folder of this package."""
+
+
+def study_digest() -> str:
+    """Digest of the code that simulates and analyses studies, for stored chunks."""
+    return code_digest("design", "power", "analysis", home=HOME)
 
 
 def chunk_values(

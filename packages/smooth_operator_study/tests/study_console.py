@@ -17,13 +17,13 @@ from typing import Any
 
 from live_time import PATIENCE_S
 
+from smooth_operator.web.listening import listen
 from smooth_operator_study.console.server import Console, ConsoleAuth
 from smooth_operator_study.console.session_service import Command, SessionService
 from smooth_operator_study.design.plan import Plan, make_plan
 from smooth_operator_study.design.protocol import Condition, Protocol, RubricLine, Task
 from smooth_operator_study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator_study.store.progress import Progress
-from smooth_operator.web.listening import listen
 
 
 def console_plan(trials: int = 3, *, seconds: float = 0.0, resets: int = 1) -> Plan:

@@ -45,8 +45,6 @@ from smooth_operator_study.design.plan_file import read_plan, write_plan_files
 from smooth_operator_study.store.events import Noted, TrialScored
 from smooth_operator_study.store.study_store import Clock, StudyStore, open_study
 
-pytest.importorskip("segno", reason="the extra study is not installed")
-
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[StudyStore]:

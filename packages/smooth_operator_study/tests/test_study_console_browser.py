@@ -11,6 +11,7 @@ import pytest
 from fake_teleop import FakeSimulation
 from study_console import PATIENCE_S, ConsoleProcess, console_plan, due_command, ratings, served
 
+from smooth_operator.web.browser import leading_to
 from smooth_operator_study.console.server import ConsoleAuth
 from smooth_operator_study.console.session_service import SessionService
 from smooth_operator_study.design.plan import Plan, make_plan
@@ -18,9 +19,6 @@ from smooth_operator_study.design.plan_file import write_plan_files
 from smooth_operator_study.store.events import QuestionnaireAnswered
 from smooth_operator_study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator_study.store.study_store import open_study
-from smooth_operator.web.browser import leading_to
-
-pytest.importorskip("segno", reason="the extra study is not installed")
 
 TRIALS = 6
 PATIENCE_MS = 1e3 * PATIENCE_S

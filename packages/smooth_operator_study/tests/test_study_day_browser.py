@@ -11,8 +11,6 @@ from smooth_operator_study.console.session_service import SessionService
 from smooth_operator_study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator_study.store.study_store import open_study
 
-pytest.importorskip("segno", reason="the extra study is not installed")
-
 
 def fill(page: Any, button: str, **given: str) -> None:
     """Answers the dialog."""

@@ -11,6 +11,7 @@ from study_writers import due
 
 from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
+from smooth_operator.version import __version__
 from smooth_operator_study.analysis import analyze_study
 from smooth_operator_study.analysis.methods_text import methods_paragraph
 from smooth_operator_study.analysis.operators import flow_rows, flow_text, leave_out
@@ -21,7 +22,6 @@ from smooth_operator_study.design.protocol import Condition, Protocol, Task
 from smooth_operator_study.store.events import Amended, Recalibrated, TrialVoided, Undone, Withdrawn
 from smooth_operator_study.store.export import export_study
 from smooth_operator_study.store.study_store import StudyStore, open_study
-from smooth_operator.version import __version__
 
 CODES = ("P01", "P02", "P03", "P04", "P05")
 

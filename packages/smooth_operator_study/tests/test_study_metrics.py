@@ -12,11 +12,11 @@ from ticks import make_tick
 
 from smooth_operator.cli import main
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.teleop.sinks.record import RecordSink
 from smooth_operator_study.console.session_service import SessionService
 from smooth_operator_study.data import read_study
 from smooth_operator_study.design.plan_file import write_plan_files
 from smooth_operator_study.store.study_store import open_study
-from smooth_operator.teleop.sinks.record import RecordSink
 
 SECONDS = 1.0
 

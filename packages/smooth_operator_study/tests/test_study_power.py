@@ -1,7 +1,6 @@
 """Simulated power: the truth is what was asked for, verdicts are those of the analysis."""
 
 import json
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -238,15 +237,6 @@ def test_honest_tests_err_less_and_find_less(tmp_path):
 def test_study_power_refuses(tmp_path, arguments, says, capsys):
     assert main(["study", "power", "--output", str(tmp_path / "out"), *arguments]) == 2
     assert says in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_study_power_without_statsmodels_names_the_extra(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "statsmodels.genmod", None)
-    assert main(["study", "power", "--output", str(tmp_path / "out"), "--workers", "2"]) == 2
-    said = capsys.readouterr().err
-    assert "analysing success rates needs the extra 'study'" in said
-    assert said.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 

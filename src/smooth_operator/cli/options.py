@@ -31,7 +31,6 @@ from smooth_operator.cli.hardware_options import Hardware
 from smooth_operator.cli.latency import Latency
 from smooth_operator.cli.retarget import Retarget
 from smooth_operator.cli.sample import Sample
-from smooth_operator_study.commands.options import Study
 from smooth_operator.cli.teleop import Teleop
 from smooth_operator.cli.train import Train
 from smooth_operator.cli.view import View
@@ -222,7 +221,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator hardware list
       real hands: drivers, tables, ports; hardware check writes a hand's table
   smooth-operator study analyze trials.csv tlx.csv --output out
-      a user study: models, corrected p-values, a report
+      a user study: models, corrected p-values, a report (packages/smooth_operator_study)
   smooth-operator doctor
       measure start-up and frame time on this machine, and suggest fixes
 
@@ -242,7 +241,6 @@ Command: TypeAlias = (
     | Latency
     | Retarget
     | Sample
-    | Study
     | Teleop
     | Train
     | View
@@ -262,22 +260,36 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "hands": Hands,
     "hardware": Hardware,
     "calibrate": Calibrate,
-    "study": Study,
     "doctor": Doctor,
 }
 
 
+_STUDY: Final = (
+    "the distribution smooth-operator-study",
+    'python -m pip install ".[teleop]" ./packages/smooth_operator_study',
+)
+_RESEARCH: Final = (
+    "the research distribution",
+    "python -m pip install . ./packages/smooth_operator_study ./research",
+)
+_DISTRIBUTIONS: Final = {
+    "study": _STUDY,
+    **dict.fromkeys(("paper", "ablate", "physics", "study.simulate"), _RESEARCH),
+}
+"""Command -> the distribution of this repository that adds it, and the line that installs that."""
+
 COMMANDS: Final = Registry(
     "command",
     {name: Entry(f"{kind.__module__}:{kind.__name__}") for name, kind in _COMMANDS.items()},
+    elsewhere={
+        name: f"a command of {owner}, which is not installed; in a clone of the repository: {line}"
+        for name, (owner, line) in _DISTRIBUTIONS.items()
+    },
 )
 """Name -> options of the command, a dataclass that derives from ``Common``.
 
 A plugin's ``GROUP.NAME`` is the command ``smooth-operator GROUP NAME``.
 """
-
-RESEARCH: Final = ("paper", "ablate", "physics", "study.simulate")
-"""Commands that the distribution in ``research/`` adds."""
 
 
 def _command(name: str) -> type[Common | Group]:
@@ -299,29 +311,26 @@ def _commands(name: str) -> dict[str, Any]:
     return {**_COMMANDS, **COMMANDS.loadable(_command)}  # for the overview
 
 
-def _in_research(arguments: Sequence[str]) -> list[str]:
+def _joined(arguments: Sequence[str]) -> list[str]:
     """Arguments with ``bench --physics`` and a plugin's ``GROUP COMMAND`` as one word each.
 
     Raises:
-        ConfigError: the command is in the research distribution, which is not installed.
+        ConfigError: the command is in a distribution that is not installed.
     """
     words = list(arguments)
     if words[:1] == ["bench"] and "--physics" in words:
         words = ["physics", *("--measures" if w == "--physics" else w for w in words[1:])]
     joined = ".".join(words[:2])
-    if joined in COMMANDS or joined in RESEARCH:
+    if joined in COMMANDS or joined in COMMANDS.elsewhere:
         words = [joined, *words[2:]]
-    if words[:1] and words[0] in RESEARCH and words[0] not in COMMANDS:
-        raise ConfigError(
-            f"{words[0].replace('.', ' ')} is a command of the research distribution; in a clone "
-            "of the repository: python -m pip install ./research"
-        )
+    if words[:1] and words[0] in COMMANDS.elsewhere and words[0] not in COMMANDS:
+        raise ConfigError(f"{words[0].replace('.', ' ')} is {COMMANDS.elsewhere[words[0]]}")
     return words
 
 
 def _from_plugins(group: str) -> str:
     """Help on the commands of a group that other distributions add, or would add if installed."""
-    texts = dict.fromkeys(RESEARCH, "with the research distribution (pip install ./research)")
+    texts = {name: f"with {owner} ({line})" for name, (owner, line) in _DISTRIBUTIONS.items()}
     for name, kind in COMMANDS.loadable(_command).items():
         texts[name] = (kind.__doc__ or "").strip().partition("\n")[0]
     lines = [
@@ -340,7 +349,7 @@ def parse(arguments: Sequence[str]) -> Command:
         SmoothOperatorError: there is no such command.
     """
     whole = "--help-all" in arguments
-    arguments = _in_research(["--help" if w == "--help-all" else w for w in arguments])
+    arguments = _joined(["--help" if w == "--help-all" else w for w in arguments])
     name = arguments[0] if arguments else ""
     commands = _commands(name)
     flags = (tyro.conf.FlagCreatePairsOff,)

@@ -118,7 +118,7 @@ _OPENCV: Final = tuple(
                                   "contrib-python-headless")
 )  # fmt: skip
 """Distributions that install into one folder, ``cv2``, and overwrite each other there."""
-_WINGS: Final = ("teleop", "lab", "study")
+_WINGS: Final = ("teleop", "lab")
 
 
 def environment() -> dict[str, Any]:

@@ -1,11 +1,4 @@
-"""Statistics of a study: models, comparisons, learning, correlations, report.
-
-Needs the extra ``study``.
-"""
-
-from smooth_operator.errors import require
-
-require("the analysis of a study", "study", "statsmodels", "matplotlib")
+"""Statistics of a study: models, comparisons, learning, correlations, report."""
 
 from smooth_operator_study.analysis.analyze import Analysis as Analysis
 from smooth_operator_study.analysis.analyze import analyze_study as analyze_study

@@ -24,14 +24,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linprog
 from scipy.special import expit
 
-from smooth_operator.errors import MissingExtraError, StudyError
+from smooth_operator.errors import StudyError
 from smooth_operator_study.analysis.frame import Frame
 
 _ROUNDS: Final = 10
@@ -96,19 +96,6 @@ class GeeFit:
             )
 
 
-def require_statsmodels() -> Any:
-    """Imports statsmodels' module with the class ``GEE``, which takes seconds.
-
-    Raises:
-        MissingExtraError: statsmodels is not installed.
-    """
-    try:
-        from statsmodels.genmod import generalized_estimating_equations
-    except ImportError as error:
-        raise MissingExtraError("analysing success rates", "study") from error
-    return generalized_estimating_equations
-
-
 def fit_gee(
     design: Float[np.ndarray, "n p"],
     success: Float[np.ndarray, " n"],
@@ -126,11 +113,11 @@ def fit_gee(
 
     Raises:
         StudyError: the fit does not converge, or diverges to infinite odds.
-        MissingExtraError: statsmodels is not installed.
     """
-    estimating_equations = require_statsmodels()
+    # Imported here, since it takes seconds.
     from statsmodels.genmod.cov_struct import Exchangeable
     from statsmodels.genmod.families import Binomial
+    from statsmodels.genmod.generalized_estimating_equations import GEE
 
     sizes = np.bincount(groups)
     correctable = _correctable(design, groups)
@@ -138,7 +125,7 @@ def fit_gee(
         # A fit that diverges is refused below, with its own message.
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            model = estimating_equations.GEE(
+            model = GEE(
                 success, design, groups=groups, family=Binomial(), cov_struct=Exchangeable()
             )
             start = None
@@ -307,13 +294,12 @@ def mancl_derouen(
     """
     if not _correctable(design, groups):
         return None
-    estimating_equations = require_statsmodels()
+    # Imported here, since it takes seconds.
     from statsmodels.genmod.cov_struct import Exchangeable
+    from statsmodels.genmod.generalized_estimating_equations import GEE
 
     structure = Exchangeable()
-    model = estimating_equations.GEE(
-        residuals, design, groups=groups, cov_struct=structure, update_dep=False
-    )
+    model = GEE(residuals, design, groups=groups, cov_struct=structure, update_dep=False)
     structure.dep_params = ratio / (1 + ratio)
     start = np.zeros(design.shape[1])
     with warnings.catch_warnings():

@@ -11,11 +11,11 @@ from importlib.resources import files
 from typing import Final
 
 from smooth_operator.reporting.report_page import templates
+from smooth_operator.version import __version__
 from smooth_operator_study.analysis.analyze import Analysis
 from smooth_operator_study.analysis.operators import flow_text
 from smooth_operator_study.analysis.results import MODES, OUTCOMES, ScopeResult
 from smooth_operator_study.design.plan import balanced_rows
-from smooth_operator.version import __version__
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from rich.text import Text
 
 from smooth_operator.cli.console import Progressing, output_console
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator_study.commands.options import Analyze
 from smooth_operator.errors import ConfigError
 from smooth_operator_study.analysis import Analysis, analyze_study
 from smooth_operator_study.analysis.operators import flow_text, leave_out
 from smooth_operator_study.analysis.output import write_analysis
 from smooth_operator_study.analysis.report.tables import conclusion
 from smooth_operator_study.analysis.results import MODES
+from smooth_operator_study.commands.options import Analyze
 from smooth_operator_study.data import read_study
 
 SOME_REFUSED: Final = 1

@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from smooth_operator_study.commands.options import Erase, Export
 from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.terminal import printable
+from smooth_operator_study.commands.options import Erase, Export
 from smooth_operator_study.design.plan_file import NAME, read_plan, write_plan
 from smooth_operator_study.store.export import export_study
 from smooth_operator_study.store.study_store import FILE, open_study
-from smooth_operator.terminal import printable
 
 
 def export_data(options: Export) -> None:

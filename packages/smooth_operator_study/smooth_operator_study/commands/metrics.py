@@ -11,12 +11,14 @@ import numpy as np
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.cli.console import Progressing
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator_study.commands.options import Metrics
 from smooth_operator.errors import ConfigError, DocumentError, SmoothOperatorError, StudyError
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.io.documents import parse_json
+from smooth_operator.teleop.recording.log_reader import read_log
+from smooth_operator.types import CommandTrajectory
+from smooth_operator_study.commands.options import Metrics
 from smooth_operator_study.data.reading import METRIC_COLUMNS, NAMES
 from smooth_operator_study.data.take_metrics import (
     METRIC_NAMES,
@@ -25,8 +27,6 @@ from smooth_operator_study.data.take_metrics import (
     utc_of_zero,
 )
 from smooth_operator_study.store.study_store import open_study
-from smooth_operator.teleop.recording.log_reader import read_log
-from smooth_operator.types import CommandTrajectory
 
 
 def study_metrics(options: Metrics) -> None:

@@ -9,10 +9,11 @@ from rich.text import Text
 
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator_study.commands.options import Enrol, New
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.simulation.tasks.task import PAPER_TASKS, TASKS
+from smooth_operator.terminal import printable
+from smooth_operator_study.commands.options import Enrol, New
 from smooth_operator_study.design.forms import DEFAULT_FORMS
 from smooth_operator_study.design.plan import (
     Plan,
@@ -39,7 +40,6 @@ from smooth_operator_study.design.protocol import (
     Task,
     margins_of,
 )
-from smooth_operator.terminal import printable
 
 PAPER_CONDITIONS: Final = (
     Condition("sbr", preset="paper"),

@@ -1,7 +1,7 @@
 """Options of ``smooth-operator study`` and of its subcommands.
 
 A further subcommand: write its options as a dataclass here and its work in a file of its own (as
-``study_analyze.py``), which is imported when it runs; then add one line to ``Subcommand``.
+``analyze.py``), which is imported when it runs; then add one line to ``Subcommand``.
 """
 
 from __future__ import annotations

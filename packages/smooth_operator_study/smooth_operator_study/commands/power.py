@@ -11,11 +11,12 @@ from rich.console import Console
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator_study.commands.new import PAPER_CONDITIONS, PAPER_OPERATORS
-from smooth_operator_study.commands.options import Power
 from smooth_operator.errors import ConfigError
 from smooth_operator.simulation.tasks.task import PAPER_TASKS
+from smooth_operator.terminal import printable
 from smooth_operator_study.analysis.results import MODES
+from smooth_operator_study.commands.new import PAPER_CONDITIONS, PAPER_OPERATORS
+from smooth_operator_study.commands.options import Power
 from smooth_operator_study.design.plan_file import read_plan
 from smooth_operator_study.design.protocol import Protocol
 from smooth_operator_study.power.power_run import (
@@ -31,7 +32,6 @@ from smooth_operator_study.power.power_run import (
     write_power,
 )
 from smooth_operator_study.power.simulated_study import Spread, assumptions_for
-from smooth_operator.terminal import printable
 
 _SHARES: Final = (1 / 3, 2 / 3, 1.0, 4 / 3, 2.0)
 

@@ -9,10 +9,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from smooth_operator_study.commands.options import Run
 from smooth_operator.errors import ConfigError
 from smooth_operator.signals import Ending, ended_by_signals
-from smooth_operator_study.console.server import Console, auth_for, check_installed
+from smooth_operator.terminal import print_note
+from smooth_operator.web.addresses import is_local
+from smooth_operator.web.browser import open_page
+from smooth_operator.web.listening import listen
+from smooth_operator_study.commands.options import Run
+from smooth_operator_study.console.server import Console, auth_for
 from smooth_operator_study.console.session_service import SessionService
 from smooth_operator_study.console.switching import Teleop
 from smooth_operator_study.design.plan import Plan
@@ -23,15 +27,10 @@ from smooth_operator_study.design.plan_file import (
 )
 from smooth_operator_study.store.nasa_tlx import ENGLISH, TlxWords, read_words
 from smooth_operator_study.store.study_store import FILE, StudyStore, open_study
-from smooth_operator.terminal import print_note
-from smooth_operator.web.addresses import is_local
-from smooth_operator.web.browser import open_page
-from smooth_operator.web.listening import listen
 
 
 def run_study(options: Run) -> None:
     """Serves the pages of a study until Ctrl-C."""
-    check_installed()
     teleop = _teleop(options.teleop)
     folder = _folder(options.study)
     with _listening(options) as listening, _opened(folder) as store:

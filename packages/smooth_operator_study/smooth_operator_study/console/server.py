@@ -30,7 +30,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, cast
 from urllib.parse import urlsplit
 
-from smooth_operator.errors import DocumentError, MissingExtraError, SmoothOperatorError, StudyError
+from smooth_operator.errors import DocumentError, SmoothOperatorError, StudyError
 from smooth_operator.io.documents import json_object
 from smooth_operator.own_files import (
     OFF,
@@ -39,16 +39,16 @@ from smooth_operator.own_files import (
     read_own_file,
     user_cache,
 )
+from smooth_operator.web.addresses import is_local, page_addresses
+from smooth_operator.web.auth import TokenAuth
+from smooth_operator.web.files import answer_with, page_files, shielded
+from smooth_operator.web.listening import quiet_options
 from smooth_operator_study.console.session_service import (
     Role,
     SessionService,
     StoreFailedError,
     command_of,
 )
-from smooth_operator.web.addresses import is_local, page_addresses
-from smooth_operator.web.auth import TokenAuth
-from smooth_operator.web.files import answer_with, page_files, shielded
-from smooth_operator.web.listening import quiet_options
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -412,16 +412,3 @@ class Console:
 
 def _role_of(path: str) -> Role:
     return "operator" if path == LINK["operator"] else "experimenter"
-
-
-def check_installed() -> None:
-    """Checks that the packages of the console are installed.
-
-    Raises:
-        MissingExtraError: one is missing; says what to install.
-    """
-    try:
-        import segno  # noqa: F401
-        import websockets.asyncio.server  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("the console of a study", "study") from error

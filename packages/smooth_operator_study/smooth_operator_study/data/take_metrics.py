@@ -20,8 +20,8 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.metrics.assemble import assemble_trace, sample_reach
 from smooth_operator.metrics.table import find_metric
 from smooth_operator.metrics.trace import Trace
-from smooth_operator_study.store.progress import Trial
 from smooth_operator.types import CommandTrajectory, HandRecording
+from smooth_operator_study.store.progress import Trial
 
 METRIC_NAMES: Final = (
     "cosine_similarity", "scale_ratio", "motion_preservation", "flatness",

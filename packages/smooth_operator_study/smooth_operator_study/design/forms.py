@@ -12,8 +12,8 @@ from typing import Any, Final, Literal, TypeAlias, get_args
 
 from smooth_operator.errors import StudyError
 from smooth_operator.io.entries import Entries
-from smooth_operator_study.records import record
 from smooth_operator.simulation.tasks.task import check_name, distinct, whole
+from smooth_operator_study.records import record
 
 When: TypeAlias = Literal["before", "after"]
 Kind: TypeAlias = Literal["text", "number", "choice", "scale", "consent", "ranking"]

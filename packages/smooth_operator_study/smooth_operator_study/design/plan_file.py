@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.atomic_files import atomic_write, output_error
-from smooth_operator.errors import StudyError, require
+from smooth_operator.errors import StudyError
 from smooth_operator.formats.toml_writer import toml_key, toml_value
 from smooth_operator.io.entries import Entries, read_entries
-from smooth_operator_study.records import record
 from smooth_operator.reporting.report_page import templates
+from smooth_operator.version import __version__
 from smooth_operator_study.design.forms import KINDS
 from smooth_operator_study.design.plan import (
     Enrolment,
@@ -30,7 +30,7 @@ from smooth_operator_study.design.protocol import (
     Protocol,
     Task,
 )
-from smooth_operator.version import __version__
+from smooth_operator_study.records import record
 
 FORMAT: Final = 1
 """Version of the format."""
@@ -277,7 +277,6 @@ def preregistration(plan: Plan) -> str:
         Hypotheses, design, operators, tasks, outcomes, models, corrections, exclusions, stopping
         rule and versions, with [square brackets] for facts that only the authors know.
     """
-    require("a pre-registration", "study", "jinja2")
     protocol = plan.protocol
     outcome, _, scope = protocol.primary.partition("/")
     where = "over all tasks together" if scope == POOLED else f"in task {scope}"

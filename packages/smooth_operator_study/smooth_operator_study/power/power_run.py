@@ -24,12 +24,10 @@ from smooth_operator.result_cache import (
     Job,
     Note,
     ResultLog,
-    code_digest,
     no_note,
 )
 from smooth_operator_study.analysis.dunnett import quantile
 from smooth_operator_study.analysis.frame import outcome_frames
-from smooth_operator_study.analysis.gee import require_statsmodels
 from smooth_operator_study.analysis.outcomes import analyze
 from smooth_operator_study.analysis.results import (
     MODES,
@@ -39,7 +37,7 @@ from smooth_operator_study.analysis.results import (
     Outcome,
     ScopeResult,
 )
-from smooth_operator_study.chunks import chunk_values
+from smooth_operator_study.chunks import chunk_values, study_digest
 from smooth_operator_study.data.rows import StudyData
 from smooth_operator_study.design.plan import make_plan, scaled
 from smooth_operator_study.design.plan_file import plan_of, plan_table
@@ -155,10 +153,8 @@ def run_power(
     Raises:
         StudyError: a study can't be simulated; says why.
         OutputError: the folder can't be written to.
-        MissingExtraError: statsmodels is not installed.
     """
-    code = code_digest("study/design", "study/power", "study/analysis")
-    require_statsmodels()  # one error here, not one from each worker
+    code = study_digest()
     jobs = [
         Job("", one, code, one, f"simulating {one.operators} operators", one.count)
         for one in _chunks(settings)

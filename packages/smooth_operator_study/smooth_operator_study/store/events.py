@@ -16,8 +16,8 @@ from typing import Any, ClassVar, Final, TypeAlias
 
 from smooth_operator.errors import StudyError
 from smooth_operator.io.entries import Entries
-from smooth_operator_study.records import record
 from smooth_operator_study.design.protocol import Point
+from smooth_operator_study.records import record
 from smooth_operator_study.store.nasa_tlx import check_ratings, raw_workload
 
 Naming: TypeAlias = Callable[[str], str]

@@ -8,8 +8,6 @@ from typing import Any
 
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
-from smooth_operator_study.design.plan_file import read_plan
-from smooth_operator_study.design.protocol import Protocol
 from smooth_operator.terminal import printable
 from smooth_operator_research.commands.options import Simulate
 from smooth_operator_research.study_simulation.run import (
@@ -18,6 +16,8 @@ from smooth_operator_research.study_simulation.run import (
     plan_for,
     simulate_study,
 )
+from smooth_operator_study.design.plan_file import read_plan
+from smooth_operator_study.design.protocol import Protocol
 
 
 def simulate_command(options: Simulate) -> None:

@@ -18,16 +18,16 @@ from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.result_cache import Job, Note, ResultLog, no_note
 from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import task_named
-from smooth_operator_study.chunks import chunk_values
-from smooth_operator_study.design.plan import Block, Plan, lot, make_plan, scaled
-from smooth_operator_study.design.plan_file import plan_table
-from smooth_operator_study.store.export import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
 from smooth_operator.synthetic.tracker import known_gaps, tracker_model
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND
 from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial
 from smooth_operator_research.virtual_operator.hand_model import Body
 from smooth_operator_research.virtual_operator.trial import Familiar
+from smooth_operator_study.chunks import chunk_values
+from smooth_operator_study.design.plan import Block, Plan, lot, make_plan, scaled
+from smooth_operator_study.design.plan_file import plan_table
+from smooth_operator_study.store.export import QUESTIONNAIRE_COLUMNS, TRIAL_COLUMNS
 
 MOST_OPERATORS: Final = 1000
 PREFIX: Final = "simulated-"

@@ -1,0 +1,1 @@
+"""The command ``smooth-operator study``: its options, and the work of each subcommand."""
