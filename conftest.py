@@ -119,7 +119,7 @@ LONG_FILES = (
     "test_lint.py", "test_live_page.py", "test_study_console_browser.py", "test_examples.py",
     "test_batch.py", "test_offline_smoother.py", "test_calibration.py", "test_study_analysis.py",
     "test_slsqp_method.py", "test_published_methods.py", "test_hand_validation.py",
-    "test_corpus.py", "test_cli.py", "test_tune.py",
+    "test_corpus.py", "test_cli.py",
     "test_dynamixel.py", "test_retarget_folder.py", "test_dataset_pipeline.py", "test_parallel.py",
     "test_smooth.py", "test_texts_on_pages.py", "test_signals.py", "test_study_report.py",
     "test_hand_matrix.py", "test_study_power.py", "test_remote.py", "test_bad_requests.py",
