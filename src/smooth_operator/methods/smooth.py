@@ -77,9 +77,6 @@ has leapt: the tracker was wrong, or is."""
 SETTLED: Final = 0.15
 """Time after a leap at which the past is forgotten [s]."""
 
-PINCH_SHAKE: Final = 1e-3
-"""Shake of a tracker with which ``pinch_damping`` counts in full [m]."""
-
 
 @dataclass(frozen=True)
 class SmoothConfig(ObjectiveMethodConfig):
@@ -93,8 +90,7 @@ class SmoothConfig(ObjectiveMethodConfig):
             with the square of the speed, since a correction of the same size turns a fast motion
             less. 0 leaves it constant.
         pinch_damping: added to the velocity weight of joints that move the thumb or a finger that
-            the targets have latched to it, for fingers that move roll out what they hold; of a
-            tracker that shakes by 1 mm, and of others in proportion to their shake. It falls
+            the targets have latched to it, for fingers that move roll out what they hold. It falls
             as the motion weight does, so that a hand that opens is not held back.
         spread_weight: cost of a long finger that spreads by over 0.2 rad to a side, per squared
             radian beyond.
@@ -367,7 +363,7 @@ class Smooth(Method):
         latched = jnp.zeros(len(tips) - 1, bool) if latched is None else latched
         pinching = slow * jnp.concatenate([latched.any()[None], latched])
         damped = (pinching[:, None] * jnp.asarray(self.pose_table.moves)).max(axis=0)
-        damping = config.pinch_damping * (state.filtered.shake / PINCH_SHAKE) * holds * damped
+        damping = config.pinch_damping * holds * damped
         pad = aligned[TIPS[0]] - aligned[TIPS[0] - 1]
         pad = pad / jnp.sqrt((pad * pad).sum() + 1e-12)
         arrival, weights = self.motion.tips(state.q) + moves, config.motion_weight * holds * slow
