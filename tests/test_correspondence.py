@@ -83,22 +83,16 @@ def test_the_robots_own_landmarks_stay_where_they_are(hand):
         assert off.mean() < 2.5e-3
 
 
-def test_lengths_settle_and_hold(hand):
-    rng = np.random.default_rng(0)
-    base = operator_of(hand)
-    noisy = base + 1e-3 * rng.standard_normal((240, 21, 3)).astype(np.float32)
-    lengths, _ = follow(Correspondence(hand, CorrespondenceConfig()), noisy)
-    np.testing.assert_allclose(lengths[-1], lengths[-100], rtol=3e-3)
-    bones = np.linalg.norm(np.diff([base[b : b + 4] for b in BASES], axis=1), axis=-1).sum(-1)
-    np.testing.assert_allclose(lengths[-1], bones, rtol=0.03)
-
-
-def test_another_operator_after_a_gap_is_measured_again(hand):
-    frames = np.concatenate([np.tile(operator_of(hand, size), (90, 1, 1)) for size in (0.6, 0.8)])
-    correspondence = Correspondence(hand, CorrespondenceConfig())
-    new, _ = follow(correspondence, np.tile(operator_of(hand, 0.8), (3, 1, 1)))
-    after_gap, _ = follow(correspondence, frames, restarts=(0, 90))
-    np.testing.assert_allclose(after_gap[90], new[-1], rtol=1e-5)
+def test_a_finger_is_as_straight_as_its_frame_shows_it(hand):
+    """Headsets stretch a finger's bones by up to a fifth from frame to frame."""
+    points = operator_of(hand)
+    points[8] = points[5] + 0.8 * (points[8] - points[5])  # the index finger is bent
+    frames = np.tile(points, (8, 1, 1))
+    for t in range(4, 8):
+        frames[t, 5:9] = points[5] + 1.15 * (points[5:9] - points[5])
+    calm = CorrespondenceConfig(near=0.0, far=1e-4, catch_up=100.0)
+    _, places = follow(Correspondence(hand, calm), frames)
+    np.testing.assert_allclose(places[-1, 1], places[0, 1], atol=1e-5)
 
 
 def test_unknown_landmarks_leave_the_lengths(hand):
@@ -110,12 +104,15 @@ def test_unknown_landmarks_leave_the_lengths(hand):
 
 
 def pinch(hand: Hand, count: int = 400) -> np.ndarray:
-    """The index fingertip to the thumb's, and back, evenly; the last half of the frames settled."""
+    """The index finger turns until its tip meets the thumb's, and back, evenly; the last half of
+    the frames settled."""
     points = operator_of(hand)
     frames = np.tile(points, (count, 1, 1))
     way = 0.5 - 0.5 * np.cos(np.linspace(0, 2 * np.pi, count // 2))
     to = points[TIPS[0]] - points[TIPS[1]]
-    frames[count // 2 :, TIPS[1]] += (way[:, None] * to).astype(np.float32)
+    for joint in range(1, 4):
+        moved = joint / 3 * way[:, None] * to
+        frames[count // 2 :, BASES[1] + joint] += moved.astype(np.float32)
     return frames
 
 

@@ -4,7 +4,8 @@ Aligned palms do not make hands correspond: wrists and knuckles lie centimetres 
 fingers are up to twice as long as the human's. So each fingertip is placed from the robot's own
 knuckle, as far out as the human's is from his, in units of the length of the finger. Thumb and
 finger that come near each other move together until the vector between them is the human's own.
-The bases of the human's fingers and their lengths are measured while the hand is in use.
+Lengths of the human's fingers are those of the frame: trackers stretch bones, and a finger is as
+straight as its own frame shows it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.settings import check_numbers
 
-_SUDDEN: Final = 0.2  # share of a length by which one frame may differ and count in full
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
 _POSES: Final = 256  # random ones, for the thumb's length
 _TINY: Final = 1e-9
@@ -47,7 +47,6 @@ class CorrespondenceConfig:
             human's.
         catch_up: speed at which a fingertip's place may move beyond the human's step times the
             finger's gain: lengths and pinches change places, too [m/s].
-        span: averaging time of the operator's lengths [s].
     """
 
     share: float = 1.0
@@ -57,13 +56,12 @@ class CorrespondenceConfig:
     thumb_share: float = 0.6
     thumb_follows: float = 0.1
     catch_up: float = 0.2
-    span: float = 10.0
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
             "correspondence.",
-            positive=("far", "catch_up", "span"),
+            positive=("far", "catch_up"),
             not_negative=("share", "near", "folded", "thumb_share", "thumb_follows"),
         )
         if not self.near < self.far:
@@ -75,18 +73,16 @@ class CorrespondenceConfig:
 
 
 class CorrespondenceState(NamedTuple):
-    """Lengths of the operator on the robot's scale, and the last places.
+    """Fingers of the operator on the robot's scale, and the last places.
 
     Attributes:
         bases: (F, 3) bases of the human's fingers in the palm frame [m].
         lengths: (F,) sums of their bones [m].
-        time: (F,) for how long each finger has been measured [s].
         places: (F, 3) where the robot's fingertips belonged in the last frame [m].
     """
 
     bases: Float[Array, "F 3"]
     lengths: Float[Array, " F"]
-    time: Float[Array, " F"]
     places: Float[Array, "F 3"]
 
 
@@ -139,12 +135,9 @@ class Correspondence:
         return points[rows].astype(np.float32), lengths
 
     def init(self) -> CorrespondenceState:
-        """State of an operator before the first frame."""
-        count = len(self.hand.fingers)
-        points, none = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
-        state: CorrespondenceState = jax.device_put(
-            CorrespondenceState(points, none, none, points)  # type: ignore[arg-type]
-        )
+        """State before the first frame: the operator's fingers are the robot's."""
+        bases, lengths = self._robot
+        state: CorrespondenceState = jax.device_put(CorrespondenceState(bases, lengths, bases))  # type: ignore[arg-type]
         return state
 
     def step(
@@ -166,16 +159,17 @@ class Correspondence:
             steps: (F, 3) steps of the filtered fingertips in this frame [m].
             measured: (F, 3) steps of the fingertips as measured [m].
             dt: time between the two frames [s].
-            restart: nothing came before, or too long ago: it may be another operator.
+            restart: nothing came before, or too long ago.
         """
-        # an operator who hasn't been seen is like the robot
-        unseen = before.time <= 0
-        bases, lengths = (jnp.asarray(part, aligned.dtype) for part in self._robot)
-        before = before._replace(
-            bases=jnp.where(unseen[:, None], bases, before.bases),
-            lengths=jnp.where(unseen, lengths, before.lengths),
+        # joints between base and tip may be hidden: the last lengths count then
+        chains = aligned[self._chains]
+        bones = jnp.diff(chains, axis=1)
+        lengths = jnp.sqrt((bones * bones).sum(-1)).sum(-1)
+        known = jnp.isfinite(lengths)
+        operator = before._replace(
+            bases=jnp.where(known[:, None], chains[:, 0], before.bases),
+            lengths=jnp.where(known, lengths, before.lengths),
         )
-        operator = self._measured(before, aligned, dt, restart)
         places, gain, nearness = self._places(operator, tips)
         # fingers that pinch move as one
         nearest = jnp.concatenate([nearness.max()[None], nearness])
@@ -186,38 +180,11 @@ class Correspondence:
         places = last + _shortened(places - last, most)
         return operator._replace(places=places), _shortened(moves, most), nearness
 
-    def _measured(
-        self,
-        before: CorrespondenceState,
-        aligned: Float[Array, "21 3"],
-        dt: Float[Array, ""],
-        restart: Bool[Array, ""],
-    ) -> CorrespondenceState:
-        """The operator after a frame: running means over the time since the start, for which a
-        difference of over 20 % counts as one of 20 %: it is the tracker's fault."""
-        chains = aligned[self._chains]
-        bones = jnp.diff(chains, axis=1)
-        lengths = jnp.sqrt((bones * bones).sum(-1)).sum(-1)
-        finite = jnp.isfinite(lengths)
-        time = jnp.where(restart, 0.0, before.time)
-        share = jnp.where(finite, dt / (dt + jnp.minimum(time, self.config.span)), 0.0)
-        most = jnp.where(time <= 0, jnp.inf, _SUDDEN * before.lengths)  # the first counts in full
-
-        def moved(mean: Array, now: Array) -> Array:
-            change = jnp.where(finite[:, None], now - mean, 0.0)
-            return mean + share[:, None] * _shortened(change, most[:, None])
-
-        return before._replace(
-            bases=moved(before.bases, chains[:, 0]),
-            lengths=moved(before.lengths[:, None], lengths[:, None])[:, 0],
-            time=time + jnp.where(finite, dt, 0.0),
-        )
-
     def pinching(
         self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
     ) -> tuple[Float[Array, " P"], Float[Array, " P"]]:
         """(F - 1,) closeness of each finger to the thumb, 0 to 1, and its nearness to a pinch: the
-        squared closeness of an unfolded finger.
+        third power of the closeness of an unfolded finger.
 
         Args:
             operator: the operator's lengths.
@@ -229,8 +196,8 @@ class Correspondence:
         away = tips[1:] - operator.bases[1:]
         extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
         unfolded = smooth_step(0.5 + (extension - config.folded) / _FOLDS)
-        # squared: a thumb at the side of a finger that points does not bend it
-        return close, close**2 * unfolded
+        # a high power: a thumb at the side of a finger that points does not bend it
+        return close, close**3 * unfolded
 
     def _places(
         self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
@@ -239,7 +206,7 @@ class Correspondence:
         human length; and their nearness to a pinch.
 
         Of the human's vectors h_i from thumb to finger i, places T by the fingers alone, gains g,
-        closeness c_i and nearness n_i (c_i^2 of an unfolded finger) of 0 to 1, and weights
+        closeness c_i and nearness n_i (c_i^3 of an unfolded finger) of 0 to 1, and weights
         w_i = thumb_follows + thumb_share c_i, the places P are
         P_0 = (T_0 + sum w_i (T_i - h_i (g_i - c_i (g_i - 1)))) / (1 + sum w_i),
         P_i = T_i + n_i (P_0 + h_i - T_i).
