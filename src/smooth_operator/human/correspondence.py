@@ -50,7 +50,7 @@ class CorrespondenceConfig:
     """
 
     share: float = 1.0
-    near: float = 0.012
+    near: float = 0.015
     far: float = 0.08
     folded: float = 0.35
     thumb_share: float = 0.6
