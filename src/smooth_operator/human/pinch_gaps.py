@@ -38,7 +38,9 @@ _MORE: Final = 0.11  # by how much a gap may exceed the one that is known [palm 
 _DOWN: Final = 0.5  # share by which a contact below the estimate moves it
 _UP: Final = 0.1  # the same of one above it
 _LEAD: Final = 0.3  # time in which the correction follows the estimate [s]
-_SPREAD: Final = 0.1  # share of a gap by which contacts exceed it
+# Share of a gap by which contacts exceed it, index to little finger. What the first two hold is shown
+# just beyond a contact; the others hardly ever hold anything.
+_SPREAD: Final = (0.12, 0.12, 0.25, 0.25)
 _CLOSED: Final = 0.9  # share of a contact's distance that is closed
 _FALL: Final = 6  # power with which that share falls beyond a contact
 _FOLDED: Final = 0.35  # extension of a finger, base to tip over its length, that pinches nothing
@@ -141,7 +143,7 @@ class PinchGapEstimate:
         distance = _length(apart)
         state = self._estimated(state, distance, extension, dt, restart)
         unfolded = smooth_step((extension - _FOLDED) / (_UNFOLDED - _FOLDED))
-        over = (1 + _SPREAD) * state.closed / distance
+        over = (1 + np.array(_SPREAD)[fingers - 1]) * state.closed / distance
         share = unfolded * _CLOSED * jnp.minimum(over, 1.0) ** _FALL
         share = jnp.where(share > 0, share, 0.0)[:, None]  # NaN where bones are not known
         near = jnp.minimum(2 * share, 1.0)
