@@ -38,8 +38,8 @@ _MORE: Final = 0.11  # by how much a gap may exceed the one that is known [palm 
 _DOWN: Final = 0.5  # share by which a contact below the estimate moves it
 _UP: Final = 0.1  # the same of one above it
 _LEAD: Final = 0.3  # time in which the correction follows the estimate [s]
-# Share of a gap by which contacts exceed it, index to little finger. What the first two hold is shown
-# just beyond a contact; the others hardly ever hold anything.
+# Share of a gap by which contacts exceed it, index to little finger. What the first two hold is
+# shown just beyond a contact; the others hardly ever hold anything.
 _SPREAD: Final = (0.12, 0.12, 0.25, 0.25)
 _CLOSED: Final = 0.9  # share of a contact's distance that is closed
 _FALL: Final = 6  # power with which that share falls beyond a contact
