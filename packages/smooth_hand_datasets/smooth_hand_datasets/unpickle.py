@@ -13,7 +13,6 @@ import math
 import pickle
 import pickletools
 import re
-import struct
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -152,7 +151,7 @@ def text(value: Any, most: int = 200) -> str | None:
 def _decoded(data: bytes, start: int, where: str, *, inner: bool = False) -> Any:
     """The value of a pickle; ``inner`` for that in a ``.npy``, which is an array of objects."""
     try:
-        value = _load(io.BytesIO(data), start, lambda stream: _Unpickler(stream, int(inner)))
+        value = _load(io.BytesIO(data), start)
         if not inner:
             return value
         if not isinstance(value, _Array) or value.objects is None:
@@ -200,12 +199,11 @@ class _Unpickler(pickle.Unpickler):
 
     Args:
         stream: the pickle, from its current place.
-        object_arrays: the most arrays of objects in it.
     """
 
-    def __init__(self, stream: io.BytesIO, object_arrays: int) -> None:
+    def __init__(self, stream: io.BytesIO) -> None:
         super().__init__(stream, encoding="latin1")  # of texts that Python 2 wrote
-        self._budget = _Budget(FREE_BYTES + RATIO * len(stream.getbuffer()), object_arrays)
+        self._left = FREE_BYTES + RATIO * len(stream.getbuffer())
 
     def find_class(self, module: str, name: str) -> Any:
         """The stand-in of a global, which no other load shares.
@@ -215,7 +213,7 @@ class _Unpickler(pickle.Unpickler):
         """
         whole = f"{_OLD_MODULES.get(module, module)}.{name}"
         if whole == "numpy.core.multiarray._reconstruct":
-            return _Function(whole, lambda *of: _new_array(self._budget, *of))
+            return _Function(whole, self._new_array)
         if whole in _FUNCTIONS:
             return _Function(whole, _FUNCTIONS[whole])
         sparse = _SPARSE.fullmatch(whole)
@@ -226,11 +224,31 @@ class _Unpickler(pickle.Unpickler):
         raise NotDataError(f"it asks for {whole[:120]!r}, which is no data")
 
     def persistent_load(self, pid: Any) -> Any:
-        """Raises NotDataError: a plain pickle has no objects outside of it."""
-        raise NotDataError("it refers to objects outside of it")
+        """(element type, key, count) of a tensor's storage; nothing else is outside of a pickle."""
+        if not isinstance(pid, tuple) or len(pid) not in (5, 6) or pid[0] != "storage":
+            raise NotDataError("it refers to objects outside of it")
+        _, kind, key, _, count, *view = pid
+        code = _TORCH_TYPES.get(kind.name) if isinstance(kind, _Function) else None
+        if code is None or not isinstance(key, str) or not isinstance(count, int) or any(view):
+            raise NotDataError("its tensor is damaged")
+        return code, key, count
+
+    def _new_array(self, kind: Any, *_: Any) -> _Array:
+        """An empty array, as ``numpy.core.multiarray._reconstruct`` makes it."""
+        if not isinstance(kind, _Function) or kind.name != "numpy.ndarray":
+            raise NotDataError("it has an array of a kind that is not read")
+        array = np.ndarray.__new__(_Array, (0,), np.int8)
+        array.counted = self._take
+        return array
+
+    def _take(self, count: int) -> None:
+        """Counts the bytes of an array before they are copied."""
+        self._left -= count
+        if self._left < 0:
+            raise NotDataError("it would take more memory than a file of this size may")
 
 
-def _load(stream: io.BytesIO, start: int, unpickler: Callable[[io.BytesIO], Any]) -> Any:
+def _load(stream: io.BytesIO, start: int) -> Any:
     """The value of the pickle at a place of a stream, which is behind it afterwards.
 
     Raises:
@@ -246,30 +264,11 @@ def _load(stream: io.BytesIO, start: int, unpickler: Callable[[io.BytesIO], Any]
             if instruction.name in _PUTS and isinstance(argument, int) and argument > size:
                 raise NotDataError("it is damaged")
         stream.seek(start)
-        return unpickler(stream).load()
+        return _Unpickler(stream).load()
     except NotDataError:
         raise
     except Exception as error:  # pickle promises no list
         raise NotDataError("it is damaged or cut off") from error
-
-
-class _Budget:
-    """Bytes that the arrays of one pickle may still take, and how many may be of objects."""
-
-    def __init__(self, left: int, object_arrays: int) -> None:
-        self.left, self.object_arrays = left, object_arrays
-
-    def take_objects(self) -> None:
-        """Counts an array of objects."""
-        self.object_arrays -= 1
-        if self.object_arrays < 0:
-            raise NotDataError("it has an array of objects among its values")
-
-    def take(self, count: int) -> None:
-        """Counts bytes before they are copied."""
-        self.left -= count
-        if self.left < 0:
-            raise NotDataError("it would take more memory than a file of this size may")
 
 
 class _Function:
@@ -312,10 +311,10 @@ class _Array(np.ndarray):
 
     Attributes:
         objects: the objects of an array of them, which are not put into it.
-        budget: bytes that it may take; the pickle's.
+        counted: called with the bytes that it takes, before they are copied.
     """
 
-    budget: _Budget
+    counted: Callable[[int], None]
     objects: list[Any] | None = None
     objects_shape: tuple[int, ...] = ()
 
@@ -330,12 +329,11 @@ class _Array(np.ndarray):
         if dtype.value.hasobject:
             if not isinstance(raw, list) or len(raw) != math.prod(shape):
                 raise ValueError("objects")
-            self.budget.take_objects()
             self.objects, self.objects_shape = raw, shape
             return
         raw = raw.encode("latin-1") if isinstance(raw, str) else raw
         _check_bytes(raw, shape, dtype.value)
-        self.budget.take(len(raw))
+        self.counted(len(raw))
         checked: Any = (1, shape, dtype.value, bool(fortran), raw)
         np.ndarray.__setstate__(self, checked)
         _check_text(self)
@@ -371,15 +369,6 @@ def _check_text(array: np.ndarray) -> None:
     codes = native.reshape(-1).view(np.uint32)
     if ((codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))).any():
         raise ValueError("text")
-
-
-def _new_array(budget: _Budget, kind: Any, *_: Any) -> _Array:
-    """An empty array, as ``numpy.core.multiarray._reconstruct`` makes it."""
-    if not isinstance(kind, _Function) or kind.name != "numpy.ndarray":
-        raise NotDataError("it has an array of a kind that is not read")
-    array = np.ndarray.__new__(_Array, (0,), np.int8)
-    array.budget = budget
-    return array
 
 
 def _scalar(dtype: Any, raw: Any = None) -> Any:
@@ -487,7 +476,7 @@ def numbers(value: Any) -> np.ndarray:
     Raises:
         NotDataError: it holds something else.
     """
-    if isinstance(value, _Stated | _Tensor):
+    if isinstance(value, _Stated):
         return np.asarray(value.array(), np.float64)
     if isinstance(value, list | tuple):
         _check_rows(value)
@@ -519,102 +508,45 @@ def _check_rows(rows: Any) -> None:
                 raise NotDataError(f"it has a {type(item).__name__} where numbers should be")
 
 
-class _Storage:
-    """The numbers of tensors, in the form that PyTorch writes into a plain pickle.
-
-    Args:
-        raw: the bytes of ``torch.save`` in its old form: five pickles, then the numbers.
-    """
-
-    def __init__(self, raw: Any) -> None:
-        if not isinstance(raw, bytes):
-            raise TypeError("storage")
-        self._raw = raw
-
-    def numbers(self) -> np.ndarray:
-        """(n,) numbers.
-
-        Raises:
-            NotDataError: it is damaged, or of an element type that is not read.
-        """
-        stream = io.BytesIO(self._raw)
-        parts = [_load(stream, stream.tell(), _StorageUnpickler) for _ in range(3)]
-        magic, version, system = parts
-        if magic != _TORCH_MAGIC or version != 1001:
-            raise NotDataError("it has a tensor in a form that is not read")
-        if not isinstance(system, dict) or system.get("little_endian") is not True:
-            raise NotDataError("its tensor is damaged")
-        storage, keys = (_load(stream, stream.tell(), _StorageUnpickler) for _ in range(2))
-        rest = self._raw[stream.tell() :]
-        if not isinstance(storage, _StorageKey) or keys != [storage.key] or len(rest) < 8:
-            raise NotDataError("its tensor is damaged")
-        (count,) = struct.unpack("<q", rest[:8])
-        itemsize = np.dtype(storage.code).itemsize
-        if count != storage.count or not 0 <= count <= (len(rest) - 8) // itemsize:
-            raise NotDataError("its tensor is damaged")
-        return np.frombuffer(rest, storage.code, count, 8)
-
-
-class _StorageKey:
-    def __init__(self, code: str, key: str, count: int) -> None:
-        self.code, self.key, self.count = code, key, count
-
-
 _TORCH_MAGIC: Final = 0x1950A86A20F9469CFC6C
 _TORCH_TYPES: Final = {
-    "FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2", "LongStorage": "<i8",
-    "IntStorage": "<i4", "ShortStorage": "<i2", "CharStorage": "i1", "ByteStorage": "u1",
-    "BoolStorage": "?",
+    f"torch.{name}Storage": code
+    for name, code in (
+        ("Float", "<f4"), ("Double", "<f8"), ("Half", "<f2"), ("Long", "<i8"), ("Int", "<i4"),
+        ("Short", "<i2"), ("Char", "i1"), ("Byte", "u1"), ("Bool", "?"),
+    )
 }  # fmt: skip
 
 
-class _StorageUnpickler(pickle.Unpickler):
-    """Reads the pickles within the storage of a tensor."""
-
-    def find_class(self, module: str, name: str) -> Any:
-        """The element type of a storage."""
-        if module in ("torch", "torch.cuda", "torch.storage") and name in _TORCH_TYPES:
-            return _Function(_TORCH_TYPES[name], dict)
-        raise NotDataError(f"it asks for {module}.{name}, which is no data")
-
-    def persistent_load(self, pid: Any) -> _StorageKey:
-        """The element type, key and length of a storage."""
-        if not isinstance(pid, tuple) or len(pid) not in (5, 6):
-            raise TypeError("storage")
-        word, kind, key, _, count, *view = pid
-        if word != "storage" or not isinstance(kind, _Function) or any(view):
-            raise TypeError("storage")
-        if not isinstance(key, str) or not isinstance(count, int):
-            raise TypeError("storage")
-        return _StorageKey(kind.name, key, count)
+def _storage(raw: Any) -> np.ndarray:
+    """(n,) numbers of tensors, from the bytes of ``torch.save`` in its old form: five pickles,
+    their count, and the numbers."""
+    if not isinstance(raw, bytes):
+        raise TypeError("storage")
+    stream = io.BytesIO(raw)
+    magic, version, system, (code, key, count), keys = (
+        _load(stream, stream.tell()) for _ in range(5)
+    )
+    if magic != _TORCH_MAGIC or version != 1001:
+        raise NotDataError("it has a tensor in a form that is not read")
+    if system.get("little_endian") is not True or keys != [key]:
+        raise NotDataError("its tensor is damaged")
+    if count != int.from_bytes(stream.read(8), "little"):
+        raise NotDataError("its tensor is damaged")
+    return np.frombuffer(raw, code, count, stream.tell())
 
 
-class _Tensor:
-    """A tensor of PyTorch; its numbers are read on demand."""
-
-    def __init__(self, storage: Any, offset: Any, size: Any, stride: Any) -> None:
-        if not isinstance(storage, _Storage) or not isinstance(offset, int) or offset < 0:
-            raise TypeError("tensor")
-        self.storage, self.offset = storage, offset
-        self.size, self.stride = _lengths(size), _lengths(stride)
-        if len(self.size) != len(self.stride):
-            raise ValueError("tensor")
-
-    def array(self) -> np.ndarray:
-        """Its numbers."""
-        values = self.storage.numbers()
-        spans = [(n - 1) * step for n, step in zip(self.size, self.stride, strict=True)]
-        count = math.prod(self.size)
-        if count and self.offset + sum(spans) >= len(values):
-            raise NotDataError("its tensor is damaged")
-        if count > len(values):  # the same number many times, which parameters of hands are not
-            raise NotDataError("its tensor takes more than its numbers")
-        plain = tuple(math.prod(self.size[i + 1 :]) for i in range(len(self.size)))
-        if self.stride == plain:
-            return values[self.offset : self.offset + count].reshape(self.size)
-        steps = [step * values.itemsize for step in self.stride]
-        strided = np.lib.stride_tricks.as_strided(values[self.offset :], self.size, steps)
-        return strided.copy()
+def _tensor(values: Any, offset: Any, size: Any, stride: Any, *_: Any) -> np.ndarray:
+    """A tensor of PyTorch, whose numbers are a view of its storage's."""
+    size, stride = _lengths(size), _lengths(stride)
+    if not isinstance(values, np.ndarray) or not isinstance(offset, int) or offset < 0:
+        raise TypeError("tensor")
+    spans = [(n - 1) * step for n, step in zip(size, stride, strict=True)]
+    # of numbers that count several times, which parameters of hands do not
+    if math.prod(size) > len(values) or (math.prod(size) and offset + sum(spans) >= len(values)):
+        raise NotDataError("its tensor takes more than its numbers")
+    steps = [step * values.itemsize for step in stride]
+    return np.lib.stride_tricks.as_strided(values[offset:], size, steps).copy()
 
 
 # --- names that a pickle may ask for -------------------------------------------------------------
@@ -677,14 +609,17 @@ _FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {
     "numpy.core.numeric._frombuffer": _from_buffer,
     "torch.Size": lambda lengths: _lengths(tuple(lengths)),
     "torch._utils._rebuild_parameter": lambda tensor, *_: tensor,
-    "torch._utils._rebuild_tensor": _Tensor,
-    "torch._utils._rebuild_tensor_v2": lambda a, b, c, d, *_: _Tensor(a, b, c, d),
-    "torch.storage._load_from_bytes": _Storage,
+    "torch._utils._rebuild_tensor": _tensor,
+    "torch._utils._rebuild_tensor_v2": _tensor,
+    "torch._load_from_bytes": _storage,
+    **dict.fromkeys(_TORCH_TYPES, _refused),
 }
 _OLD_MODULES: Final = {
     "__builtin__": "builtins",
     "copy_reg": "copyreg",
     "numpy._core.multiarray": "numpy.core.multiarray",
     "numpy._core.numeric": "numpy.core.numeric",
+    "torch.cuda": "torch",
+    "torch.storage": "torch",
 }
 _SPARSE: Final = re.compile(r"scipy\.sparse\._?(csc|csr)\.(csc|csr)_(matrix|array)")

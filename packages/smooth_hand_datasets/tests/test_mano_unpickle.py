@@ -287,9 +287,11 @@ def test_attacks_within_numpy_files(tmp_path):
     nested = np.empty((), dtype=object)
     nested[()] = {"a": np.array([{}], dtype=object)}
     np.save(tmp_path / "c.npy", nested, allow_pickle=True)
-    for name, said in (("a.npy", "no data"), ("b.npz", "no data"), ("c.npy", "array of objects")):
-        with pytest.raises(RecordingError, match=said):
+    for name in ("a.npy", "b.npz"):
+        with pytest.raises(RecordingError, match="no data"):
             load_restricted(tmp_path / name)
+    with pytest.raises(RecordingError, match="array of objects where numbers"):
+        numbers(load_restricted(tmp_path / "c.npy")["a"])
     assert not _ran(tmp_path).exists()
     fields = np.zeros(2, dtype=[("a", object)])
     np.save(tmp_path / "d.npy", fields, allow_pickle=True)
