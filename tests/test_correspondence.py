@@ -10,16 +10,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, assemble_trace, evaluate, load_hand
+from smooth_operator import Retargeter, assemble_trace, evaluate, load_hand, method_config
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.surfaces import tip_surface_distances
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.human.correspondence import Correspondence, CorrespondenceConfig
 from smooth_operator.human.flat_hand import palm_tilt_deg
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.methods.sbr import SBR_REALTIME
+from smooth_operator.metrics.pinches import DEEP, TOUCH_DISTANCE
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
+from smooth_operator.types import HandFrame
 
 DT = jnp.float32(1 / 60)
 
@@ -93,6 +96,43 @@ def test_a_finger_is_as_straight_as_its_frame_shows_it(hand):
     calm = CorrespondenceConfig(near=0.0, far=1e-4, catch_up=100.0)
     _, places = follow(Correspondence(hand, calm), frames)
     np.testing.assert_allclose(places[-1, 1], places[0, 1], atol=1e-5)
+
+
+def pinch_of(hand: Hand, apart: float) -> np.ndarray:
+    """(21, 3) the hand at its neutral pose, but thumb and index fingertip so far apart [m]."""
+    pinch = human_landmarks(hand, hand.neutral[None])[0]
+    index, thumb = TIPS[1], TIPS[0]
+    middle, across = (pinch[index] + pinch[thumb]) / 2, pinch[index] - pinch[thumb]
+    across = across * apart / np.linalg.norm(across)
+    pinch[index], pinch[thumb] = middle + across / 2, middle - across / 2
+    return pinch
+
+
+def commanded(hand: Hand, points: np.ndarray, press: float) -> np.ndarray:
+    """Joint positions after 1.5 s of one pose."""
+    config = method_config("smooth")
+    changed = replace(config, correspondence=replace(config.correspondence, press=press))
+    retargeter = Retargeter(hand, config=changed)
+    state = retargeter.init()
+    for k in range(150):
+        state, result = retargeter.step(state, HandFrame(points, 0.01 * k, "right"))
+    return result.command.joint_positions
+
+
+def test_pads_of_a_pinch_meet_and_stay_whole():
+    """A tracker shows fingertips in contact 1 to 11 mm apart; fingers round a handle stay."""
+    hand = load_hand("mimic_p050")
+    wanted = np.ones((1, 4), bool)
+    press = CorrespondenceConfig().press
+    for apart in (0.001, 0.006, 0.011):
+        q = commanded(hand, pinch_of(hand, apart), press)
+        surfaces = tip_surface_distances(hand, q[None], wanted)[0, 0]
+        assert -DEEP < surfaces < TOUCH_DISTANCE
+    lengths = [
+        np.linalg.norm(np.subtract(*hand.tips(commanded(hand, pinch_of(hand, 0.04), each))[1::-1]))
+        for each in (0.0, press)
+    ]
+    assert abs(lengths[0] - lengths[1]) < 5e-4
 
 
 def test_unknown_landmarks_leave_the_lengths(hand):

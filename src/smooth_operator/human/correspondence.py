@@ -27,6 +27,7 @@ from smooth_operator.settings import check_numbers
 
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
 _POSES: Final = 256  # random ones, for the thumb's length
+_PRESSED: Final = 0.012  # distance up to which a pinch is pressed; at twice it no longer [m]
 _TINY: Final = 1e-9
 
 
@@ -40,6 +41,8 @@ class CorrespondenceConfig:
         near: distance of thumb and finger, on the robot's scale, under which the vector between
             them is the human's own [m].
         far: distance over which they do not move each other [m].
+        press: by how much the robot's thumb and finger would be nearer to each other in a pinch
+            than the human's, if that distance were long against it [m].
         folded: extension of a finger, base to tip over its length, at which that counts by half: a
             thumb next to a fist pinches nothing. 0 for any.
         thumb_share: weight of a near finger in the thumb's place; that of the thumb's own is 1.
@@ -52,6 +55,7 @@ class CorrespondenceConfig:
     share: float = 1.0
     near: float = 0.015
     far: float = 0.08
+    press: float = 0.011
     folded: float = 0.35
     thumb_share: float = 0.6
     thumb_follows: float = 0.1
@@ -62,7 +66,7 @@ class CorrespondenceConfig:
             self,
             "correspondence.",
             positive=("far", "catch_up"),
-            not_negative=("share", "near", "folded", "thumb_share", "thumb_follows"),
+            not_negative=("share", "near", "press", "folded", "thumb_share", "thumb_follows"),
         )
         if not self.near < self.far:
             raise ConfigError(
@@ -149,9 +153,9 @@ class Correspondence:
         measured: Float[Array, "F 3"],
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
-    ) -> tuple[CorrespondenceState, Float[Array, "F 3"], Float[Array, " P"]]:
-        """The state after a frame, (F, 3) steps of the fingertips' places in it [m], in the
-        direction of ``steps``, and (F - 1,) nearness of each finger to a pinch, 0 to 1. Traceable.
+    ) -> tuple[CorrespondenceState, Float[Array, "F 3"]]:
+        """The state after a frame, and (F, 3) steps of the fingertips' places in it [m], in the
+        direction of ``steps``. Traceable.
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
@@ -178,26 +182,7 @@ class Correspondence:
         most = (jnp.maximum(gain, 1.0) * size + self.config.catch_up * dt)[:, None]
         last = jnp.where(restart, places, before.places)
         places = last + _shortened(places - last, most)
-        return operator._replace(places=places), _shortened(moves, most), nearness
-
-    def pinching(
-        self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
-    ) -> tuple[Float[Array, " P"], Float[Array, " P"]]:
-        """(F - 1,) closeness of each finger to the thumb, 0 to 1, and its nearness to a pinch: the
-        third power of the closeness of an unfolded finger.
-
-        Args:
-            operator: the operator's lengths.
-            tips: (F, 3) the human's fingertips in the palm frame, thumb first [m].
-        """
-        config, human = self.config, tips[1:] - tips[0]
-        apart = jnp.sqrt((human * human).sum(-1) + _TINY)
-        close = smooth_step((config.far - apart) / (config.far - config.near))
-        away = tips[1:] - operator.bases[1:]
-        extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
-        unfolded = smooth_step(0.5 + (extension - config.folded) / _FOLDS)
-        # a high power: a thumb at the side of a finger that points does not bend it
-        return close, close**3 * unfolded
+        return operator._replace(places=places), _shortened(moves, most)
 
     def _places(
         self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
@@ -209,7 +194,12 @@ class Correspondence:
         closeness c_i and nearness n_i (c_i^3 of an unfolded finger) of 0 to 1, and weights
         w_i = thumb_follows + thumb_share c_i, the places P are
         P_0 = (T_0 + sum w_i (T_i - h_i (g_i - c_i (g_i - 1)))) / (1 + sum w_i),
-        P_i = T_i + n_i (P_0 + h_i - T_i).
+        P_i = T_i + n_i (P_0 + h_i (1 - s_i press / (|h_i| + press)) - T_i), where s_i falls from 1
+        to 0 between 12 and 24 mm.
+
+        A tracker keeps fingertips that touch some millimetres apart, and the robot's pads are not
+        as thick as the human's. Without ``press`` they would stop short of each other. Fingers
+        round a handle stay where they are: harder pressed, it turns.
         """
         config = self.config
         bases, reach = (jnp.asarray(part, tips.dtype) for part in self._robot)
@@ -218,11 +208,18 @@ class Correspondence:
         alone = tips + config.share * (alone - tips)
         gain = 1 + config.share * (gain - 1)
         human = tips[1:] - tips[0]
-        close, nearness = self.pinching(operator, tips)
+        apart = jnp.sqrt((human * human).sum(-1) + _TINY)
+        close = smooth_step((config.far - apart) / (config.far - config.near))
+        away = tips[1:] - operator.bases[1:]
+        extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
+        # a high power: a thumb at the side of a finger that points does not bend it
+        nearness = close**3 * smooth_step(0.5 + (extension - config.folded) / _FOLDS)
         weights = (config.thumb_follows + config.thumb_share * close)[:, None]
         scaled = human * (gain[1:] - close * (gain[1:] - 1))[:, None]
         thumb = (alone[0] + (weights * (alone[1:] - scaled)).sum(0)) / (1 + weights.sum(0))
-        fingers = alone[1:] + nearness[:, None] * (thumb + human - alone[1:])
+        pinch = config.share * smooth_step(2 - apart / _PRESSED)
+        pressed = human * (1 - pinch * config.press / (apart + config.press))[:, None]
+        fingers = alone[1:] + nearness[:, None] * (thumb + pressed - alone[1:])
         return jnp.concatenate([thumb[None], fingers]), gain, nearness
 
 

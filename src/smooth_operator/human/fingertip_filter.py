@@ -23,8 +23,9 @@ from jaxtyping import Array, Bool, Float
 
 from smooth_operator.settings import check_numbers
 
-SHAKE_AT_FIRST: Final = 5e-4
-"""Shake of a tracker that hasn't been seen yet [m]: between a glove's and a camera's."""
+SHAKE_AT_FIRST: Final = 1e-3
+"""Shake of a tracker that hasn't been seen yet [m]: more than that of most, for the estimate falls
+three times as fast as it grows."""
 SHORT: Final = 0.02
 """Time over which shake differs from motion [s]."""
 ORDER: Final = 3

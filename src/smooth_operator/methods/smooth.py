@@ -36,7 +36,6 @@ from smooth_operator.human.fingertip_filter import (
     FingertipFilterConfig,
     filter_fingertips,
 )
-from smooth_operator.human.grip import GripConfig, GripState, grip
 from smooth_operator.human.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.landmarks import TIPS
 from smooth_operator.methods.method import FrameClock, Method, MethodOutput, ObjectiveMethodConfig
@@ -100,7 +99,6 @@ class SmoothConfig(ObjectiveMethodConfig):
         self_collision: cost of parts of the hand inside each other.
         direction_length: cost of direction and length of the thumb-to-tip vectors.
         correspondence: where the robot's fingertips belong, by fingers of other lengths.
-        grip: how thumb and finger press on what they hold; it needs the correspondence.
         fingertips: filter of the human's fingertips.
         iterations: Newton steps of a descent, at most. Most frames need two to four, and one in a
             hundred 15; descents that are stopped early end far from each other.
@@ -117,7 +115,6 @@ class SmoothConfig(ObjectiveMethodConfig):
     self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
     direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
     correspondence: CorrespondenceConfig = field(default_factory=CorrespondenceConfig)
-    grip: GripConfig = field(default_factory=GripConfig)
     fingertips: FingertipFilterConfig = field(default_factory=FingertipFilterConfig)
     iterations: int = 50
 
@@ -152,7 +149,6 @@ class SmoothState(NamedTuple):
     Attributes:
         q: (m,) last command of the actuated joints [rad].
         operator: lengths of the operator's fingers; empty without a correspondence.
-        grip: state of the grip, which is open without a correspondence.
         gaps: gaps that the tracker leaves in pinches.
         filtered: the fingertip filter's state, of the needed landmarks.
         targets: state of the target policy.
@@ -164,7 +160,6 @@ class SmoothState(NamedTuple):
 
     q: Float[Array, " m"]
     operator: CorrespondenceState | tuple[()]
-    grip: GripState
     gaps: PinchGapState
     filtered: FilterState
     targets: Any
@@ -277,7 +272,6 @@ class Smooth(Method):
         return SmoothState(
             neutral,
             () if is_off(self.config.correspondence.share) else self.correspondence.init(),
-            GripState.open(len(self.hand.fingers)),
             PinchGapState.of(self.hand.fingers, {}),
             FilterState.unseen(len(self.needs)),
             self.config.objective.targets.init(self.objective.layout),
@@ -339,15 +333,13 @@ class Smooth(Method):
         )
         steps = jnp.where(clock.restart, 0.0, filtered.followed - state.filtered.followed)
         tips, origin = filtered.followed[1:], jnp.asarray(self.hand.wrist, aligned.dtype)
-        held, operator, speeds = state.grip, state.operator, still[1:] - still[0]
+        operator, speeds = state.operator, still[1:] - still[0]
         places, moves = tips - filtered.followed[0] + origin, speeds
         if operator:  # a tuple of arrays; empty without a correspondence
-            operator, moves, nearness = self.correspondence.step(
+            operator, moves = self.correspondence.step(
                 operator, aligned, tips, speeds, steps[1:] - steps[0], clock.dt, clock.restart
             )
-            held = grip(held, tips, nearness, clock.dt, config.grip, clock.restart)
-            places, moves = operator.places + held.offsets, moves + held.offsets
-            moves = moves - jnp.where(clock.restart, held.offsets, state.grip.offsets)
+            places = operator.places
         off = (measured - state.filtered.followed)[1:]
         leaps = jnp.sqrt((off * off).sum(-1)) > LEAP[0] + LEAP[1] * clock.dt
         leapt = jnp.where(leaps.any() & ~clock.restart, 0.0, state.leapt + clock.dt)
@@ -370,7 +362,6 @@ class Smooth(Method):
         goal = FrameGoal(*targets, state.q, damping, arrival, weights, pad)
         after = state._replace(
             operator=operator,
-            grip=held,
             gaps=gaps,
             filtered=filtered,
             targets=latches,
