@@ -178,14 +178,11 @@ class FrameResult(NamedTuple):
     scale: Float[Array, ""] | float
 
 
-Step: TypeAlias = Callable[[FrameState, Array, Array, Array], tuple[FrameState, FrameResult]]
-"""State, (21, 3) landmarks [m], (21,) validity and the frame's ticks (``ticks_of``) to the next
-state and the result; traceable."""
-
 Program: TypeAlias = Callable[
     [RetargetState, np.ndarray, np.ndarray, np.uint32], tuple[RetargetState, FrameResult]
 ]
-"""The same on the host, compiled."""
+"""State, (21, 3) landmarks [m], (21,) validity and the frame's ticks (``ticks_of``) to the next
+state and the result; on the host, compiled."""
 
 
 class AlignedFrame(NamedTuple):

@@ -19,22 +19,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, UInt32
+from jaxtyping import Array, Float, UInt32
 from numpy.typing import ArrayLike
 
 from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec
-from smooth_operator.human.alignment import (
-    AlignmentConfig,
-)
 from smooth_operator.methods.frame import (
     FrameResult,
     FrameState,
     Program,
     RetargetState,
     StateLayout,
-    Step,
     align_frame,
     packed_result,
 )
@@ -42,53 +38,13 @@ from smooth_operator.methods.method import Method, MethodConfig
 from smooth_operator.types import Status
 
 
-def frame_step(method: Method, alignment: AlignmentConfig) -> Step:
-    """One frame as a function to be compiled, by itself or in a longer program.
+def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> Program:
+    """The program of one frame; it compiles when it is first called, or is read from the user's
+    cache if ``cached``.
 
     Raises:
         ConfigError: the method's ``step`` takes other arguments.
     """
-    try:
-        inspect.signature(method.step).bind(None, None, None)
-    except TypeError:
-        raise ConfigError(
-            f"{type(method).__name__}.step{inspect.signature(method.step)} must be step(state, "
-            "aligned, ticks); see docs/reference/methods.md, Your own"
-        ) from None
-
-    def step(
-        state: FrameState,
-        landmarks: Float[Array, "21 3"],
-        valid: Bool[Array, "21"],
-        ticks: UInt32[Array, ""],
-    ) -> tuple[FrameState, FrameResult]:
-        frame = align_frame(method, alignment, landmarks, valid)
-
-        def solved() -> tuple[FrameState, Array, Array]:
-            after, output = method.step(state.method, frame.aligned, ticks)
-            finite = jnp.isfinite(output.q).all()
-            # a frame changes nothing unless its status is OK
-            following = jax.tree.map(
-                lambda new, old: jnp.where(finite, new, old).astype(old.dtype),
-                FrameState(after, jnp.asarray(output.q)),
-                state,
-            )
-            status = jnp.where(finite, int(Status.OK), int(Status.SOLVER_FAILED))
-            return following, status, jnp.asarray(output.tracking_loss, jnp.float32)
-
-        def refused() -> tuple[FrameState, Array, Array]:
-            return state, frame.status, jnp.asarray(jnp.nan, jnp.float32)
-
-        # a solver would take longest with landmarks that are no hand
-        following, status, loss = lax.cond(frame.status == Status.OK, solved, refused)
-        return following, FrameResult(following.q, status, loss, frame.scale)
-
-    return step
-
-
-def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> Program:
-    """The program of one frame; it compiles when it is first called, or is read from the user's
-    cache if ``cached``."""
     compiling = functools.partial(
         CompiledProgram,
         hand=method.hand,
@@ -101,18 +57,43 @@ def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> 
 
         assert isinstance(method, HostMethod)
         return host_program(method, config.alignment, compiling)
-    step = frame_step(method, config.alignment)
-    neutral = np.asarray(method.hand.neutral, np.float32)
+    try:
+        inspect.signature(method.step).bind(None, None, None)
+    except TypeError:
+        raise ConfigError(
+            f"{type(method).__name__}.step{inspect.signature(method.step)} must be step(state, "
+            "aligned, ticks); see docs/reference/methods.md, Your own"
+        ) from None
+    layout = StateLayout.of(FrameState(method.init(0), np.asarray(method.hand.neutral, np.float32)))
 
-    def packed(
+    def frame(
         words: Array, others: tuple[Any, ...], landmarks: Array, valid: Array, ticks: Array
     ) -> tuple[Array, tuple[Any, ...], Array]:
-        layout = StateLayout.of(FrameState(method.init(0), neutral))
-        state, result = step(layout.unpack(words, others), landmarks, valid, ticks)
-        flat = packed_result(result.q, result.status, result.tracking_loss, result.scale)
-        return *layout.pack(state), flat
+        palm, before = align_frame(method, config.alignment, landmarks, valid), (words, others)
 
-    run = compiling(packed, "frame")
+        def solved() -> tuple[Any, Any, Array, Array]:
+            last = layout.unpack(words, others)
+            after, output = method.step(last.method, palm.aligned, ticks)
+            finite = jnp.isfinite(output.q).all()
+            # a frame changes nothing unless its status is OK
+            following = jax.tree.map(
+                lambda new, old: jnp.where(finite, new, old).astype(old.dtype),
+                FrameState(after, jnp.asarray(output.q)),
+                last,
+            )
+            status = jnp.where(finite, int(Status.OK), int(Status.SOLVER_FAILED))
+            loss = jnp.asarray(output.tracking_loss, jnp.float32)
+            return layout.pack(following), following.q, status, loss
+
+        def refused() -> tuple[Any, Any, Array, Array]:
+            return before, layout.unpack(*before).q, palm.status, jnp.float32(jnp.nan)
+
+        # A solver would take longest with landmarks that are no hand. A branch copies what it takes
+        # and gives by the array, so the state's arrays stay in one.
+        after, *result = lax.cond(palm.status == Status.OK, solved, refused)
+        return *after, packed_result(*result, palm.scale)
+
+    run = compiling(frame, "frame")
 
     def program(
         state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
