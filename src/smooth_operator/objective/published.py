@@ -15,7 +15,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.loss import TermsConfig
-from smooth_operator.objective.targets import LayoutT, TargetPolicy, Targets, base_weights
+from smooth_operator.objective.targets import LayoutT, TargetPolicy, Targets
 from smooth_operator.objective.terms import (
     TINY_AREA,
     TRANSITION,
@@ -32,6 +32,16 @@ from smooth_operator.settings import check_choice, check_numbers
 Loss: TypeAlias = Literal["smooth_l1", "squared", "smooth_l1_norm"]
 """``smooth_l1``: weight times smooth-L1 of each component; ``squared``: weight times the square of
 each; ``smooth_l1_norm``: smooth-L1 of the weight times the length of the error."""
+
+
+def base_weights(
+    layout: KeyvectorLayout, wrist: float, thumb: float, between: float
+) -> Float[np.ndarray, " K"]:
+    """(K,) weights by kind of keyvector."""
+    weights = np.full(len(layout.pairs), between)
+    weights[: len(layout.fingers)] = wrist
+    weights[layout.thumb] = thumb
+    return weights
 
 
 class StatelessTargets(TargetPolicy[LayoutT, tuple[()]]):

@@ -60,16 +60,6 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
         return None
 
 
-def base_weights(
-    layout: KeyvectorLayout, wrist: float, thumb: float, between: float
-) -> Float[np.ndarray, " K"]:
-    """(K,) weights by kind of keyvector."""
-    weights = np.full(len(layout.pairs), between)
-    weights[: len(layout.fingers)] = wrist
-    weights[layout.thumb] = thumb
-    return weights
-
-
 @dataclass(frozen=True)
 class CloseTargets(TargetPolicy[KeyvectorLayout, Bool[Array, " P"]]):
     """Targets of ``smooth``: the human's vectors from the wrist and from the thumb's tip.
@@ -111,5 +101,6 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Bool[Array, " P"]]):
         thumb = human[layout.thumb]
         near = jnp.sqrt((thumb * thumb).sum(-1))
         state = jnp.where(state, near <= self.escape, near < self.project)
-        weights = jnp.asarray(base_weights(layout, self.w_wrist, 0.0, 0.0), human.dtype)
+        from_wrist = np.arange(len(human)) < len(layout.fingers)
+        weights = jnp.asarray(np.where(from_wrist, self.w_wrist, 0.0), human.dtype)
         return Targets(human, weights), state
