@@ -115,12 +115,18 @@ def test_a_batch_is_each_recording_alone(retargeter):
     close(retargeter, recordings, batch)
     statuses = np.concatenate([commands.status for commands, _ in batch])
     assert {Status.OK, Status.INVALID_LANDMARKS, Status.DEGENERATE_PALM} <= set(statuses)
-    # to the last bit it does not matter what else there is, in which order, or in which lane
+    # it does not matter what else there is, in which order, or in which lane: to the last bit, but
+    # for methods without Newton steps, whose lanes a processor without AVX-512 rounds differently
     other = hand(90, 17)
     again = retargeter.batch([recordings[2], other, *recordings[::-1]])
-    assert bits(again[0]) == bits(batch[2])
-    assert [bits(result) for result in again[2:]] == [bits(result) for result in batch[::-1]]
-    assert bits(retargeter.batch(recordings[:1])[0]) == bits(batch[0])
+    first = retargeter.batch(recordings[:1])[0]
+    pairs = [(again[0], batch[2]), *zip(again[2:], batch[::-1], strict=True), (first, batch[0])]
+    if isinstance(retargeter.config, SmoothConfig | SbrConfig):
+        assert all(bits(one) == bits(two) for one, two in pairs)
+    for (one, loss), (two, its_loss) in pairs:
+        np.testing.assert_array_equal(one.status, two.status)
+        np.testing.assert_allclose(one.joint_positions, two.joint_positions, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(loss, its_loss, rtol=1e-4, atol=1e-6)
 
 
 def test_left_hands_as_right_ones():
