@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.landmarks import BASES, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.poses import from_rotation_vectors
 from smooth_operator.settings import LARGEST, check_range
@@ -145,6 +144,8 @@ def known_gaps(name: str | None) -> Mapping[str, float]:
 
     They are another person's than those of the kind's own model, as in real use.
     """
+    from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS  # the operator needs no JAX
+
     return MEDIAPIPE if name == "camera" else NO_GAPS
 
 
