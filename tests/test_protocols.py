@@ -15,6 +15,7 @@ from smooth_operator.methods.host_method import HostMethod
 from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
 from smooth_operator.methods.presets import PRESETS, method_config
 from smooth_operator.methods.registry import METHODS
+from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.plugins import Entry
 from smooth_operator.reporting.drawing import COLORS, colors_of
 from smooth_operator.teleop.sinks.simulation import Simulation
@@ -47,8 +48,7 @@ def test_what_methods_say_of_themselves():
     assert isinstance(built["ako"], HostMethod)
     for presets in PRESETS.values():
         for name, config in presets.items():
-            whole = config.trajectory
-            assert (whole is None) == (name != "offline")
+            assert isinstance(config, TrajectoryMethodConfig) == (name == "offline")
             assert config.with_alignment(scale=0.9).alignment.scale == 0.9
 
 

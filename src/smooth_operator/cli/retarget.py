@@ -97,6 +97,7 @@ def retarget(options: Retarget) -> None:
     from smooth_operator.formats.checks import frame_slice, reading_notes
     from smooth_operator.formats.commands import write_commands
     from smooth_operator.formats.jsonable import to_json
+    from smooth_operator.methods.trajectory import TrajectoryMethodConfig
     from smooth_operator.planning import configuration, plan
     from smooth_operator.types import Status
 
@@ -138,7 +139,7 @@ def retarget(options: Retarget) -> None:
     if held:
         done = (
             "had no usable hand: short gaps are bridged, over longer ones the last pose is held"
-            if todo.config.trajectory is not None
+            if isinstance(todo.config, TrajectoryMethodConfig)
             else "repeat the last good command"
         )
         progress.note(f"{held} of {len(outcome.commands)} frames {done}")

@@ -162,12 +162,6 @@ class MethodConfig(ABC):
             SmoothOperatorError: if the hand can't be served, with the reason.
         """
 
-    @property
-    def trajectory(self) -> Any:
-        """The settings as ``TrajectoryMethodConfig``, which needs the whole recording; None for a
-        method that answers frame by frame."""
-        return None
-
     def with_alignment(self: C, **changes: Any) -> C:
         """These settings with other fields of ``AlignmentConfig``.
 

@@ -9,6 +9,7 @@ from typing import Final
 from smooth_operator.errors import ConfigError, UnknownNameError, brief
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.registry import DEFAULT_METHOD, METHODS, as_presets
+from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 
 _FILE: Final = ".toml"
 
@@ -66,7 +67,11 @@ def loadable_presets() -> dict[str, Mapping[str, MethodConfig]]:
 def live_presets() -> dict[str, list[str]]:
     """Names of the presets that answer frame by frame, by method."""
     return {
-        method: [name for name, config in presets.items() if config.trajectory is None]
+        method: [
+            name
+            for name, config in presets.items()
+            if not isinstance(config, TrajectoryMethodConfig)
+        ]
         for method, presets in loadable_presets().items()
     }
 

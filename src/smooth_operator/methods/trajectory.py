@@ -82,11 +82,6 @@ class TrajectoryMethodConfig(MethodConfig):
         """Alignment of landmarks to the palm frame."""
         return self.causal.alignment
 
-    @property
-    def trajectory(self) -> TrajectoryMethodConfig:
-        """The settings themselves."""
-        return self
-
     def build(self, hand: Hand) -> NoReturn:
         """Refuses: there is no answer to a single frame.
 

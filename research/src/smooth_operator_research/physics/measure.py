@@ -25,6 +25,7 @@ from smooth_operator.lab.benchmark.cells import ALL, method_label, select_hands,
 from smooth_operator.lab.offline import built_for, execute
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.planning import Plan
 from smooth_operator.synthetic.tracker import TRACKERS, known_gaps, tracker_model
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
@@ -190,7 +191,7 @@ class Case:
         Raises:
             ConfigError: the preset needs the whole recording.
         """
-        if self.config.trajectory is not None:
+        if isinstance(self.config, TrajectoryMethodConfig):
             return Retargeter(self.hand, config=self.config, seed=self.seed)  # says why not
         nothing = HandRecording(reference_landmarks(self.hand)[None], np.zeros(1), self.side)
         # which does not look at the recording

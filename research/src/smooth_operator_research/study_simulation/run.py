@@ -15,6 +15,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.result_cache import Job, Note, ResultLog, no_note
 from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import task_named
@@ -72,7 +73,7 @@ class SimulationSettings:
                 config = method_config(condition.method, condition.preset)
             except UnknownNameError as error:
                 raise StudyError(f"condition {condition.name!r} of the plan: {error}") from error
-            if config.trajectory is not None:
+            if isinstance(config, TrajectoryMethodConfig):
                 raise StudyError(
                     f"condition {condition.name!r} of the plan needs a whole recording, and can't "
                     "be driven live; choose a causal preset"

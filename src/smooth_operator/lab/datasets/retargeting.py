@@ -49,12 +49,11 @@ def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
     Raises:
         ConfigError: it answers frame by frame.
     """
-    trajectory: TrajectoryMethodConfig | None = config.trajectory
-    if trajectory is None:
+    if not isinstance(config, TrajectoryMethodConfig):
         raise ConfigError(
             "objects are for whole recordings: choose a preset for them, such as smooth:offline"
         )
-    return trajectory
+    return config
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.metrics.table import Definition
@@ -46,11 +47,10 @@ class Outcome:
 def runner(todo: Plan) -> Runner:
     """A retargeter for the plan, nothing compiled yet; for presets that need it one of whole
     recordings."""
-    config = todo.config.trajectory
-    if config is None:
-        gaps = todo.pinch_gaps
-        return Retargeter(todo.hand, config=todo.config, seed=todo.seed, pinch_gaps=gaps)
-    return TrajectoryRetargeter(todo.hand, config, todo.seed, todo.pinch_gaps)
+    if isinstance(todo.config, TrajectoryMethodConfig):
+        return TrajectoryRetargeter(todo.hand, todo.config, todo.seed, todo.pinch_gaps)
+    gaps = todo.pinch_gaps
+    return Retargeter(todo.hand, config=todo.config, seed=todo.seed, pinch_gaps=gaps)
 
 
 def build(todo: Plan) -> tuple[Runner, float]:
@@ -63,7 +63,7 @@ def build(todo: Plan) -> tuple[Runner, float]:
     Returns:
         the retargeter, and how long it took until it could give its first command [s].
     """
-    if todo.config.trajectory is None:
+    if not isinstance(todo.config, TrajectoryMethodConfig):
         return build_retargeter(todo.hand, todo.config, todo.seed, todo.pinch_gaps)
     started = time.perf_counter()
     dispatch_here()

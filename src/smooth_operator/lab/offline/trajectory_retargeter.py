@@ -12,7 +12,6 @@ recording but for its frames, and time does in proportion.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -138,17 +137,6 @@ class TrajectoryRetargeter:
             seconds it took.
         """
         return self.causal.warm_up()
-
-    def priced(self, config: TrajectoryMethodConfig) -> TrajectoryRetargeter:
-        """The same with other costs of motion, without compiling anything.
-
-        Args:
-            config: configuration of the same frame-by-frame method.
-        """
-        assert config.causal == self.config.causal  # or another program would have to be compiled
-        other = copy.copy(self)
-        other.config = config
-        return other
 
     def run(
         self,
@@ -381,11 +369,10 @@ def check_method(config: MethodConfig, hand: Hand) -> None:
     Raises:
         SmoothOperatorError: it can't, with the reason.
     """
-    whole = config.trajectory
-    if whole is None:
-        config.build(hand)
+    if isinstance(config, TrajectoryMethodConfig):
+        _objective(config.causal.build(hand))
     else:
-        _objective(whole.causal.build(hand))
+        config.build(hand)
 
 
 def _objective(method: Method) -> Objective:
