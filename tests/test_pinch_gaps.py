@@ -9,7 +9,8 @@ from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.human.flat_hand import FLAT_HAND
-from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS, PinchGapEstimate, PinchGapState
+from smooth_operator.human.known_gaps import MEDIAPIPE, NO_GAPS
+from smooth_operator.human.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.lab.offline import execute
 from smooth_operator.landmarks import TIPS
 from smooth_operator.methods.presets import method_config

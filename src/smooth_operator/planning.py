@@ -18,7 +18,7 @@ from smooth_operator.hands.registry import default_side, load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.human.aligned_recording import calibrate_scale
-from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS
+from smooth_operator.human.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.methods.registry import DEFAULT_METHOD

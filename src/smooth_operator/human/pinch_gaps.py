@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import jax
@@ -18,18 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.geometry import smooth_step
 from smooth_operator.hands.hand import Hand
+from smooth_operator.human.known_gaps import check_gaps
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
-
-NO_GAPS: Final[Mapping[str, float]] = MappingProxyType({})
-"""Known gaps of a tracker about which nothing is known: they are found while one works."""
-MEDIAPIPE: Final[Mapping[str, float]] = MappingProxyType(
-    {"index": 0.33, "middle": 0.36, "ring": 0.20, "pinky": 0.145}
-)
-"""Gaps of MediaPipe's hand landmarks, in palm lengths: medians over four photographs of pinches of
-one person, each tracked while it is moved and zoomed a little."""
 
 _HOLD: Final = 0.2  # for how long thumb and finger keep their distance in a contact [s]
 _STEADY: Final = 0.022  # by how much that distance may vary to either side [palm lengths]
@@ -46,22 +37,6 @@ _FALL: Final = 6  # power with which that share falls beyond a contact
 _FOLDED: Final = 0.35  # extension of a finger, base to tip over its length, that pinches nothing
 _UNFOLDED: Final = 0.5  # extension from which a finger pinches as an open one
 _TINY: Final = 1e-9
-
-
-def check_gaps(gaps: Mapping[str, float]) -> None:
-    """Check known gaps, finger -> gap [palm lengths].
-
-    Raises:
-        UnknownNameError: a finger has no such name, or is the thumb.
-        ConfigError: a gap is not between 0 and 1 palm length.
-    """
-    for finger, gap in gaps.items():
-        if finger not in FINGERS[1:]:
-            raise UnknownNameError("finger that pinches", finger, FINGERS[1:])
-        if not 0 <= gap < 1:  # NaN too
-            raise ConfigError(
-                f"the pinch gap of the {finger} finger must be 0 to 1 palm length, not {gap}"
-            )
 
 
 class PinchGapState(NamedTuple):

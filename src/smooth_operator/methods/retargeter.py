@@ -16,7 +16,7 @@ from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.human.pinch_gaps import NO_GAPS
+from smooth_operator.human.known_gaps import NO_GAPS
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.methods.frame import FrameState, RetargetState
@@ -69,7 +69,7 @@ class Retargeter:
         cache: True if compiled programs are read from this user's cache folder, and kept there.
         pinch_gaps: gaps that the tracker is known to leave between thumb and finger where they
             touch, finger -> gap [palm lengths]: there the running estimate begins, such as
-            ``smooth_operator.human.pinch_gaps.MEDIAPIPE``. None takes landmarks as they are.
+            ``smooth_operator.human.known_gaps.MEDIAPIPE``. None takes landmarks as they are.
 
     Attributes:
         method: the method for this hand.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -137,16 +136,6 @@ def tracker_model(
         landmark_loss=landmark_loss,
         rate_jitter=model.rate_jitter if rate_jitter is None else rate_jitter,
     )
-
-
-def known_gaps(name: str | None) -> Mapping[str, float]:
-    """Gaps that a tracker of a kind is known to leave in pinches: of a camera, those of a webcam.
-
-    They are another person's than those of the kind's own model, as in real use.
-    """
-    from smooth_operator.human.pinch_gaps import MEDIAPIPE, NO_GAPS  # the operator needs no JAX
-
-    return MEDIAPIPE if name == "camera" else NO_GAPS
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,13 +21,14 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
+from smooth_operator.human.known_gaps import known_gaps
 from smooth_operator.lab.benchmark.cells import ALL, method_label, select_hands, select_methods
 from smooth_operator.lab.offline import built_for, execute
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.planning import Plan
-from smooth_operator.synthetic.tracker import TRACKERS, known_gaps, tracker_model
+from smooth_operator.synthetic.tracker import TRACKERS, tracker_model
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 from smooth_operator_research.physics.results import Figure, MeasureResults, Row
 

@@ -12,6 +12,7 @@ from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.errors import HandModelError, StudyError, UnknownNameError
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.known_gaps import known_gaps
 from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
@@ -19,7 +20,7 @@ from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.result_cache import Job, Note, ResultLog, no_note
 from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import task_named
-from smooth_operator.synthetic.tracker import known_gaps, tracker_model
+from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.demonstrations.demonstration import DEFAULT_HAND
 from smooth_operator_research.virtual_operator import draw_person, make_familiar, simulate_trial

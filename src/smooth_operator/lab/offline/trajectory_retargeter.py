@@ -25,7 +25,8 @@ from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.pinch_gaps import NO_GAPS, PinchGapEstimate, PinchGapState
+from smooth_operator.human.known_gaps import NO_GAPS
+from smooth_operator.human.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.lab.offline.trajectory_solver import (
     JOINED,
     ExtraTerms,

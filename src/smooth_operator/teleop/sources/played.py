@@ -13,11 +13,12 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
+from smooth_operator.human.known_gaps import known_gaps
 from smooth_operator.io.anatomy import layout_order
 from smooth_operator.settings import check_range
 from smooth_operator.synthetic.gestures import GESTURES
 from smooth_operator.synthetic.operator import SyntheticOperator
-from smooth_operator.synthetic.tracker import WristMotion, known_gaps, tracker_model
+from smooth_operator.synthetic.tracker import WristMotion, tracker_model
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource, on_time
 from smooth_operator.teleop.sources.stream import Hands, sides_of
 from smooth_operator.types import HandFrame, HandRecording, Side

@@ -1,0 +1,45 @@
+"""Gaps that trackers are known to leave between thumb and finger where they touch.
+
+They stand apart from their estimate (``pinch_gaps.py``), which needs JAX.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.landmarks import FINGERS
+
+NO_GAPS: Final[Mapping[str, float]] = MappingProxyType({})
+"""Known gaps of a tracker about which nothing is known: they are found while one works."""
+MEDIAPIPE: Final[Mapping[str, float]] = MappingProxyType(
+    {"index": 0.33, "middle": 0.36, "ring": 0.20, "pinky": 0.145}
+)
+"""Gaps of MediaPipe's hand landmarks, in palm lengths: medians over four photographs of pinches of
+one person, each tracked while it is moved and zoomed a little."""
+
+
+def known_gaps(name: str | None) -> Mapping[str, float]:
+    """Gaps that a tracker of a kind is known to leave in pinches: of a camera, those of a webcam.
+
+    They are another person's than those of the kind's own model, as in real use.
+    """
+    return MEDIAPIPE if name == "camera" else NO_GAPS
+
+
+def check_gaps(gaps: Mapping[str, float]) -> None:
+    """Check known gaps, finger -> gap [palm lengths].
+
+    Raises:
+        UnknownNameError: a finger has no such name, or is the thumb.
+        ConfigError: a gap is not between 0 and 1 palm length.
+    """
+    for finger, gap in gaps.items():
+        if finger not in FINGERS[1:]:
+            raise UnknownNameError("finger that pinches", finger, FINGERS[1:])
+        if not 0 <= gap < 1:  # NaN too
+            raise ConfigError(
+                f"the pinch gap of the {finger} finger must be 0 to 1 palm length, not {gap}"
+            )
