@@ -27,7 +27,7 @@ def read_soundly(layout: str, path: Path) -> None:
         SmoothOperatorError: it is refused.
         AssertionError: it is not read soundly.
     """
-    from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
+    from smooth_operator.datasets.registry import DATASETS, ReadingOptions
 
     reader = DATASETS.load(layout)
     reader.matches(path)
@@ -192,9 +192,9 @@ def _packed(folder: Path) -> bytes:
     """Three clips in the format of the Parquet writer."""
     from made_clips import made_clip
 
-    from smooth_operator.lab.datasets.clip import RobotClip
-    from smooth_operator.lab.datasets.writers.parquet import PARQUET
-    from smooth_operator.lab.datasets.writers.registry import WritingOptions
+    from smooth_operator.datasets.clip import RobotClip
+    from smooth_operator.datasets.writers.parquet import PARQUET
+    from smooth_operator.datasets.writers.registry import WritingOptions
 
     with PARQUET.open(folder / "packed", WritingOptions()) as writer:
         for number in range(3):

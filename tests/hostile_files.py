@@ -61,7 +61,7 @@ def commands(path: Path) -> None:
 
 def scan(path: Path) -> None:
     """A folder that holds the file beside a good one: both are found."""
-    from smooth_operator.lab.offline.folder import find_recordings
+    from smooth_operator.offline.folder import find_recordings
 
     good = Path(__file__).with_name("test_architecture.py")
     folder = path.parent / "scanned"
@@ -75,7 +75,7 @@ def scan(path: Path) -> None:
 
 def overwrite(path: Path) -> None:
     """What is looked at before a file is replaced."""
-    from smooth_operator.lab.offline.finished import foreign
+    from smooth_operator.offline.finished import foreign
     from smooth_operator.teleop.recording.convert import check_target
 
     foreign(path.with_suffix(".npz"))
@@ -103,14 +103,14 @@ def preset(path: Path) -> None:
 
 
 def geort(path: Path) -> None:
-    from smooth_operator.baselines.geort import read_geort_model
+    from smooth_operator.baselines.geort.method import read_geort_model
 
     read_geort_model(path)
 
 
 def discovery(path: Path) -> None:
+    from smooth_operator.hand_discovery.discover import discover
     from smooth_operator.hands.hand import load_hand_spec
-    from smooth_operator.lab.discovery import discover
 
     load_hand_spec(discover(path, name="mutant").spec)
 

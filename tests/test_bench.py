@@ -17,31 +17,31 @@ from metrics_cases import human_motion, make_trace
 from smooth_operator import Hand, Retargeter, SyntheticOperator, load_hand, read_commands
 from smooth_operator.atomic_files import file_name
 from smooth_operator.baselines.joint_angle import JointAngleConfig
-from smooth_operator.cli import main
-from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
-from smooth_operator.formats.jsonable import to_json
-from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.human.flat_hand import human_palm_axes
-from smooth_operator.lab.benchmark import compare, quality, read_results, suite
-from smooth_operator.lab.benchmark.cells import (
+from smooth_operator.benchmark import compare, quality, read_results, suite
+from smooth_operator.benchmark.cells import (
     Cell,
     Settings,
     cells_of,
     fingerprint,
     select_methods,
 )
-from smooth_operator.lab.benchmark.figures import Panel, Run, make_clip, view_basis
-from smooth_operator.lab.benchmark.quality import finger_metrics, measure_cell
-from smooth_operator.lab.benchmark.ranking import Line, best, change_verdict, failures, overall
-from smooth_operator.lab.benchmark.recordings import load_sources, parse_request, unique_names
-from smooth_operator.lab.benchmark.suite import Row
-from smooth_operator.lab.offline.execution import tools_of
+from smooth_operator.benchmark.figures import Panel, Run, make_clip, view_basis
+from smooth_operator.benchmark.quality import finger_metrics, measure_cell
+from smooth_operator.benchmark.ranking import Line, best, change_verdict, failures, overall
+from smooth_operator.benchmark.recordings import load_sources, parse_request, unique_names
+from smooth_operator.benchmark.suite import Row
+from smooth_operator.cli import main
+from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
+from smooth_operator.formats.jsonable import to_json
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.human.flat_hand import human_palm_axes
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS, evaluate
+from smooth_operator.offline.execution import tools_of
 from smooth_operator.parallel import run_tasks
 from smooth_operator.planning import make_request, plan
 from smooth_operator.plugins import Entry
@@ -93,7 +93,7 @@ def small() -> Iterator[None]:
         patch.setitem(PRESETS["sbr"], "tiny", TINY)
         patch.setitem(METHODS.built_in, "picky", Entry(f"{__name__}:PICKY"))
         # Other work in this checkout must not look like a change of a method between two runs.
-        patch.setattr("smooth_operator.lab.benchmark.cells.code_digest", lambda *_: "fixed")
+        patch.setattr("smooth_operator.benchmark.cells.code_digest", lambda *_: "fixed")
         yield
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smooth_operator.lab.benchmark import ranking
-from smooth_operator.lab.benchmark.cells import Settings
-from smooth_operator.lab.benchmark.figures import latency_figure
-from smooth_operator.lab.benchmark.page.report import macros, summary_text
-from smooth_operator.lab.benchmark.ranking import (
+from smooth_operator.benchmark import ranking
+from smooth_operator.benchmark.cells import Settings
+from smooth_operator.benchmark.figures import latency_figure
+from smooth_operator.benchmark.page.report import macros, summary_text
+from smooth_operator.benchmark.ranking import (
     COLUMNS,
     HEADLINES,
     Line,
@@ -20,7 +20,7 @@ from smooth_operator.lab.benchmark.ranking import (
     overall,
     sample_text,
 )
-from smooth_operator.lab.benchmark.suite import Row
+from smooth_operator.benchmark.suite import Row
 from smooth_operator.metrics import METRICS
 from smooth_operator.reporting.drawing import colors_of, styled, write_figure
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from made_clips import CLIPS, LAYOUT
 
-from smooth_operator.lab.datasets import writing
-from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
-from smooth_operator.lab.datasets.quality import NO_LIMITS, Limits
-from smooth_operator.lab.datasets.registry import DATASETS, ClipRef, ReadingOptions
-from smooth_operator.lab.datasets.retargeting import Recipe
-from smooth_operator.lab.datasets.sources import Item, each_item
+from smooth_operator.datasets import writing
+from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.datasets.quality import NO_LIMITS, Limits
+from smooth_operator.datasets.registry import DATASETS, ClipRef, ReadingOptions
+from smooth_operator.datasets.retargeting import Recipe
+from smooth_operator.datasets.sources import Item, each_item
 from smooth_operator.planning import make_request
 
 NEEDS_ARROW = "needs pyarrow: in the clone, pip install '.[cluster]'"
@@ -138,7 +138,7 @@ def test_packed_clips_are_read_as_they_were(tmp_path, source):
 def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_path):
     pa = pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
     pq = pytest.importorskip("pyarrow.parquet")
-    from smooth_operator.lab.datasets.map_batches import RetargetClips
+    from smooth_operator.datasets.map_batches import RetargetClips
 
     source = made_clips.write(tmp_path / "x.made.json", 3, (0.8, 1.0))
     limits = {"cut": False, "min_seconds": 0.9, "min_reach": 0.0, "max_tip_error": 200.0}

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 from robot_clips import JOINTS, robot_clip
 
+from smooth_operator.datasets.clip import RobotClip
+from smooth_operator.datasets.writers.lerobot import VIDEO_KEY, VideoHead, video_head
+from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.errors import RecordingError
-from smooth_operator.lab.datasets.clip import RobotClip
-from smooth_operator.lab.datasets.writers.lerobot import VIDEO_KEY, VideoHead, video_head
-from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
 
 pytest.importorskip("pyarrow")
 
@@ -199,7 +199,7 @@ def test_a_one_handed_first_clip_takes_the_columns_that_are_asked_for(tmp_path):
 
 
 def test_many_clips_are_few_files(tmp_path, monkeypatch):
-    monkeypatch.setattr("smooth_operator.lab.datasets.writers.lerobot._Writer.most_clips", 50)
+    monkeypatch.setattr("smooth_operator.datasets.writers.lerobot._Writer.most_clips", 50)
     write(tmp_path / "out", [robot_clip(i, frames=3) for i in range(120)])
     files = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
     assert len(files) == 6 + 3 * 3  # three shards: frames, episodes, index

@@ -20,13 +20,10 @@ from smooth_operator import Retargeter, load_hand, plugins, poses, result_cache
 from smooth_operator.baselines.joint_angle import JointAngleMap
 from smooth_operator.cli import main
 from smooth_operator.cli.dataset import _print
-from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.lab.datasets import pipeline
-from smooth_operator.lab.datasets.clip import CAMERA, SIDES, Clip, RobotClip, in_frame
-from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
-from smooth_operator.lab.datasets.quality import (
+from smooth_operator.datasets import pipeline
+from smooth_operator.datasets.clip import CAMERA, SIDES, Clip, RobotClip, in_frame
+from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.datasets.quality import (
     NO_LIMITS,
     REACHED,
     Dropped,
@@ -35,22 +32,25 @@ from smooth_operator.lab.datasets.quality import (
     quality_tracks,
     select,
 )
-from smooth_operator.lab.datasets.registry import ClipRef, ReadingOptions
-from smooth_operator.lab.datasets.retargeting import Recipe, retarget_clips
-from smooth_operator.lab.datasets.sources import (
+from smooth_operator.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.datasets.retargeting import Recipe, retarget_clips
+from smooth_operator.datasets.sources import (
     Found,
     find_items,
     in_shard,
     is_manifest,
     parse_shard,
 )
-from smooth_operator.lab.datasets.store import Store
-from smooth_operator.lab.datasets.writers.registry import WritingOptions
-from smooth_operator.lab.datasets.writing import Summary
-from smooth_operator.lab.offline.finished import digest
+from smooth_operator.datasets.store import Store
+from smooth_operator.datasets.writers.registry import WritingOptions
+from smooth_operator.datasets.writing import Summary
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import BASES
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.offline.finished import digest
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
@@ -70,7 +70,7 @@ pytestmark = pytest.mark.usefixtures("compiled_once")
 @pytest.fixture(autouse=True)
 def _without_plots(whole, monkeypatch) -> None:
     """Drawing takes longer than all else; the first run has drawn."""
-    monkeypatch.setattr("smooth_operator.lab.datasets.writing._histograms", lambda *_: None)
+    monkeypatch.setattr("smooth_operator.datasets.writing._histograms", lambda *_: None)
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +196,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from test_dataset_pipeline import request
-from smooth_operator.lab.datasets.pipeline import Progress, make_dataset
+from smooth_operator.datasets.pipeline import Progress, make_dataset
 
 class Say(Progress):
     def retargeted(self, entries):
@@ -209,9 +209,9 @@ if __name__ == "__main__":
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 def test_a_killed_run_is_resumed(folder, whole, tmp_path, monkeypatch):
-    monkeypatch.setattr("smooth_operator.lab.datasets.pipeline._FEW_ITEMS", 1)
+    monkeypatch.setattr("smooth_operator.datasets.pipeline._FEW_ITEMS", 1)
     output, script = tmp_path / "out", tmp_path / "run.py"
-    text = "import smooth_operator.lab.datasets.pipeline as pipeline\npipeline._FEW_ITEMS = 1\n"
+    text = "import smooth_operator.datasets.pipeline as pipeline\npipeline._FEW_ITEMS = 1\n"
     script.write_text(text + RUN, encoding="utf-8")
     words = [sys.executable, str(script), str(Path(__file__).parent), str(folder), str(output)]
     with subprocess.Popen(words, stdout=subprocess.PIPE) as process:
@@ -757,7 +757,7 @@ def test_keys_of_clips_are_of_the_code_and_of_the_readers_of_plugins(monkeypatch
     module.write_text("READER = None\n")
     monkeypatch.syspath_prepend(tmp_path)
     digests = [Recipe(RECIPE.request).digest]
-    for place in ("lab.datasets.registry:DATASETS", "formats.registry:READERS"):
+    for place in ("datasets.registry:DATASETS", "formats.registry:READERS"):
         module_name, _, name = place.partition(":")
         registry = getattr(importlib.import_module(f"smooth_operator.{module_name}"), name)
         monkeypatch.setitem(registry._added, "own", plugins.Entry("own_reader_module:READER"))
@@ -765,7 +765,7 @@ def test_keys_of_clips_are_of_the_code_and_of_the_readers_of_plugins(monkeypatch
     module.write_text("READER = 1\n")
     result_cache._package_digest.cache_clear()
     digests.append(Recipe(RECIPE.request).digest)
-    monkeypatch.setattr("smooth_operator.lab.offline.finished.code_digest", lambda *_: "other")
+    monkeypatch.setattr("smooth_operator.offline.finished.code_digest", lambda *_: "other")
     digests.append(Recipe(RECIPE.request).digest)
     assert len(set(digests)) >= 4  # the same module twice is one
 

@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 
 from smooth_operator import method_config, plugins
-from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
-from smooth_operator.lab.datasets import retargeting
-from smooth_operator.lab.datasets.clip import CAMERA, Clip
-from smooth_operator.lab.datasets.registry import (
+from smooth_operator.datasets import retargeting
+from smooth_operator.datasets.clip import CAMERA, Clip
+from smooth_operator.datasets.registry import (
     DATASETS,
     RESEARCH_LAYOUTS,
     ReadingOptions,
     readers,
 )
-from smooth_operator.lab.datasets.sources import find_items
-from smooth_operator.lab.datasets.writers.registry import WRITERS
+from smooth_operator.datasets.sources import find_items
+from smooth_operator.datasets.writers.registry import WRITERS
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid, matrices, separation, wrist_from_landmarks
 

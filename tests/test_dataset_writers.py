@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from robot_clips import JOINTS, robot_clip
 
+from smooth_operator.datasets.clip import RobotClip
+from smooth_operator.datasets.writers.arrays import drift, resampled
+from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.lab.datasets.clip import RobotClip
-from smooth_operator.lab.datasets.writers.arrays import drift, resampled
-from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
 
 ALL = ["webdataset", "parquet", "lerobot", "spider"]
 OPTIONS = WritingOptions(shard_mb=0.1)

@@ -15,11 +15,12 @@ from discovery_hands import Model, Part, make_hand, mjcf, urdf
 from smooth_operator import Point, load_hand
 from smooth_operator.cli.hands_add import Add
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
+from smooth_operator.hand_discovery.discover import discover
+from smooth_operator.hand_discovery.landmarks import Discovery, Overrules
+from smooth_operator.hand_discovery.skeleton import fingers_said, side_said, words
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.spec_file import read_hand_spec
-from smooth_operator.lab.discovery import Discovery, Overrules, discover
-from smooth_operator.lab.discovery.skeleton import fingers_said, side_said, words
 from smooth_operator.types import Side
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
@@ -242,9 +243,9 @@ def test_a_real_hand_is_read_right(shared, model):
 @pytest.mark.parametrize("model", REAL)
 def test_a_real_hand_is_read_right_by_one_who_can_not_read(shared, model, monkeypatch):
     """Nothing hangs on a name: without any, thumb, order, side and tips are the same."""
-    from smooth_operator.lab.discovery import branches, landmarks
+    from smooth_operator.hand_discovery import branches, landmarks
 
-    module = sys.modules["smooth_operator.lab.discovery.discover"]
+    module = sys.modules["smooth_operator.hand_discovery.discover"]
     monkeypatch.setattr(module, "fingers_said", lambda chains: [None] * len(chains))
     monkeypatch.setattr(module, "side_said", lambda names: None)
     monkeypatch.setattr(branches, "says_tip", lambda name: False)

@@ -9,12 +9,13 @@ import pytest
 from discovery_hands import Part, make_hand, urdf
 from real_hands import REAL
 
+from smooth_operator.hand_discovery.checks import Samples
+from smooth_operator.hand_discovery.discover import discover
+from smooth_operator.hand_discovery.joints import check_palm
+from smooth_operator.hand_discovery.landmarks import Discovery
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.penetration import neutral_overlaps
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.discovery import Discovery, discover
-from smooth_operator.lab.validation.checks import Samples
-from smooth_operator.lab.validation.joints import check_palm
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -59,7 +60,7 @@ def test_a_knuckle_that_a_joint_moves_stays_where_it_rests(tmp_path, monkeypatch
     hand = load_hand_spec(found.spec)
     assert base_travel(hand).max() < 1e-4
     # left on its link it swings, but at rest it is at the same place
-    module = sys.modules["smooth_operator.lab.discovery.discover"]
+    module = sys.modules["smooth_operator.hand_discovery.discover"]
     monkeypatch.setattr(module, "fix_bases", lambda s, palm, fingers, reach, at: (fingers, {}))
     loose = found_in(tmp_path, parts)
     assert loose.spec.fingers[-1].base.body == knuckle

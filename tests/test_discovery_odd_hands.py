@@ -10,10 +10,10 @@ import pytest
 from discovery_hands import Model, Part, make_hand, mjcf, urdf
 
 from smooth_operator.errors import HandModelError
+from smooth_operator.hand_discovery.discover import discover
+from smooth_operator.hand_discovery.landmarks import SURE, UNSURE, Discovery, Overrules
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
-from smooth_operator.lab.discovery import Discovery, discover
-from smooth_operator.lab.discovery.landmarks import SURE, UNSURE, Overrules
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 

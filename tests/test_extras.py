@@ -211,7 +211,7 @@ MODULES = {
     "smooth_operator.teleop.recording.log": "teleop",
     "smooth_operator.teleop.recording.log_reader": "teleop",
     "smooth_operator.teleop.sinks.record": "teleop",
-    "smooth_operator.lab.training": "lab",
+    "smooth_operator.baselines.geort.training": "lab",
     "smooth_operator.reporting.drawing": "lab",
 }
 

@@ -15,7 +15,8 @@ from metrics_cases import tip_gap_mm
 from trees import pincer
 
 from smooth_operator import Retargeter, load_hand, method_config
-from smooth_operator.baselines.geort import (
+from smooth_operator.baselines.geort import training_data as data_module
+from smooth_operator.baselines.geort.method import (
     GeortConfig,
     GeortModel,
     Weights,
@@ -23,6 +24,26 @@ from smooth_operator.baselines.geort import (
     finger_joints,
     forward,
     read_geort_model,
+)
+from smooth_operator.baselines.geort.training import (
+    CHECKPOINT,
+    LOSSES,
+    MODEL,
+    Batch,
+    GeortLoss,
+    GeortTrainer,
+    TrainingSession,
+    TrainingState,
+    draw_batches,
+)
+from smooth_operator.baselines.geort.training_data import (
+    FIRST_SEED,
+    TRAINING_OPERATORS,
+    GeortTraining,
+    PointSet,
+    TrainingData,
+    synthetic_recordings,
+    training_data,
 )
 from smooth_operator.cli import main
 from smooth_operator.errors import (
@@ -35,19 +56,6 @@ from smooth_operator.errors import (
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.lab.training import (
-    LOSSES,
-    GeortTrainer,
-    GeortTraining,
-    TrainingData,
-    TrainingSession,
-    TrainingState,
-    synthetic_recordings,
-    training_data,
-)
-from smooth_operator.lab.training import data as data_module
-from smooth_operator.lab.training.data import FIRST_SEED, TRAINING_OPERATORS, PointSet
-from smooth_operator.lab.training.loop import CHECKPOINT, MODEL, Batch, GeortLoss, draw_batches
 from smooth_operator.landmarks import TIPS
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
@@ -574,11 +582,11 @@ def run(
         key = (data.digest, settings.epochs, settings.seed)
         return made.setdefault(key, GeortTrainer(hand, data, settings))
 
-    monkeypatch.setattr("smooth_operator.lab.training.GeortTrainer", compiled_once)
+    monkeypatch.setattr("smooth_operator.baselines.geort.training.GeortTrainer", compiled_once)
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", "off")
     monkeypatch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
     monkeypatch.setattr("smooth_operator.hands.registry.load_hand", lambda name, side: hand)
-    monkeypatch.setattr("smooth_operator.lab.training.GeortTraining", quick)
+    monkeypatch.setattr("smooth_operator.baselines.geort.training_data.GeortTraining", quick)
 
     def call(*arguments: object) -> tuple[int, str]:
         capfd.readouterr()

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from smooth_operator import Hand, Retargeter, Status, load_hand, method_names
-from smooth_operator.baselines.geort import (
+from smooth_operator.baselines.geort.method import (
     HIDDEN,
     GeortConfig,
     GeortModel,

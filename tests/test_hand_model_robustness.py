@@ -12,11 +12,11 @@ from discovery_hands import make_hand, mjcf, urdf
 from fuzzing import ReaderProcess, mutate_xml
 
 from smooth_operator.errors import HandModelError
+from smooth_operator.hand_discovery.discover import discover
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.registry import MODELS
 from smooth_operator.hands.spec_file import read_hand_spec
-from smooth_operator.lab.discovery import discover
 
 HAND = make_hand(3)
 URDF, MJCF = urdf(HAND.parts), mjcf(HAND.parts)

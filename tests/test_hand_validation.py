@@ -15,21 +15,22 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError
+from smooth_operator.hand_discovery.checks import HandValidation, Samples
+from smooth_operator.hand_discovery.discover import discover
+from smooth_operator.hand_discovery.fingers import part_distances
+from smooth_operator.hand_discovery.hand_validation import (
+    check_hand,
+    check_method,
+    closest_pinch,
+    reachable_poses,
+    round_trip,
+)
+from smooth_operator.hand_discovery.joint_map import check_joint_map
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
-from smooth_operator.lab.discovery import discover
-from smooth_operator.lab.validation import HandValidation, check_hand, round_trip
-from smooth_operator.lab.validation.checks import Samples
-from smooth_operator.lab.validation.fingers import part_distances
-from smooth_operator.lab.validation.hand_validation import (
-    check_method,
-    closest_pinch,
-    reachable_poses,
-)
-from smooth_operator.lab.validation.joint_map import check_joint_map
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.registry import DEFAULT_METHOD
@@ -396,7 +397,7 @@ def test_the_default_method_is_judged_without_its_pull(monkeypatch):
         given.append(config)
         raise ConfigError("looked at")
 
-    module = sys.modules["smooth_operator.lab.validation.hand_validation"]
+    module = sys.modules["smooth_operator.hand_discovery.hand_validation"]
     monkeypatch.setattr(module, "Retargeter", refuse)
     check = check_method(load_hand("mimic_p050"), DEFAULT_METHOD, poses=1, seed=0)
     assert check.verdict == "skipped"

@@ -26,8 +26,8 @@ from smooth_operator.formats.arrays import ARRAYS_RATIO, FREE_BYTES, Allowance
 from smooth_operator.formats.commands import encode_commands, read_commands, write_encoded_commands
 from smooth_operator.io.documents import json_object, parse_json, read_text
 from smooth_operator.io.entries import parse_toml
-from smooth_operator.lab.offline.finished import identity
-from smooth_operator.lab.offline.folder import find_recordings
+from smooth_operator.offline.finished import identity
+from smooth_operator.offline.folder import find_recordings
 from smooth_operator.teleop.control.rpc import _read
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.convert import read_episode, write_episode

@@ -15,16 +15,16 @@ from discovery_hands import make_hand, urdf
 from fuzzing import ReaderProcess
 
 from smooth_operator import Retargeter, load_hand
+from smooth_operator.benchmark.cells import only_side
 from smooth_operator.cli import main
 from smooth_operator.errors import HandModelError, RecordingError
+from smooth_operator.hand_discovery.discover import discover
 from smooth_operator.hand_files.user_hands import copy_model, model_files
 from smooth_operator.hands import mujoco_messages
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model, load_spec
 from smooth_operator.hands.model_assets import BODY, MOST_ELEMENTS
 from smooth_operator.hands.stand_ins import stand_in_note, stand_ins
-from smooth_operator.lab.benchmark.cells import only_side
-from smooth_operator.lab.discovery import discover
 from smooth_operator.planning import make_request
 from smooth_operator.teleop.pages.hand_picture import save_hand_picture
 

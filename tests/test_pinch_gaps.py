@@ -11,10 +11,10 @@ from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.human.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.human.pinch_gaps import PinchGapEstimate, PinchGapState
-from smooth_operator.lab.offline import execute
 from smooth_operator.landmarks import TIPS
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.offline import execute
 from smooth_operator.planning import Plan
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import tracker_model

@@ -95,7 +95,7 @@ def test_a_layout_and_a_format_of_data_sets(python, tmp_path):
         np.savetxt(tmp_path / "take" / f"{side}.csv", points, delimiter=",")
     code = f"""
 from pathlib import Path
-from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
+from smooth_operator.datasets.registry import DATASETS, ReadingOptions
 path = Path({str(tmp_path / "take")!r})
 layout, = (name for name in DATASETS if DATASETS.load(name).matches(path))
 ref, = DATASETS.load(layout).clips(path)
@@ -104,8 +104,8 @@ print(layout, DATASETS[layout].summary, len(clip), *clip.hands)
 
 import numpy as np
 from smooth_operator.types import CommandTrajectory
-from smooth_operator.lab.datasets.clip import RobotClip
-from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_operator.datasets.clip import RobotClip
+from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 joints = np.arange(20.0).reshape(10, 2)
 commands = CommandTrajectory(joints, ("a", "b"), clip.stamps, np.zeros(10), np.zeros(10, int))
 with WRITERS.load("csv").open(Path({str(tmp_path / "tables")!r}), WritingOptions()) as writer:

@@ -13,10 +13,9 @@ from made_hands import hand_points
 
 from smooth_operator import HandRecording, read_recording
 from smooth_operator.cli import main
+from smooth_operator.datasets.sources import find_items
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.checks import check_units, frame_slice, reading_notes
-from smooth_operator.lab.datasets.sources import find_items
-from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.landmarks import (
     FROM_MANUS_25,
     FROM_OPENXR_26,
@@ -24,6 +23,7 @@ from smooth_operator.landmarks import (
     METACARPALS_MANUS_25,
     NODE_LAYOUTS,
 )
+from smooth_operator.offline.folder import find_recordings
 from smooth_operator.poses import matrices
 
 FRAMES = 12

@@ -13,6 +13,16 @@ import pytest
 from metrics_cases import make_trace
 
 from smooth_operator import HandRecording, read_recording, result_cache
+from smooth_operator.benchmark.cells import (
+    Cell,
+    Settings,
+    fingerprint,
+    method_label,
+    select_methods,
+)
+from smooth_operator.benchmark.quality import measure_cell
+from smooth_operator.benchmark.ranking import columns
+from smooth_operator.benchmark.recordings import Request, Source
 from smooth_operator.cli.console import print_metrics
 from smooth_operator.errors import (
     ConfigError,
@@ -23,17 +33,6 @@ from smooth_operator.errors import (
 )
 from smooth_operator.formats.registry import Reader
 from smooth_operator.hands.registry import HANDS, MODELS, hand_names, known_hands, load_hand
-from smooth_operator.lab.benchmark.cells import (
-    Cell,
-    Settings,
-    fingerprint,
-    method_label,
-    select_methods,
-)
-from smooth_operator.lab.benchmark.quality import measure_cell
-from smooth_operator.lab.benchmark.ranking import columns
-from smooth_operator.lab.benchmark.recordings import Request, Source
-from smooth_operator.lab.offline.folder import find_recordings
 from smooth_operator.methods.presets import (
     PRESETS,
     default_preset,
@@ -47,6 +46,7 @@ from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS, Metric, Trace, evaluate
 from smooth_operator.metrics.table import REGISTRY as METRIC_REGISTRY
 from smooth_operator.metrics.table import add_metrics, plugin_metrics
+from smooth_operator.offline.folder import find_recordings
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.synthetic import SyntheticOperator
 

@@ -19,9 +19,11 @@ import pytest
 from smooth_operator import Retargeter, load_hand, read_commands, read_recording
 from smooth_operator.compilation.batching import BLOCK
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
-from smooth_operator.lab.offline import folder as pipeline
-from smooth_operator.lab.offline.finished import claimed, made_by
-from smooth_operator.lab.offline.folder import (
+from smooth_operator.methods.presets import PRESETS
+from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.offline import folder as pipeline
+from smooth_operator.offline.finished import claimed, made_by
+from smooth_operator.offline.folder import (
     Entry,
     Job,
     Survey,
@@ -30,8 +32,6 @@ from smooth_operator.lab.offline.folder import (
     retarget_all,
     survey,
 )
-from smooth_operator.methods.presets import PRESETS
-from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest, make_request
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
@@ -184,8 +184,8 @@ RUN = """
 import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
-from smooth_operator.lab.offline import folder
-from smooth_operator.lab.offline.folder import retarget_all, survey
+from smooth_operator.offline import folder
+from smooth_operator.offline.folder import retarget_all, survey
 from test_retarget_folder import ASKED, not_the_last
 
 if __name__ == "__main__":
@@ -319,9 +319,9 @@ def test_after_a_change_of_the_code_all_is_made_again(copy, monkeypatch):
         names.extend(parts)
         return "another"
 
-    monkeypatch.setattr("smooth_operator.lab.offline.finished.code_digest", digest_of)
+    monkeypatch.setattr("smooth_operator.offline.finished.code_digest", digest_of)
     assert left(*copy) == {f"{name}.npz" for name in FRAMES}
-    for name in ("methods", "hands", "objective", "human", "formats", "io", "lab/offline"):
+    for name in ("methods", "hands", "objective", "human", "formats", "io", "offline"):
         assert name in names
 
 

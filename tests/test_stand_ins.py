@@ -10,15 +10,15 @@ from capsule_depths import depths, ends_of
 
 from smooth_operator import Retargeter, hand_names, load_hand, method_config
 from smooth_operator.cli import main
+from smooth_operator.hand_discovery.checks import Samples
+from smooth_operator.hand_discovery.discover import discover
+from smooth_operator.hand_discovery.joints import check_shapes
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.capsules import capsule_pairs
 from smooth_operator.hands.collision import solid_shapes
 from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.stand_ins import stand_in_links, stand_in_note, stand_ins
-from smooth_operator.lab.discovery import discover
-from smooth_operator.lab.validation.checks import Samples
-from smooth_operator.lab.validation.joints import check_shapes
 
 _GEOM = re.compile(r"<geom name=\"(\w+)\"[^>]*/>")
 _INERTIA = '<inertial pos="0 0 0" mass="0.01" diaginertia="1e-5 1e-5 1e-5"/>'

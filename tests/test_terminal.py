@@ -9,8 +9,8 @@ from rich.text import Text
 
 from smooth_operator.cli import main
 from smooth_operator.cli.console import Progressing
+from smooth_operator.datasets.sources import read_manifest
 from smooth_operator.errors import OutputError, RecordingError, UnknownNameError, reason
-from smooth_operator.lab.datasets.sources import read_manifest
 from smooth_operator.teleop.recording import LogWriter
 from smooth_operator.teleop.sources.programs import read_manus
 from smooth_operator.terminal import open_console, printable

@@ -8,12 +8,12 @@ import pytest
 from test_bench_uses import line
 from test_stand_ins import with_lost_meshes
 
+from smooth_operator.benchmark import ranking
 from smooth_operator.cli import main
 from smooth_operator.hand_files.spec_writer import write_hand_spec
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.stand_ins import stand_in_note
-from smooth_operator.lab.benchmark import ranking
 
 ONE_FINGER = r"index_\w+"
 

@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.methods.frame import align_frame
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.program import ticks_of

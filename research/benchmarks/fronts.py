@@ -20,9 +20,9 @@ from typing import Any, Final
 import numpy as np
 from looks import COLUMNS, figures
 
+from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.formats.setting_paths import with_settings
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics.assemble import assemble_trace

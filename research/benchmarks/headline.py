@@ -18,9 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.cli.bench import comma_words
-from smooth_operator.cli.hand_shape import ModelShape
-from smooth_operator.lab.benchmark import (
+from smooth_operator.benchmark import (
     Finished,
     Row,
     Settings,
@@ -28,9 +26,11 @@ from smooth_operator.lab.benchmark import (
     plan_cells,
     run_suite,
 )
-from smooth_operator.lab.benchmark.contact_sheet import contact_sheet, panels_by_hand
-from smooth_operator.lab.benchmark.figures import make_panels
-from smooth_operator.lab.benchmark.page.report import summary_text
+from smooth_operator.benchmark.contact_sheet import contact_sheet, panels_by_hand
+from smooth_operator.benchmark.figures import make_panels
+from smooth_operator.benchmark.page.report import summary_text
+from smooth_operator.cli.bench import comma_words
+from smooth_operator.cli.hand_shape import ModelShape
 
 POSES: Final = ("flat", "fist", "point", "OK", "pinch middle")
 """Rows of the pictures."""

@@ -18,11 +18,11 @@ from typing import Final
 
 import numpy as np
 
+from smooth_operator.benchmark.contact_sheet import contact_sheet
+from smooth_operator.benchmark.figures import Panel, Run
+from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.cli.hand_shape import ModelShape
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.benchmark.contact_sheet import contact_sheet
-from smooth_operator.lab.benchmark.figures import Panel, Run
-from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import Trace, evaluate, posture
 from smooth_operator.metrics.assemble import assemble_trace

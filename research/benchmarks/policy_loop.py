@@ -38,8 +38,8 @@ import numpy as np
 import tyro
 
 from smooth_operator import load_hand
+from smooth_operator.benchmark.cells import select_methods
 from smooth_operator.hands.hand import Hand
-from smooth_operator.lab.benchmark.cells import select_methods
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import scene_for
 from smooth_operator.simulation.scenes.scene import object_pose

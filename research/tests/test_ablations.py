@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from trees import float64
 
+from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
-from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.solvers.random_words import seed_words
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise

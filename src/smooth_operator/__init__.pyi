@@ -1,7 +1,7 @@
 from smooth_operator import calibration as calibration
 from smooth_operator import formats as formats
+from smooth_operator import hand_discovery as hand_discovery
 from smooth_operator import hands as hands
-from smooth_operator import lab as lab
 from smooth_operator import methods as methods
 from smooth_operator import metrics as metrics
 from smooth_operator import objective as objective

@@ -24,7 +24,7 @@ def read_soundly(layout: str, path: Path) -> None:
         SmoothOperatorError: it is refused.
         AssertionError: it is not read soundly.
     """
-    from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
+    from smooth_operator.datasets.registry import DATASETS, ReadingOptions
 
     models = next(p / "mano_models" for p in path.parents if (p / "mano_models").is_dir())
     reader = DATASETS.load(layout)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from test_dataset_readers import clip_of
 
+from smooth_operator.datasets.registry import DATASETS, ReadingOptions
 from smooth_operator.errors import RecordingError, SmoothOperatorError
-from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
 from smooth_operator.poses import matrices, separation, wrist_from_landmarks
 from smooth_operator.types import Side
 

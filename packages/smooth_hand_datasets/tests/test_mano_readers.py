@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from smooth_operator import poses
+from smooth_operator.datasets.clip import CAMERA, Clip
+from smooth_operator.datasets.registry import DATASETS, ReadingOptions
+from smooth_operator.datasets.sources import find_items
 from smooth_operator.errors import RecordingError, SmoothOperatorError
-from smooth_operator.lab.datasets.clip import CAMERA, Clip
-from smooth_operator.lab.datasets.registry import DATASETS, ReadingOptions
-from smooth_operator.lab.datasets.sources import find_items
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 from scipy.stats import spearmanr
 
-from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
+from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.landmarks import BASES, FINGERS, TIPS, WRIST
 from smooth_operator.types import HandRecording
 

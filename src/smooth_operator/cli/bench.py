@@ -11,17 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from smooth_operator.atomic_files import write_json
-from smooth_operator.calibration.operator_file import read_operator
-from smooth_operator.cli.bench_options import Bench
-from smooth_operator.cli.console import Progressing, output_console, plain_table
-from smooth_operator.cli.outputs import folder_for, stopped
-from smooth_operator.compilation.start import dispatch_here
-from smooth_operator.errors import SmoothOperatorError, counted, require
-from smooth_operator.formats.checks import reading_notes
-from smooth_operator.hands.finger_choice import parse_fingers
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.hands.stand_ins import stand_in_note
-from smooth_operator.lab.benchmark import (
+from smooth_operator.benchmark import (
     Settings,
     compare,
     make_rows,
@@ -29,8 +19,8 @@ from smooth_operator.lab.benchmark import (
     read_results,
     run_suite,
 )
-from smooth_operator.lab.benchmark.cells import Cell, only_side
-from smooth_operator.lab.benchmark.ranking import (
+from smooth_operator.benchmark.cells import Cell, only_side
+from smooth_operator.benchmark.ranking import (
     COLUMNS,
     Comparison,
     Line,
@@ -45,10 +35,20 @@ from smooth_operator.lab.benchmark.ranking import (
     sample_text,
     shown_value,
 )
-from smooth_operator.lab.benchmark.ranking import verdict as verdict_of
-from smooth_operator.lab.benchmark.suite import REPORT, RESULTS, Advance, Row
-from smooth_operator.lab.offline.finished import claimed
+from smooth_operator.benchmark.ranking import verdict as verdict_of
+from smooth_operator.benchmark.suite import REPORT, RESULTS, Advance, Row
+from smooth_operator.calibration.operator_file import read_operator
+from smooth_operator.cli.bench_options import Bench
+from smooth_operator.cli.console import Progressing, output_console, plain_table
+from smooth_operator.cli.outputs import folder_for, stopped
+from smooth_operator.compilation.start import dispatch_here
+from smooth_operator.errors import SmoothOperatorError, counted, require
+from smooth_operator.formats.checks import reading_notes
+from smooth_operator.hands.finger_choice import parse_fingers
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.metrics import Metric
+from smooth_operator.offline.finished import claimed
 
 _MOST_PANELS: Final = 8
 _MOST_NAMED: Final = 4
@@ -218,16 +218,16 @@ def bench(options: Bench) -> None:
         write_json(options.output / RESULTS, rows, indent=1)
         written = [RESULTS]
         if options.sheet:
+            from smooth_operator.benchmark.contact_sheet import write_sheets
             from smooth_operator.cli.hand_shape import ModelShape
-            from smooth_operator.lab.benchmark.contact_sheet import write_sheets
 
             with progress.waiting("drawing the hands"):
                 written += [
                     path.name for path in write_sheets(finished, options.output, ModelShape)
                 ]
         elif not options.no_report:
+            from smooth_operator.benchmark.page import write_report
             from smooth_operator.cli.hand_shape import ModelShape
-            from smooth_operator.lab.benchmark.page import write_report
 
             with progress.waiting("drawing the report"):
                 write_report(finished, rows, settings, comparison, ModelShape)

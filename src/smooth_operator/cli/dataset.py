@@ -11,16 +11,16 @@ from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.cli.session import requested
+from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.datasets.quality import NO_LIMITS, Limits
+from smooth_operator.datasets.registry import ReadingOptions
+from smooth_operator.datasets.retargeting import Recipe
+from smooth_operator.datasets.sources import Found, parse_shard
+from smooth_operator.datasets.work import Entry
+from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, counted
 from smooth_operator.formats.jsonable import to_json
-from smooth_operator.lab.datasets.pipeline import DatasetRequest, Progress, make_dataset
-from smooth_operator.lab.datasets.quality import NO_LIMITS, Limits
-from smooth_operator.lab.datasets.registry import ReadingOptions
-from smooth_operator.lab.datasets.retargeting import Recipe
-from smooth_operator.lab.datasets.sources import Found, parse_shard
-from smooth_operator.lab.datasets.work import Entry
-from smooth_operator.lab.datasets.writers.registry import WRITERS, WritingOptions
-from smooth_operator.lab.datasets.writing import Summary
 from smooth_operator.terminal import printable
 
 _SHOWN_FAILURES = 20

@@ -19,7 +19,7 @@ from smooth_operator.cli.common_options import (
 )
 
 if TYPE_CHECKING:
-    from smooth_operator.lab.offline import Outcome
+    from smooth_operator.offline import Outcome
     from smooth_operator.planning import Plan
 
 
@@ -116,9 +116,9 @@ def _write(
     config: dict[str, Any],
 ) -> None:
     from smooth_operator.atomic_files import atomic_write
+    from smooth_operator.benchmark.figures import save_plots
     from smooth_operator.formats.commands import write_commands
     from smooth_operator.formats.jsonable import to_json
-    from smooth_operator.lab.benchmark.figures import save_plots
     from smooth_operator.teleop.recording import LogWriter
     from smooth_operator.types import JointCommand, Status
 

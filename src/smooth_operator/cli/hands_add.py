@@ -17,8 +17,8 @@ from smooth_operator.cli.common_options import Common, HandSide, Page
 from smooth_operator.errors import ConfigError, SmoothOperatorError
 
 if TYPE_CHECKING:
+    from smooth_operator.hand_discovery.landmarks import Discovery, Overrules
     from smooth_operator.hands.spec import HandSpec, Point
-    from smooth_operator.lab.discovery import Discovery, Overrules
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,10 +82,10 @@ Examples:
 
 def add_hand(options: Add) -> None:
     """Analyses a model, prints what was found, writes the spec file, opens the page."""
+    from smooth_operator.hand_discovery.discover import discover
     from smooth_operator.hand_files.user_hands import save_hand, spec_name
     from smooth_operator.hands.registry import user_hands_folder
     from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
-    from smooth_operator.lab.discovery import discover
 
     if options.name is not None:
         check_hand_name(options.name)
@@ -126,7 +126,7 @@ def add_hand(options: Add) -> None:
 
 
 def _overrules(options: Add) -> Overrules:
-    from smooth_operator.lab.discovery import Overrules
+    from smooth_operator.hand_discovery.landmarks import Overrules
 
     fingers = tuple(_pair(text, "--finger", "FINGER=BODY") for text in options.finger)
     tips = []
@@ -244,9 +244,9 @@ def _built_in(discovery: Discovery) -> str | None:
 def _mapped(spec: HandSpec, twin: str | None) -> HandSpec:
     """The description with the joint map of a built-in hand of the same joints, if that map points
     the thumb better than the one that is measured."""
+    from smooth_operator.hand_discovery.joint_map import mapped_thumb_error
     from smooth_operator.hands.hand import load_hand_spec
     from smooth_operator.hands.registry import load_hand
-    from smooth_operator.lab.validation.joint_map import mapped_thumb_error
 
     if twin is None:
         return spec
@@ -307,7 +307,7 @@ def _print(discovery: Discovery, file: Path, used: Path, twin: str | None, whole
 
 
 def _mark(confidence: float) -> tuple[str, str]:
-    from smooth_operator.lab.discovery.landmarks import SURE, UNSURE
+    from smooth_operator.hand_discovery.landmarks import SURE, UNSURE
 
     if confidence >= SURE:
         return "✓", "green"

@@ -13,8 +13,7 @@ from tyro.conf import Positional, arg
 from smooth_operator.cli.common_options import Common, HandSide, Quiet
 
 if TYPE_CHECKING:
-    from smooth_operator.lab.validation import HandValidation
-    from smooth_operator.lab.validation.checks import Verdict
+    from smooth_operator.hand_discovery.checks import HandValidation, Verdict
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +64,7 @@ def check_hand_command(options: Check) -> None:
     """Checks a hand and prints the checklist."""
     from smooth_operator.cli.console import Progressing
     from smooth_operator.compilation.cache import jax_cache
-    from smooth_operator.lab.validation import check_hand
+    from smooth_operator.hand_discovery import check_hand
 
     bar = Progressing(options.quiet).counter("poses", transient=True)
 

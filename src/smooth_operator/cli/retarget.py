@@ -26,7 +26,7 @@ from smooth_operator.terminal import printable
 
 if TYPE_CHECKING:
     from smooth_operator.cli.console import Progressing
-    from smooth_operator.lab.offline.folder import Entry, Survey
+    from smooth_operator.offline.folder import Entry, Survey
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,8 +174,8 @@ def retarget_folder(options: Retarget) -> None:
     from smooth_operator.formats.environment import environment
     from smooth_operator.formats.jsonable import to_json
     from smooth_operator.formats.registry import file_kind, is_dataset
-    from smooth_operator.lab.offline.finished import claimed, read_configuration
-    from smooth_operator.lab.offline.folder import (
+    from smooth_operator.offline.finished import claimed, read_configuration
+    from smooth_operator.offline.folder import (
         SUMMARY,
         check_folders,
         checked,
@@ -318,7 +318,7 @@ def _watched(results: Iterable[Entry], todo: Survey, progress: Progressing) -> l
 
 def _print_summary(summary: Mapping[str, Any], output: Path) -> None:
     from smooth_operator.cli.console import output_console, plain_table
-    from smooth_operator.lab.offline.folder import SUMMARY
+    from smooth_operator.offline.folder import SUMMARY
 
     console = output_console(250)
     speed = summary["frames_per_s"]

@@ -15,8 +15,8 @@ from smooth_operator.cli.common_options import Common, HandSide, Ordered, Quiet
 from smooth_operator.errors import ConfigError
 
 if TYPE_CHECKING:
+    from smooth_operator.baselines.geort.training import TrainingState
     from smooth_operator.cli.console import Progressing
-    from smooth_operator.lab.training import TrainingState
     from smooth_operator.types import HandRecording
 
 
@@ -84,17 +84,12 @@ SYNTHETIC: Final = "synthetic"
 
 def train(options: Train) -> None:
     """Reads, trains, writes."""
+    from smooth_operator.baselines.geort.training import LOSSES, GeortTrainer, TrainingSession
+    from smooth_operator.baselines.geort.training_data import GeortTraining, training_data
     from smooth_operator.cli.console import Progressing
     from smooth_operator.cli.outputs import folder_for
     from smooth_operator.compilation.cache import jax_cache
     from smooth_operator.hands.registry import load_hand
-    from smooth_operator.lab.training import (
-        LOSSES,
-        GeortTrainer,
-        GeortTraining,
-        TrainingSession,
-        training_data,
-    )
 
     if options.checkpoint_every < 1:
         raise ConfigError(f"--checkpoint-every must be 1 or more, not {options.checkpoint_every}")
@@ -141,10 +136,10 @@ def _recordings(
     options: Train, progress: Progressing
 ) -> tuple[list[HandRecording], list[HandRecording]]:
     """Recordings for training, and recordings for validation alone."""
+    from smooth_operator.baselines.geort.training_data import synthetic_recordings
     from smooth_operator.formats.checks import frame_slice, reading_notes
     from smooth_operator.formats.readers import read_recording
     from smooth_operator.hands.registry import default_side
-    from smooth_operator.lab.training import synthetic_recordings
 
     if not options.recordings:
         raise ConfigError("name a recording to train on, or the word 'synthetic'")
@@ -173,7 +168,7 @@ def _recordings(
 def _bar(progress: Progressing, epochs: int) -> Iterator[Callable[[TrainingState], None]]:
     import numpy as np
 
-    from smooth_operator.lab.training import LOSSES
+    from smooth_operator.baselines.geort.training import LOSSES
 
     with progress.counter("epochs", extra="{task.fields[losses]}", in_files=True) as bar:
         task = bar.add_task("training", total=epochs, losses="")

@@ -35,7 +35,8 @@ METHODS: Final = Registry(
         ),
         "ako": Entry(f"{_BASELINES}.slsqp_method:AKO_PRESETS", "default, slsqp or published"),
         "geort": Entry(
-            f"{_BASELINES}.geort:GEORT_PRESETS", "default, or the file of a model that you trained"
+            f"{_BASELINES}.geort.method:GEORT_PRESETS",
+            "default, or the file of a model that you trained",
         ),
     },
 )

@@ -34,14 +34,14 @@ from smooth_hand_datasets.objects.terms import (
 from smooth_operator import poses
 from smooth_operator.compilation.cache import jax_cache
 from smooth_operator.compilation.start import dispatch_here
+from smooth_operator.datasets.clip import Clip
+from smooth_operator.datasets.retargeting import whole_config
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand, fingerprint
-from smooth_operator.lab.datasets.clip import Clip
-from smooth_operator.lab.datasets.retargeting import whole_config
-from smooth_operator.lab.offline.trajectory_retargeter import TrajectoryRetargeter
-from smooth_operator.lab.offline.trajectory_solver import FrameBlocks
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.trajectory import TrajectoryMethodConfig
+from smooth_operator.offline.trajectory_retargeter import TrajectoryRetargeter
+from smooth_operator.offline.trajectory_solver import FrameBlocks
 from smooth_operator.planning import Plan
 from smooth_operator.types import CommandTrajectory, Side
 

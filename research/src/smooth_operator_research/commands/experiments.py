@@ -11,7 +11,7 @@ from smooth_operator.compilation.cache import jax_cache
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.offline.finished import claimed
+from smooth_operator.offline.finished import claimed
 from smooth_operator_research.commands.options import Ablate, Experimenting, Paper
 from smooth_operator_research.paper.experiment import (
     EXPERIMENTS,

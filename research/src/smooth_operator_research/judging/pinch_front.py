@@ -18,8 +18,8 @@ import numpy as np
 import tyro
 
 from smooth_operator import SmoothOperatorError
+from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.formats.setting_paths import with_settings
-from smooth_operator.lab.benchmark.recordings import load_sources, parse_request
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.metrics import evaluate

@@ -14,13 +14,13 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error, write_json
 from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
+from smooth_operator.benchmark.recordings import Source, load_sources, parse_request
+from smooth_operator.benchmark.suite import check_folder as check_benchmark_folder
 from smooth_operator.errors import DocumentError, UnknownNameError, counted
 from smooth_operator.formats.environment import environment
 from smooth_operator.io.plain_files import check_plain_file
-from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
-from smooth_operator.lab.benchmark.suite import check_folder as check_benchmark_folder
-from smooth_operator.lab.offline.finished import read_configuration
 from smooth_operator.objective.published import ObjectiveConfig
+from smooth_operator.offline.finished import read_configuration
 from smooth_operator.parallel import TaskResult
 from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import (

@@ -11,12 +11,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
-from smooth_operator.hands.hand import Hand
-from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.lab.benchmark.cells import (
+from smooth_operator.benchmark.cells import (
     Cell,
     Choice,
     Settings,
@@ -25,12 +20,17 @@ from smooth_operator.lab.benchmark.cells import (
     method_label,
     select_methods,
 )
-from smooth_operator.lab.benchmark.recordings import SYNTHETIC_SECONDS, Source
-from smooth_operator.lab.offline import built_for
+from smooth_operator.benchmark.recordings import SYNTHETIC_SECONDS, Source
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics import consistency, joints
 from smooth_operator.metrics.accuracy import cosine_similarity
 from smooth_operator.metrics.trace import Trace
+from smooth_operator.offline import built_for
 from smooth_operator.planning import Plan
 from smooth_operator.result_cache import Job
 from smooth_operator.synthetic.tracker import TrackerModel, TrackerStream

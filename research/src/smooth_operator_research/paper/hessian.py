@@ -10,8 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.lab.offline.finished import digest
 from smooth_operator.objective.terms import FrameGoal
+from smooth_operator.offline.finished import digest
 from smooth_operator.reporting.drawing import INK
 from smooth_operator.result_cache import Job
 from smooth_operator_research.paper.compared_solvers import Newton, Rmsprop, Slsqp

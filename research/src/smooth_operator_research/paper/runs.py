@@ -20,14 +20,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from smooth_operator.benchmark.quality import Watch
+from smooth_operator.benchmark.recordings import Source
 from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.lab.benchmark.quality import Watch
-from smooth_operator.lab.benchmark.recordings import Source
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
 from smooth_operator.objective.published import ObjectiveConfig

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from smooth_operator.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.errors import RecordingError, UnknownNameError
-from smooth_operator.lab.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.reporting.drawing import styled
 from smooth_operator.result_cache import Note, no_note
 from smooth_operator_research.paper.experiment import (
@@ -36,7 +36,7 @@ class Settings:
     Attributes:
         output: folder of the results.
         experiments: names.
-        recordings: as ``lab.benchmark.recordings`` takes them; the built-in operator
+        recordings: as ``benchmark.recordings`` takes them; the built-in operator
             where there are none.
         hand: name of the robot hand.
         frames: ``A:B`` of each recording that brings no range.

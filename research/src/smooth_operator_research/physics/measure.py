@@ -17,16 +17,16 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 from jaxtyping import Float
 
+from smooth_operator.benchmark.cells import ALL, method_label, select_hands, select_methods
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.human.known_gaps import known_gaps
-from smooth_operator.lab.benchmark.cells import ALL, method_label, select_hands, select_methods
-from smooth_operator.lab.offline import built_for, execute
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.trajectory import TrajectoryMethodConfig
+from smooth_operator.offline import built_for, execute
 from smooth_operator.planning import Plan
 from smooth_operator.synthetic.tracker import TRACKERS, tracker_model
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
@@ -41,7 +41,7 @@ class PhysicsSettings:
         output: folder of the results.
         measures: names of measures; see ``physics.suite``.
         hands: names of robot hands.
-        methods: names as ``lab.benchmark.settings.select_methods`` takes them.
+        methods: names as ``benchmark.settings.select_methods`` takes them.
         side: which hand, of measures that need no recording.
         recordings: files, folders, or ``synthetic``, for measures that need some; empty for
             those that a measure takes by itself.

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.benchmark.figures import Panel, Run, make_clip, robot_landmarks
+from smooth_operator.benchmark.page.report import facts_table, header, player
+from smooth_operator.benchmark.suite import PLOTS, REPORT
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.lab.benchmark.figures import Panel, Run, make_clip, robot_landmarks
-from smooth_operator.lab.benchmark.page.report import facts_table, header, player
-from smooth_operator.lab.benchmark.suite import PLOTS, REPORT
 from smooth_operator.planning import PROGRAM
 from smooth_operator.reporting.drawing import colors_of, styled
 from smooth_operator.reporting.report_page import (
@@ -144,7 +144,7 @@ def write_report(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) 
     sections.append(("Environment", "environment", environs))
     count = sum(len(outcome.results.rows) for outcome in outcomes)
     summary = f"{count} cases" + (f", {len(failed)} of them failed" if failed else "")
-    here = files("smooth_operator.lab.benchmark.page")
+    here = files("smooth_operator.benchmark.page")
     return write_report_page(
         settings.output / REPORT,
         "What the hand achieves",

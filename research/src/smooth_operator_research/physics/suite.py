@@ -9,17 +9,17 @@ from importlib.util import find_spec
 from typing import Any, Final
 
 from smooth_operator.atomic_files import write_json
-from smooth_operator.errors import UnknownNameError
-from smooth_operator.formats.environment import environment
-from smooth_operator.lab.benchmark.cells import (
+from smooth_operator.benchmark.cells import (
     benchmark_code,
     files_of,
     hand_identity,
     outside_code,
     select_methods,
 )
-from smooth_operator.lab.benchmark.suite import CONFIG, Track, check_folder, silent
-from smooth_operator.lab.offline.finished import digest
+from smooth_operator.benchmark.suite import CONFIG, Track, check_folder, silent
+from smooth_operator.errors import UnknownNameError
+from smooth_operator.formats.environment import environment
+from smooth_operator.offline.finished import digest
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import (

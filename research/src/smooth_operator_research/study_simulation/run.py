@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.benchmark.cells import benchmark_code
 from smooth_operator.errors import HandModelError, StudyError, UnknownNameError
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.human.known_gaps import known_gaps
-from smooth_operator.lab.benchmark.cells import benchmark_code
 from smooth_operator.methods.presets import method_config
 from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.methods.trajectory import TrajectoryMethodConfig

@@ -1,0 +1,435 @@
+"""GeoRT: fingertips to joint positions by trained networks (Yin et al., "Geometric Retargeting").
+
+This module has the method and the file of its networks; ``training`` beside it trains
+them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, Final, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import nn
+from jaxtyping import Array, Float, UInt32
+
+from smooth_operator.atomic_files import atomic_write
+from smooth_operator.errors import ConfigError, HandModelError, RecordingError, brief
+from smooth_operator.formats.arrays import StoredArrays, open_arrays
+from smooth_operator.formats.jsonable import to_json
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.io.documents import parse_json
+from smooth_operator.landmarks import FINGERS, TIPS, WRIST
+from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
+from smooth_operator.objective.published import ObjectiveConfig, PlainTargets
+from smooth_operator.objective.sampled import SampledObjective
+from smooth_operator.objective.terms import FrameGoal
+from smooth_operator.types import as_side
+
+_MODELS: Final = Path(__file__).parent / "models"
+
+
+@dataclass(frozen=True)
+class GeortConfig(MethodConfig):
+    """Settings of GeoRT.
+
+    Attributes:
+        alignment: alignment of human landmarks to the palm frame; as in training.
+        model: a file of ``write_geort_model``; None for the built-in model of the hand.
+    """
+
+    shareable: ClassVar[bool] = False  # the file of a model may change, and has one side
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    model: Path | None = None
+
+    def build(self, hand: Hand) -> Geort:
+        """The method for one hand.
+
+        Raises:
+            ConfigError: there is no built-in model for the hand, the file can't be read, or its
+                model is for another hand.
+        """
+        path = built_in_model(hand.name) if self.model is None else Path(self.model)
+        if path is None:
+            names_built_in = ", ".join(
+                sorted(file.stem.removeprefix("geort_") for file in _built_in())
+            )
+            raise ConfigError(
+                f"there is no built-in GeoRT model for hand {hand.name!r} (there is one for: "
+                f"{names_built_in or 'none'}); train one: {training_command(hand)}"
+            )
+        model = read_geort_model(path)
+        return Geort(hand, self, model, model.mirrored_for(hand))
+
+    def with_file(self, path: Path) -> GeortConfig:
+        """The configuration with another model."""
+        return replace(self, model=path)
+
+
+def built_in_model(hand: str) -> Path | None:
+    """File of the built-in model for a hand, by its name; None if there is none."""
+    path = _MODELS / f"geort_{hand}.npz"
+    return path if path in _built_in() else None
+
+
+def _built_in() -> list[Path]:
+    return sorted(_MODELS.glob("geort_*.npz"))
+
+
+class GeortState(NamedTuple):
+    """Empty state: GeoRT is a map from fingertips to joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class Geort(Method):
+    """GeoRT for one hand.
+
+    Attributes:
+        hand: the robot hand.
+        config: its settings.
+        model: the networks.
+        mirrored: True if the hand is the mirror image of the hand in training. The inputs are then
+            reflected at x = 0 of the palm frame.
+    """
+
+    hand: Hand
+    config: GeortConfig
+    model: GeortModel
+    mirrored: bool
+
+    @cached_property
+    def objective(self) -> SampledObjective:
+        """Eq. (1) without latches, which gives the tracking loss."""
+        return SampledObjective(self.hand, ObjectiveConfig(targets=PlainTargets()))
+
+    @property
+    def needs(self) -> tuple[int, ...]:
+        """Fingertips, and the wrist for the tracking loss."""
+        return (WRIST, *human_tips(self.hand))
+
+    @property
+    def constants(self) -> Any:
+        """The networks, as read."""
+        return self.model.weights, self.model.centre, self.model.scale, self.mirrored
+
+    def init(self, seed: int) -> GeortState:
+        """Empty state; the seed is not used."""
+        del seed
+        return GeortState()
+
+    def step(
+        self, state: GeortState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
+    ) -> tuple[GeortState, MethodOutput]:
+        """One frame."""
+        del ticks
+        layout, model = self.objective.layout, self.model
+        tips = aligned[np.array(human_tips(self.hand))]
+        flip = np.array([-1.0 if self.mirrored else 1.0, 1.0, 1.0])
+        centre, scale = model.centre * flip, model.scale[:, None]
+        inputs = ((tips - centre) / scale * flip).astype(jnp.float32)
+        unit = forward(model.weights, inputs)
+        q = jnp.asarray(self.hand.neutral, jnp.float32)
+        fingers, outputs, joints = self._wiring
+        low, high = self.hand.limits[joints].T.astype(np.float32)
+        q = q.at[joints].set((low + high) / 2 + (high - low) / 2 * unit[fingers, outputs])
+
+        human = layout.human(aligned)
+        weights = jnp.ones(len(layout.vectors), human.dtype)
+        goal = FrameGoal(human, weights, q, 0.0)
+        return state, MethodOutput(q, self.objective.tracking(list(q), goal))
+
+    @cached_property
+    def _wiring(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(finger, output of its network, actuated joint), one column each."""
+        columns = [
+            (finger, output, joint)
+            for finger, joints in enumerate(finger_joints(self.hand))
+            for output, joint in enumerate(joints)
+        ]
+        fingers, outputs, joints = np.array(columns).T
+        return fingers, outputs, joints
+
+
+GEORT_PRESETS: Final = {"default": GeortConfig()}
+
+
+FORMAT: Final = "smooth-operator geort"
+VERSION: Final = 1
+HIDDEN: Final = 128
+"""Width of both hidden layers, as published."""
+
+_POSES: Final = 8  # random poses by which a hand is recognised
+_SAME_PLACE: Final = 1e-5  # [m]; a tip that is further off belongs to another hand
+_SAME_ANGLE: Final = 1e-5  # [rad]
+_MIRROR: Final = np.array([-1.0, 1.0, 1.0])  # the mirrored side's palm frame
+
+
+class Weights(NamedTuple):
+    """Weights of F networks side by side: 3 inputs, two hidden layers, J outputs.
+
+    A finger of fewer than J joints leaves its last outputs unused.
+    """
+
+    w1: Float[Array, "F 3 H"]
+    b1: Float[Array, "F H"]
+    w2: Float[Array, "F H H"]
+    b2: Float[Array, "F H"]
+    w3: Float[Array, "F H J"]
+    b3: Float[Array, "F J"]
+
+
+def forward(weights: Weights, inputs: Float[Array, "F 3 *batch"]) -> Float[Array, "F J *batch"]:
+    """Outputs of the networks for normalised fingertips: joint positions scaled so that the limits
+    are -1 and 1. The hidden layers are smooth (SiLU), because the robot would follow each kink of
+    the map."""
+
+    def layer(w: Array, b: Array, x: Array) -> Array:
+        bias = b.reshape(*b.shape, *[1] * (x.ndim - 2))
+        return jnp.einsum("fio,fi...->fo...", w, x) + bias
+
+    hidden = nn.silu(layer(weights.w1, weights.b1, inputs))
+    hidden = nn.silu(layer(weights.w2, weights.b2, hidden))
+    return jnp.tanh(layer(weights.w3, weights.b3, hidden))
+
+
+def human_tips(hand: Hand) -> tuple[int, ...]:
+    """Human landmarks that drive the hand's fingertips, thumb first."""
+    return tuple(TIPS[FINGERS.index(finger)] for finger in hand.fingers)
+
+
+def finger_joints(hand: Hand) -> tuple[tuple[int, ...], ...]:
+    """Actuated joints that belong to a single finger.
+
+    A joint belongs to a finger if it moves, directly or through a coupling, that fingertip and no
+    other. A joint that moves several (a wrist, a common spread) has no network; it stays in the
+    hand's neutral pose.
+
+    Returns:
+        indices into the actuated joints, per finger, thumb first.
+
+    Raises:
+        HandModelError: a finger has no joint of its own.
+    """
+    matrix = hand.coupling_matrix
+    moves = np.zeros((len(hand.fingers), len(hand.actuated)), bool)
+    for row, name in zip(moves, hand.tip_names, strict=True):
+        at = hand.tree.keypoints[name].joint
+        while at >= 0:
+            row |= matrix[hand.tree.joints[at].source] != 0
+            at = hand.tree.joints[at].parent
+    own = moves & (moves.sum(axis=0) == 1)
+    for finger, row in zip(hand.fingers, own, strict=True):
+        if not row.any():
+            raise HandModelError(
+                f"GeoRT can't serve hand {hand.name!r}: no joint moves its {finger} tip alone, and "
+                "each finger has its own network; use another method, such as sbr"
+            )
+    return tuple(tuple(int(i) for i in np.flatnonzero(row)) for row in own)
+
+
+@dataclass(frozen=True, eq=False)
+class GeortModel:
+    """Trained networks, and the hand that they are for.
+
+    Attributes:
+        weights: weights of the networks, float32.
+        centre: (F, 3) centre of each fingertip [m]; the input of a network is (p - centre) / scale.
+        scale: (F,) scale of each fingertip [m].
+        hand: name of the hand.
+        side: side of the hand.
+        fingers: (F,) human finger names, thumb first.
+        joints: per finger, names of the joints that its network commands.
+        limits: per finger, (j, 2) limits of those joints [rad].
+        poses: (k, m) positions of all actuated joints [rad] by which the hand is recognised.
+        tips: (k, F, 3) fingertips in those poses [m].
+        training: settings and results of the training, ready for JSON.
+    """
+
+    weights: Weights
+    centre: Float[np.ndarray, "F 3"]
+    scale: Float[np.ndarray, " F"]
+    hand: str
+    side: str
+    fingers: tuple[str, ...]
+    joints: tuple[tuple[str, ...], ...]
+    limits: tuple[Float[np.ndarray, "j 2"], ...]
+    poses: Float[np.ndarray, "k m"]
+    tips: Float[np.ndarray, "k F 3"]
+    training: Mapping[str, Any]
+
+    def mirrored_for(self, hand: Hand) -> bool:
+        """True if the hand is the mirror image of the hand in training, False if it is that hand.
+
+        Raises:
+            ConfigError: the hand is neither; the message names the difference.
+        """
+        train = f"; train one for it: {training_command(hand)}"
+        about = f"the GeoRT model was trained for the {self.side} hand {self.hand!r}"
+        if hand.fingers != self.fingers:
+            raise ConfigError(
+                f"{about} with the fingers {self.fingers}, but {hand.name!r} has {hand.fingers}"
+                f"{train}"
+            )
+        own = finger_joints(hand)
+        names = tuple(tuple(hand.actuated_names[j] for j in joints) for joints in own)
+        for finger, expected, driven in zip(self.fingers, self.joints, names, strict=True):
+            if expected != driven:
+                raise ConfigError(
+                    f"{about}, whose {finger} has the joints {expected}, but that of {hand.name!r} "
+                    f"has {driven}{train}"
+                )
+        for finger, limits, joints in zip(self.fingers, self.limits, own, strict=True):
+            if np.abs(limits - hand.limits[list(joints)]).max() > _SAME_ANGLE:
+                raise ConfigError(
+                    f"{about}, whose {finger} joints have the limits {limits.tolist()}, but those "
+                    f"of {hand.name!r} are {hand.limits[list(joints)].tolist()} [rad]{train}"
+                )
+        if self.poses.shape[1] != len(hand.actuated):
+            raise ConfigError(
+                f"{about} with {self.poses.shape[1]} actuated joints, but {hand.name!r} has "
+                f"{len(hand.actuated)}{train}"
+            )
+        mirrored = self.side != hand.spec.side
+        tips = hand.tips(hand.full_configuration(self.poses))
+        expected_tips = self.tips * _MIRROR if mirrored else self.tips
+        away = float(np.abs(tips - expected_tips).max())
+        if away > _SAME_PLACE:
+            image = "the mirror image of " if mirrored else ""
+            raise ConfigError(
+                f"{about}; the {hand.spec.side} hand {hand.name!r} is not {image}it: at the same "
+                f"joint positions its fingertips are up to {away * 1e3:.3g} mm off{train}"
+            )
+        return mirrored
+
+
+def training_command(hand: Hand) -> str:
+    """The command that trains a model for a hand."""
+    return (
+        f"smooth-operator train geort RECORDING --hand {hand.name} --side {hand.spec.side} "
+        "--output DIR"
+    )
+
+
+def recognition(hand: Hand) -> tuple[Float[np.ndarray, "k m"], Float[np.ndarray, "k F 3"]]:
+    """The ``poses`` and ``tips`` of a model for a hand."""
+    low, high = hand.limits.T
+    poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
+    return poses, hand.tips(hand.full_configuration(poses))
+
+
+def write_geort_model(path: str | Path, model: GeortModel) -> None:
+    """Write a model atomically, as an ``.npz`` of plain arrays.
+
+    Raises:
+        OutputError: the file can't be written.
+    """
+    about = {
+        "format": FORMAT,
+        "version": VERSION,
+        "hand": model.hand,
+        "side": model.side,
+        "fingers": model.fingers,
+        "joints": model.joints,
+        "limits": model.limits,
+        "training": model.training,
+    }
+    arrays = {name: np.asarray(w, np.float32) for name, w in model.weights._asdict().items()}
+    with atomic_write(path) as file:
+        np.savez_compressed(
+            file,
+            allow_pickle=False,
+            about=np.array(to_json(about)),
+            centre=np.asarray(model.centre, np.float64),
+            scale=np.asarray(model.scale, np.float64),
+            poses=np.asarray(model.poses, np.float64),
+            tips=np.asarray(model.tips, np.float64),
+            **arrays,
+        )
+
+
+def read_geort_model(path: str | Path) -> GeortModel:
+    """Read a model that ``write_geort_model`` wrote, without unpickling.
+
+    Raises:
+        ConfigError: there is no such file, it is damaged, or it is no model.
+    """
+    path = Path(path)
+    expectation = "expected the model.npz that `smooth-operator train geort` writes"
+    if not path.is_file():
+        raise ConfigError(f"{path}: there is no such GeoRT model; {expectation}")
+    try:
+        return _read(open_arrays(path))
+    except (RecordingError, KeyError, TypeError, ValueError) as error:
+        what = f"it has no {error}" if isinstance(error, KeyError) else str(error)[:300]
+        what = what.removeprefix(f"{path}: ")
+        raise ConfigError(f"{path}: not a GeoRT model ({what}); {expectation}") from error
+
+
+def _read(arrays: StoredArrays) -> GeortModel:
+    about = parse_json(arrays["about"].text())
+    if not isinstance(about, dict):
+        raise ValueError(f"its description is no object, but {brief(about)}")
+    if about["format"] != FORMAT or about["version"] != VERSION:
+        raise ValueError(
+            f"format {brief(about['format'])} version {brief(about['version'])}, not {FORMAT!r} "
+            f"{VERSION}"
+        )
+    named = _words(about["fingers"], "fingers")
+    if not isinstance(about["joints"], list) or not isinstance(about["training"], dict):
+        raise ValueError("its joints must be a list for each finger, its training an object")
+    joints = tuple(_words(names, "joints") for names in about["joints"])
+    if len(named) != len(joints) or not joints:
+        raise ValueError(f"it has {len(named)} fingers, but the joints of {len(joints)}")
+    fingers, outputs = len(named), max(map(len, joints))
+    if len(arrays["w2"].shape) != 3:
+        raise ValueError(f"w2 must have three axes, not the shape {arrays['w2'].shape}")
+    hidden = arrays["w2"].shape[-1]
+    poses = arrays["poses"].numbers()
+    if poses.ndim != 2 or not np.isfinite(poses).all():
+        raise ValueError(f"poses must be finite and of two axes, not of shape {poses.shape}")
+    shapes = {
+        "w1": (fingers, 3, hidden),
+        "b1": (fingers, hidden),
+        "w2": (fingers, hidden, hidden),
+        "b2": (fingers, hidden),
+        "w3": (fingers, hidden, outputs),
+        "b3": (fingers, outputs),
+        "centre": (fingers, 3),
+        "scale": (fingers,),
+        "tips": (len(poses), fingers, 3),
+    }
+    values = {}
+    for name, shape in shapes.items():
+        values[name] = value = arrays[name].numbers()
+        if value.shape != shape or not np.isfinite(value).all():
+            raise ValueError(f"{name} must be finite and of shape {shape}, it is {value.shape}")
+    limits = tuple(np.asarray(pairs, float).reshape(-1, 2) for pairs in about["limits"])
+    if [len(names) for names in joints] != [len(pairs) for pairs in limits]:
+        raise ValueError("joints and limits do not fit each other")
+    if not all(np.isfinite(pairs).all() for pairs in limits):
+        raise ValueError("its limits must be finite numbers")
+    return GeortModel(
+        Weights(*(jnp.asarray(values[name], jnp.float32) for name in Weights._fields)),
+        values["centre"],
+        values["scale"],
+        str(about["hand"]),
+        as_side(about["side"]),
+        named,
+        joints,
+        limits,
+        poses,
+        values["tips"],
+        about["training"],
+    )
+
+
+def _words(value: Any, what: str) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
+        raise ValueError(f"its {what} must be a list of names, not {brief(value)}")
+    return tuple(value)

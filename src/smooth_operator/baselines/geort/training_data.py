@@ -1,0 +1,314 @@
+"""Settings and data of GeoRT's training: points, pinches, reachable fingertips, operators."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from smooth_operator.baselines.geort.method import finger_joints, human_tips
+from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.synthetic.operator import SyntheticOperator
+from smooth_operator.types import HandRecording, Side
+
+VOXEL: Final = 1e-3
+"""Size of the cells that keep one point each, for the losses without pairs [m]."""
+STEP_RANGE: Final = (1e-3, 11e-3)
+"""Lengths of the human steps whose direction the robot's are to keep [m]."""
+BEND: Final = 2e-3
+"""Half the length of the straight path whose bend is the curvature [m]."""
+
+
+@dataclass(frozen=True)
+class GeortTraining:
+    """Settings of GeoRT's training.
+
+    Losses, the networks' sizes and the weights of direction, coverage and curvature are published
+    (Yin et al., "Geometric Retargeting"). Named departures, so that two CPU cores finish in minutes
+    and end in a useful optimum:
+
+    - the networks have SiLU between their layers and no normalisation; published are LeakyReLU and
+      batch normalisation. SiLU has no kink that the robot would follow;
+    - steps are many and small: a batch of 512 instead of 2048, and a learning rate that rises to
+      3e-3 and falls along a cosine, instead of 1e-4 held;
+    - ``ramp``: coverage sets in slowly. From the first step on, it pulls random networks on to the
+      robot's reach in any order, and direction can't undo the tangle;
+    - ``margin``: the robot is to cover what the operator does, not all that it can reach;
+    - ``surround``: direction is also kept around the points, where another operator's may be;
+    - ``pinch``: published without a scale; 200 /m^2 makes a gap of 10 mm cost 0.02;
+    - curvature is relative to the length of the path, where its square in metres would be nothing.
+
+    Attributes:
+        epochs: passes over the points.
+        batch: points per finger in a step.
+        reach: reachable robot fingertips that a batch is compared with.
+        learning_rate: highest learning rate of AdamW.
+        weight_decay: weight decay of AdamW.
+        direction: weight of the motion's direction.
+        coverage: weight of the Chamfer distance to the robot's reachable fingertips [1/m^2].
+        curvature: weight of the bend of straight paths.
+        pinch: weight of the squared distance of the robot's tips while the human pinches [1/m^2].
+        pinch_distance: human thumb tip to fingertip distance, after alignment, below which it is a
+            pinch [m].
+        margin: only those reachable fingertips count for coverage that are at most this far from
+            where some aligned human fingertip was [m]; None for all of them, as published.
+        surround: standard deviation of the displacement from recorded points to those where
+            direction and curvature are asked for [m]; 0 for the points themselves, as published.
+        ramp: share of the epochs over which the weight of coverage rises to its full value; 0 for
+            none, as published.
+        validation: share of each recording, its end, that is kept out of training.
+        seed: seed of all random numbers.
+        alignment: alignment of human landmarks to the palm frame.
+    """
+
+    epochs: int = 120
+    batch: int = 512
+    reach: int = 512
+    learning_rate: float = 3e-3
+    weight_decay: float = 1e-2
+    direction: float = 1.0
+    coverage: float = 80.0
+    curvature: float = 0.1
+    pinch: float = 200.0
+    pinch_distance: float = 0.015
+    margin: float | None = 0.01
+    surround: float = 0.01
+    ramp: float = 0.4
+    validation: float = 0.1
+    seed: int = 0
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+
+    def __post_init__(self) -> None:
+        for name, least in (("epochs", 1), ("batch", 1), ("reach", 1), ("seed", 0)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < least:
+                raise ConfigError(f"{name} must be a whole number from {least} on, not {value!r}")
+        for name in ("weight_decay", "direction", "coverage", "curvature", "pinch", "surround"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ConfigError(f"{name} must be finite and not negative, not {value!r}")
+        for name, most in (("learning_rate", 1.0), ("pinch_distance", 0.1)):
+            value = getattr(self, name)
+            if not 0 < value <= most:
+                raise ConfigError(f"{name} must be above 0 and at most {most:g}, not {value!r}")
+        if self.margin is not None and not 0 < self.margin <= 1:
+            raise ConfigError(
+                f"margin must be above 0 and at most 1 m, or None for the whole reach, not "
+                f"{self.margin!r}"
+            )
+        for name in ("ramp", "validation"):
+            value = getattr(self, name)
+            if not 0 <= value < 1:
+                raise ConfigError(f"{name} must be a share from 0 to below 1, not {value!r}")
+
+
+REACH_POSES: Final = 65_536
+"""Random poses of the robot whose fingertips are its reach."""
+FEWEST_POINTS: Final = 50
+"""Fewer occupied cells than this is a hand that hardly moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointSet:
+    """Human fingertips in the palm frame.
+
+    Attributes:
+        points: (F, 3, N) points of each finger, one per occupied cell, without pairing [m]; a
+            finger's row is filled up with its first point.
+        counts: (F,) how many of the N are its own.
+        pinches: (F, 3, P) fingertips of frames in which the human pinches, of one moment each [m].
+        pinched: (F - 1, P) which fingers pinch with the thumb there.
+    """
+
+    points: Float[np.ndarray, "F 3 N"]
+    counts: Int[np.ndarray, " F"]
+    pinches: Float[np.ndarray, "F 3 P"]
+    pinched: Bool[np.ndarray, "f P"]
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """All that the training sees.
+
+    Attributes:
+        train: frames of training.
+        validation: frames of validation; None without any.
+        reach: (F, 3, R) robot fingertips that are to be covered, of random poses [m].
+        sources: names of the recordings, and of those kept apart whole.
+        frames: numbers of usable frames of training and validation.
+    """
+
+    train: PointSet
+    validation: PointSet | None
+    reach: Float[np.ndarray, "F 3 R"]
+    sources: dict[str, list[str]]
+    frames: dict[str, int]
+
+    @property
+    def digest(self) -> str:
+        """Identifies this data; a resumed training must have the same."""
+        digest = hashlib.sha256()
+        for part in (self.train, self.validation):
+            if part is not None:
+                for array in (part.points, part.counts, part.pinches, part.pinched):
+                    digest.update(repr(array.shape).encode())
+                    digest.update(np.ascontiguousarray(array).tobytes())
+        digest.update(np.ascontiguousarray(self.reach).tobytes())
+        return digest.hexdigest()
+
+
+def training_data(
+    recordings: Sequence[HandRecording],
+    hand: Hand,
+    settings: GeortTraining,
+    held_out: Sequence[HandRecording] = (),
+) -> TrainingData:
+    """Aligns, thins and splits.
+
+    Args:
+        recordings: recordings of the model's users, of the hand's side.
+        settings: ``alignment``, ``validation``, ``pinch_distance``, ``margin`` and ``seed`` count
+            here.
+        held_out: recordings for validation alone; without them the end of each recording is kept
+            apart.
+
+    Raises:
+        RecordingError: there is no recording, one is of the other hand, or a finger hardly moves.
+    """
+    if not recordings:
+        raise RecordingError("training needs one recording at least")
+    sets, apart = [], []
+    for recording in recordings:
+        tips = _tips(recording, hand, settings.alignment)
+        at = len(tips) if held_out else round(len(tips) * (1 - settings.validation))
+        sets.append(tips[:at])
+        apart.append(tips[at:])
+    apart += [_tips(recording, hand, settings.alignment) for recording in held_out]
+    train, validation = np.concatenate(sets), np.concatenate(apart)
+    names = {
+        "train": [recording.name for recording in recordings],
+        "validation": [recording.name for recording in held_out],
+    }
+    points = _point_set(train, settings.pinch_distance)
+    few = [f for f, n in zip(hand.fingers, points.counts, strict=True) if n < FEWEST_POINTS]
+    if few:
+        raise RecordingError(
+            f"{', '.join(names['train'])}: the tips of {', '.join(few)} hardly move: they visit "
+            f"{points.counts.tolist()} cells of {VOXEL * 1e3:g} mm (fingers {hand.fingers}), "
+            f"expected {FEWEST_POINTS} at least; record a hand that opens, closes, spreads and "
+            "pinches for half a minute"
+        )
+    held = _point_set(validation, settings.pinch_distance)
+    return TrainingData(
+        points,
+        held if held.counts.min() > 0 else None,
+        _reach(hand, settings.seed, points, settings.margin),
+        names,
+        {"train": _count_finite(train), "validation": _count_finite(validation)},
+    )
+
+
+def _tips(
+    recording: HandRecording, hand: Hand, alignment: AlignmentConfig
+) -> Float[np.ndarray, "T F 3"]:
+    if recording.side != hand.spec.side:
+        raise RecordingError(
+            f"{recording.name}: it is of a {recording.side} hand, but {hand.name!r} is a "
+            f"{hand.spec.side} one; load that side of the robot"
+        )
+    return align_recording(recording, hand, alignment)[:, list(human_tips(hand))]
+
+
+def _count_finite(tips: Float[np.ndarray, "T F 3"]) -> int:
+    return int(np.isfinite(tips).all(axis=-1).any(axis=-1).sum())
+
+
+def _point_set(tips: Float[np.ndarray, "T F 3"], distance: float) -> PointSet:
+    fingers = []
+    for finger in np.moveaxis(tips, 1, 0):
+        finite = finger[np.isfinite(finger).all(axis=-1)]
+        _, first = np.unique(np.floor(finite / VOXEL).astype(int), axis=0, return_index=True)
+        fingers.append(finite[np.sort(first)])
+    counts = np.array([len(points) for points in fingers])
+    points = np.zeros((len(fingers), 3, max(int(counts.max()), 1)))
+    for row, own in zip(points, fingers, strict=True):
+        if len(own):
+            row[:] = own[:1].T
+            row[:, : len(own)] = own.T
+    gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
+    pinched = gaps < distance  # NaN compares as False
+    at = np.flatnonzero(pinched.any(axis=-1))
+    together = np.moveaxis(tips[at], 0, -1)
+    # a tip that was not seen takes part in no pinch, but its network is asked anyway
+    together = np.where(np.isfinite(together), together, points[:, :, :1])
+    return PointSet(
+        points.astype(np.float32), counts, together.astype(np.float32), pinched[at].T.copy()
+    )
+
+
+def _reach(
+    hand: Hand, seed: int, human: PointSet, margin: float | None
+) -> Float[np.ndarray, "F 3 R"]:
+    """Tips of poses uniform in the joints that the networks command; the others stay neutral.
+
+    With a margin, those near to where the human's were, drawn again up to the same number.
+    """
+    rng = np.random.default_rng([seed, 0x9E])
+    low, high = hand.limits.T
+    drawn = rng.uniform(low, high, (REACH_POSES, len(low)))
+    own = [joint for joints in finger_joints(hand) for joint in joints]
+    q = np.broadcast_to(hand.neutral, drawn.shape).copy()
+    q[:, own] = drawn[:, own]
+    tips = np.moveaxis(hand.tips(hand.full_configuration(q)), 0, -1)
+    if margin is not None:
+        for finger, reachable in enumerate(tips):
+            visited = human.points[finger, :, : human.counts[finger]].T
+            away, _ = cKDTree(visited).query(reachable.T)
+            near = np.flatnonzero(away <= margin)
+            if len(near) < FEWEST_POINTS:  # an operator far from all that the robot reaches
+                near = np.argsort(away)[:FEWEST_POINTS]
+            tips[finger] = reachable[:, rng.choice(near, REACH_POSES)]
+    return np.ascontiguousarray(tips, np.float32)
+
+
+FIRST_SEED: Final = 9000
+"""Operators of this seed and above are for training; judge a model on others."""
+TRAINING_OPERATORS: Final = 12
+HELD_OUT_OPERATORS: Final = 2
+DURATION_S: Final = 40.0
+"""About two rounds of all gestures."""
+RATE_HZ: Final = 50.0
+_LENGTHS: Final = (0.165, 0.205)  # hands of most adults [m]
+
+
+def synthetic_recordings(
+    side: Side, seed: int = 0
+) -> tuple[list[HandRecording], list[HandRecording]]:
+    """Recordings of several people with hands of several sizes.
+
+    Returns:
+        ``TRAINING_OPERATORS`` recordings to train on, and ``HELD_OUT_OPERATORS`` of other
+        people to validate on; their names hold the seeds.
+    """
+    count = TRAINING_OPERATORS + HELD_OUT_OPERATORS
+    low, high = _LENGTHS
+    recordings = [
+        SyntheticOperator(
+            seed=FIRST_SEED + count * seed + i,
+            side=side,
+            # every size among those trained on, and the held-out ones in between
+            hand_length=low + (high - low) * (i % TRAINING_OPERATORS + 0.5) / TRAINING_OPERATORS,
+            rate_hz=RATE_HZ,
+        ).record(DURATION_S)
+        for i in range(count)
+    ]
+    return recordings[:TRAINING_OPERATORS], recordings[TRAINING_OPERATORS:]

@@ -1,0 +1,16 @@
+"""Benchmarks: recordings x hands x methods into one table of results, plots and a report.
+
+``plan_cells`` looks everything up, ``run_suite`` measures, ``make_rows`` makes the rows
+of ``results.json``, ``compare`` compares an earlier one with them, and
+``smooth_operator.benchmark.page`` writes the report. Nothing here prints.
+"""
+
+from smooth_operator.benchmark.cells import Settings as Settings
+from smooth_operator.benchmark.ranking import Comparison as Comparison
+from smooth_operator.benchmark.ranking import compare as compare
+from smooth_operator.benchmark.suite import Finished as Finished
+from smooth_operator.benchmark.suite import Row as Row
+from smooth_operator.benchmark.suite import make_rows as make_rows
+from smooth_operator.benchmark.suite import plan_cells as plan_cells
+from smooth_operator.benchmark.suite import read_results as read_results
+from smooth_operator.benchmark.suite import run_suite as run_suite

@@ -1,0 +1,311 @@
+"""Settings of a benchmark, and its cells: one recording, one hand, one method with one preset."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from smooth_operator.atomic_files import file_name
+from smooth_operator.benchmark.recordings import Source
+from smooth_operator.calibration.operator_file import OperatorProfile
+from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
+from smooth_operator.formats.jsonable import to_json
+from smooth_operator.hands.registry import hand_names, known_hands, load_hand
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.presets import PRESETS, loadable_presets, method_config
+from smooth_operator.methods.registry import METHODS
+from smooth_operator.metrics.table import Definition, plugin_metrics
+from smooth_operator.offline.finished import digest
+from smooth_operator.planning import Plan
+from smooth_operator.plugins import is_target
+from smooth_operator.result_cache import code_digest, key_digest
+from smooth_operator.result_cache import outside_code as outside_code
+from smooth_operator.types import Side
+
+ALL: Final = "all"
+LATENCY_FRAMES: Final = 500
+"""Frames of each recording that latency is measured over, after the warm-up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Settings of a benchmark.
+
+    Attributes:
+        output: folder of the results.
+        recordings: files, folders, or ``synthetic``; see ``benchmark.recordings``.
+        hands: names of robot hands.
+        methods: names as ``select_methods`` takes them.
+        frames: ``A:B``, of each recording that brings no range.
+        rate: frames a second of recordings without stamps [Hz].
+        layout: order of the landmarks in plain arrays; None for the project's own.
+        side: side of recordings that do not say theirs.
+        seed: seed of the methods' random numbers.
+        definition: definition of the metrics.
+        metrics: ``package.module:attribute`` of further metrics, besides those of plugins.
+        latency_frames: frames to measure latency over; 0 measures none.
+        workers: processes for the quality of cells; None for one per core, 0 for none.
+        cluster: address of a Ray cluster instead of processes on this machine.
+        fingers: robot finger -> human finger that drives it; None for all fingers of each hand.
+        operator: the calibrated operator of the recordings; None for none.
+
+    Raises:
+        ConfigError: a number is negative.
+        UnknownNameError: there is no such hand, method, preset or metric.
+    """
+
+    output: Path
+    recordings: tuple[str, ...] = ("synthetic",)
+    hands: tuple[str, ...] = ("mimic_p050",)
+    methods: tuple[str, ...] = (ALL,)
+    frames: str | None = None
+    rate: float | None = None
+    layout: str | None = None
+    side: Side | None = None
+    seed: int = 0
+    definition: Definition = "sound"
+    metrics: tuple[str, ...] = ()
+    latency_frames: int = LATENCY_FRAMES
+    workers: int | None = None
+    cluster: str | None = None
+    fingers: Mapping[str, str] | None = None
+    operator: OperatorProfile | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("latency_frames", "workers"):
+            value = getattr(self, name)
+            if value is not None and value < 0:
+                raise ConfigError(f"{name} must be 0 or more, not {value}")
+        object.__setattr__(self, "hands", select_hands(self.hands))
+        select_methods(self.methods)
+
+
+def only_side(hands: tuple[str, ...]) -> Side | None:
+    """``left`` if all these hands are left ones only, None otherwise.
+
+    Args:
+        hands: names; of one that is not known, ``select_hands`` says so.
+    """
+    catalogue = known_hands()
+    sides = {catalogue[name].default_side for name in select_hands(hands) if name in catalogue}
+    return "left" if sides == {"left"} else None
+
+
+def select_hands(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of hands, ``all`` spelt out and repeats left out.
+
+    Raises:
+        UnknownNameError: there is no such hand.
+        ConfigError: there is no name at all.
+    """
+    chosen: dict[str, None] = {}
+    for name in names:
+        if name == ALL:
+            chosen |= dict.fromkeys(hand_names())
+            continue
+        try:
+            load_hand(name)
+        except UnknownNameError:
+            raise
+        except SmoothOperatorError:
+            pass  # known, but of the other side only, or damaged: its cells say so
+        chosen[name] = None
+    if not chosen:
+        raise ConfigError(f"name at least one hand: {', '.join(hand_names())}, or all")
+    return tuple(chosen)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A method to measure.
+
+    Attributes:
+        method: its name.
+        preset: name of its preset, or of a file with its model.
+        config: its configuration.
+    """
+
+    method: str
+    preset: str
+    config: MethodConfig
+
+
+def select_methods(names: tuple[str, ...]) -> list[Choice]:
+    """Methods and presets by name.
+
+    Args:
+        names: ``all`` for each method with its default preset, ``METHOD`` for one with its default,
+            ``METHOD:PRESET`` for a preset, ``METHOD:all`` for all presets of a method, and
+            ``METHOD:FILE`` for a trained model, where the method has one.
+
+    Returns:
+        The methods in the order asked for, repeats left out.
+
+    Raises:
+        UnknownNameError: there is no such method or preset.
+        ConfigError: there is no name at all.
+    """
+    chosen: dict[tuple[str, str], MethodConfig] = {}
+    for name in names:
+        method, preset = METHODS.split(name)
+        if name == ALL:
+            for each, presets in loadable_presets().items():
+                default = next(iter(presets))
+                chosen[each, default] = presets[default]
+            continue
+        if method not in METHODS and not is_target(method):
+            raise UnknownNameError("method", method, (*METHODS, ALL))
+        presets = PRESETS[method]
+        default = next(iter(presets))
+        if preset == ALL:
+            chosen |= {(method, each): config for each, config in presets.items()}
+        elif name == method:
+            chosen[method, default] = presets[default]
+        else:
+            chosen[method, preset] = method_config(method, preset)
+    if not chosen:
+        raise ConfigError(f"name at least one method: {', '.join(PRESETS)}, or all")
+    return [Choice(method, preset, config) for (method, preset), config in chosen.items()]
+
+
+def method_label(method: str, preset: str) -> str:
+    """Name of a method in tables: without the preset for its default."""
+    try:
+        default = next(iter(PRESETS[method]))
+    except SmoothOperatorError:  # of older results, or of a plugin that is gone
+        default = ""
+    return method if preset == default else f"{method}:{preset}"
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """One thing to measure.
+
+    Attributes:
+        source: the recording.
+        hand: name of the robot hand.
+        method: name of the method.
+        preset: name of its preset.
+        config: the method's configuration.
+        fingers: robot finger -> human finger that drives it; None for all.
+        pinch_gaps: known gaps of tracker and operator, as for ``Retargeter``.
+    """
+
+    source: Source
+    hand: str
+    method: str
+    preset: str
+    config: MethodConfig
+    fingers: Mapping[str, str] | None = None
+    pinch_gaps: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def side(self) -> Side:
+        """Side of both hands."""
+        return self.source.side
+
+    @property
+    def key(self) -> tuple[str, str, str, str, str]:
+        """Recording, hand, side, method, preset: what names a row of the results."""
+        return (self.source.name, self.hand, self.side, self.method, self.preset)
+
+    @property
+    def label(self) -> str:
+        """For a person."""
+        method = method_label(self.method, self.preset)
+        return f"{self.source.name} on {self.hand} {self.side}, {method}"
+
+    @property
+    def slug(self) -> str:
+        """Name of its files: readable, harmless anywhere, and unique."""
+        path = self.source.request.path
+        place = "" if path is None else str(path.absolute())
+        return file_name("-".join(self.key), (place, *self.key))
+
+    def plan(self, seed: int) -> Plan:
+        """The plan that retargets its recording, which is there.
+
+        Raises:
+            SmoothOperatorError: there is no such hand.
+        """
+        recording = self.source.recording
+        assert recording is not None  # a cell without one is not begun
+        hand = load_hand(self.hand, self.side, fingers=self.fingers)
+        names = self.method, self.preset
+        return Plan(recording, hand, *names, self.config, seed, self.fingers, self.pinch_gaps)
+
+
+def cells_of(
+    sources: Iterable[Source], settings: Settings, methods: Sequence[Choice]
+) -> list[Cell]:
+    """Every recording with every hand and every method, in this order."""
+    own = {} if settings.operator is None else settings.operator.pinch_gaps
+    return [
+        Cell(source, hand, choice.method, choice.preset, choice.config, settings.fingers, gaps)
+        for source in sources
+        for gaps in [{**source.pinch_gaps, **own}]
+        for hand in settings.hands
+        for choice in methods
+    ]
+
+
+def fingerprint(cell: Cell, settings: Settings) -> str:
+    """Fingerprint of a cell's inputs, without code.
+
+    Frames, hand, configuration, seed and definitions are in it. Of two cells with one fingerprint,
+    one need not be done again.
+    """
+    outside = outside_code(cell.config, *(metric.compute for metric in plugin_metrics()))
+    return key_digest(
+        {
+            "frames": cell.source.digest,
+            "hand": hand_identity(cell.hand, cell.side, tuple((cell.fingers or {}).items())),
+            "method": cell.method,
+            "preset": cell.preset,
+            "config": cell.config,
+            "pinch_gaps": dict(cell.pinch_gaps),
+            "seed": settings.seed,
+            "definition": settings.definition,
+            "files": [digest(path) for path in files_of(cell.config)],
+            **({"plugins": outside} if outside else {}),
+            **({"metrics": sorted(settings.metrics)} if settings.metrics else {}),
+        }
+    )
+
+
+def benchmark_code() -> str:
+    """Digest of the code that a command or a metric depends on, the models in it included.
+
+    Pages, plots and the command line are not in it. Whoever changes a method between two runs of a
+    benchmark gets its cells measured again.
+    """
+    return code_digest(
+        "geometry.py", "landmarks.py", "types.py", "human", "hands", "objective", "solvers",
+        "methods", "baselines", "metrics", "offline", "io", "formats",
+    )  # fmt: skip
+
+
+@cache
+def hand_identity(name: str, side: Side, fingers: tuple[tuple[str, str], ...]) -> str:
+    """The hand's description and the content of its model file, not the folder it is in."""
+    try:
+        spec = load_hand(name, side, fingers=dict(fingers) or None).spec
+    except SmoothOperatorError as error:
+        return f"{name} {side}: {error}"
+    fields = {f.name: getattr(spec, f.name) for f in dataclasses.fields(spec) if f.name != "model"}
+    text = to_json(fields).encode() + Path(spec.model).read_bytes()
+    return hashlib.sha256(text).hexdigest()
+
+
+def files_of(config: Any) -> Iterator[Path]:
+    """The files that a configuration names, as trained models."""
+    if isinstance(config, Path) and config.is_file():
+        yield config
+    elif dataclasses.is_dataclass(config):
+        for field in dataclasses.fields(config):
+            yield from files_of(getattr(config, field.name))

@@ -1,0 +1,309 @@
+"""Contact sheet: rows of poses; the human hand and the robot hand of each method, in two views."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from scipy.ndimage import median_filter
+
+from smooth_operator.atomic_files import atomic_write
+from smooth_operator.benchmark.figures import Panel, make_panels, view_basis
+from smooth_operator.benchmark.suite import Finished
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import BASES, FINGERS, TIPS, WRIST
+from smooth_operator.metrics.posture import human_extensions
+from smooth_operator.reporting.hand_surface import (
+    PAPER,
+    HandShape,
+    SkeletonShape,
+    Surface,
+    landmark_surface,
+    paint,
+)
+from smooth_operator.reporting.report_page import plot_name
+from smooth_operator.types import Side
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+CELL: Final = 150
+"""Width and height of a view of a hand [px]."""
+POSES: Final = (
+    "flat", "fist", "point", "thumb up", "OK", "tripod",
+    *(f"pinch {finger}" for finger in FINGERS[1:]),
+)  # fmt: skip
+"""Names of the poses, in the order of a sheet."""
+_NAMES: Final = 130  # width of the column of poses [px]
+_HEAD: Final = 24  # height of the row of methods [px]
+_GAP: Final = 8  # between methods [px]
+_PINCH: Final = 0.025  # largest distance of thumb and finger in a pinch, on the robot's scale [m]
+_TRIPOD: Final = 0.03  # the same of thumb, index and middle finger [m]
+_AWAY: Final = 0.65  # thumb to index finger, of the palm's length, of a thumb that is up
+_SMOOTH: Final = 5  # frames whose median counts: a tracker's single wrong frame is no pose
+_UNFOLDED: Final = 0.45  # extension from which a finger may pinch
+_HAND: Final = 0.19  # length of a human hand, as drawn [m]
+_TURN: Final = np.deg2rad(70.0)  # between the two views: no finger hides the others entirely
+_INK: Final = (40, 46, 52)
+_SOFT: Final = (110, 118, 126)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A frame of a recording in which the human hand shows a pose.
+
+    Attributes:
+        name: name of the pose, such as ``fist``.
+        panel: the recording on the robot hand.
+        frame: index.
+    """
+
+    name: str
+    panel: Panel
+    frame: int
+
+
+def pose_scores(human: Float[np.ndarray, "T 21 3"]) -> dict[str, Float[np.ndarray, " T"]]:
+    """Score of each pose in each frame; above 0 the frame shows it.
+
+    Args:
+        human: (T, 21, 3) landmarks, aligned to a robot [m]; NaN where a frame is not usable.
+
+    Returns:
+        (T,) scores by the names ``POSES``: at ``OK`` thumb and index finger pinch while the others
+        are straight; at ``tripod`` the middle finger pinches, too.
+    """
+    chains = human[:, np.array(BASES[1:])[:, None] + np.arange(4)]
+    extension = human_extensions(chains)
+    palm = np.linalg.norm(human[:, BASES[2]] - human[:, WRIST], axis=-1)
+    away = np.linalg.norm(human[:, TIPS[0]] - human[:, BASES[1] + 1], axis=-1) / palm
+    apart = np.linalg.norm(human[:, list(TIPS[1:])] - human[:, TIPS[0], None], axis=-1)
+    apart = np.where(extension > _UNFOLDED, apart, 1.0)  # a thumb next to a fist pinches nothing
+    straight = extension[:, 1:].min(axis=1) > 0.8
+    nearest = apart <= apart.min(axis=1, keepdims=True)
+    tripod = _TRIPOD - apart[:, :2].max(axis=1)
+    closed = 0.65 - extension.max(axis=1)
+    scores = {
+        "flat": extension.min(axis=1) - 0.85,
+        "fist": closed / (1 + away),
+        "point": extension[:, 0] - extension[:, 1:].max(axis=1) - 0.2,
+        "thumb up": np.where(closed > 0, away - _AWAY, -1.0),
+        "OK": np.where(straight, _PINCH - apart[:, 0], -1.0),
+        "tripod": tripod,
+    }
+    for i, finger in enumerate(FINGERS[1:]):
+        alone = nearest[:, i] & (tripod < 0) & ~(straight & (i == 0))
+        scores[f"pinch {finger}"] = np.where(alone, _PINCH - apart[:, i], -1.0)
+    usable = np.isfinite(human).all(axis=(1, 2))
+    return {
+        name: median_filter(np.where(usable, score, -9.0), _SMOOTH, mode="nearest")
+        for name, score in scores.items()
+    }
+
+
+def find_poses(panels: Iterable[Panel]) -> list[Pose]:
+    """The best frame of each pose over all recordings; poses that none shows are left out."""
+    best: dict[str, tuple[float, Pose]] = {}
+    for panel in panels:
+        human = panel.runs[0].human
+        usable = np.isfinite(human).all(axis=(1, 2))
+        for name, scores in pose_scores(human).items():
+            frame = int(np.argmax(np.where(usable, scores, -np.inf)))
+            if usable[frame] and scores[frame] > (best[name][0] if name in best else 0.0):
+                best[name] = float(scores[frame]), Pose(name, panel, frame)
+    return [best[name][1] for name in POSES if name in best]
+
+
+def skeleton_shape(hand: Hand) -> SkeletonShape:
+    """A robot hand as rods between its landmarks."""
+    return SkeletonShape(hand, view_basis(hand))
+
+
+def contact_sheet(
+    panels: Sequence[Panel],
+    shape: Callable[[Hand], HandShape] = skeleton_shape,
+    names: Sequence[str] | None = None,
+) -> Image | None:
+    """Draws poses in rows: the human, then each method, from the palm and from the thumb's side.
+
+    Each hand stands upright on its own wrist. All pictures of the robot have one scale; all human
+    hands are drawn equally long.
+
+    Args:
+        names: poses to draw, in this order; all if left out.
+
+    Returns:
+        The picture; None where no recording shows a pose.
+    """
+    poses = find_poses(panels)
+    if names is not None:
+        by_name = {pose.name: pose for pose in poses}
+        poses = [by_name[name] for name in names if name in by_name]
+    if not poses:
+        return None
+    methods = list(dict.fromkeys(run.method for panel in panels for run in panel.runs))
+    robot = shape(panels[0].hand)
+    humans = [
+        HandPicture.of_human(pose.panel.runs[0].human[pose.frame], side_of(pose)) for pose in poses
+    ]
+    robots = [
+        {
+            run.method: HandPicture.of_robot(robot, run.joints[pose.frame], side_of(pose))
+            for run in pose.panel.runs
+        }
+        for pose in poses
+    ]
+    human_frame = common_frame(humans)
+    robot_frame = common_frame([picture for row in robots for picture in row.values()])
+    width = _NAMES + (2 * CELL + _GAP) * (1 + len(methods))
+    sheet = np.full((_HEAD + CELL * len(poses), width, 3), PAPER, np.uint8)
+    for row, (human, own) in enumerate(zip(humans, robots, strict=True)):
+        cells = [human.draw(human_frame)]
+        blank = np.full_like(cells[0], PAPER)
+        cells += [own[m].draw(robot_frame) if m in own else blank for m in methods]
+        for column, cell in enumerate(cells):
+            left, top = _NAMES + column * (2 * CELL + _GAP), _HEAD + row * CELL
+            sheet[top : top + CELL, left : left + 2 * CELL] = cell
+    return _lettered(sheet, poses, ["human", *methods], several=len(panels) > 1)
+
+
+def write_sheets(
+    finished: Iterable[Finished], folder: Path, shape: Callable[[Hand], HandShape] = skeleton_shape
+) -> list[Path]:
+    """Writes ``sheet-HAND-SIDE.png`` for each hand of a benchmark on which a pose was found.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    paths = []
+    for (hand, side), panels in panels_by_hand(make_panels(finished)).items():
+        drawn = contact_sheet(panels, shape)
+        if drawn is not None:
+            path = folder / f"{plot_name(f'sheet-{hand}-{side}')}.png"
+            with atomic_write(path) as file:
+                drawn.save(file, format="PNG", optimize=True)
+            paths.append(path)
+    return paths
+
+
+def panels_by_hand(panels: Iterable[Panel]) -> dict[tuple[str, str], list[Panel]]:
+    """Panels of each hand and side."""
+    groups: dict[tuple[str, str], list[Panel]] = {}
+    for panel in panels:
+        groups.setdefault(panel.key[1:], []).append(panel)
+    return groups
+
+
+@dataclass(frozen=True, eq=False)
+class HandPicture:
+    """A hand in a pose, ready to be drawn from two sides.
+
+    Attributes:
+        surface: its triangles, the wrist at the origin [m].
+        views: rows right, up and toward the viewer, of each view.
+    """
+
+    surface: Surface
+    views: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]
+
+    @classmethod
+    def of_human(cls, points: Float[np.ndarray, "21 3"], side: Side) -> HandPicture:
+        """A human hand from its landmarks [m], drawn as long as others' hands."""
+        middle = points[[WRIST, *range(BASES[2], BASES[2] + 4)]]
+        points = points * (_HAND / np.linalg.norm(np.diff(middle, axis=0), axis=-1).sum())
+        up = points[list(BASES[1:])].mean(axis=0) - points[WRIST]
+        up = up / np.linalg.norm(up)
+        right = points[BASES[1]] - points[BASES[4]]
+        right = right - (right @ up) * up
+        right = right / np.linalg.norm(right) * (1.0 if side == "right" else -1.0)
+        palm = np.stack([right, up, np.cross(right, up)])
+        return cls(landmark_surface(points - points[WRIST]), (palm, from_thumb(palm, side)))
+
+    @classmethod
+    def of_robot(cls, shape: HandShape, joints: Float[np.ndarray, " n"], side: Side) -> HandPicture:
+        """A robot hand at its joint positions [rad]."""
+        surface = shape.surface(joints)
+        placed = Surface(surface.triangles - shape.wrist, surface.colors)
+        return cls(placed, (shape.view, from_thumb(shape.view, side)))
+
+    def draw(self, frame: tuple[np.ndarray, float], size: int = CELL) -> UInt8[np.ndarray, "H W 3"]:
+        """The two views side by side, each ``size`` by ``size`` pixels.
+
+        Args:
+            frame: of ``common_frame``.
+            size: [px].
+        """
+        centres, half = frame
+        views = zip(self.views, centres, strict=True)
+        pictures = [paint(self.surface, view, centre, half, size) for view, centre in views]
+        return np.concatenate(pictures, axis=1)
+
+    def extent(self) -> Float[np.ndarray, "2 2 2"]:
+        """(view, low or high, right or up) [m]."""
+        corners = self.surface.triangles.reshape(-1, 3)
+        flat = [corners @ view.T[:, :2] for view in self.views]
+        return np.array([[points.min(axis=0), points.max(axis=0)] for points in flat])
+
+
+def common_frame(pictures: Sequence[HandPicture]) -> tuple[Float[np.ndarray, "2 2"], float]:
+    """Middle of each view, and half of the width that shows all of these hands [m]."""
+    extents = np.array([picture.extent() for picture in pictures])
+    low, high = extents[:, :, 0].min(axis=0), extents[:, :, 1].max(axis=0)
+    return (low + high) / 2, 0.53 * float((high - low).max())
+
+
+def from_thumb(palm: Float[np.ndarray, "3 3"], side: Side) -> Float[np.ndarray, "3 3"]:
+    """The view turned to the thumb's side.
+
+    Args:
+        palm: rows right, up and toward a viewer who looks at the palm.
+    """
+    turn = _TURN if side == "right" else -_TURN
+    right, up, toward = palm
+    return np.stack(
+        [
+            np.cos(turn) * right - np.sin(turn) * toward,
+            up,
+            np.sin(turn) * right + np.cos(turn) * toward,
+        ]
+    )
+
+
+def side_of(pose: Pose) -> Side:
+    """Side of a pose's hand."""
+    return pose.panel.hand.spec.side
+
+
+def _lettered(
+    sheet: UInt8[np.ndarray, "H W 3"], poses: Sequence[Pose], columns: Sequence[str], several: bool
+) -> Image:
+    from PIL import Image as pillow
+    from PIL import ImageDraw, ImageFont
+
+    image = pillow.fromarray(sheet)
+    pen = ImageDraw.Draw(image)
+    large, small = ImageFont.load_default(14), ImageFont.load_default(10)
+    for column, name in enumerate(columns):
+        middle = _NAMES + column * (2 * CELL + _GAP) + CELL
+        pen.text((middle, 4), name, fill=_INK, font=large, anchor="ma")
+    for row, pose in enumerate(poses):
+        top = _HEAD + row * CELL + CELL // 2
+        pen.text((6, top - 16), pose.name, fill=_INK, font=large)
+        where = f"frame {pose.frame}"
+        pen.text((6, top + 2), where, fill=_SOFT, font=small)
+        if several:
+            pen.text((6, top + 15), _cut(pose.panel.key[0]), fill=_SOFT, font=small)
+        if row:
+            line = _HEAD + row * CELL
+            pen.line((0, line, image.width, line), fill=(228, 230, 233))
+    return image
+
+
+def _cut(text: str, length: int = 22) -> str:
+    """A text of at most so many letters; the ends distinguish recordings."""
+    half = length // 2
+    return text if len(text) <= length else f"{text[: half - 1]}…{text[-half:]}"

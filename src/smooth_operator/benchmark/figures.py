@@ -1,0 +1,478 @@
+"""One recording on one hand with all methods, as data of clips; and the plots of a report."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.atomic_files import output_error
+from smooth_operator.benchmark.cells import Cell, method_label
+from smooth_operator.benchmark.quality import Measured
+from smooth_operator.benchmark.suite import Finished, Row, row_method, value_of
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.landmarks import BASES, BONES, FINGERS, LANDMARKS, NUM_LANDMARKS, TIPS, WRIST
+from smooth_operator.metrics import METRICS
+from smooth_operator.planning import Plan
+from smooth_operator.reporting.drawing import (
+    GRID,
+    INK,
+    MARKERS,
+    colors_of,
+    name_points,
+    plain_logs,
+    series,
+    styled,
+    write_figure,
+)
+from smooth_operator.types import CommandTrajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A method in a panel; positions in the palm frame [m].
+
+    Attributes:
+        method: name of the method.
+        human: (T, 21, 3) the human as the method saw it; NaN where a frame was not usable.
+        robot: (T, 21, 3) the robot's landmarks; NaN where it has none.
+        joints: (T, n) joint positions [rad].
+        objects: (T, p, 3) points of objects; None for none.
+    """
+
+    method: str
+    human: Float[np.ndarray, "T 21 3"]
+    robot: Float[np.ndarray, "T 21 3"]
+    joints: Float[np.ndarray, "T n"]
+    objects: Float[np.ndarray, "T p 3"] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One recording on one hand.
+
+    Attributes:
+        key: recording, hand, side.
+        hand: the robot hand.
+        stamps: (T,) time since the first frame [s].
+        runs: the methods that served it, one at least.
+        edges: pairs of the runs' object points that a line joins.
+    """
+
+    key: tuple[str, str, str]
+    hand: Hand
+    stamps: Float[np.ndarray, " T"]
+    runs: tuple[Run, ...]
+    edges: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def title(self) -> str:
+        """For a person."""
+        recording, hand, side = self.key
+        return f"{recording} on {hand} {side}"
+
+    @property
+    def tips(self) -> list[int]:
+        """Landmarks of the fingertips that the robot has, thumb first."""
+        return [TIPS[FINGERS.index(finger)] for finger in self.hand.fingers]
+
+    def window(self, seconds: float) -> slice:
+        """The stretch of that many seconds in which the human's fingertips travel furthest."""
+        tips = self.runs[0].human[:, self.tips] - self.runs[0].human[:, None, WRIST]
+        steps = np.linalg.norm(np.diff(tips, axis=0), axis=-1)
+        travelled = np.concatenate([[0.0], np.cumsum(np.nan_to_num(steps).sum(axis=-1))])
+        ends = np.searchsorted(self.stamps, self.stamps + seconds, side="right") - 1
+        start = int(np.argmax(travelled[ends] - travelled))
+        return slice(start, int(ends[start]) + 1)
+
+
+def make_panels(finished: Iterable[Finished]) -> Iterator[Panel]:
+    """The panels of a benchmark, in the order of its cells; of what failed there is none."""
+    groups: dict[tuple[str, str, str], list[tuple[Cell, Measured]]] = {}
+    for one in finished:
+        if one.measured is not None:
+            groups.setdefault(one.cell.key[:3], []).append((one.cell, one.measured))
+    for key, group in groups.items():
+        cell = group[0][0]
+        assert cell.source.recording is not None  # or there would be no commands
+        hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
+        stamps = cell.source.recording.stamps
+        runs = tuple(run_of(each.plan(0), measured.commands) for each, measured in group)
+        yield Panel(key, hand, stamps - stamps[0], runs)
+
+
+def run_of(todo: Plan, commands: CommandTrajectory) -> Run:
+    """The run of a plan with its commands."""
+    human = align_recording(todo.recording, todo.hand, todo.config.alignment)
+    joints = np.asarray(commands.joint_positions, np.float64)
+    label = method_label(todo.method, todo.preset)
+    return Run(label, human, robot_landmarks(todo.hand, joints), joints)
+
+
+def robot_landmarks(hand: Hand, joints: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T 21 3"]:
+    """Landmarks of a robot in the palm frame [m]; NaN where it has none."""
+    robot = np.full((len(joints), NUM_LANDMARKS, 3), np.nan)
+    robot[:, [LANDMARKS.index(name) for name in hand.tree.names]] = hand.tree.positions(joints)
+    return robot
+
+
+def robot_bones(hand: Hand) -> list[tuple[int, int]]:
+    """(parent, child) landmarks of the robot's skeleton, by what landmarks it has."""
+    has = {LANDMARKS.index(name) for name in hand.tree.names}
+    bones: list[tuple[int, int]] = []
+    for base in BASES:
+        chain = [WRIST, *(i for i in range(base, base + 4) if i in has)]
+        bones += itertools.pairwise(chain)
+    return bones
+
+
+def view_basis(hand: Hand) -> Float[np.ndarray, "3 3"]:
+    """Rows are right, up and towards the viewer, in the palm frame: fingers up, palm in sight.
+
+    The thumb is on the right for a right hand, as one sees one's own palm, and on the left for a
+    left one.
+    """
+    at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
+    bases = [at[LANDMARKS[BASES[FINGERS.index(finger)]]] for finger in hand.fingers]
+    long = bases[1:]
+    up = np.mean(long, axis=0) - hand.wrist
+    across = bases[0] - bases[-1]
+    if hand.spec.side == "left":
+        across = -across
+    up = up / max(float(np.linalg.norm(up)), 1e-9)
+    right = across - up * (across @ up)
+    length = float(np.linalg.norm(right))
+    if length < 1e-6:  # finger bases in line with the wrist: any direction across will do
+        right = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+        length = float(np.linalg.norm(right))
+    right /= length
+    return np.stack([right, up, np.cross(right, up)])
+
+
+SECONDS: Final = 8.0
+RATE_HZ: Final = 30.0
+BUDGET: Final = 12_000_000
+"""All clips of a page together [bytes]; where there are many, each gets fewer frames."""
+MIN_FRAMES: Final = 40
+
+_UNIT: Final = 1e-4
+"""Of the packed numbers [m]."""
+_ABSENT: Final = -32768
+_POINTS: Final = 21 * 3 * 2 * 4 / 3  # bytes of one hand in one frame, in base64
+
+
+def make_clip(panel: Panel, colors: Mapping[str, str], hands: int) -> dict[str, Any]:
+    """Clip of one panel for the player, ready for JSON.
+
+    Args:
+        colors: method -> colour.
+        hands: number of hands in all clips of the page, which share the budget.
+
+    Returns:
+        ``times`` of the frames [s]; ``humans`` and ``robots``, each (frames, 21, 3) int16 in base64
+        little-endian, in units of 0.1 mm about the middle of the clip, turned so that x is right, y
+        up and z towards the viewer; -32768 stands for what is not there; each method's ``objects``,
+        (frames, points, 3), where there are some; and how to draw them.
+    """
+    cut = panel.window(SECONDS)
+    stamps = panel.stamps[cut]
+    allowed = max(MIN_FRAMES, int(BUDGET / (max(hands, 1) * _POINTS)))
+    duration = float(stamps[-1] - stamps[0])
+    count = min(len(stamps), allowed, max(2, int(duration * RATE_HZ) + 1))
+    times = np.linspace(stamps[0], stamps[-1], count)
+    chosen = np.unique(np.searchsorted(stamps, times).clip(0, len(stamps) - 1)) + cut.start
+
+    basis = view_basis(panel.hand)
+    humans: list[np.ndarray] = []
+    panes: list[dict[str, Any]] = []
+    drawn = [run.robot[chosen] @ basis.T for run in panel.runs]
+    points = np.concatenate([panel.runs[0].human[chosen] @ basis.T, *drawn]).reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=-1)]
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2 if len(points) else np.zeros(3)
+    reach = float(np.linalg.norm(points - middle, axis=-1).max()) if len(points) else 0.1
+    for run, robot in zip(panel.runs, drawn, strict=True):
+        human = run.human[chosen] @ basis.T
+        # Methods that align alike share one human.
+        same = (i for i, h in enumerate(humans) if np.array_equal(h, human, equal_nan=True))
+        at = next(same, None)
+        if at is None:
+            at = len(humans)
+            humans.append(human)
+        panes.append(
+            {
+                "method": run.method,
+                "color": colors[run.method],
+                "human": at,
+                "robot": _packed(robot - middle),
+                "objects": None
+                if run.objects is None
+                else _packed(run.objects[chosen] @ basis.T - middle),
+            }
+        )
+    objects = [run.objects.shape[1] for run in panel.runs if run.objects is not None]
+    return {
+        "times": [round(float(t), 3) for t in panel.stamps[chosen]],
+        "reach": round(reach / _UNIT),
+        "humans": [_packed(human - middle) for human in humans],
+        "humanBones": [list(bone) for bone in BONES],
+        "robotBones": [list(bone) for bone in robot_bones(panel.hand)],
+        "objectPoints": max(objects, default=0),
+        "objectEdges": [list(edge) for edge in panel.edges],
+        "panes": panes,
+    }
+
+
+def _packed(points: Float[np.ndarray, "F k 3"]) -> str:
+    finite = np.isfinite(points)
+    units = np.rint(np.where(finite, points, 0.0) / _UNIT).clip(-32767, 32767)
+    return base64.b64encode(np.where(finite, units, _ABSENT).astype("<i2").tobytes()).decode()
+
+
+TRAJECTORY_SECONDS: Final = 4.0
+"""How much of a recording the trajectories show [s]: enough to see a gesture and the jitter."""
+
+_METRIC: Final = {metric.name: metric for metric in METRICS}
+_HUMAN: Final[dict[str, Any]] = {"color": INK, "linewidth": 3.0, "alpha": 0.3, "label": "human"}
+
+
+def tradeoff_figure(rows: Sequence[Row], colors: Mapping[str, str]) -> Figure | None:
+    """Direction error against fingertip acceleration, one point a cell, with means over recordings.
+
+    Both axes are better towards the lower left. None where nothing can be drawn.
+    """
+    recordings = list(dict.fromkeys(str(row["recording"]) for row in rows if row["metrics"]))
+    points: dict[str, list[tuple[float, float, int]]] = {}
+    for row in rows:
+        cosine = value_of(row, _METRIC["cosine_similarity"])
+        rough = value_of(row, _METRIC["fingertip_acceleration"])
+        if cosine is not None and rough is not None and rough > 0:
+            at = recordings.index(str(row["recording"]))
+            points.setdefault(row_method(row), []).append((rough, max(1 - cosine, 1e-6), at))
+    if not points:
+        return None
+    figure = _figure((7.6, 4.6))
+    ax = figure.add_axes((0.1, 0.13, 0.63, 0.82))
+    means: dict[str, tuple[float, float]] = {}
+    for method, own in points.items():
+        for rough, error, at in own:
+            ax.scatter(
+                rough, error, color=colors[method], marker=MARKERS[at % len(MARKERS)], s=42,
+                alpha=0.85 if len(own) == 1 else 0.5, linewidths=0,
+                gid=series(method, f"{method} on {recordings[at]}: {rough:.3g} m/s², {error:.2g}"),
+            )  # fmt: skip
+        x, y = (float(np.exp(np.mean(np.log([p[k] for p in own])))) for k in (0, 1))
+        if len(own) > 1:
+            label = f"{method}, mean of {len(own)} recordings: {x:.3g} m/s², {y:.2g}"
+            ax.scatter(
+                x, y, color=colors[method], marker="o", s=150, linewidths=0,
+                gid=series(method, label),
+            )  # fmt: skip
+        means[method] = x, y
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xlabel("fingertip acceleration [m/s²]   ← smoother")
+    ax.set_ylabel("1 − cosine similarity   ← more accurate")
+    ax.margins(0.14)
+    plain_logs(ax)
+    name_points(ax, means)
+    handles = [_proxy(colors[m], "o", m) for m in points]
+    if len(recordings) > 1:
+        handles.append(_proxy(INK, "", ""))
+        handles += [
+            _proxy(INK, MARKERS[i % len(MARKERS)], _cut(r)) for i, r in enumerate(recordings)
+        ]
+    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.745, 0.97), fontsize=8)
+    return figure
+
+
+def latency_figure(
+    samples: Mapping[str, Sequence[Float[np.ndarray, " N"]]], colors: Mapping[str, str]
+) -> Figure | None:
+    """Latency of each method as a cloud of its frames with p50, p95 and p99; logarithmic.
+
+    The percentiles are means of those of each recording, as tables have them.
+
+    Args:
+        samples: method -> its samples on each recording [ms].
+        colors: method -> colour.
+    """
+    times = {
+        m: [positive for v in measured if len(positive := v[v > 0])]
+        for m, measured in samples.items()
+    }
+    times = {method: measured for method, measured in times.items() if measured}
+    if not times:
+        return None
+    height = 1.1 + 0.5 * len(times)
+    figure = _figure((8.6, height))
+    ax = figure.add_axes((0.17, 0.62 / height, 0.8, 1 - 0.95 / height))
+    spread = np.random.default_rng(0)  # where dots lie within a strip says nothing
+    for row, (method, measured) in enumerate(times.items()):
+        values = np.concatenate(measured)
+        at50, at95, at99 = np.mean([np.percentile(v, (50, 95, 99)) for v in measured], axis=0)
+        shown = values if len(values) <= 700 else spread.choice(values, 700, replace=False)
+        height_of = row + spread.uniform(-0.26, 0.26, len(shown))
+        # One path of dots: thousands of markers would make a heavy file.
+        ax.plot(
+            shown, height_of, linestyle="", marker="o", markersize=2.2, markeredgewidth=0,
+            color=colors[method], alpha=0.45, rasterized=True,
+        )  # fmt: skip
+        for at, style in ((at50, "-"), (at95, "--"), (at99, ":")):
+            ax.plot([at, at], [row - 0.36, row + 0.36], color=INK, linestyle=style, linewidth=1.3)
+        ax.annotate(
+            f"{at50:.3g}", (float(at50), row - 0.38), ha="center", va="bottom", fontsize=8,
+        )  # fmt: skip
+    ax.set_xscale("log")
+    plain_logs(ax, both=False)
+    ax.set_ylim(len(times) - 0.4, -0.75)
+    ax.set_yticks(range(len(times)), list(times))
+    ax.grid(visible=False, axis="y")
+    ax.set_xlabel("latency, landmarks to command [ms]")
+    styles = {"p50": "-", "p95": "--", "p99": ":"}
+    lines = [_line(INK, style, name) for name, style in styles.items()]
+    figure.legend(handles=lines, ncols=3, loc="upper right", bbox_to_anchor=(0.98, 1.0), fontsize=8)
+    return figure
+
+
+def fingertip_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
+    """x, y, z of each fingertip over a few seconds [mm], human and every method."""
+    cut = panel.window(TRAJECTORY_SECONDS)
+    time = panel.stamps[cut]
+    rows = len(panel.tips)
+    figure, axes = _grid(rows, 3, (3.0, 1.3), (0.42, 0.18))
+    human = 1e3 * panel.runs[0].human[cut]
+    for i, (finger, tip) in enumerate(zip(panel.hand.fingers, panel.tips, strict=True)):
+        for k, axis in enumerate("xyz"):
+            ax = axes[i, k]
+            ax.plot(time, human[:, tip, k], **_HUMAN)
+            for run in panel.runs:
+                ax.plot(
+                    time, 1e3 * run.robot[cut, tip, k], color=colors[run.method], linewidth=1.0,
+                    label=run.method, gid=series(run.method, run.method),
+                )  # fmt: skip
+            if i == 0:
+                ax.set_title(axis)
+            if k == 0:
+                ax.set_ylabel(f"{finger} [mm]")
+            if i == rows - 1:
+                ax.set_xlabel("time [s]")
+    _legend(figure, axes[0, 0])
+    return figure
+
+
+def joint_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
+    """Joints over a few seconds [rad], every method, with the joints' limits."""
+    cut = panel.window(TRAJECTORY_SECONDS)
+    time, names = panel.stamps[cut], panel.hand.joint_names
+    columns = min(4, len(names))
+    rows = -(-len(names) // columns)
+    figure, axes = _grid(rows, columns, (2.2, 1.15), (0.42, 0.36))
+    for j, ax in enumerate(axes.flat):
+        if j >= len(names):
+            ax.set_axis_off()
+            continue
+        for limit in panel.hand.joint_limits[j]:
+            if np.isfinite(limit):
+                ax.axhline(limit, color=GRID, linewidth=1.0, linestyle=(0, (4, 3)))
+        for run in panel.runs:
+            ax.plot(
+                time, run.joints[cut, j], color=colors[run.method], linewidth=1.0,
+                label=run.method, gid=series(run.method, run.method),
+            )  # fmt: skip
+        ax.set_title(names[j], fontsize=8)
+        if j % columns == 0:
+            ax.set_ylabel("[rad]")
+        if j + columns >= len(names):
+            ax.set_xlabel("time [s]")
+            ax.tick_params(labelbottom=True)
+    _legend(figure, axes[0, 0])
+    return figure
+
+
+def save_plots(todo: Plan, commands: CommandTrajectory, folder: Path) -> None:
+    """Writes the plots of one run: fingertips, joints and, where it was measured, latency.
+
+    Args:
+        folder: folder of the ``.png`` and ``.svg``; made if it is not there.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    run = run_of(todo, commands)
+    key = (todo.recording.name, todo.hand.name, todo.hand.spec.side)
+    panel = Panel(key, todo.hand, todo.recording.stamps - todo.recording.stamps[0], (run,))
+    colors = colors_of([run.method])
+    with styled():
+        drawn = {
+            "fingertips": fingertip_figure(panel, colors),
+            "joints": joint_figure(panel, colors),
+            "latency": latency_figure({run.method: [commands.latency_ms]}, colors),
+        }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    for name, figure in drawn.items():
+        if figure is not None:
+            write_figure(figure, folder / name)
+
+
+def _figure(size: tuple[float, float]) -> Figure:
+    from matplotlib.figure import Figure  # not pyplot: no display, no global list of figures
+
+    return Figure(figsize=size)
+
+
+def _grid(
+    rows: int,
+    columns: int,
+    cell: tuple[float, float],
+    gap: tuple[float, float],
+) -> tuple[Figure, np.ndarray]:
+    left, right, top, bottom = 0.62, 0.12, 0.62, 0.5
+    width = left + right + columns * cell[0] + (columns - 1) * gap[0]
+    height = top + bottom + rows * cell[1] + (rows - 1) * gap[1]
+    figure = _figure((width, height))
+    figure.subplots_adjust(
+        left=left / width, right=1 - right / width, top=1 - top / height,
+        bottom=bottom / height, wspace=gap[0] / cell[0], hspace=gap[1] / cell[1],
+    )  # fmt: skip
+    return figure, figure.subplots(rows, columns, sharex=True, squeeze=False)
+
+
+def _legend(figure: Figure, ax: Axes) -> None:
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="upper left", ncols=min(len(labels), 9), fontsize=8,
+        bbox_to_anchor=(0.05, 1.0),
+    )  # fmt: skip
+
+
+def _proxy(color: str, marker: str, label: str) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=color, marker=marker, linestyle="", markersize=6, label=label)
+
+
+def _line(color: str, style: Any, label: str) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=color, linestyle=style, linewidth=1.3, label=label)
+
+
+def _cut(text: str, length: int = 23) -> str:
+    if len(text) > length:  # the ends distinguish recordings
+        text = f"{text[: length // 2]}…{text[len(text) + 1 - length // 2 :]}"
+    return f" {text}" if text.startswith("_") else text  # a legend would leave it out

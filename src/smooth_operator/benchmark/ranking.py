@@ -1,0 +1,559 @@
+"""Tables of methods: values, means, the best for each use; and two benchmarks compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+from scipy.stats import rankdata
+
+from smooth_operator.benchmark.suite import (
+    Row,
+    row_key,
+    row_method,
+    row_tracker,
+    row_unit,
+    value_of,
+)
+from smooth_operator.errors import counted
+from smooth_operator.metrics import METRICS, Metric
+from smooth_operator.metrics.pinches import LEAST_PINCHED
+from smooth_operator.metrics.table import plugin_metrics
+
+_BY_NAME: Final = {metric.name: metric for metric in METRICS}
+
+HEADLINES: Final[tuple[Metric, ...]] = tuple(
+    _BY_NAME[name]
+    for name in (
+        "cosine_similarity", "scale_ratio", "motion_preservation", "flatness",
+        "workspace_utilisation", "latency_ms.p50",
+    )
+)  # fmt: skip
+"""The six columns of the paper's table."""
+
+COLUMN_GROUPS: Final[Mapping[str, tuple[Metric, ...]]] = {
+    group: tuple(_BY_NAME[name] for name in names)
+    for group, names in {
+        "looks": (
+            "finger_extension_error", "finger_direction_error_deg", "thumb_direction_error_deg",
+        ),
+        "grasping": ("pinch_touch_share", "pinch_deep_share", "self_collision.share"),
+        "motion": ("motion_preservation", "jumps_per_1000"),
+        "speed": ("latency_ms.p50",),
+        "the paper's": (
+            "cosine_similarity", "scale_ratio", "flatness", "workspace_utilisation",
+        ),
+    }.items()
+}  # fmt: skip
+"""Columns of a benchmark's tables, group by group; the paper's six are among them."""
+
+COLUMNS: Final[tuple[Metric, ...]] = tuple(m for group in COLUMN_GROUPS.values() for m in group)
+"""All columns of a benchmark's tables."""
+
+NUMBERS: Final[tuple[Metric, ...]] = tuple(
+    metric
+    for metric in METRICS
+    if metric.name
+    not in (
+        "status", "definition", "human_fit", "workspace_utilisation_per_finger",
+        "pinch_touch_share_per_finger",
+    )
+)  # fmt: skip
+"""All built-in metrics that are one number."""
+
+
+def columns() -> tuple[Metric, ...]:
+    """``COLUMNS``, and the metrics of plugins that have a heading for one."""
+    return (*COLUMNS, *(metric for metric in plugin_metrics() if metric.short))
+
+
+def numbers() -> tuple[Metric, ...]:
+    """``NUMBERS``, and the metrics of plugins."""
+    return (*NUMBERS, *plugin_metrics())
+
+
+@dataclass(frozen=True)
+class Line:
+    """One method in a table.
+
+    Attributes:
+        method: name of the method.
+        values: metric name -> value, None where there is none.
+        failed: why it has no values at all; None where it has.
+        count: over how many recordings the values are means.
+        of: over how many they ought to be; where it is more, the line does not compete.
+    """
+
+    method: str
+    values: Mapping[str, float | None]
+    failed: str | None = None
+    count: int = 1
+    of: int = 1
+
+
+def lines_of(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> list[Line]:
+    """One line for each row of one recording and one hand; of ``numbers`` if none are given."""
+    metrics = numbers() if metrics is None else metrics
+    return [
+        Line(
+            row_method(row),
+            {metric.name: value_of(row, metric) for metric in metrics},
+            None if row["status"] == "ok" else str(row["reason"]),
+            int(row["status"] == "ok"),
+        )
+        for row in rows
+    ]
+
+
+def overall(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> list[Line]:
+    """Means over the trackers, one line for each method, of the rows of one hand.
+
+    Parts of one recording are one unit. A figure is the mean of its units' for each tracker, then
+    the mean over the trackers, so that many recordings of one tracker do not outweigh another. A
+    metric that some recordings do not have (no pinch) is the mean of those that do, which are the
+    same for all methods. Recordings on which every method failed do not count.
+    """
+    metrics = numbers() if metrics is None else metrics
+    rows = list(rows)
+    usable = {row["recording"] for row in rows if row["status"] == "ok"}
+    by_method: dict[str, list[Row]] = {}
+    for row in rows:
+        by_method.setdefault(row_method(row), []).append(row)
+    lines = []
+    for method, own in by_method.items():
+        good = [row for row in own if row["status"] == "ok"]
+        values: dict[str, float | None] = {}
+        for metric in metrics:
+            figures: dict[str, dict[str, list[float]]] = {}
+            for row in good:
+                value = value_of(row, metric)
+                if value is not None:
+                    of_unit = figures.setdefault(row_tracker(row), {}).setdefault(row_unit(row), [])
+                    of_unit.append(value)
+            by_tracker = [_mean([_mean(unit) for unit in t.values()]) for t in figures.values()]
+            values[metric.name] = _mean(by_tracker) if by_tracker else None
+        failed = None if good else str(own[0]["reason"])
+        of = sum(row["recording"] in usable for row in own)
+        lines.append(Line(method, values, failed, len(good), of))
+    return lines
+
+
+def by_tracker(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    """Rows of each tracker that any method succeeded on, in their order."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row_tracker(row), []).append(row)
+    return {t: own for t, own in groups.items() if any(row["status"] == "ok" for row in own)}
+
+
+def sample_text(rows: Iterable[Row]) -> str:
+    """Numbers of recordings of each tracker, for a person: ``3 recordings: 2 glove, 1 camera``."""
+    rows = [row for row in rows if row["status"] == "ok"]
+    counts = {
+        tracker: len({row_unit(row) for row in own}) for tracker, own in by_tracker(rows).items()
+    }
+    total = sum(counts.values())
+    words = counted(total, "recording")
+    parts = len({row["recording"] for row in rows})
+    words += f" in {parts} parts" if parts > total else ""
+    listed = ", ".join(f"{count} {tracker}" for tracker, count in counts.items())
+    return f"{words}: {listed}" if len(counts) > 1 else words
+
+
+def by_panel(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
+    """Rows of one recording, hand and side; in their order."""
+    return _grouped(rows, ("recording", "hand", "side"))  # type: ignore[return-value]
+
+
+def by_hand(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    """Rows of one hand, left and right together; in their order."""
+    return {hand: group for (hand,), group in _grouped(rows, ("hand",)).items()}
+
+
+def failures(rows: Iterable[Row]) -> list[tuple[str, str, str]]:
+    """Failures: recording and hand, methods, reason; methods with one reason together."""
+    grouped: list[tuple[str, str, str]] = []
+    for (recording, hand, side), own in by_panel(rows).items():
+        reasons: dict[str, list[str]] = {}
+        for row in own:
+            if row["status"] != "ok":
+                reasons.setdefault(str(row["reason"]), []).append(row_method(row))
+        for reason, methods in reasons.items():
+            every = len(methods) == len(own) > 1
+            named = f"all {len(own)} methods" if every else ", ".join(methods)
+            grouped.append((f"{recording} on {hand} {side}", named, reason))
+    return grouped
+
+
+def footnotes(rows: Iterable[Row]) -> list[str]:
+    """Footnotes for empty cells of self-collision and of pinches: one sentence for each hand and
+    each recording not measured."""
+    share, touch = _BY_NAME["self_collision.share"], _BY_NAME["pinch_touch_share"]
+    measured = [row for row in rows if row["status"] == "ok"]
+    hands = {
+        f"{row['hand']} {row['side']}": None for row in measured if value_of(row, share) is None
+    }
+    pinched = {row["recording"] for row in measured if value_of(row, touch) is not None}
+    recordings = dict.fromkeys(row["recording"] for row in measured)
+    return [
+        *(
+            f"– self-collision of {hand}: not measured, since no two of its parts could touch "
+            "each other. It has no rank and no part in the choice of a method."
+            for hand in hands
+        ),
+        *(
+            f"– touch and deep of {recording}: the human pinches in fewer than {LEAST_PINCHED} "
+            "frames."
+            for recording in recordings
+            if recording not in pinched
+        ),
+    ]
+
+
+def best(lines: Sequence[Line], metric: Metric) -> set[int]:
+    """Best lines at a metric; none where it is no merit, or all are alike.
+
+    Lines that look the same are equally good: what can't be read can't be better.
+    """
+    if not metric.goal:
+        return set()
+    merits = {
+        i: merit(metric, value)
+        for i, line in enumerate(lines)
+        if (value := line.values.get(metric.name)) is not None and line.count == line.of
+    }
+    shown = {i: shown_value(metric, lines[i].values[metric.name]) for i in merits}
+    if len(merits) < 2 or len(set(shown.values())) < 2:
+        return set()
+    top = max(merits, key=lambda i: merits[i])
+    return {i for i in merits if shown[i] == shown[top] or merits[i] == merits[top]}
+
+
+def merit(metric: Metric, value: float) -> float:
+    """Merit of a value: more is better; at most 0 for a metric whose best value is 1."""
+    if metric.goal == "->1":
+        return -abs(value - 1.0)
+    return -value if metric.goal == "down" else value
+
+
+def shown_value(metric: Metric, value: float | None) -> str:
+    """A value as tables print it."""
+    if value is None:
+        return "–"
+    if metric.name in ("frames",):
+        return f"{value:.0f}"
+    if metric.name.startswith("workspace_utilisation") or metric.name.endswith("share"):
+        return f"{100 * value:.1f} %"
+    if metric.name == "flatness" or (value and abs(value) < 1e-3):
+        return f"{value:.2e}"
+    return f"{value:.4f}" if metric.goal == "->1" else f"{value:.4g}"
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)
+
+
+def _grouped(rows: Iterable[Row], names: Sequence[str]) -> dict[tuple[str, ...], list[Any]]:
+    groups: dict[tuple[str, ...], list[Any]] = {}
+    for row in rows:
+        groups.setdefault(tuple(str(row[name]) for name in names), []).append(row)
+    return groups
+
+
+COLLISION_LIMIT: Final = 0.05
+"""Largest share of frames in self-collision of a method that is named for grasping."""
+MOTION_FLOOR: Final = 0.9
+"""Least motion preservation of a method that is named for calm motion: a hand that does not move
+would be the calmest."""
+FEW: Final = 5
+"""Recordings below which the page warns that the order may be another on others."""
+
+RULES: Final = (
+    "Overall is the mean rank over the columns of the table, where equal figures share a rank. "
+    "Looks: the least extension error. Grasping: the most pinches that touch, of the "
+    f"methods with at most {100 * COLLISION_LIMIT:.0f} % of frames in self-collision, or of all "
+    "where self-collision was not measured. Directions: the cosine similarity nearest 1. Calm "
+    "motion: the least flatness of the methods with a motion preservation of at least "
+    f"{MOTION_FLOOR:g}. Speed: the least median latency."
+)
+"""How the methods are chosen, for a person."""
+
+RANK: Final = Metric("mean_rank", "", "down", "mean rank over these columns; 1 is first in all")
+"""Column of the mean rank."""
+
+_EXTENSION: Final = _BY_NAME["finger_extension_error"]
+_FINGERS: Final = _BY_NAME["finger_direction_error_deg"]
+_TOUCH: Final = _BY_NAME["pinch_touch_share"]
+_COLLISION: Final = _BY_NAME["self_collision.share"]
+_COSINE: Final = _BY_NAME["cosine_similarity"]
+_MOTION: Final = _BY_NAME["motion_preservation"]
+_FLATNESS: Final = _BY_NAME["flatness"]
+_LATENCY: Final = _BY_NAME["latency_ms.p50"]
+
+
+@dataclass(frozen=True)
+class Use:
+    """The method for one use.
+
+    Attributes:
+        name: the use.
+        methods: the best, several where they look the same; empty where none serves.
+        figures: figures of the choice, or the reason for none.
+    """
+
+    name: str
+    methods: tuple[str, ...]
+    figures: str
+
+
+def mean_ranks(lines: Sequence[Line]) -> dict[str, float]:
+    """Mean rank of each method over the columns that any method has a value in; 1 is the best.
+
+    Methods that failed on a recording do not compete. A method without a value is the last of its
+    column; figures that look the same in the table share a rank.
+    """
+    running = _competing(lines)
+    ranks: list[np.ndarray] = []
+    for metric in COLUMNS:
+        values = [line.values.get(metric.name) for line in running]
+        if metric.goal and any(value is not None for value in values):
+            merits: dict[str, float] = {}  # the best of those that look the same
+            for value in values:
+                shown, worth = shown_value(metric, value), -np.inf
+                if value is not None:
+                    worth = merit(metric, value)
+                merits[shown] = max(worth, merits.get(shown, -np.inf))
+            ranks.append(rankdata([-merits[shown_value(metric, value)] for value in values]))
+    if not ranks:
+        return {}
+    means = np.mean(ranks, axis=0)
+    return {line.method: float(mean) for line, mean in zip(running, means, strict=True)}
+
+
+def find_uses(lines: Sequence[Line]) -> list[Use]:
+    """The method for each use, by ``RULES``; empty where fewer than two methods compete."""
+    running = _competing(lines)
+    if len(running) < 2:
+        return []
+    measured = any(line.values.get(_COLLISION.name) is not None for line in running)
+    free = [line for line in running if _at_most(line, _COLLISION, COLLISION_LIMIT)]
+    moving = [line for line in running if _at_least(line, _MOTION, MOTION_FLOOR)]
+    crowded = f"every method has over {100 * COLLISION_LIMIT:.0f} % of frames in self-collision"
+    still = f"no method reaches a motion preservation of {MOTION_FLOOR:g}"
+    return [
+        _use("looks", running, running, _EXTENSION, (_EXTENSION, _FINGERS), ""),
+        _use("pinching and grasping", free, running, _TOUCH, (_TOUCH, _COLLISION), crowded)
+        if measured
+        else _use("pinching and grasping", running, running, _TOUCH, (_TOUCH,), ""),
+        _use("pointing as the human does", running, running, _COSINE, (_COSINE,), ""),
+        _use("calm motion that keeps up", moving, running, _FLATNESS, (_FLATNESS, _MOTION), still),
+        _use("speed", running, running, _LATENCY, (_LATENCY,), ""),
+    ]
+
+
+def verdict(lines: Sequence[Line]) -> str:
+    """One sentence: the best overall, and the best for each use; empty where nothing competes."""
+    ranks = mean_ranks(lines)
+    uses = find_uses(lines)
+    if len(ranks) < 2 or not uses:
+        return ""
+    (first, rank), (second, next_rank) = sorted(ranks.items(), key=lambda item: item[1])[:2]
+    overall = (
+        f"{first} and {second} share the best mean rank over all columns ({rank:.1f} of "
+        f"{len(ranks)})"
+        if rank == next_rank
+        else f"{first} has the best mean rank over all columns ({rank:.1f} of {len(ranks)}; next "
+        f"{second}, {next_rank:.1f})"
+    )
+    parts = [
+        f"for {use.name} {' and '.join(use.methods) or 'none'} ({use.figures})" for use in uses
+    ]
+    return f"{overall}; {'; '.join(parts)}."
+
+
+def _use(
+    name: str,
+    lines: Sequence[Line],
+    every: Sequence[Line],
+    by: Metric,
+    shown: Sequence[Metric],
+    why_none: str,
+) -> Use:
+    """The best of ``lines``; where one of ``every`` has a better figure, it is named, too."""
+    measured = [line for line in lines if line.values.get(by.name) is not None]
+    if not measured:
+        return Use(name, (), why_none if not lines else f"no {_words(by)} was measured")
+    tops = best(measured, by) or set(range(len(measured)))
+    top = measured[min(tops)]
+    figures = ", ".join(f"{_words(m)} {_with_unit(m, top)}" for m in shown)
+    barred = [
+        line for line in every if line not in measured and line.values.get(by.name) is not None
+    ]
+    better = [i for i in best([*barred, top], by) if i < len(barred)]
+    if better:
+        other = barred[better[0]]
+        why = ", ".join(f"{_words(m)} {_with_unit(m, other)}" for m in shown)
+        figures += f"; {other.method} does not count: {why}"
+    return Use(name, tuple(measured[i].method for i in sorted(tops)), figures)
+
+
+def _words(metric: Metric) -> str:
+    return {
+        "finger_extension_error": "extension error",
+        "finger_direction_error_deg": "fingers off by",
+        "pinch_touch_share": "share of pinches that touch",
+        "self_collision.share": "self-collision",
+        "latency_ms.p50": "median latency",
+    }.get(metric.name, metric.name.replace("_", " "))
+
+
+def _with_unit(metric: Metric, line: Line) -> str:
+    unit = f" {metric.unit}" if metric.unit else ""
+    return f"{shown_value(metric, line.values.get(metric.name))}{unit}"
+
+
+def _competing(lines: Sequence[Line]) -> list[Line]:
+    return [line for line in lines if line.failed is None and line.count == line.of]
+
+
+def _at_most(line: Line, metric: Metric, bound: float) -> bool:
+    value = line.values.get(metric.name)
+    return value is not None and value <= bound
+
+
+def _at_least(line: Line, metric: Metric, bound: float) -> bool:
+    value = line.values.get(metric.name)
+    return value is not None and value >= bound
+
+
+Verdict: TypeAlias = Literal["better", "worse", "same"]
+
+NOISE: Final = 0.005
+"""Figures that differ by less than this share count as the same: of their value, or where one is
+the goal, of their distance from it. A processor that rounds in another way changes less."""
+LATENCY_NOISE: Final = 0.1
+"""The same for latencies: a repeated run differs as much."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A metric of a cell in both benchmarks.
+
+    Attributes:
+        metric: which.
+        now: its value here.
+        before: its value there.
+        verdict: by the metric's goal; ``same`` also for facts that are no merit.
+    """
+
+    metric: Metric
+    now: float
+    before: float
+    verdict: Verdict
+
+    @property
+    def difference(self) -> float:
+        """now - before."""
+        return self.now - self.before
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A cell in both benchmarks.
+
+    Attributes:
+        key: name of the cell.
+        changes: changes of the metrics that both have, in their order.
+        notes: other differences, by which the figures may not be comparable.
+    """
+
+    key: tuple[str, ...]
+    changes: tuple[Change, ...]
+    notes: tuple[str, ...]
+
+    def change(self, metric: Metric) -> Change | None:
+        """Change of a metric; None if one of the benchmarks lacks it."""
+        return next((each for each in self.changes if each.metric.name == metric.name), None)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two benchmarks.
+
+    Attributes:
+        name: name of the other one.
+        cells: those that succeeded in both.
+        only_here: keys of cells that the other has not, or that failed there.
+        only_there: keys of cells that this has not, or that failed here.
+    """
+
+    name: str
+    cells: tuple[Compared, ...]
+    only_here: tuple[tuple[str, ...], ...]
+    only_there: tuple[tuple[str, ...], ...]
+
+    def count(self, verdict: Verdict, metrics: Sequence[Metric] | None = None) -> int:
+        """Number of figures with a verdict; by default of all metrics that are numbers."""
+        judged = numbers() if metrics is None else metrics
+        return sum(
+            change.verdict == verdict and change.metric in judged
+            for cell in self.cells
+            for change in cell.changes
+        )
+
+
+def compare(rows: Iterable[Row], others: Iterable[Row], name: str) -> Comparison:
+    """Compares an earlier benchmark with one.
+
+    Args:
+        name: name of the other, for a person.
+    """
+    here = {row_key(row): row for row in rows if row.get("metrics")}
+    there = {row_key(row): row for row in others if row.get("metrics")}
+    return Comparison(
+        name,
+        tuple(_compared(key, row, there[key]) for key, row in here.items() if key in there),
+        tuple(key for key in here if key not in there),
+        tuple(key for key in there if key not in here),
+    )
+
+
+def change_verdict(metric: Metric, now: float, before: float) -> Verdict:
+    """True if a value is better or worse than another, beyond noise."""
+    noise = LATENCY_NOISE if metric.name.startswith("latency_ms") else NOISE
+    gain = merit(metric, now) - merit(metric, before) if metric.goal else 0.0
+    size = max(abs(merit(metric, now)), abs(merit(metric, before)))
+    if abs(gain) <= noise * size:
+        return "same"
+    return "better" if gain > 0 else "worse"
+
+
+def _compared(key: tuple[str, ...], row: Row, other: Row) -> Compared:
+    changes = []
+    for metric in numbers():
+        now, before = value_of(row, metric), value_of(other, metric)
+        if now is not None and before is not None:
+            changes.append(Change(metric, now, before, change_verdict(metric, now, before)))
+    return Compared(key, tuple(changes), tuple(_notes(row, other)))
+
+
+def _notes(row: Row, other: Row) -> Iterable[str]:
+    """Differences that make the figures of two rows less comparable."""
+
+    def of(which: Row, name: str, inner: str) -> object:
+        part = which.get(name)
+        return part.get(inner) if isinstance(part, dict) else None
+
+    if of(row, "source", "sha256") != of(other, "source", "sha256"):
+        yield "other frames"
+    for name in ("definition", "seed"):
+        if row.get(name) != other.get(name):
+            yield f"{name} {row.get(name)}, was {other.get(name)}"
+    if row.get("hardware") != other.get("hardware"):
+        yield "another machine"
+    for package in ("smooth-operator", "jax"):
+        now, before = of(row, "versions", package), of(other, "versions", package)
+        if now != before:
+            yield f"{package} {now}, was {before}"

@@ -1,0 +1,479 @@
+"""Running a benchmark: quality of all cells in workers, then latency with nothing else running.
+
+In its folder, ``config.json`` holds the settings; ``cells/SLUG.npz`` and ``.json`` are the commands
+of a cell and its measurements, as ``smooth-operator retarget`` writes them;
+``cells/SLUG.latency.json`` its latency; ``results.json`` and ``report.html`` the results of all.
+Files are whole or not there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from smooth_operator.atomic_files import output_error, write_json
+from smooth_operator.benchmark.cells import (
+    Cell,
+    Settings,
+    benchmark_code,
+    cells_of,
+    fingerprint,
+    method_label,
+    select_methods,
+)
+from smooth_operator.benchmark.quality import (
+    Latency,
+    Measured,
+    measure_cell,
+    measure_latency,
+)
+from smooth_operator.benchmark.recordings import UNKNOWN_TRACKER, load_sources, parse_request
+from smooth_operator.errors import DocumentError, OutputError, RecordingError, UnknownNameError
+from smooth_operator.formats.commands import read_commands, write_commands
+from smooth_operator.formats.environment import environment
+from smooth_operator.io.documents import read_json
+from smooth_operator.metrics import Metric
+from smooth_operator.metrics.table import add_metrics
+from smooth_operator.offline.finished import read_configuration
+from smooth_operator.parallel import TaskResult, run_tasks
+from smooth_operator.planning import PROGRAM
+from smooth_operator.result_cache import (
+    Job,
+    Note,
+    ResultCache,
+    compute_results,
+    find_results,
+    longest_first,
+    no_note,
+)
+from smooth_operator.types import CommandTrajectory
+
+COMMAND: Final = "bench"
+CELLS: Final = "cells"
+CONFIG: Final = "config.json"
+RESULTS: Final = "results.json"
+REPORT: Final = "report.html"
+PLOTS: Final = "plots"
+
+
+def check_folder(
+    folder: Path, command: str = COMMAND, former: str = "an earlier benchmark"
+) -> None:
+    """Looks whether results may be written into a folder; writes nothing.
+
+    Args:
+        command: whose results may stand there already.
+        former: origin of those, for the message.
+
+    Raises:
+        OutputError: a file stands there, or the folder holds something other than such results.
+    """
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise OutputError(f"can't write into {str(folder)!r}: a file stands there; name a folder")
+    try:
+        empty = not any(folder.iterdir())
+    except OSError as error:
+        raise output_error(folder, error) from error
+    if not empty and (read_configuration(folder / CONFIG) or {}).get("command") != command:
+        raise OutputError(
+            f"can't write into {str(folder)!r}: it holds something other than {former}; give "
+            "another folder with --output"
+        )
+
+
+class MeasuredCache(ResultCache):
+    """Measured cells: commands and configuration, as ``smooth-operator retarget`` writes them.
+
+    The metrics and what the cell depends on are in the configuration, under ``cell``.
+    """
+
+    def _read(self, path: Path) -> tuple[Mapping[str, Any], Measured]:
+        content = dict(read_json(path))
+        record = content.pop("cell")
+        commands = read_commands(path.with_suffix(".npz"))
+        # The two files are written one after the other, and a crash may come between them.
+        if record["commands"] != _digest(commands):
+            raise DocumentError(f"it is not of {path.stem}.npz")
+        return record, Measured(
+            commands, dict(record["metrics"]), dict(record["fingers"]), content, record["seconds"]
+        )
+
+    def _write(self, path: Path, record: Mapping[str, str], value: Measured) -> None:
+        cell = {
+            **record,
+            "commands": _digest(value.commands),
+            "metrics": value.metrics,
+            "fingers": value.fingers,
+            "seconds": value.seconds,
+        }
+        write_commands(
+            path.with_suffix(".npz"), value.commands, value.configuration | {"cell": cell}
+        )
+
+
+class BenchmarkFolder:
+    """The folder of one benchmark.
+
+    Args:
+        settings: settings of the benchmark; its ``output`` is the folder, which is created.
+        note: called with cells that can't be used.
+
+    Attributes:
+        measured: measurements of cells, without latency.
+
+    Raises:
+        OutputError: the folder can't be written to, or holds something else.
+    """
+
+    def __init__(self, settings: Settings, note: Note = no_note) -> None:
+        self.settings = settings
+        self.folder = settings.output
+        self.environment = environment()
+        check_folder(self.folder)
+        self.measured = MeasuredCache(self.folder / CELLS, note)
+        self._latencies = ResultCache(self.folder / CELLS, note)
+        config = {"program": PROGRAM, "command": COMMAND, "settings": settings}
+        write_json(self.folder / CONFIG, config | self.environment, indent=2)
+
+    def job(self, cell: Cell) -> Job[Cell]:
+        """A cell to be measured, unless that was done before; long recordings take longest."""
+        key = fingerprint(cell, self.settings)
+        effort = len(cell.source.recording or ())
+        return Job(cell.slug, key, benchmark_code(), cell, cell.label, effort)
+
+    def save_latency(self, cell: Cell, latency: Latency) -> None:
+        """Keeps the latency of a cell.
+
+        Raises:
+            OutputError: it can't be written.
+        """
+        content = {
+            "samples_ms": latency.samples_ms,
+            "first_ms": latency.first_ms,
+            "warm_up": latency.warm_up,
+            "load": latency.load,
+            "others": latency.others,
+        }
+        self._latencies.keep(*self._latency(cell), content)
+
+    def load_latency(self, cell: Cell) -> Latency | None:
+        """The latency of a cell, measured before on this kind of machine; None if there is none."""
+        content = self._latencies.find(*self._latency(cell))
+        if content is None:
+            return None
+        return Latency(**{**content, "samples_ms": np.array(content["samples_ms"], np.float64)})
+
+    def _latency(self, cell: Cell) -> tuple[str, object, str]:
+        machine = [self.environment[key] for key in ("cpu", "cpu_cores", "device", "versions")]
+        key = [fingerprint(cell, self.settings), self.settings.latency_frames, machine]
+        return f"{cell.slug}.latency", key, benchmark_code()
+
+
+def _digest(commands: CommandTrajectory) -> str:
+    total = hashlib.sha256("\n".join(commands.joint_names).encode())
+    for array in (commands.joint_positions, commands.stamps, commands.status):
+        total.update(np.ascontiguousarray(array, "<f8").tobytes())
+    return total.hexdigest()
+
+
+Advance: TypeAlias = Callable[[str, str | None], None]
+"""Called with the label of a cell that is done, and why it failed or None."""
+
+RowKey: TypeAlias = tuple[str, str, str, str, str]
+"""``Cell.key``."""
+
+Track: TypeAlias = Callable[[str, int, int], AbstractContextManager[Advance]]
+"""Opens the display of a phase: its name, how many cells it has, how many were done before."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finished:
+    """The result of a cell.
+
+    Attributes:
+        cell: the cell.
+        measured: without latency; None where it failed.
+        reason: why it failed; None where it did not.
+        latency: measured alone; None where it was not asked for, or the cell failed.
+        fresh: done by this run, not found done.
+    """
+
+    cell: Cell
+    measured: Measured | None
+    reason: str | None
+    latency: Latency | None
+    fresh: bool
+
+
+@contextmanager
+def silent(name: str, total: int, done: int) -> Iterator[Advance]:
+    """A display that shows nothing."""
+    yield lambda label, reason: None
+
+
+def plan_cells(settings: Settings) -> list[Cell]:
+    """All that is to be measured; reads the recordings, writes nothing.
+
+    Raises:
+        SmoothOperatorError: the settings can't be met: an unknown name, no recording that can be
+            read, a folder that holds something else.
+    """
+    check_folder(settings.output)
+    add_metrics(settings.metrics)
+    requests = [
+        parse_request(
+            text,
+            frames=settings.frames,
+            rate=settings.rate,
+            side=settings.side,
+            layout=settings.layout,
+        )
+        for text in settings.recordings
+    ]
+    return cells_of(load_sources(requests), settings, select_methods(settings.methods))
+
+
+def run_suite(
+    settings: Settings, cells: Sequence[Cell], track: Track = silent, note: Note = no_note
+) -> list[Finished]:
+    """Measures all cells; those that an earlier run in the folder has finished are taken from it.
+
+    Each finished cell is written before the next, so that a run that is stopped loses only those
+    that it was at. A cell that fails has a reason in place of figures, and the rest goes on.
+
+    Args:
+        cells: result of ``plan_cells``.
+        note: called with kept cells that can't be used.
+
+    Returns:
+        The result of each cell, in their order.
+
+    Raises:
+        OutputError: a result can't be written.
+        ConfigError: the workers can't be.
+    """
+    store = BenchmarkFolder(settings, note)
+    reasons = {c.key: c.source.error for c in cells if c.source.error is not None}
+    jobs = [store.job(cell) for cell in cells if cell.key not in reasons]
+    results, missing = find_results(jobs, store.measured)
+    measured: dict[RowKey, Measured] = {r.job.task.key: r.value for r in results}  # type: ignore[misc]
+    before = set(measured)
+    _measure_quality(store, missing, measured, reasons, track)
+    latencies: dict[tuple[str, ...], Latency] = {}
+    if settings.latency_frames:
+        alive = [cell for cell in cells if cell.key in measured]
+        _measure_latency(store, alive, latencies, track)
+    return [
+        Finished(
+            cell,
+            measured.get(cell.key),
+            reasons.get(cell.key),
+            latencies.get(cell.key),
+            cell.key not in before,
+        )
+        for cell in cells
+    ]
+
+
+def _measure_quality(
+    store: BenchmarkFolder,
+    jobs: Sequence[Job[Cell]],
+    measured: dict[RowKey, Measured],
+    reasons: dict[RowKey, str],
+    track: Track,
+) -> None:
+    settings = store.settings
+
+    def execute(cells: Sequence[Cell]) -> Iterable[TaskResult[Measured]]:
+        tasks = [(cell, settings) for cell in cells]
+        return run_tasks(measure_cell, tasks, workers=settings.workers, cluster=settings.cluster)
+
+    with track("quality", len(measured) + len(jobs), len(measured)) as advance:
+        for result in compute_results(longest_first(jobs), store.measured, execute, _to_keep):
+            cell = result.job.task
+            if result.value is None:
+                reasons[cell.key] = result.error or "it returned nothing"
+            else:
+                measured[cell.key] = result.value
+            advance(cell.label, reasons.get(cell.key))
+
+
+def _to_keep(job: Job[Cell], result: TaskResult[Measured]) -> Measured | None:
+    if result.value is None:
+        return None
+    source = job.task.source
+    # As `retarget` has them, so that `view` finds the frames again.
+    facts = {"source": source.facts, "rate": source.request.rate}
+    return replace(
+        result.value,
+        configuration=result.value.configuration | facts,
+        seconds=result.seconds,
+    )
+
+
+def _measure_latency(
+    store: BenchmarkFolder,
+    cells: Sequence[Cell],
+    latencies: dict[tuple[str, ...], Latency],
+    track: Track,
+) -> None:
+    settings = store.settings
+    # By hand first: its retargeters then serve one recording after the other.
+    ordered = sorted(cells, key=lambda c: (c.hand, c.side, c.source.name))
+    groups = [list(g) for _, g in groupby(ordered, lambda c: (c.hand, c.side, c.source.name))]
+    todo = []
+    for group in groups:
+        loaded = [store.load_latency(cell) for cell in group]
+        # All of a group or none: figures that shall be compared are taken side by side.
+        if all(latency is not None for latency in loaded):
+            latencies |= {c.key: ms for c, ms in zip(group, loaded, strict=True) if ms is not None}
+        else:
+            todo.append(group)
+    left = sum(len(group) for group in todo)
+    with track("latency, alone", len(cells), len(cells) - left) as advance:
+        for group in todo:
+            measured = measure_latency(
+                group, settings.latency_frames, settings.seed, lambda c: advance(c.label, None)
+            )
+            for cell, latency in zip(group, measured, strict=True):
+                latencies[cell.key] = latency
+                if latency.reason is None:
+                    store.save_latency(cell, latency)
+
+
+Row: TypeAlias = dict[str, Any]
+"""One cell: ``recording``, ``hand``, ``side``, ``method``, ``preset``, ``status``, ``reason``,
+``metrics`` (as ``evaluate`` gives them, the latency measured alone),
+``fingers``, ``latency``, ``source``, ``seed``, ``definition``, ``fingers_driven`` (as chosen; null
+for all), ``operator`` (the calibration; null for none), ``cell``, ``seconds``, ``versions``,
+``hardware``, ``date``."""
+
+KEY: Final = ("recording", "hand", "side", "method", "preset")
+"""What names a row; no two rows share all of them."""
+
+_HARDWARE: Final = ("platform", "cpu", "cpu_cores", "device")
+
+
+_MOST_BYTES = 100_000_000  # a row for each cell, with a few kB
+
+
+def make_rows(finished: Iterable[Finished], settings: Settings) -> list[Row]:
+    """The rows, in the order of the cells."""
+    return [_row(one, settings) for one in finished]
+
+
+def _row(finished: Finished, settings: Settings) -> Row:
+    cell, measured, latency = finished.cell, finished.measured, finished.latency
+    row: Row = dict(zip(KEY, cell.key, strict=True))
+    row |= {
+        "status": "error" if measured is None else "ok",
+        "reason": finished.reason,
+        "metrics": None,
+        "fingers": None,
+        "latency": None,
+        "source": cell.source.facts,
+        "seed": settings.seed,
+        "definition": settings.definition,
+        "fingers_driven": settings.fingers,
+        "operator": settings.operator,
+        "cell": None,
+        "seconds": None,
+        "versions": None,
+        "hardware": None,
+        "date": None,
+    }
+    if measured is None:
+        return row
+    configuration = measured.configuration
+    none = dict.fromkeys(("mean", "p50", "p95", "p99", "first"))
+    alone = none if latency is None else latency.summary
+    return row | {
+        "metrics": measured.metrics | {"latency_ms": alone},
+        "fingers": measured.fingers,
+        "latency": None if latency is None else latency.facts,
+        "cell": f"{CELLS}/{cell.slug}.npz",
+        "seconds": measured.seconds,
+        "versions": configuration.get("versions"),
+        "hardware": {key: configuration.get(key) for key in _HARDWARE},
+        "date": configuration.get("created"),
+    }
+
+
+def row_key(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """Key of a row."""
+    return tuple(str(row[name]) for name in KEY)
+
+
+def row_method(row: Mapping[str, Any]) -> str:
+    """Name of the row's method in tables."""
+    return method_label(str(row["method"]), str(row["preset"]))
+
+
+def row_tracker(row: Mapping[str, Any]) -> str:
+    """Kind of tracker of the row's recording."""
+    return str(_source(row).get("tracker", UNKNOWN_TRACKER))
+
+
+def row_unit(row: Mapping[str, Any]) -> str:
+    """The recording that the row's frames are of, as a whole: parts of a file share it."""
+    return str(_source(row).get("unit") or row["recording"])
+
+
+def _source(row: Mapping[str, Any]) -> Mapping[str, Any]:
+    source = row.get("source")
+    return source if isinstance(source, Mapping) else {}
+
+
+def value_of(row: Mapping[str, Any], metric: Metric) -> float | None:
+    """A metric of a row as a number; None where it failed, was not measured or is no number."""
+    metrics = row.get("metrics")
+    if not isinstance(metrics, Mapping):
+        return None
+    try:
+        value = metric.of(metrics)
+    except UnknownNameError:  # an earlier version did not measure it
+        return None
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(value) if number else None  # type: ignore[arg-type]
+
+
+def read_results(path: Path) -> list[Row]:
+    """Reads ``results.json``, of this or an earlier benchmark.
+
+    Args:
+        path: the file, or the folder of the benchmark.
+
+    Raises:
+        RecordingError: there is no such file, it is damaged, or something other than results.
+    """
+    if path.is_dir():
+        path = path / RESULTS
+    expected = f"expected the {RESULTS} of `smooth-operator bench`"
+    try:
+        rows = read_json(path, most_bytes=_MOST_BYTES)
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: no such file; {expected}") from None
+    except OSError as error:
+        raise RecordingError(f"{path}: can't be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise RecordingError(f"{path}: damaged, or no JSON ({error}); {expected}") from None
+    if not isinstance(rows, list):
+        raise RecordingError(f"{path}: it holds a {type(rows).__name__}, not a list; {expected}")
+    for i, row in enumerate(rows):
+        missing = [
+            name for name in KEY if not (isinstance(row, dict) and isinstance(row.get(name), str))
+        ]
+        if missing:
+            raise RecordingError(f"{path}: row {i} lacks {', '.join(missing)}; {expected}")
+        if not isinstance(row.get("metrics"), (dict, type(None))):
+            raise RecordingError(f"{path}: the metrics of row {i} are no object; {expected}")
+    return rows

@@ -1,0 +1,382 @@
+"""Data sets of human hands into data sets of robot hands: read, retarget, filter, write.
+
+    from smooth_operator.datasets.pipeline import DatasetRequest, make_dataset
+    from smooth_operator.datasets.retargeting import Recipe
+    from smooth_operator.planning import make_request
+
+    request = DatasetRequest(("egodex/",), Path("out"), Recipe(make_request(hand="leap_hand")))
+    summary = make_dataset(request)
+
+In the folder of results, ``dataset`` is the data set, ``report.json``, ``report.html`` and
+``episodes.jsonl`` say what was kept and dropped and why, and ``work`` holds the retargeted clips,
+from which a later run goes on. Other limits or another format retarget nothing a second time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.datasets.retargeting import SourceFile
+from smooth_operator.datasets.sources import Found, Item, find_items, in_shard
+from smooth_operator.datasets.store import Kept, Store, clear_unfinished
+from smooth_operator.datasets.work import (
+    Entry,
+    Job,
+    ReadClip,
+    do_job,
+    finish_job,
+    read_job,
+    unchanged,
+)
+from smooth_operator.datasets.writing import DatasetRequest as DatasetRequest
+from smooth_operator.datasets.writing import Order, Summary, hand_in, write_episodes
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.formats.foreign import foreign_suffix
+from smooth_operator.offline.finished import claimed
+from smooth_operator.offline.folder import checked
+from smooth_operator.parallel import run_groups, usable_cores
+
+BATCH: Final = 2048
+"""Hands that are retargeted together: two for each lane, so that short and long ones balance."""
+
+_BATCHES: Final = 2  # read and waiting, or retargeted and being written
+_QUERY: Final = ("--query-gpu=utilization.gpu", "--format=csv,noheader,nounits", "-lms", "250")
+
+
+@dataclass
+class GpuUse:
+    """The GPU of a run and the time that it works.
+
+    Attributes:
+        name: name of the device.
+        frames: frames that were retargeted.
+        seconds: time of the run [s].
+        retargeting: time in which a batch was retargeted and packed [s].
+        busy: share of ``seconds`` in which the GPU ran a kernel; None if it can't be measured.
+    """
+
+    name: str
+    frames: int = 0
+    seconds: float = 0.0
+    retargeting: float = 0.0
+    busy: float | None = None
+
+    @classmethod
+    def of_this_machine(cls) -> GpuUse:
+        """The first GPU that JAX sees.
+
+        Raises:
+            ConfigError: JAX sees none.
+        """
+        import jax
+
+        try:
+            (device, *_) = jax.devices("gpu")
+        except RuntimeError as error:
+            raise ConfigError(
+                f"--device gpu needs a GPU that JAX can use; it sees only {jax.devices()[0]} "
+                "(`smooth-operator doctor` says why). Without it: --device cpu"
+            ) from error
+        return cls(device.device_kind)
+
+    def sentence(self) -> str:
+        """Frames a second and the share of time in which the GPU was busy."""
+        busy = "" if self.busy is None else f"; the GPU was busy {self.busy:.0%} of the time"
+        return (
+            f"{self.name}: {self.frames} frames in {self.seconds:.1f} s "
+            f"({self.frames / max(self.seconds, 1e-9):,.0f} a second), "
+            f"{self.retargeting / max(self.seconds, 1e-9):.0%} of it retargeting and packing{busy}"
+        )
+
+    @contextlib.contextmanager
+    def measured(self) -> Iterator[None]:
+        """Measures the time of a block, and how busy the GPU is."""
+        started = time.perf_counter()
+        with gpu_samples() as samples:
+            try:
+                yield
+            finally:
+                self.seconds += time.perf_counter() - started
+        self.busy = float(np.mean(samples)) if samples else None
+
+
+@contextlib.contextmanager
+def gpu_samples() -> Iterator[list[float]]:
+    """Shares of time in which the GPU ran a kernel, four a second while a block runs.
+
+    ``nvidia-smi`` measures them; the list is filled at the end, and stays empty without it.
+    """
+    samples: list[float] = []
+    program = shutil.which("nvidia-smi")
+    if program is None:
+        yield samples
+        return
+    with subprocess.Popen([program, *_QUERY], stdout=subprocess.PIPE, text=True) as sampler:
+        try:
+            yield samples
+        finally:
+            sampler.terminate()
+            lines = (sampler.communicate()[0] or "").split()
+            samples += [float(line) / 100 for line in lines if line.isdigit()]
+
+
+@contextlib.contextmanager
+def only_cpus_in_children() -> Iterator[None]:
+    """Processes that start in the block compute on the CPU, whatever JAX would choose.
+
+    JAX reads the variable when it is imported: a process that uses a GPU imports it before.
+    """
+    before = os.environ.get("JAX_PLATFORMS")
+    os.environ["JAX_PLATFORMS"] = "cpu"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["JAX_PLATFORMS"]
+        else:
+            os.environ["JAX_PLATFORMS"] = before
+
+
+def entries_of_gpu(
+    jobs: Sequence[Job], split: Callable[[Job], Sequence[Job]], use: GpuUse, **options: Any
+) -> Generator[list[Entry]]:
+    """Results of jobs: workers read the clips, this process retargets ``BATCH`` hands together.
+
+    While a batch is retargeted and packed by a thread, the next is read. One process uses one GPU;
+    several GPUs are several runs, each with its ``CUDA_VISIBLE_DEVICES`` and its ``--shard``.
+
+    Args:
+        split: parts of a job whose worker died.
+        options: options of ``run_tasks``.
+
+    Raises:
+        OutputError: a pack can't be written.
+    """
+
+    def finish(waiting: list[tuple[Job, list[ReadClip], dict[str, str]]]) -> list[Entry]:
+        started = time.perf_counter()
+        job = replace(waiting[0][0], items=tuple(i for part, *_ in waiting for i in part.items))
+        clips = [clip for _, read, _ in waiting for clip in read]
+        reasons = {name: why for *_, own in waiting for name, why in own.items()}
+        entries = finish_job(job, clips, reasons)
+        use.retargeting += time.perf_counter() - started
+        use.frames += sum(0 if each.kept is None else each.kept.frames for each in entries)
+        return entries
+
+    with (
+        use.measured(),
+        ThreadPoolExecutor(1) as thread,
+        contextlib.closing(run_groups(read_job, jobs, split, **options)) as results,
+    ):
+        batches: list[Future[list[Entry]]] = []
+        waiting: list[tuple[Job, list[ReadClip], dict[str, str]]] = []
+        hands = 0
+        for job, result in results:
+            if result.value is None:
+                yield [Entry(item.name, None, result.error) for item in job.items]
+                continue
+            waiting.append((job, *result.value))
+            hands += sum(len(each.clip.hands) for each in result.value[0])
+            if hands >= BATCH:
+                batches.append(thread.submit(finish, waiting))
+                waiting, hands = [], 0
+            if len(batches) >= _BATCHES:
+                yield batches.pop(0).result()
+        if waiting:
+            batches.append(thread.submit(finish, waiting))
+        for batch in batches:
+            yield batch.result()
+
+
+WORK: Final = "work"
+"""Folder with the retargeted clips, in the folder of results."""
+
+_MOST_ITEMS: Final = 64  # in a pack
+_FEW_ITEMS: Final = 8
+_MOST_BYTES: Final = 256_000_000  # read for a pack, unless one file has more
+_SHARE: Final = 50  # packs a worker makes at least, so that a killed run loses 2 % at most
+
+
+class Progress:
+    """Receives the state of the work and does nothing; derive from it to show progress."""
+
+    def looked(self, found: Found, items: int, kept: int) -> None:
+        """Called after the search, with the number of items, and of those that are done already."""
+
+    def retargeted(self, entries: Sequence[Entry]) -> None:
+        """Called after each pack."""
+
+    def written(self, done: int, count: int) -> None:
+        """Called while the data set is written, with the number of items done, and of all."""
+
+
+def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> Summary:
+    """Makes a data set, or the share of one that a shard is; goes on where a run was stopped.
+
+    The result depends on the sources and the request alone, not on the number of workers, nor on
+    what was stopped or killed before. A clip that can't be read or retargeted is reported, and the
+    others go on.
+
+    Args:
+        request: sources, recipe and output.
+        progress: receives the state of the work.
+
+    Returns:
+        counts and reasons of what was kept, dropped and failed, as in ``report.json``.
+
+    Raises:
+        SmoothOperatorError: nothing can be made at all: the hand, the method, a source, the folder.
+    """
+    progress = Progress() if progress is None else progress
+    checked(request.recipe.request)
+    check_output(request)
+    survey = find_items(request.sources, layout=request.layout, leave_out=request.output)
+    if not survey.items and not survey.refused:
+        kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
+        ways = [
+            f"; a {suffix} file is {kind}"
+            for suffix in survey.passed_over
+            if (kind := foreign_suffix(suffix)) is not None
+        ]
+        raise RecordingError(
+            f"nothing to retarget in {', '.join(request.sources)}"
+            + (f": no layout knows its files ({kinds})" if kinds else ": it is empty")
+            + "".join(ways[:3])
+        )
+    if not survey.items:
+        refused = "; ".join(f"{each.name}: {each.reason}" for each in survey.refused[:3])
+        raise RecordingError(f"nothing to retarget; {refused}")
+    name = request.recipe.digest[:16]
+    on_gpu = request.recipe.device == "gpu" and not (request.merge or request.pack)
+    if on_gpu and request.cluster is not None:
+        raise ConfigError(
+            "a GPU retargets on this machine and not on a cluster; for several GPUs start one run "
+            "a GPU with --shard I/N, and --merge at the end"
+        )
+    gpu = GpuUse.of_this_machine() if on_gpu else None
+    work = request.output / WORK / (f"packed-{name}" if request.pack else name)
+    own = work if request.shard is None else work / "shard-{:05d}-of-{:05d}".format(*request.shard)
+    own.mkdir(parents=True, exist_ok=True)
+    with claimed(own):
+        clear_unfinished(own)
+        items = [item for item in survey.items if in_shard(item, request.shard)]
+        finished = _finished(Store(work), items)
+        progress.looked(survey, len(items), len(finished))
+        left = [item for item in items if item.name not in finished]
+        reasons: dict[str, str] = {refused.name: refused.reason for refused in survey.refused}
+        if request.merge:
+            missing = "no run has finished it yet; leave out --merge to retarget it now"
+            reasons |= {item.name: missing for item in left}
+        else:
+            with (
+                only_cpus_in_children(),
+                contextlib.closing(_retargeted(left, own, request, progress, gpu)) as entries,
+            ):
+                for entry in entries:  # whatever happens here, the workers end
+                    if entry.kept is None:
+                        reasons[entry.item] = entry.reason or "no clip is in it"
+                    else:
+                        finished[entry.item] = entry.kept
+        if request.shard is not None:
+            return Summary.of_shard(request.output, request.shard, finished, reasons)
+        if not request.merge:
+            Store(work).remove_superseded(finished)
+        names = [item.name for item in items if item.name in finished]
+        return write_episodes(
+            Order(request, [(name, finished[name]) for name in names], work),
+            reasons,
+            survey.passed_over,
+            progress.written,
+            [] if gpu is None or gpu.frames == 0 else [gpu.sentence()],
+        )
+
+
+def check_output(request: DatasetRequest) -> None:
+    """Refuses a folder of results that is a source, a file, or has a data set of another hand.
+
+    Raises:
+        OutputError: with the folder.
+    """
+    if request.output.exists() and not request.output.is_dir():
+        raise OutputError(
+            f"can't write into {str(request.output)!r}: a file stands there; name a folder"
+        )
+    real = request.output.resolve()
+    for source in request.sources:
+        path = Path(source).expanduser()
+        if path.is_dir() and path.resolve() == real:
+            raise OutputError(
+                f"can't write into {str(request.output)!r}: it is a source; give a separate folder"
+            )
+    hand, earlier = request.recipe.request.hand_name, hand_in(request.output)
+    if earlier not in (None, hand):
+        raise OutputError(
+            f"can't write into {str(request.output)!r}: it has the data set of {earlier}; give "
+            f"another folder for {hand}, or remove it first"
+        )
+
+
+def _finished(store: Store, items: Sequence[Item]) -> dict[str, Kept]:
+    """Items that earlier runs have done, with the places of their clips."""
+    by_name = {item.name: item for item in items}
+
+    def accept(name: str, digest: str, files: tuple[SourceFile, ...]) -> bool:
+        item = by_name.get(name)
+        return item is not None and item.asked == digest and unchanged(item, files)
+
+    return store.find(accept)
+
+
+def _retargeted(
+    items: Sequence[Item],
+    folder: Path,
+    request: DatasetRequest,
+    progress: Progress,
+    gpu: GpuUse | None,
+) -> Generator[Entry]:
+    """Entries of all items; those of a worker that died are tried once more, each alone."""
+
+    def split(job: Job) -> list[Job]:
+        return [replace(job, items=(item,)) for item in job.items]
+
+    options: dict[str, Any] = {"workers": request.workers, "cluster": request.cluster, "retries": 1}
+    jobs = list(_jobs(items, folder, request))
+    if gpu is not None:
+        for entries in entries_of_gpu(jobs, split, gpu, **options):
+            progress.retargeted(entries)
+            yield from entries
+        return
+    for job, result in run_groups(do_job, jobs, split, **options):
+        if result.error is not None and result.error.startswith(OutputError.__name__):
+            raise OutputError(result.error.partition(": ")[2])  # no space: nothing would go on
+        entries = result.value or [Entry(item.name, None, result.error) for item in job.items]
+        progress.retargeted(entries)
+        yield from entries
+
+
+def _jobs(items: Sequence[Item], folder: Path, request: DatasetRequest) -> Iterator[Job]:
+    """Items of neighbouring names in packs, small enough for all workers to have some."""
+    workers = request.workers or usable_cores()
+    share = -(-len(items) // max(workers, 1))
+    count = max(min(_FEW_ITEMS, share), min(_MOST_ITEMS, len(items) // (workers * _SHARE)), 1)
+    now: list[Item] = []
+    size = 0
+    for item in items:
+        if now and (len(now) == count or size + item.size > _MOST_BYTES):
+            yield Job(tuple(now), request.recipe, folder, not request.pack)
+            now, size = [], 0
+        now.append(item)
+        size += item.size
+    if now:
+        yield Job(tuple(now), request.recipe, folder, not request.pack)

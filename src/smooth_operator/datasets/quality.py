@@ -1,0 +1,487 @@
+"""Quality of an episode, and selection: clips are cut where a hand is lost, dropped by quality."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from smooth_operator import poses
+from smooth_operator.datasets.clip import RobotClip, robot_part
+from smooth_operator.errors import ConfigError
+from smooth_operator.formats.checks import STIFF_M, finger_motion
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.penetration import penetration_depths
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
+from smooth_operator.metrics import summary
+from smooth_operator.metrics.consistency import second_derivative
+from smooth_operator.metrics.joints import max_joint_step
+from smooth_operator.metrics.safety import COLLISION_DEPTH
+from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
+
+REACHED: Final = 0.25
+"""A robot fingertip reaches the human's if it is nearer to it than this share of the robot hand's
+length, or as near to where a finger as long as the robot's has its tip: the hands have other
+proportions, and an open robot hand whose fingers are twice as long is right, too."""
+
+COLLISION_RATE_HZ: Final = 5.0
+"""How often self-collision is looked at [Hz]: a look takes as long as a tenth of a command."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of quality.
+
+    Attributes:
+        name: name of the figure; that of an episode has the side before it, as in ``right.reach``.
+        unit: "" for a plain number.
+        better: better direction.
+        meaning: one line for a person.
+    """
+
+    name: str
+    unit: str
+    better: Literal["up", "down"]
+    meaning: str
+
+
+FIGURES: Final = (
+    Figure("confidence", "", "up", "the tracker's own confidence, mean"),
+    Figure("valid", "", "up", "share of frames with a command that answers a hand that was seen"),
+    Figure("gap_s", "s", "down", "longest time without such a command"),
+    Figure("wrist", "", "up", "share of frames with a known pose of the wrist"),
+    Figure("jump_m_s", "m/s", "down", "largest speed of the human wrist or of a fingertip to it"),
+    Figure("finger_motion_mm", "mm", "up", "range of the human fingertips' distances in the clip"),
+    Figure("tip_error_mm", "mm", "down", "robot fingertips to the aligned human ones, mean"),
+    Figure("tip_error_p95_mm", "mm", "down", "the same of the worst finger, 95th percentile"),
+    Figure("reach", "", "up", "share of frames in which every fingertip reaches the human's"),
+    Figure("collision", "", "down", "share of frames with two links more than 2 mm inside"),
+    Figure("collision_depth_mm", "mm", "down", "deepest overlap of two links"),
+    Figure("joint_step_rad", "rad", "down", "largest step of a joint from a frame to the next"),
+    Figure("jerk_rad_s3", "rad/s³", "down", "jerk of the joints, mean"),
+    Figure("tracking_loss", "", "down", "the method's own objective, mean"),
+    Figure("contact_precision", "", "up", "share of the robot's contacts that the human has, too"),
+    Figure("contact_recall", "", "up", "share of the human's contacts that the robot has"),
+    Figure("contact_error_mm", "mm", "down", "robot fingertip to object in the human's contacts"),
+    Figure("object_depth_mm", "mm", "down", "deepest point of the robot hand in an object"),
+)
+"""What is measured of each hand; ``frames``, ``seconds`` and ``rate_hz`` are of the episode. The
+last four are known where a clip was retargeted with its objects."""
+
+
+Tracks: TypeAlias = dict[str, Float[np.ndarray, " T"]]
+
+
+def quality_tracks(
+    recordings: Sequence[HandRecording],
+    commands: Sequence[CommandTrajectory],
+    losses: Sequence[Float[np.ndarray, " T"]],
+    hand: Hand,
+    alignment: AlignmentConfig,
+) -> list[Tracks]:
+    """Figures of each frame of some recordings of one hand; NaN where one is not known.
+
+    The recordings are measured together, as most of the time is spent between arrays.
+
+    Args:
+        alignment: the method's own, so that the human is measured as the method saw it.
+
+    Returns:
+        for each: ``speed`` [m/s] from the frame before, of the wrist or of a fingertip to the
+        wrist, the faster; ``tip_error`` [m] mean over fingertips; ``tip_error_max`` [m];
+        ``reached``, 1 where every fingertip reaches the human's (``REACHED``), or else 0;
+        ``penetration`` [m], at ``COLLISION_RATE_HZ``; ``loss``.
+    """
+    joined = _joined(recordings)
+    human = align_recording(joined, hand, alignment)
+    tips = human[:, [TIPS[FINGERS.index(name)] for name in hand.fingers]]
+    names = hand.tree.names
+    columns = [names.index(name) for name in hand.tip_names]
+    positions = np.concatenate([each.joint_positions for each in commands])
+    robot = np.asarray(hand.tree.positions(positions))
+    error = np.linalg.norm(robot[:, columns] - tips, axis=-1)
+    error[np.concatenate([each.status for each in commands]) != Status.OK] = np.nan
+    worst_tip = error.max(axis=-1)
+    from_place = np.linalg.norm(robot[:, columns] - _places(hand, human, robot), axis=-1)
+    nearest = np.fmin(error, from_place).max(axis=-1)
+    reached = np.where(np.isnan(worst_tip), np.nan, nearest <= REACHED * hand_length(hand))
+    looks = [_looks(recording) for recording in recordings]
+    depths = penetration_depths(
+        hand, np.concatenate([c.joint_positions[at] for c, at in zip(commands, looks, strict=True)])
+    )
+    tracks: list[Tracks] = []
+    start = looked = 0
+    for recording, look, loss in zip(recordings, looks, losses, strict=True):
+        own = slice(start, start + len(recording))
+        start = own.stop
+        penetration = np.full(len(recording), np.nan)
+        if depths is not None:
+            penetration[look] = depths[looked : looked + len(penetration[look])]
+        looked += len(penetration[look])
+        tracks.append(
+            {
+                "speed": _speed(recording, tips[own] - human[own, WRIST, None]),
+                "tip_error": error[own].mean(axis=-1),
+                "tip_error_max": worst_tip[own],
+                "reached": reached[own],
+                "penetration": penetration,
+                "loss": np.asarray(loss, np.float64),
+            }
+        )
+    return tracks
+
+
+def _places(
+    hand: Hand, human: Float[np.ndarray, "T 21 3"], robot: Float[np.ndarray, "T k 3"]
+) -> Float[np.ndarray, "T f 3"]:
+    """Where fingers of the human's posture and the robot's lengths have their tips [m]."""
+    names, numbers = hand.tree.names, [FINGERS.index(name) for name in hand.fingers]
+    bases = robot[:, [names.index(LANDMARKS[BASES[finger]]) for finger in numbers]]
+    points = human[:, [[BASES[finger] + i for i in range(4)] for finger in numbers]]
+    bones = np.linalg.norm(np.diff(points, axis=2), axis=-1).sum(axis=-1)
+    gain = hand.straight_pose.reach / np.maximum(bones, 1e-6)
+    places: np.ndarray = bases + gain[..., None] * (points[:, :, 3] - points[:, :, 0])
+    return places
+
+
+def hand_length(hand: Hand) -> float:
+    """From the wrist of a robot hand to its farthest fingertip, in the neutral pose [m]."""
+    names = hand.tree.names
+    points = np.asarray(hand.tree.positions(hand.full_configuration(hand.neutral)))
+    tips = points[[names.index(name) for name in hand.tip_names]]
+    return float(np.linalg.norm(tips - hand.wrist, axis=-1).max())
+
+
+def quality_figures(episode: RobotClip) -> dict[str, float]:
+    """Figures of an episode from its tracks; what is not known is left out.
+
+    Args:
+        episode: a clip with commands and tracks, whole or a part of one.
+
+    Returns:
+        ``frames``, ``seconds`` (to the end of the last frame), ``rate_hz``; and those of
+        ``FIGURES`` for each hand, as ``right.valid``.
+    """
+    stamps = episode.clip.stamps
+    steps = np.diff(stamps)
+    period = float(np.median(steps)) if len(steps) else 0.0
+    figures: dict[str, float | None] = {
+        "frames": float(len(stamps)),
+        "seconds": float(stamps[-1] - stamps[0]) + period if len(stamps) else 0.0,
+        "rate_hz": 1.0 / period if period > 0 else None,
+    }
+    for side in episode.commands:
+        own = _of_hand(episode, side, period)
+        figures |= {f"{side}.{name}": value for name, value in own.items()}
+    return {name: float(value) for name, value in figures.items() if value is not None}
+
+
+def worst(figures: Mapping[str, float], name: str) -> float | None:
+    """A figure of the hand that is worse off; None if it is known of neither."""
+    better = next(figure.better for figure in FIGURES if figure.name == name)
+    values = [value for key, value in figures.items() if key.partition(".")[2] == name]
+    if not values:
+        return None
+    return min(values) if better == "up" else max(values)
+
+
+def _of_hand(episode: RobotClip, side: Side, period: float) -> dict[str, float | None]:
+    commands, valid = episode.commands[side], episode.valid[side]
+    unknown = np.full(len(valid), np.nan)
+
+    def track(name: str) -> np.ndarray:
+        return episode.tracks.get(f"{side}.{name}", unknown)
+
+    depth = track("penetration")
+    known_depth = depth[np.isfinite(depth)]
+    confidence = episode.clip.confidence.get(side, unknown)
+    wrist = episode.T_world_wrist.get(side)
+    stamps = episode.clip.stamps
+    return {
+        "confidence": summary.mean(confidence),
+        "valid": summary.mean(valid),
+        "gap_s": longest_gap(valid, stamps, period),
+        "wrist": None if wrist is None else summary.mean(poses.is_valid(wrist)),
+        "jump_m_s": summary.maximum(track("speed")[1:]),
+        "tip_error_mm": summary.scaled(summary.mean(track("tip_error")), 1e3),
+        "tip_error_p95_mm": summary.scaled(summary.percentile(track("tip_error_max"), 95.0), 1e3),
+        "reach": summary.mean(track("reached")),
+        "collision": summary.mean(known_depth > COLLISION_DEPTH),
+        "collision_depth_mm": summary.scaled(summary.maximum(known_depth), 1e3),
+        "joint_step_rad": max_joint_step(commands.joint_positions),
+        "jerk_rad_s3": _jerk(commands.joint_positions, stamps),
+        "tracking_loss": summary.mean(track("loss")),
+    } | _at_objects(episode, side)
+
+
+def _at_objects(episode: RobotClip, side: Side) -> dict[str, float | None]:
+    """Figures of contacts, of an episode that has their tracks."""
+    if f"{side}.object_depth" not in episode.tracks:
+        return {}
+    names = ("shared_contacts", "robot_contacts", "human_contacts")
+    shared, robot, human = (int(episode.tracks[f"{side}.{name}"].sum()) for name in names)
+    error = 1e3 * float(episode.tracks[f"{side}.contact_error"].sum())
+    depth = np.maximum(episode.tracks[f"{side}.object_depth"], 0.0)
+    return {
+        "contact_precision": shared / robot if robot else None,
+        "contact_recall": shared / human if human else None,
+        "contact_error_mm": error / human if human else None,
+        "object_depth_mm": summary.scaled(summary.maximum(depth), 1e3),
+    }
+
+
+def longest_gap(valid: np.ndarray, stamps: np.ndarray, period: float) -> float:
+    """Longest time without a valid frame [s]; a frame lasts one period."""
+    edges = np.flatnonzero(np.diff(np.r_[True, valid, True].astype(np.int8)))
+    starts, stops = edges[::2], edges[1::2]
+    if not len(starts):
+        return 0.0
+    return float((stamps[stops - 1] - stamps[starts] + period).max())
+
+
+def _speed(recording: HandRecording, reaches: np.ndarray) -> Float[np.ndarray, " T"]:
+    """Fastest of the wrist and of the fingertips to the wrist, from the frame before [m/s]."""
+    moved = np.linalg.norm(np.diff(reaches, axis=0), axis=-1)  # (T - 1, F), NaN if one is missing
+    if recording.T_world_wrist is not None:
+        wrist = np.linalg.norm(np.diff(recording.T_world_wrist[:, :3], axis=0), axis=-1)
+        moved = np.concatenate([moved, wrist[:, None]], axis=1)
+    moved = np.where(np.isfinite(moved), moved, -1.0).max(axis=1)
+    speed = moved / np.diff(recording.stamps)
+    return np.concatenate([[np.nan], np.where(moved < 0, np.nan, speed)])
+
+
+def _looks(recording: HandRecording) -> slice:
+    """The frames in which self-penetration is looked for."""
+    rate = recording.rate_hz
+    return slice(None, None, max(1, round(rate / COLLISION_RATE_HZ)) if np.isfinite(rate) else 1)
+
+
+def _joined(recordings: Sequence[HandRecording]) -> HandRecording:
+    """Frames of several recordings of one side, for what takes each by itself."""
+    landmarks = np.concatenate([each.landmarks for each in recordings])
+    valid = np.concatenate([np.asarray(each.valid) for each in recordings])
+    stamps = np.arange(len(landmarks), dtype=np.float64)
+    return HandRecording(landmarks, stamps, recordings[0].side, valid)
+
+
+def _jerk(positions: np.ndarray, stamps: np.ndarray) -> float | None:
+    """Mean magnitude of the third derivative of the joints [rad/s^3]."""
+    if len(stamps) < 4:
+        return None
+    acceleration = second_derivative(positions, stamps)
+    return summary.mean(np.abs(np.diff(acceleration, axis=0) / np.diff(stamps[1:-1])[:, None]))
+
+
+Needed: TypeAlias = Literal["any", "all"]
+"""Of how many hands of a clip a frame needs: one of them, or each."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of an episode's quality. Figures that are not known break no limit.
+
+    Attributes:
+        cut: cut clips into their good parts; otherwise a clip is kept or dropped whole.
+        hands: a frame is good if any hand is seen in it, or if all of the clip's are.
+        max_gap: longest time without a good frame in an episode [s]; a clip is cut there.
+        max_jump: largest speed of the wrist or of a fingertip to it [m/s]: beyond it the tracker
+            has jumped, and a clip is cut there.
+        min_confidence: least confidence of the tracker: frames below it count as not seen.
+        min_seconds: shortest episode [s].
+        min_valid: least share of frames of an episode with a good hand.
+        max_collision: largest share of frames with two links more than 2 mm inside.
+        max_tip_error: largest mean distance of robot and human fingertips [mm].
+        min_reach: least share of frames in which every fingertip reaches the human's; see
+            ``quality.REACHED``.
+        min_finger_motion: least motion of the human fingers in the whole clip [mm]; see
+            ``formats.checks.finger_motion``.
+
+    Raises:
+        ConfigError: a limit is not a possible one.
+    """
+
+    cut: bool = True
+    hands: Needed = "any"
+    max_gap: float = 0.5
+    max_jump: float = 5.0
+    min_confidence: float = 0.3
+    min_seconds: float = 1.0
+    min_valid: float = 0.6
+    max_collision: float = 0.2
+    max_tip_error: float = 60.0
+    min_reach: float = 0.5
+    min_finger_motion: float = 1e3 * STIFF_M
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if each.name in ("cut", "hands"):
+                continue
+            share = each.name in ("min_confidence", "min_valid", "max_collision", "min_reach")
+            if not 0.0 <= value <= (1.0 if share else math.inf):
+                expected = "between 0 and 1" if share else "0 or more"
+                raise ConfigError(f"{each.name} must be {expected}, not {value:g}")
+
+
+NO_LIMITS: Final = Limits(
+    cut=False,
+    max_gap=math.inf,
+    max_jump=math.inf,
+    min_confidence=0.0,
+    min_seconds=0.0,
+    min_valid=0.0,
+    max_collision=1.0,
+    max_tip_error=math.inf,
+    min_reach=0.0,
+    min_finger_motion=0.0,
+)
+"""Keeps every clip whole."""
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Frames that are not kept.
+
+    Attributes:
+        name: name of the episode they would be.
+        frames: first frame in the clip, and the one after the last.
+        reasons: name of a limit -> what was found, in words.
+        figures: quality of the episode; empty if there is none to measure.
+    """
+
+    name: str
+    frames: tuple[int, int]
+    reasons: dict[str, str]
+    figures: dict[str, float]
+
+
+def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
+    """The episodes of a clip, in the order of time: kept, with their figures, or dropped."""
+    if not whole.commands:  # packed alone
+        yield whole
+        return
+    whole = _confident(whole, limits.min_confidence)
+    motion = _finger_motions(whole)
+    if not limits.cut:
+        yield _judged(whole, slice(0, len(whole.clip)), limits, motion)
+        return
+    good = _good(whole, limits)
+    parts = list(_parts(good, _jumps(whole, limits), whole.clip.stamps, limits.max_gap))
+    at = 0
+    for part in parts:
+        if at < part.start:
+            yield _lost(whole, at, part.start)
+        yield _judged(robot_part(whole, part), part, limits, motion)
+        at = part.stop
+    if at < len(good):
+        yield _lost(whole, at, len(good))
+
+
+def _confident(whole: RobotClip, least: float) -> RobotClip:
+    """A clip in which frames count as not seen that the tracker is not sure of."""
+    valid = dict(whole.valid)
+    for side, confidence in whole.clip.confidence.items():
+        if side in valid:
+            valid[side] = valid[side] & ~(confidence < least)  # NaN: not known
+    return replace(whole, valid=valid)
+
+
+def _finger_motions(whole: RobotClip) -> dict[str, float]:
+    """Figures of the fingers' motion, of the whole clip: a hand may be still in a part of it."""
+    motions = {side: finger_motion(whole.clip.hands[side]) for side in whole.commands}
+    return {
+        f"{side}.finger_motion_mm": 1e3 * value
+        for side, value in motions.items()
+        if value is not None
+    }
+
+
+def _good(whole: RobotClip, limits: Limits) -> Bool[np.ndarray, " T"]:
+    each = np.array(list(whole.valid.values()))
+    return np.asarray(each.any(axis=0) if limits.hands == "any" else each.all(axis=0))
+
+
+def _jumps(whole: RobotClip, limits: Limits) -> Bool[np.ndarray, " T"]:
+    """Frames that a hand has jumped to."""
+    jumped = np.zeros(len(whole.clip), bool)
+    for name, values in whole.tracks.items():
+        if name.endswith(".speed"):
+            jumped |= values > limits.max_jump  # NaN compares as False
+    return jumped
+
+
+def _parts(
+    good: Bool[np.ndarray, " T"], jumped: Bool[np.ndarray, " T"], stamps: np.ndarray, gap: float
+) -> Iterator[slice]:
+    """Good parts: they begin and end with a good frame, and have no jump and no long gap inside."""
+    frames = np.flatnonzero(good)
+    if not len(frames):
+        return
+    jumps = np.cumsum(jumped)
+    apart = np.diff(stamps[frames]) > gap
+    if len(stamps) > 1:  # neighbours are no gap, however slow the clip
+        apart &= np.diff(frames) > 1
+    cuts = np.flatnonzero(apart | (np.diff(jumps[frames]) > 0)) + 1
+    for group in np.split(frames, cuts):
+        yield slice(int(group[0]), int(group[-1]) + 1)
+
+
+def _lost(whole: RobotClip, start: int, stop: int) -> Dropped:
+    name = f"{whole.clip.name}_{start:06d}-{stop:06d}"
+    return Dropped(name, (start, stop), {"hands": "no hand is seen"}, {})
+
+
+def _judged(
+    episode: RobotClip, frames: slice, limits: Limits, motion: Mapping[str, float]
+) -> RobotClip | Dropped:
+    figures = {**quality_figures(episode), **motion}
+    reasons = dict(_reasons(figures, limits))
+    if reasons:
+        return Dropped(episode.clip.name, (frames.start, frames.stop), reasons, figures)
+    return replace(episode, figures=figures)
+
+
+def _reasons(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, str]]:
+    """The limits that an episode breaks, with what was found."""
+    seconds = figures["seconds"]
+    if seconds < limits.min_seconds:
+        yield "min_seconds", f"{seconds:.2f} s long"
+    shares = [value for name, value in figures.items() if name.endswith(".valid")]
+    share = (max if limits.hands == "any" else min)(shares)
+    if share < limits.min_valid:
+        yield "min_valid", f"a hand is seen in {share:.0%} of the frames"
+    motions = [value for name, value in figures.items() if name.endswith(".finger_motion_mm")]
+    if motions:
+        motion = (max if limits.hands == "any" else min)(motions)
+        if motion < limits.min_finger_motion:
+            yield "min_finger_motion", f"the fingers never move: {motion:.1f} mm in the clip"
+    if not limits.cut:
+        yield from _of_whole(figures, limits)
+    checks: tuple[tuple[str, str, float, str], ...] = (
+        ("max_collision", "collision", limits.max_collision, "links collide in {:.0%} of frames"),
+        ("max_tip_error", "tip_error_mm", limits.max_tip_error, "fingertips are {:.0f} mm off"),
+        ("min_reach", "reach", limits.min_reach, "fingertips reach the human's in {:.0%}"),
+    )
+    for name, figure, limit, text in checks:
+        value = worst(figures, figure)
+        if value is not None and (value < limit if name.startswith("min") else value > limit):
+            yield name, text.format(value)
+
+
+def _of_whole(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, str]]:
+    """Limits that cut a clip, for one that is to stay whole."""
+    confidence, jump = worst(figures, "confidence"), worst(figures, "jump_m_s")
+    gaps = [value for name, value in figures.items() if name.endswith(".gap_s")]
+    gap = (min if limits.hands == "any" else max)(gaps)
+    if confidence is not None and confidence < limits.min_confidence:
+        yield "min_confidence", f"confidence {confidence:.2f}"
+    if jump is not None and jump > limits.max_jump:
+        yield "max_jump", f"a hand jumps with {jump:.1f} m/s"
+    if gap > limits.max_gap:
+        yield "max_gap", f"no hand for {gap:.1f} s"

@@ -1,0 +1,177 @@
+"""Hands of a clip for all readers: common stamps, and checks of each hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from smooth_operator.datasets.clip import SIDES
+from smooth_operator.errors import RecordingError
+from smooth_operator.formats.checks import check_recording, check_stamps, without_outliers
+from smooth_operator.formats.readers import check_anatomy
+from smooth_operator.io.anatomy import MIRRORED, chirality
+from smooth_operator.landmarks import WRIST, index
+from smooth_operator.poses import wrist_from_landmarks
+from smooth_operator.types import HandRecording, Side
+
+_TOGETHER: Final = 0.4
+"""Two hands are of one frame if their stamps differ by less than this share of a period."""
+_JUDGED: Final = 50
+"""Frames by which order and side of a hand are judged."""
+
+
+def checked_hands(
+    hands: Mapping[Side, HandRecording], where: str, expects: str, *, each_frame: bool = False
+) -> dict[Side, HandRecording]:
+    """The hands that appear, right one first, each checked by stamps, units, order and side.
+
+    A hand without a frame that has both wrist and middle knuckle is left out. What no hand could do
+    is flagged invalid, as in recordings of one hand.
+
+    Args:
+        hands: side -> what a file says of it, all with the same stamps.
+        where: the file, for messages.
+        each_frame: True if the side was decided frame by frame, as models do that look at single
+            pictures; then frames that show the other hand are flagged invalid.
+
+    Raises:
+        RecordingError: no hand appears; or one is in another unit than metres, or by its shape in
+            another order or of the other side than the file says.
+    """
+    checked: dict[Side, HandRecording] = {}
+    for side in SIDES:
+        hand = hands.get(side)
+        if hand is None or not _appears(hand):
+            continue
+        label = f"{where}, {side} hand"
+        check_anatomy(_some_of(hand), label, side=None)
+        check_recording(hand, label)
+        hand = without_outliers(hand)
+        checked[side] = _of_its_side(hand) if each_frame else hand
+    if not checked:
+        raise RecordingError(
+            f"{where}: no frame has a hand with its wrist and the middle finger's knuckle; "
+            f"expected is {expects}"
+        )
+    return checked
+
+
+def _appears(hand: HandRecording) -> bool:
+    assert hand.valid is not None  # filled in by HandRecording
+    return bool((hand.valid[:, WRIST] & hand.valid[:, index("middle_mcp")]).any())
+
+
+def _some_of(hand: HandRecording) -> HandRecording:
+    """Whole frames over all of a recording, enough to judge its shape by: it takes as long as all
+    else that is done with a clip."""
+    assert hand.valid is not None  # filled in by HandRecording
+    whole = np.flatnonzero(hand.valid.all(axis=1))
+    if len(whole) <= _JUDGED:
+        return hand
+    rows = whole[np.linspace(0, len(whole) - 1, _JUDGED).astype(int)]
+    return HandRecording(hand.landmarks[rows], hand.stamps[rows], hand.side, meta=hand.meta)
+
+
+def _of_its_side(hand: HandRecording) -> HandRecording:
+    """A hand whose frames that show the other one are invalid, and without a wrist."""
+    assert hand.valid is not None  # filled in by HandRecording
+    whole = np.flatnonzero(hand.valid.all(axis=1))
+    sign = 1.0 if hand.side == "right" else -1.0
+    other = whole[sign * chirality(hand.landmarks[whole]) < MIRRORED]
+    if not len(other):
+        return hand
+    valid, wrist = hand.valid.copy(), hand.T_world_wrist
+    valid[other] = False
+    if wrist is not None:
+        wrist = wrist.copy()
+        wrist[other] = np.nan
+    meta = {**hand.meta, "other_side_frames": len(other)}
+    return replace(hand, valid=valid, T_world_wrist=wrist, meta=meta)
+
+
+def on_common_stamps(hands: Mapping[Side, HandRecording], where: str) -> dict[Side, HandRecording]:
+    """Hands that were recorded by one clock, each with its own frames, on common stamps.
+
+    Frames of the two hands that are less than 0.4 of a period apart become one, with the earlier
+    stamp. Where a hand has no frame, its landmarks are NaN and not valid.
+
+    Args:
+        hands: side -> recording.
+        where: the file, for messages.
+
+    Raises:
+        RecordingError: the stamps of a hand do not increase, or are not in seconds.
+    """
+    for side, hand in hands.items():
+        check_stamps(hand.stamps, f"{where}, {side} hand")
+    sides = list(hands)
+    if len(sides) < 2 or np.array_equal(hands[sides[0]].stamps, hands[sides[1]].stamps):
+        return dict(hands)
+    stamps, rows = _merged(hands[sides[0]].stamps, hands[sides[1]].stamps)
+    return {side: _spread(hands[side], stamps, row) for side, row in zip(sides, rows, strict=True)}
+
+
+def _merged(
+    first: Float[np.ndarray, " n"], second: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, " T"], list[Int[np.ndarray, " k"]]]:
+    """The common stamps, and the row in them of each frame of the two."""
+    periods = [float(np.median(np.diff(s))) for s in (first, second) if len(s) > 1]
+    near = _TOGETHER * min(periods, default=0.0)
+    times = np.concatenate([first, second])
+    order = np.argsort(times, kind="stable")
+    of_second = order >= len(first)
+    joins = np.zeros(len(order), bool)  # the frame is of the same moment as the one before it
+    joins[1:] = (np.diff(times[order]) <= near) & (of_second[1:] != of_second[:-1])
+    for i in np.flatnonzero(joins[1:] & joins[:-1]) + 1:  # of three in a row, two belong together
+        joins[i] = joins[i] and not joins[i - 1]
+    row = np.empty(len(order), np.int64)
+    row[order] = np.cumsum(~joins) - 1
+    return times[order][~joins], [row[: len(first)], row[len(first) :]]
+
+
+def _spread(
+    hand: HandRecording, stamps: Float[np.ndarray, " T"], rows: Int[np.ndarray, " n"]
+) -> HandRecording:
+    """A hand on more stamps than it has frames."""
+
+    def spread(values: np.ndarray | None) -> Any:
+        if values is None:
+            return None
+        empty = False if values.dtype == bool else np.nan
+        wide = np.full((len(stamps), *values.shape[1:]), empty, values.dtype)
+        wide[rows] = values
+        return wide
+
+    return replace(
+        hand,
+        landmarks=spread(hand.landmarks),
+        stamps=stamps,
+        valid=spread(hand.valid),
+        metacarpals=spread(hand.metacarpals),
+        orientations=spread(hand.orientations),
+        T_world_wrist=spread(hand.T_world_wrist),
+    )
+
+
+def wrist_of_points(points: Float[np.ndarray, "T 21 3"], side: Side) -> Float[np.ndarray, "T 7"]:
+    """The wrist of a hand that is known by its points in one fixed frame, such as the camera's.
+
+    Args:
+        points: (T, 21, 3) [m] in a right-handed frame; NaN where missing.
+
+    Returns:
+        (T, 7) poses in that frame, NaN where the palm is not seen.
+    """
+    with np.errstate(all="ignore"):  # of points beyond any hand, which are refused later
+        wrist: np.ndarray = wrist_from_landmarks(points, side)
+    return wrist
+
+
+def first_video(*places: Path) -> Path | None:
+    """The first of some paths that is a file; None if there is none."""
+    return next((path for path in places if path.is_file()), None)

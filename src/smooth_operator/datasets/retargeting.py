@@ -1,0 +1,338 @@
+"""Clips of human hands into clips with the commands of robot hands."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from smooth_operator.datasets.clip import SIDES, Clip, Frame, RobotClip, in_frame, with_side
+from smooth_operator.datasets.quality import Tracks, quality_tracks
+from smooth_operator.datasets.registry import DATASETS, RESEARCH_PACKAGE, ReadingOptions
+from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.formats.jsonable import to_json
+from smooth_operator.methods.method import MethodConfig
+from smooth_operator.methods.trajectory import TrajectoryMethodConfig
+from smooth_operator.offline.execution import answers
+from smooth_operator.offline.finished import digest, made_by
+from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, plan
+from smooth_operator.plugins import Entry
+from smooth_operator.result_cache import key_digest
+from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
+from smooth_operator.version import package_version
+
+_OBJECT_AWARE: Final = Entry("smooth_hand_datasets.objects.retargeter:object_aware")
+"""Function of clip, side and plan that retargets one hand of a clip with its objects.
+
+Its result has the attributes ``commands``, ``loss`` (T,), ``tracks`` (name -> (T,)) and
+``T_world_wrist`` (T, 7).
+"""
+
+_CODE: Final = tuple(
+    f"datasets/{name}"
+    for name in ("clip.py", "quality.py", "readers", "registry.py", "retargeting.py", "store.py")
+)
+"""Files and folders of this package that a retargeted clip depends on, beside those of commands."""
+
+SHORTEST: Final = 2
+"""Fewest frames of a clip: with one there is no rate."""
+
+
+def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
+    """A configuration as one of whole recordings.
+
+    Raises:
+        ConfigError: it answers frame by frame.
+    """
+    if not isinstance(config, TrajectoryMethodConfig):
+        raise ConfigError(
+            "objects are for whole recordings: choose a preset for them, such as smooth:offline"
+        )
+    return config
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A file that a clip was read from.
+
+    Attributes:
+        path: its path in the source, with slashes; or its address.
+        bytes: its size.
+        sha256: digest of its content, in hexadecimal.
+        changed: its date, or what an object store has for it.
+    """
+
+    path: str
+    bytes: int
+    sha256: str
+    changed: str = ""
+
+    def identity(self) -> dict[str, Any]:
+        """Identity of the file in a data set, without its date."""
+        return {"path": self.path, "bytes": self.bytes, "sha256": self.sha256}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Settings on which the commands of a clip depend.
+
+    Attributes:
+        request: hand, method, preset, seed, scale, fingers and operator.
+        reading: options of the readers.
+        frame: where wrists and objects are given; None for each clip's own frame.
+        side: retarget this hand only; None for all that a clip has.
+        with_objects: keep the contacts of the human's fingertips with objects, in clips that have
+            an object with a shape and the wrist's pose, with ``smooth_hand_datasets``.
+        device: device that retargets; the commands of a GPU differ from a CPU's by 1e-4 rad.
+
+    Raises:
+        ConfigError: objects are to be kept, and the configuration answers frame by frame, or the
+            distribution that does it is not installed; a GPU is to retarget what is not retargeted
+            side by side.
+    """
+
+    request: RetargetRequest
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
+    frame: Frame | None = None
+    side: Side | None = None
+    with_objects: bool = False
+    device: Literal["cpu", "gpu"] = "cpu"
+
+    def __post_init__(self) -> None:
+        if self.device == "gpu" and (self.with_objects or self.request.scale == "calibrate"):
+            raise ConfigError(
+                "a GPU retargets clips side by side; clips with objects, or with a scale of their "
+                "own, are retargeted one by one: use --device cpu for them"
+            )
+        if self.with_objects:
+            if find_spec("smooth_hand_datasets") is None:
+                raise ConfigError(f"retargeting with objects is {RESEARCH_PACKAGE}")
+            whole_config(self.request.config)
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """Digest of it, with the code and both robot hands; see ``made_by``."""
+        mano = self.reading.mano
+        models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
+        readers = [entry.target for entry in DATASETS.plugins.values()]
+        code = made_by(self.request, *_CODE, *readers)
+        parts = [code, self.request, self.frame, self.side]
+        parts += ["with objects"] if self.with_objects else []
+        parts += ["gpu"] if self.device == "gpu" else []
+        return key_digest([*parts, self.reading.rate, [(m.name, digest(m)) for m in models]])
+
+    def of_item(self, side: Side | None, rate: float | None) -> Recipe:
+        """The recipe of one item, for which a list may say the hand and the rate."""
+        side = side or self.side
+        reading = replace(self.reading, side=side, rate=rate or self.reading.rate)
+        return replace(self, reading=reading, side=side)
+
+
+def retarget_clips(
+    clips: Sequence[Clip],
+    recipe: Recipe,
+    files: Sequence[Sequence[SourceFile]] | None = None,
+    keys: Sequence[str] | None = None,
+) -> list[RobotClip | SmoothOperatorError]:
+    """Clips with the commands of their robot hands, in the order of the clips.
+
+    Retargeters are built once in a process and kept.
+
+    Args:
+        files: source files of each clip, for its ``meta``.
+        keys: keys of each; its digest if left out.
+
+    Returns:
+        for each clip the result, or why there is none.
+    """
+    todo = [_prepared(clip, recipe) for clip in clips]
+    works = [
+        _Work(number, side, each, clip.clip if _touches(clip.clip, side, recipe) else None)
+        for number, clip in enumerate(todo)
+        if isinstance(clip, _Prepared)
+        for side, each in clip.plans.items()
+    ]
+    done: dict[int, dict[Side, _Answer]] = {}
+    failed: dict[int, SmoothOperatorError] = {}
+    for group in _groups(works, recipe):
+        for work, answer in zip(group, _answers(group, recipe), strict=True):
+            if isinstance(answer, SmoothOperatorError):
+                failed[work.clip] = answer
+            else:
+                done.setdefault(work.clip, {})[work.side] = answer
+    results: list[RobotClip | SmoothOperatorError] = []
+    for number, clip in enumerate(todo):
+        if isinstance(clip, SmoothOperatorError) or number in failed:
+            results.append(clip if isinstance(clip, SmoothOperatorError) else failed[number])
+            continue
+        sources = () if files is None else files[number]
+        key = "" if keys is None else keys[number]
+        results.append(_result(clip, done[number], recipe, sources, key))
+    return results
+
+
+def clip_key(
+    recipe: Recipe, layout: str, part: str, selection: str, files: Sequence[SourceFile]
+) -> str:
+    """Digest of all that a clip's commands depend on: files, reader, hand, method and settings.
+
+    Args:
+        part: name of the clip in its file.
+        files: source files.
+    """
+    content = [(file.bytes, file.sha256) for file in files]
+    return key_digest([recipe.digest, layout, part, selection, content])
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    clip: Clip
+    plans: dict[Side, Plan]
+
+
+def _prepared(clip: Clip, recipe: Recipe) -> _Prepared | SmoothOperatorError:
+    try:
+        clip = in_frame(with_side(clip, recipe.side), recipe.frame)
+        if len(clip) < SHORTEST:
+            raise RecordingError(f"{clip.name}: it has {len(clip)} frames; {SHORTEST} are needed")
+        plans = {
+            side: plan(clip.hands[side], recipe.request)
+            for side in SIDES
+            if side in clip.hands and _has_frames(clip.hands[side])
+        }
+        if not plans:
+            raise RecordingError(f"{clip.name}: no hand is seen in any frame")
+    except SmoothOperatorError as error:
+        return error
+    return _Prepared(clip, plans)
+
+
+def _has_frames(hand: HandRecording) -> bool:
+    assert hand.valid is not None  # filled in on construction
+    return bool(hand.valid.any())
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """One hand of one clip; ``scene`` is the clip where its objects count."""
+
+    clip: int
+    side: Side
+    plan: Plan
+    scene: Clip | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    commands: CommandTrajectory
+    tracks: Tracks
+    T_world_wrist: np.ndarray | None = None  # where it is not the human's
+
+
+def _touches(clip: Clip, side: Side, recipe: Recipe) -> bool:
+    """True if a hand is to be retargeted with the clip's objects."""
+    return (
+        recipe.with_objects
+        and clip.hands[side].T_world_wrist is not None
+        and any(track.mesh is not None for track in clip.objects)
+    )
+
+
+def _groups(works: Sequence[_Work], recipe: Recipe) -> Iterator[list[_Work]]:
+    """Groups that are retargeted together: scenes and recordings with an own scale are alone."""
+    one_by_one = recipe.request.scale == "calibrate"
+    yield from ([work] for work in works if one_by_one or work.scene is not None)
+    for side in SIDES:
+        group = [work for work in works if work.side == side and work.scene is None]
+        if group and not one_by_one:
+            yield group
+
+
+def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOperatorError]:
+    """The commands of a group; if they fail together, each is tried by itself."""
+    if group[0].scene is not None:
+        return [_with_objects(each, each.scene) for each in group if each.scene is not None]
+    keep = recipe.request.scale != "calibrate"  # each scale is a program of its own
+    recordings = [work.plan.recording for work in group]
+    first = group[0].plan
+    try:
+        results = answers([work.plan for work in group], keep=keep)
+        commands, losses = [each for each, _ in results], [loss for _, loss in results]
+        alignment = first.config.alignment
+        tracks = quality_tracks(recordings, commands, losses, first.hand, alignment)
+    except SmoothOperatorError as error:
+        if len(group) == 1:
+            return [error]
+        return [each for work in group for each in _answers([work], recipe)]
+    return [_Answer(*each) for each in zip(commands, tracks, strict=True)]
+
+
+def _with_objects(work: _Work, scene: Clip) -> _Answer | SmoothOperatorError:
+    plan = work.plan
+    try:
+        answer = _OBJECT_AWARE.load()(scene, work.side, plan)
+        (tracks,) = quality_tracks(
+            [plan.recording], [answer.commands], [answer.loss], plan.hand, plan.config.alignment
+        )
+    except SmoothOperatorError as error:
+        return error
+    return _Answer(answer.commands, tracks | dict(answer.tracks), answer.T_world_wrist)
+
+
+def _result(
+    todo: _Prepared,
+    done: Mapping[Side, _Answer],
+    recipe: Recipe,
+    files: Sequence[SourceFile],
+    key: str,
+) -> RobotClip:
+    clip, request = todo.clip, recipe.request
+    commands = {side: done[side].commands for side in todo.plans}
+    tracks = {
+        f"{side}.{name}": values
+        for side in todo.plans
+        for name, values in done[side].tracks.items()
+    }
+    config: dict[str, Any] = {
+        "program": PROGRAM,
+        "command": "dataset",
+        "hand": request.hand_name,
+        "fingers": request.fingers,
+        "method": request.method,
+        "preset": request.preset,
+        "seed": request.seed,
+        "config": {side: each.config for side, each in todo.plans.items()},
+        "pinch_gaps": request.known_gaps(),
+        "with_objects": recipe.with_objects,
+        "layout": clip.layout,
+        "frame": clip.world,
+        "version": package_version(),
+    }
+    unknown = np.full((len(clip), 7), np.nan)
+    wrists = {
+        side: clip.hands[side].T_world_wrist if own.T_world_wrist is None else own.T_world_wrist
+        for side, own in done.items()
+    }
+    meta = {**clip.meta, "source": [file.identity() for file in files]} if files else clip.meta
+    return RobotClip(
+        replace(clip, meta=meta),
+        commands,
+        {side: todo.plans[side].hand.name for side in commands},
+        {side: unknown if wrist is None else wrist for side, wrist in wrists.items()},
+        {side: each.status == Status.OK for side, each in commands.items()},
+        tracks,
+        config=shared_config(to_json(config)),
+        key=key or key_digest([recipe.digest, clip.name]),
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def shared_config(text: str) -> dict[str, Any]:
+    """A configuration from its JSON; the same object for the same text, as most clips share one."""
+    config: dict[str, Any] = json.loads(text)
+    return config

@@ -1,0 +1,341 @@
+"""Finished clips in packs: one file for many, whole or not there, found again by the next run.
+
+A pack is an uncompressed zip file of ``.npy`` arrays and one JSON document, ``index.json``. It
+takes its name when it is whole, so a killed run loses the packs that were being made, and nothing
+else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any, BinaryIO, Final, TypeAlias, cast
+
+import numpy as np
+
+from smooth_operator.atomic_files import atomic_write, output_error
+from smooth_operator.datasets.clip import Clip, ObjectTrack, RobotClip
+from smooth_operator.datasets.retargeting import SourceFile, shared_config
+from smooth_operator.errors import RecordingError
+from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.documents import parse_json
+from smooth_operator.offline.finished import remove_leftovers
+from smooth_operator.result_cache import key_digest
+from smooth_operator.types import CommandTrajectory, HandRecording, Side
+
+INDEX: Final = "index.json"
+_PREFIX: Final = "pack-"
+_MOST_BYTES: Final = 64_000_000
+_DATE: Final = (1980, 1, 1, 0, 0, 0)
+_DTYPES: Final = dict.fromkeys(
+    ("landmarks", "metacarpals", "orientations", "confidence", "tracks", "latency_ms"), np.float32
+) | {"status": np.int8}
+"""Types of arrays that float32 holds to a micrometre, and of codes."""
+_KINDS: Final[dict[str, Any]] = {
+    kind.__name__: kind for kind in (RobotClip, Clip, HandRecording, ObjectTrack, CommandTrajectory)
+}
+_LEFT_OUT: Final = {(RobotClip, "config"), (RobotClip, "figures"), (HandRecording, "meta")}
+
+
+@dataclass(frozen=True, eq=False)
+class Finished:
+    """The clips of one item of the work.
+
+    Attributes:
+        item: name of the item.
+        asked: ``Item.asked`` of the item.
+        files: files that were read.
+        clips: results, by name.
+    """
+
+    item: str
+    asked: str
+    files: tuple[SourceFile, ...]
+    clips: tuple[RobotClip, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """Place of the clips of an item.
+
+    Attributes:
+        pack: file.
+        position: position of the item in the file.
+        key: digest of all that the clips depend on.
+        sides: hands that the clips have.
+        frames: number of frames of all clips.
+        camera: whether a clip has poses of the camera.
+        objects: largest number of objects of a clip.
+    """
+
+    pack: Path
+    position: int
+    key: str
+    sides: tuple[Side, ...]
+    frames: int
+    camera: bool
+    objects: int
+
+
+Accept: TypeAlias = Callable[[str, str, tuple[SourceFile, ...]], bool]
+"""True if an item, by its name, ``asked`` and the files that were read, is done."""
+
+
+@dataclass(eq=False)
+class Store:
+    """The packs of one recipe.
+
+    Args:
+        folder: folder of the packs, however deep.
+    """
+
+    folder: Path
+    _open: dict[Path, _Pack] = field(default_factory=dict)
+
+    def find(self, accept: Accept) -> dict[str, Kept]:
+        """Name of item -> where it is; a damaged pack is removed, and its clips are made again."""
+        packs: dict[str, Kept] = {}
+        for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
+            try:
+                with _Pack(path) as pack:
+                    for position, item in enumerate(pack.index["items"]):
+                        files = tuple(SourceFile(**file) for file in item["files"])
+                        if accept(item["item"], item["asked"], files) and _shown(item["clips"]):
+                            packs[item["item"]] = _pack_entry(path, position, item["clips"])
+            except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+                with contextlib.suppress(OSError):
+                    path.unlink()
+        return packs
+
+    def remove_superseded(self, finished: Mapping[str, Kept]) -> int:
+        """Deletes the packs of which each item stands in another pack; returns their number.
+
+        A worker of a killed run may have ended its pack while the next run made the same clips.
+
+        Args:
+            finished: name of item -> the place that is used.
+        """
+        count = 0
+        for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+                with _Pack(path) as pack:
+                    names = [str(item["item"]) for item in pack.index["items"]]
+                if all(name in finished and finished[name].pack != path for name in names):
+                    path.unlink()
+                    count += 1
+        return count
+
+    def read(self, stored: Kept) -> list[RobotClip]:
+        """The clips of an item.
+
+        Raises:
+            RecordingError: the pack is damaged; it is removed.
+        """
+        try:
+            pack = self._open.get(stored.pack)
+            if pack is None:
+                self.close()  # items are asked for in the order of the packs
+                pack = self._open[stored.pack] = _Pack(stored.pack)
+            return pack.clips(stored.position)
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+            self.close()
+            with contextlib.suppress(OSError):
+                stored.pack.unlink()
+            raise RecordingError(
+                f"{stored.pack} was damaged ({error}) and is removed; run the same command again "
+                "to make its clips again"
+            ) from error
+
+    def close(self) -> None:
+        """Closes what is open."""
+        for pack in self._open.values():
+            pack.close()
+        self._open.clear()
+
+
+def write_pack(folder: Path, items: Sequence[Finished]) -> dict[str, Kept]:
+    """Writes a pack, whole or not at all; its name depends on what is in it.
+
+    Returns:
+        name of item -> where it is.
+
+    Raises:
+        OutputError: it can't be written.
+    """
+    keys = "\n".join(clip.key for item in items for clip in item.clips)
+    names = "\n".join(item.item for item in items)
+    digest = hashlib.sha256(f"{names}\n\n{keys}".encode()).hexdigest()[:24]
+    path = folder / f"{_PREFIX}{digest}.zip"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(folder, error) from error
+    configs: dict[str, int] = {}
+    index: list[dict[str, Any]] = []
+    number = 0
+    with (
+        atomic_write(path) as file,
+        zipfile.ZipFile(cast(BinaryIO, file), "w", zipfile.ZIP_STORED) as pack,
+    ):
+        for item in items:
+            clips = []
+            for clip in item.clips:
+                config = configs.setdefault(to_json(clip.config), len(configs))
+                arrays, document = encoded(clip)
+                clips.append(
+                    {
+                        "arrays": number,
+                        "names": [*arrays],
+                        "config": config,
+                        "clip": document,
+                        **_facts(clip),
+                    }
+                )
+                for name, values in arrays.items():
+                    with pack.open(zipfile.ZipInfo(f"{number}/{name}.npy", _DATE), "w") as member:
+                        np.lib.format.write_array(member, values, allow_pickle=False)
+                number += 1
+            index.append(
+                {"item": item.item, "asked": item.asked, "files": item.files, "clips": clips}
+            )
+        content = to_json({"items": index, "configs": [*configs]})
+        pack.writestr(zipfile.ZipInfo(INDEX, _DATE), content)
+    return {each["item"]: _pack_entry(path, at, each["clips"]) for at, each in enumerate(index)}
+
+
+def clear_unfinished(folder: Path) -> int:
+    """Deletes the unfinished files of a killed run; returns their number."""
+    if not folder.is_dir():
+        return 0
+    return remove_leftovers([folder, *(path for path in folder.rglob("*") if path.is_dir())])
+
+
+class _Pack:
+    """A pack that is open for reading."""
+
+    def __init__(self, path: Path) -> None:
+        self._zip = zipfile.ZipFile(path)
+        try:
+            content = self._zip.read(INDEX)
+            self.index: dict[str, Any] = parse_json(content, most_bytes=_MOST_BYTES)
+        except BaseException:
+            self._zip.close()
+            raise
+
+    def __enter__(self) -> _Pack:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._zip.close()
+
+    def clips(self, position: int) -> list[RobotClip]:
+        """Clips of one item."""
+        item = self.index["items"][position]
+        return [self._clip(document) for document in item["clips"]]
+
+    def _clip(self, document: Mapping[str, Any]) -> RobotClip:
+        prefix = f"{document['arrays']}/"
+        arrays = {}
+        for name in document["names"]:
+            with self._zip.open(f"{prefix}{name}.npy") as member:
+                arrays[name] = np.lib.format.read_array(member, allow_pickle=False)
+        config = shared_config(self.index["configs"][document["config"]])
+        return replace(decoded(arrays, document["clip"]), config=config)
+
+
+def _shown(clips: Sequence[Mapping[str, Any]]) -> bool:
+    """True if the videos and meshes that clips name are still there."""
+    return all(Path(path).exists() for clip in clips for path in clip["files"])
+
+
+def _pack_entry(path: Path, position: int, clips: Sequence[Mapping[str, Any]]) -> Kept:
+    keys = [str(clip["key"]) for clip in clips]
+    sides: set[Side] = {side for clip in clips for side in clip["sides"]}
+    return Kept(
+        path,
+        position,
+        keys[0] if len(keys) == 1 else key_digest(keys),
+        tuple(sorted(sides, reverse=True)),
+        sum(clip["frames"] for clip in clips),
+        any(clip["camera"] for clip in clips),
+        max(clip["objects"] for clip in clips),
+    )
+
+
+def _facts(whole: RobotClip) -> dict[str, Any]:
+    """Facts of a clip that are looked at without reading it."""
+    clip = whole.clip
+    files = [clip.video, *(each.mesh for each in clip.objects)]
+    return {
+        "key": whole.key,
+        "frames": len(clip),
+        "sides": [*whole.commands],
+        "camera": clip.T_world_camera is not None,
+        "objects": len(clip.objects),
+        "files": [file for file in files if file is not None],
+    }
+
+
+def encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], list[Any]]:
+    """A clip as arrays by name and a document of JSON, without its configuration and figures.
+
+    In the document, what is no plain value is a pair of its kind and its content.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    names: dict[int, str] = {}  # arrays that several parts share are written once
+
+    def part(value: Any, *path: str) -> Any:
+        if isinstance(value, np.ndarray):
+            name = names.setdefault(id(value), ".".join(path))
+            dtype = next((_DTYPES[word] for word in path if word in _DTYPES), None)
+            arrays.setdefault(name, np.asarray(value, dtype))
+            return ["array", name]
+        if is_dataclass(value) and not isinstance(value, type):
+            content = {
+                each.name: ["json", getattr(value, each.name)]
+                if each.name == "meta"
+                else part(getattr(value, each.name), *path, each.name)
+                for each in fields(value)
+                if (type(value), each.name) not in _LEFT_OUT
+            }
+            return [type(value).__name__, content]
+        if isinstance(value, Mapping):
+            return ["mapping", {key: part(each, *path, key) for key, each in value.items()}]
+        if isinstance(value, (tuple, list)):
+            return ["tuple", [part(each, *path, str(i)) for i, each in enumerate(value)]]
+        return ["path", str(value)] if isinstance(value, Path) else value
+
+    document: list[Any] = part(whole)
+    return arrays, document
+
+
+def as_stored(whole: RobotClip) -> RobotClip:
+    """A clip as it is read from a pack: some arrays are rounded to float32 there."""
+    return replace(decoded(*encoded(whole)), config=whole.config)
+
+
+def decoded(arrays: Mapping[str, np.ndarray], document: Any) -> RobotClip:
+    """A clip from the result of ``encoded``, without its configuration and figures."""
+
+    def value(part: Any) -> Any:
+        if not isinstance(part, list):
+            return part
+        kind, content = part
+        if kind == "json":
+            return content
+        if kind == "tuple":
+            return tuple(map(value, content))
+        if kind in ("array", "path"):
+            return arrays[content] if kind == "array" else Path(content)
+        members = {name: value(each) for name, each in content.items()}
+        return members if kind == "mapping" else _KINDS[kind](**members)
+
+    clip: RobotClip = value(document)
+    return clip

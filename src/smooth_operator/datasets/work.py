@@ -1,0 +1,243 @@
+"""Work on clips in a worker: read them, retarget them, and write them to a pack."""
+
+from __future__ import annotations
+
+import faulthandler
+import functools
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing import parent_process
+from pathlib import Path
+
+from smooth_operator.compilation.start import dispatch_here
+from smooth_operator.datasets.clip import Clip, RobotClip, clip_part, with_side
+from smooth_operator.datasets.registry import DATASETS, ClipRef
+from smooth_operator.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
+from smooth_operator.datasets.sources import Item, fetched, find_reader
+from smooth_operator.datasets.store import Finished, Kept, write_pack
+from smooth_operator.errors import RecordingError, SmoothOperatorError
+from smooth_operator.formats.checks import frame_slice
+from smooth_operator.offline.finished import digest
+from smooth_operator.parallel.tasks import describe
+
+_MOST_CLIPS = 1_000_000  # of one fetched file
+
+READING_S = 300.0
+"""Time for reading a clip in a worker [s]; a damaged file can hang a library such as libhdf5."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Items for one worker, which end in one pack.
+
+    Attributes:
+        items: clips or fetched files.
+        recipe: hand, method and frame.
+        folder: folder of the pack.
+        retarget: False packs the human clips alone, without commands.
+    """
+
+    items: tuple[Item, ...]
+    recipe: Recipe
+    folder: Path
+    retarget: bool = True
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The result of one item.
+
+    Attributes:
+        item: name of the item.
+        kept: place of its clips; None if it failed.
+        reason: reason of a failure.
+    """
+
+    item: str
+    kept: Kept | None = None
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class ReadClip:
+    """A clip as it was read.
+
+    Attributes:
+        item: item that the clip is part of.
+        clip: hands and scene.
+        files: files that were read.
+        key: digest of all that its commands depend on.
+    """
+
+    item: Item
+    clip: Clip
+    files: tuple[SourceFile, ...]
+    key: str
+
+
+def do_job(job: Job) -> list[Entry]:
+    """Reads, retargets and writes the clips of a job, in a worker.
+
+    An item that can't be read or retargeted is an answer like another, and touches no other.
+
+    Raises:
+        OutputError: the pack can't be written.
+    """
+    dispatch_here()
+    return finish_job(job, *read_job(job))
+
+
+def read_job(job: Job) -> tuple[list[ReadClip], dict[str, str]]:
+    """Reads the clips of a job; an item that can't be read touches no other.
+
+    Returns:
+        the clips, in the order of the items; and item -> reason why it could not be read.
+    """
+    clips: list[ReadClip] = []
+    reasons: dict[str, str] = {}
+    for item in job.items:
+        try:
+            clips += read_item(item, job.recipe)
+        except SmoothOperatorError as error:
+            reasons[item.name] = str(error)
+        except Exception as error:  # of a damaged file, or a plugin: anything; the others go on
+            reasons[item.name] = describe(error)
+    return clips, reasons
+
+
+def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> list[Entry]:
+    """Retargets the clips of a job and writes them to a pack.
+
+    Raises:
+        OutputError: the pack can't be written.
+    """
+    finished = _retargeted(clips, job, reasons)
+    packs = write_pack(job.folder, finished) if finished else {}
+    return [Entry(i.name, packs.get(i.name), reasons.get(i.name)) for i in job.items]
+
+
+def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
+    """True if an item has the files that were read before; digests count only if dates differ.
+
+    Args:
+        files: files that were read before.
+    """
+    if item.ref is None:
+        return [(file.bytes, file.changed) for file in files] == [item.mark]
+    for file in files:
+        path = (item.root or Path()) / file.path
+        try:
+            stat = path.stat()
+            same = str(stat.st_mtime_ns) == file.changed
+            if stat.st_size != file.bytes or not (same or digest(path) == file.sha256):
+                return False
+        except OSError:
+            return False
+    return bool(files)
+
+
+def _retargeted(read: list[ReadClip], job: Job, reasons: dict[str, str]) -> list[Finished]:
+    """The items whose every clip was retargeted; the reasons of the others go into ``reasons``."""
+    read = [each for each in read if each.item.name not in reasons]
+    answers: Sequence[RobotClip | SmoothOperatorError]
+    if job.retarget:
+        answers = retarget_clips(
+            [each.clip for each in read],
+            job.recipe,
+            [each.files for each in read],
+            [each.key for each in read],
+        )
+    else:
+        answers = [RobotClip(each.clip, {}, {}, {}, {}, key=each.key) for each in read]
+    finished: dict[str, Finished] = {}
+    for each, answer in zip(read, answers, strict=True):
+        name = each.item.name
+        if isinstance(answer, SmoothOperatorError):
+            reasons[name] = str(answer)
+            continue
+        before = finished.get(name)
+        clips = (answer,) if before is None else (*before.clips, answer)
+        finished[name] = Finished(name, each.item.asked, each.files, clips)
+    return [one for name, one in finished.items() if name not in reasons]
+
+
+def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
+    """The clips of an item.
+
+    Raises:
+        SmoothOperatorError: with the reason.
+    """
+    own = recipe.of_item(item.side, item.rate)
+    if item.ref is not None:
+        reader = DATASETS.load(item.ref.layout)
+        with _limited():
+            clip = reader.read(item.ref, own.reading)
+        if item.frames:
+            clip = clip_part(clip, frame_slice(item.frames, len(clip)))
+        yield _read_clip(item, item.ref, clip, item.name, recipe)
+        return
+    with ExitStack() as stack:
+        path = stack.enter_context(fetched(item.address))
+        recognised = find_reader(path, item.layout)
+        if recognised is None:
+            raise RecordingError(
+                f"{item.address}: no reader knows it; layouts of several files have to be copied "
+                "to a folder first"
+            )
+        layout, reader = recognised
+        refs = sorted(replace(ref, layout=ref.layout or layout) for ref in reader.clips(path))
+        for ref in refs[:_MOST_CLIPS]:
+            stem = item.name.rsplit(".", 1)[0]
+            name = stem if len(refs) == 1 else f"{stem}/{ref.name}"
+            with _limited():
+                clip = reader.read(ref, own.reading)
+            yield _read_clip(item, ref, clip, name, recipe)
+
+
+@contextmanager
+def _limited() -> Iterator[None]:
+    """Ends a worker of the pool after ``READING_S``, even in a library that never returns."""
+    if parent_process() is None:  # the user's own process, or one of Ray's
+        yield
+        return
+    faulthandler.dump_traceback_later(READING_S, exit=True)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+def _read_clip(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) -> ReadClip:
+    """A clip with its name, its files and its key."""
+    meshes = [track.mesh for track in clip.objects if recipe.with_objects and track.mesh]
+    paths = [path for path in (*(clip.source or (ref.path,)), *meshes) if path.is_file()]
+    if item.ref is None:
+        size, changed = item.mark
+        files = tuple(SourceFile(item.address, size, _file(p).sha256, changed) for p in paths[:1])
+    else:
+        files = tuple(replace(_file(path), path=_shown(path, item.root)) for path in paths)
+    key = clip_key(recipe, ref.layout, ref.key or name, item.asked, files)
+    task = clip.task if item.task is None else item.task
+    clip = with_side(clip, item.side)
+    clip = replace(clip, name=name, task=task, source=tuple(Path(file.path) for file in files))
+    if item.ref is None:  # what it was read from is gone when the block ends
+        clip = replace(clip, source=(), video=None)
+    return ReadClip(item, clip, files, key)
+
+
+def _shown(path: Path, root: Path | None) -> str:
+    """A path as a data set names it: relative to its source, with slashes; or in full."""
+    inside = root is not None and path.is_relative_to(root)
+    return (path.relative_to(root) if inside and root is not None else path.resolve()).as_posix()
+
+
+def _file(path: Path) -> SourceFile:
+    stat = path.stat()
+    return _digested(path, stat.st_size, stat.st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=16)
+def _digested(path: Path, size: int, modified: int) -> SourceFile:
+    """Digest of a file that may hold many clips."""
+    return SourceFile(str(path), size, digest(path), str(modified))

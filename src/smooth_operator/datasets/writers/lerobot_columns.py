@@ -1,0 +1,267 @@
+"""The columns of a LeRobot data set of robot hands.
+
+Joints of both hands and poses of their wrists are ``observation.state``; ``action`` has the same
+names. What LeRobot would make inputs of a policy of, were it so called, begins with neither
+``observation`` nor ``action``. ``SIDE`` is ``right`` or ``left``.
+
+==========================  =============  ========================================================
+``observation.state``       float32 (n,)   ``SIDE_JOINT.pos`` [rad], ``SIDE_tcp.x`` … ``.qz`` of
+                                           the robot's wrist [m, quaternion wxyz]
+``action``                  float32 (n,)   the state of the next frame
+``stamp``                   float64        true time of the frame [s]
+``SIDE_valid``              bool           whether the command answers a hand that was seen
+``SIDE_status``             int64          ``Status`` of the command; -1: the clip lacks the hand
+``SIDE_confidence``         float32        of the tracker, 0 to 1; -1 if not known
+``SIDE_wrist_valid``        bool           whether the robot's wrist was known
+``SIDE_human_wrist``        float32 (7,)   pose of the human wrist
+``SIDE_human_wrist_valid``  bool           whether it was known
+``camera``                  float32 (7,)   pose of the camera
+``camera_valid``            bool           whether it was known
+``objects``                 float32 (7k,)  poses of k objects
+``objects_valid``           bool (k,)      whether each was known
+==========================  =============  ========================================================
+
+There is no NaN: a policy can't take it, and LeRobot's own tools turn it into a null that its loader
+does not read. Where a pose is not known, the last one is held, or the first that is, or else it is
+the identity; the column ``…_valid`` is false there. The joints of a hand that the clip lacks are 0.
+Quaternions do not change their sign from a frame to the next, and begin with w >= 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from smooth_operator import poses
+from smooth_operator.datasets.clip import SIDES, RobotClip
+from smooth_operator.datasets.writers.arrays import clip_valid
+from smooth_operator.datasets.writers.registry import WritingOptions
+from smooth_operator.episode_files.lerobot.columns import (
+    INDICES,
+    POSE_KEYS,
+    POSE_NAMES,
+    feature,
+    index_features,
+)
+from smooth_operator.errors import RecordingError
+from smooth_operator.types import Side
+
+UNITS = {
+    "observation.state": "rad, joint positions; m and quaternion wxyz, the robot's wrists",
+    "action": "the same, of the frame that comes next",
+    "timestamp": "s, frame_index / fps",
+    "stamp": "s, true time of the frame",
+    "valid": "whether the command answers a hand that was seen",
+    "wrist_valid": "whether the wrist was known; where not, another one is held",
+    "status": "why the command is what it is; -1: the clip lacks this hand",
+    "confidence": "of the tracker, 0 to 1; -1: not known",
+    "human_wrist": "m, quaternion wxyz, in the clip's world",
+    "human_wrist_valid": "whether it was known",
+    "camera": "m, quaternion wxyz, axes x right, y down, z forward",
+    "camera_valid": "whether it was known",
+    "objects": "m, quaternion wxyz, one object after the other",
+    "objects_valid": "whether each was known",
+}
+"""Unit or meaning of each column, without its side."""
+
+
+@dataclass(frozen=True)
+class RobotLayout:
+    """Columns that all clips of a data set share.
+
+    Attributes:
+        joints: side -> names of the joints of the robot hand.
+        wrist: with the robot's wrists.
+        camera: with the camera's pose.
+        objects: for how many objects there are columns.
+        fps: frames a second.
+        robot: names of the hands.
+        video: the video in the features; None without.
+    """
+
+    joints: Mapping[Side, tuple[str, ...]]
+    wrist: bool
+    camera: bool
+    objects: int
+    fps: float
+    robot: str
+    video: Mapping[str, Any] | None = None
+
+    @classmethod
+    def of(cls, clip: RobotClip, options: WritingOptions, fps: float) -> RobotLayout:
+        """From the first clip, and the options."""
+        names = {side: tuple(c.joint_names) for side, c in clip.commands.items()}
+        joints = {**names, **options.joints}
+        return cls(
+            {side: tuple(joints[side]) for side in SIDES if side in joints},
+            _has_wrist(clip),
+            options.camera,
+            options.objects,
+            fps,
+            "+".join(dict.fromkeys(clip.hand_names[s] for s in SIDES if s in clip.hand_names)),
+        )
+
+    @classmethod
+    def from_json(cls, value: Mapping[str, Any]) -> RobotLayout:
+        """From what ``to_json`` made of it."""
+        joints = {side: tuple(value["joints"][side]) for side in SIDES if side in value["joints"]}
+        return cls(
+            joints, value["wrist"], value["camera"], value["objects"], value["fps"],
+            value["robot"], value["video"],
+        )  # fmt: skip
+
+    def check(self, clip: RobotClip) -> None:
+        """Refuses a clip that these columns can't hold.
+
+        Raises:
+            RecordingError: it has another hand, lacks the wrists, or its joints are others.
+        """
+        name = clip.clip.name
+        for side, commands in clip.commands.items():
+            if side not in self.joints:
+                raise RecordingError(
+                    f"{name}: it has a {side} hand, which the data set's columns lack; begin the "
+                    "data set with a clip of both hands, or write this one into another"
+                )
+            if tuple(commands.joint_names) != self.joints[side]:
+                raise RecordingError(
+                    f"{name}: its {side} commands are for other joints than those of the data set;"
+                    " write the clips of each robot hand to a data set of their own"
+                )
+        if not clip.commands:
+            raise RecordingError(f"{name}: it has no commands; leave it out")
+        with_wrist = _has_wrist(clip)
+        if self.wrist != with_wrist:
+            has = (
+                "it has wrists and the data set none" if with_wrist else "its wrists are not known"
+            )
+            raise RecordingError(
+                f"{name}: {has}; write clips with and without wrists to two data sets"
+            )
+
+    def state_names(self) -> list[str]:
+        """Names of the components of state and action."""
+        names: list[str] = []
+        for side, joints in self.joints.items():
+            names += [f"{_sided(joint, side)}.pos" for joint in joints]
+            if self.wrist:
+                names += [f"{side}_{key}" for key in POSE_KEYS]
+        return names
+
+    def features(self) -> dict[str, dict[str, Any]]:
+        """The ``features`` of ``meta/info.json``, without the video."""
+        features: dict[str, dict[str, Any]] = {}
+
+        def add(name: str, dtype: str, names: list[str] | None = None) -> None:
+            features[name] = feature(dtype, names)
+
+        add("observation.state", "float32", self.state_names())
+        add("action", "float32", self.state_names())
+        add("stamp", "float64")
+        for side in self.joints:
+            add(f"{side}_valid", "bool")
+            if self.wrist:
+                add(f"{side}_wrist_valid", "bool")
+            add(f"{side}_status", "int64")
+            add(f"{side}_confidence", "float32")
+            if self.wrist:
+                add(f"{side}_human_wrist", "float32", list(POSE_NAMES))
+                add(f"{side}_human_wrist_valid", "bool")
+        if self.camera:
+            add("camera", "float32", list(POSE_NAMES))
+            add("camera_valid", "bool")
+        if self.objects:
+            names = [f"object{i}.{name}" for i in range(self.objects) for name in POSE_NAMES]
+            add("objects", "float32", names)
+            add("objects_valid", "bool", [f"object{i}" for i in range(self.objects)])
+        return features | index_features()
+
+    def columns(self, clip: RobotClip) -> dict[str, np.ndarray]:
+        """(T,) or (T, k) of each feature but the indices, in its type, of a clip that fits."""
+        human, count = clip.clip, len(clip.clip)
+        state: list[np.ndarray] = []
+        columns: dict[str, np.ndarray] = {"stamp": np.asarray(human.stamps, np.float64)}
+        for side, joints in self.joints.items():
+            commands = clip.commands.get(side)
+            there = commands is not None
+            positions = np.zeros((count, len(joints)))
+            columns[f"{side}_valid"] = clip_valid(clip, side) if there else np.zeros(count, bool)
+            columns[f"{side}_status"] = np.full(count, -1)
+            if commands is not None:
+                positions = _held(np.asarray(commands.joint_positions, np.float64))
+                columns[f"{side}_status"] = np.asarray(commands.status)
+            state.append(positions)
+            sure = np.asarray(human.confidence.get(side, np.nan), np.float64)
+            columns[f"{side}_confidence"] = np.broadcast_to(
+                np.where(np.isfinite(sure), sure, -1.0), (count,)
+            )
+            if self.wrist:
+                wrist = clip.T_world_wrist.get(side) if there else None
+                held, columns[f"{side}_wrist_valid"] = _poses(wrist, count)
+                state.append(held)
+                hand = human.hands.get(side)
+                wrist_poses = _poses(None if hand is None else hand.T_world_wrist, count)
+                columns[f"{side}_human_wrist"], columns[f"{side}_human_wrist_valid"] = wrist_poses
+        columns["observation.state"] = flat = np.concatenate(state, axis=1)
+        # What a hand does next; the last frame stays where it is.
+        columns["action"] = np.concatenate([flat[1:], flat[-1:]])
+        if self.camera:
+            columns["camera"], columns["camera_valid"] = _poses(human.T_world_camera, count)
+        if self.objects:
+            object_tracks: list[np.ndarray | None] = [
+                item.T_world_object for item in human.objects[: self.objects]
+            ]
+            object_tracks += [None] * (self.objects - len(object_tracks))
+            tracks = [_poses(each, count) for each in object_tracks]
+            columns["objects"] = np.concatenate([track for track, _ in tracks], axis=1)
+            columns["objects_valid"] = np.stack([valid for _, valid in tracks], axis=1)
+        with np.errstate(over="ignore"):
+            return {
+                name: columns[name].astype(feature["dtype"])
+                for name, feature in self.features().items()
+                if name not in INDICES
+            }
+
+
+def unit_of(column: str) -> str:
+    """Unit or meaning of a column."""
+    side, _, what = column.partition("_")
+    return UNITS.get(what if side in SIDES else column, "index")
+
+
+def _has_wrist(clip: RobotClip) -> bool:
+    return any(
+        poses.is_valid(clip.T_world_wrist[side]).any()
+        for side in clip.commands
+        if side in clip.T_world_wrist
+    )
+
+
+def _sided(joint: str, side: Side) -> str:
+    return joint if joint.lower().startswith(f"{side}_") else f"{side}_{joint}"
+
+
+def _poses(track: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(T, 7) poses without gaps and without changes of sign, and (T,) whether each was known."""
+    valid = np.zeros(count, bool) if track is None else np.asarray(poses.is_valid(track))
+    if track is None or not valid.any():
+        return np.tile(poses.IDENTITY, (count, 1)), valid
+    held = _held(track)
+    # q and -q are the same rotation; a jump from one to the other is no motion to learn.
+    along = (held[1:, 3:] * held[:-1, 3:]).sum(axis=1)
+    signs = np.cumprod(np.concatenate([held[:1, 3] < 0.0, along < 0.0]) * -2.0 + 1.0)
+    return np.concatenate([held[:, :3], held[:, 3:] * signs[:, None]], axis=1), valid
+
+
+def _held(rows: np.ndarray) -> np.ndarray:
+    """Rows with the last finite one where one is not; before the first, that one; zero if none."""
+    good = np.isfinite(rows).all(axis=1)
+    if good.all():
+        return rows
+    if not good.any():
+        return np.zeros_like(rows)
+    last = np.maximum.accumulate(np.where(good, np.arange(len(rows)), -1))
+    return np.asarray(rows[np.where(last < 0, int(np.argmax(good)), last)])

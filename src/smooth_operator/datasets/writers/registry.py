@@ -1,0 +1,100 @@
+"""The output formats of data sets by name, built-in and of plugins, and how one is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from smooth_operator.datasets.registry import RESEARCH_PACKAGE
+from smooth_operator.errors import ConfigError
+from smooth_operator.plugins import Entry, Registry
+from smooth_operator.types import Side
+
+_WRITERS: Final = "smooth_operator.datasets.writers"
+
+
+@dataclass(frozen=True)
+class WritingOptions:
+    """Options of a format. Each takes those that it has a use for.
+
+    Attributes:
+        joints: side -> names of the robot hand's joints, of every clip that will be written; empty:
+            those of the first clip. Formats with fixed columns (LeRobot) need them before that.
+        rate: frames a second [Hz] that all clips are brought to; None for the format's own choice:
+            LeRobot takes the first clip's, SPIDER 50, FlashDexRetarget 60, the others keep each
+            clip's stamps.
+        videos: LeRobot: ``none``; ``link``, hard links or symbolic ones; ``copy``.
+        camera: LeRobot: whether a frame has columns of the camera's pose.
+        objects: LeRobot: for how many objects a frame has columns.
+        shard_mb: size at which a shard is full [MB]; None for the format's own choice.
+        part: number of this writer among ``parts``, which write to one folder at a time; for
+            formats that are ``parallel``.
+        parts: number of writers that share the folder.
+        apart: the parts hold different clips, so that a writer need not look at what the others
+            have written: with a thousand parts that takes longer than to write one.
+        name: name of the data set, where the format has a place for it.
+        loose: SPIDER and FlashDexRetarget: files and folders as the program reads them, one or two
+            a clip, in place of tar files to unpack.
+    """
+
+    joints: Mapping[Side, tuple[str, ...]] = field(default_factory=dict)
+    rate: float | None = None
+    videos: Literal["none", "link", "copy"] = "none"
+    camera: bool = True
+    objects: int = 2
+    shard_mb: float | None = None
+    part: int = 0
+    parts: int = 1
+    apart: bool = False
+    name: str = "smooth_operator"
+    loose: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.part < self.parts:
+            raise ConfigError(
+                f"part must be from 0 to parts - 1 = {self.parts - 1}, not {self.part}"
+            )
+        if self.rate is not None and not 0.0 < self.rate < float("inf"):
+            raise ConfigError(f"rate must be a number of frames a second above 0, not {self.rate}")
+        if self.shard_mb is not None and not self.shard_mb > 0.0:
+            raise ConfigError(f"shard_mb must be above 0, not {self.shard_mb}")
+        if self.objects < 0:
+            raise ConfigError(f"objects must be 0 or more, not {self.objects}")
+
+
+@dataclass(frozen=True)
+class DatasetFormat:
+    """A format of output.
+
+    Attributes:
+        what: kind of its data sets, for messages: ``a LeRobot dataset``.
+        open: ``open(output, options)`` gives a writer into a folder, which is made; one that this
+            format began is continued. The writer is a ``ShardedWriter``, or has the same public
+            methods. Raises ``MissingExtraError`` (a library is missing), ``ConfigError`` (the
+            folder was begun in another format or with other options) or ``OutputError`` (something
+            else stands there, or it can't be written).
+        parallel: parts that several writers write at a time (``part``, ``parts`` of the options)
+            are one data set.
+    """
+
+    what: str
+    open: Callable[[Path, WritingOptions], Any]
+    parallel: bool = False
+
+
+WRITERS: Final = Registry(
+    "writer",
+    {
+        name: Entry(f"{_WRITERS}.{where}", what)
+        for name, where, what in (
+            ("lerobot", "lerobot:LEROBOT", "LeRobot v3: state and action of the robot, videos"),
+            ("webdataset", "shards:WEBDATASET", "tar shards, a sample a clip"),
+            ("parquet", "parquet:PARQUET", "Parquet files, a row a clip"),
+        )
+    },
+    needs=("what", "open"),
+    elsewhere=dict.fromkeys(("flashdex", "spider"), RESEARCH_PACKAGE),
+)
+"""Name -> ``DatasetFormat``, open to plugins as ``smooth_operator.writers``."""

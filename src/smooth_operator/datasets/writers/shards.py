@@ -1,0 +1,435 @@
+"""Shards of a data set: whole files of many clips, each with an index that is written after it.
+
+::
+
+    OUT/meta/dataset.json                      format and options that the folder was begun with
+    OUT/meta/shards/part-00000-000012.json     the clips of a shard; without it, it does not count
+    OUT/meta/configurations/DIGEST.json        how the commands were made
+
+A shard is filled under a hidden name, and takes its own when it is full. So a process that is
+killed leaves whole shards; the next one removes what has no index and goes on from there.
+
+WebDataset has tar files of samples, one a clip, ``KEY.json`` and ``KEY.npz`` next to each other.
+The arrays are those of ``smooth_operator.datasets.writers.arrays``. The headers hold no time,
+no owner and no number of a process, so the same clips give the same bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import os
+import tarfile
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final, Self
+
+import numpy as np
+
+from smooth_operator.atomic_files import atomic_write, output_error, write_json
+from smooth_operator.datasets.clip import RobotClip
+from smooth_operator.datasets.writers.arrays import (
+    clip_arrays,
+    clip_document,
+    clip_key,
+    resampled,
+    unique_slug,
+)
+from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
+from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
+from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.documents import parse_json, read_json
+
+PROGRAM: Final = "smooth-operator"
+MARK: Final = "meta/dataset.json"
+INDEX: Final = "meta/shards"
+CONFIGURATIONS: Final = "meta/configurations"
+MB: Final = 1_000_000
+
+
+class ShardedWriter(ABC):
+    """A data set in shards that is being written; a format defines a shard.
+
+    It is closed when all is written. One that is not closed, or whose process is killed, leaves its
+    whole shards; the clips of the shard that was being filled are lost. Opened again with the same
+    options, it goes on after the last whole shard.
+
+    Args:
+        output: the folder.
+        options: options of the format.
+        name: name of the format in ``WRITERS``.
+        shard_mb: size of its shards, unless asked for otherwise [MB].
+        fixed: those of its settings that all clips of a folder must share.
+
+    Attributes:
+        frames: number of frames in the data set of the clips that were given to ``write``.
+    """
+
+    most_clips = 10_000
+    """Clips in a shard at most: its index is kept in memory until it is full."""
+
+    def __init__(
+        self,
+        output: Path,
+        options: WritingOptions,
+        name: str,
+        shard_mb: float,
+        fixed: Mapping[str, Any],
+    ) -> None:
+        self.output = output
+        self.options = options
+        self._limit = int((options.shard_mb or shard_mb) * MB)
+        self._written: set[str] = set()
+        self._pending: list[dict[str, Any]] = []
+        self._pending_keys: set[str] = set()
+        self._configurations: dict[int, tuple[Mapping[str, Any], str]] = {}
+        self._facts: dict[str, tuple[int, tuple[str, ...]]] = {}
+        self._taken: set[str] = set()
+        self._notes: list[str] = []
+        self._counts: dict[str, int] = {}
+        self.frames = 0
+        self._open = False
+        self._number = 0
+        if output.exists() and not output.is_dir():
+            raise OutputError(f"can't write {str(output)!r}: a file stands there; name a folder")
+        with _about(output):
+            for folder in (INDEX, CONFIGURATIONS):
+                (output / folder).mkdir(parents=True, exist_ok=True)
+        self._begin_folder({"format": name, **fixed})
+        self._recover()
+
+    # What a format does.
+
+    @abstractmethod
+    def _begin(self, number: int) -> None:
+        """Starts a shard under a hidden name."""
+
+    @abstractmethod
+    def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
+        """Adds a clip to the shard, and what is to be known of it to its entry in the index.
+
+        Raises:
+            RecordingError: before anything of the clip is in the shard.
+        """
+
+    @abstractmethod
+    def _size(self) -> int:
+        """Bytes of the shard by now."""
+
+    @abstractmethod
+    def _end(self, number: int) -> dict[str, Any]:
+        """Gives the shard its name; what its index holds besides the clips."""
+
+    @abstractmethod
+    def _drop(self) -> None:
+        """Removes the shard that is not whole."""
+
+    @abstractmethod
+    def _clean(self, number: int) -> None:
+        """Removes what a killed process left: hidden files, and this shard, which has no index."""
+
+    def _resume(self, index: Mapping[str, Any]) -> None:  # noqa: B027 - most need nothing
+        """Takes a shard of this part into account that stands already, one after the other."""
+
+    def _describe(self) -> None:  # noqa: B027
+        """Writes what describes all shards; after each one."""
+
+    # What all share.
+
+    @property
+    def written(self) -> Collection[str]:
+        """Keys of the clips in whole shards, of all parts."""
+        return self._written
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes for a person, each with its number of clips."""
+        return [
+            f"{count} clip{'s' * (count != 1)}: {text}"
+            for text, count in sorted(self._counts.items())
+        ]
+
+    def note(self, text: str) -> None:
+        """Notes something about the clip that is being added."""
+        self._notes.append(text)
+
+    def _take(self, key: str) -> None:
+        """Counts the frames and notes of a clip, also of one that an earlier run has written."""
+        if key in self._taken:
+            return
+        self._taken.add(key)
+        frames, notes = self._facts.get(key, (0, ()))
+        self.frames += frames
+        for text in notes:
+            self._counts[text] = self._counts.get(text, 0) + 1
+
+    def write(self, clip: RobotClip) -> None:
+        """Adds a clip; one whose key was written before is passed over.
+
+        Raises:
+            RecordingError: the format can't hold this clip (no frames, no wrist, no object), with
+                the reason. The writer takes the next one.
+            OutputError: it can't be written: no space, no permission. The writer is then of no use.
+        """
+        key = clip.key or clip_key(clip)
+        if key in self._written or key in self._pending_keys:
+            self._take(key)
+            return
+        if not len(clip.clip):
+            raise RecordingError(f"{clip.clip.name}: it holds no frames; leave it out")
+        entry = {
+            "key": key,
+            "name": clip.clip.name,
+            "frames": len(clip.clip),
+            "task": clip.clip.task,
+        }
+        try:
+            if not self._open:
+                self._begin(self._number)
+                self._open = True
+            self._notes = []
+            self._add(clip, entry)
+            if self._notes:
+                entry["notes"] = self._notes
+            self._pending.append(entry)
+            self._pending_keys.add(key)
+            self._facts[key] = _facts(entry)
+            self._take(key)
+            if self._size() >= self._limit or len(self._pending) >= self.most_clips:
+                self._finish()
+        except (OSError, MemoryError) as error:
+            self._abandon()
+            if isinstance(error, OutputError) or not isinstance(error, OSError):
+                raise
+            raise output_error(self.output, error) from error
+
+    def close(self) -> None:
+        """Ends the last shard and writes what describes them all."""
+        try:
+            if self._open and self._pending:
+                self._finish()
+            self._abandon()
+            self._describe()
+        except OSError as error:
+            self._abandon()
+            if isinstance(error, OutputError):
+                raise
+            raise output_error(self.output, error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        where: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self._abandon()
+
+    def configuration(self, clip: RobotClip) -> str:
+        """Digest of how the clip's commands were made; the file of that name is written once."""
+        configuration = self._configurations.get(id(clip.config))
+        if configuration is not None and configuration[0] is clip.config:
+            return configuration[1]
+        text = to_json(clip.config)
+        digest = hashlib.sha256(text.encode()).hexdigest()[:16]
+        path = self.output / CONFIGURATIONS / f"{digest}.json"
+        if not path.exists():
+            with atomic_write(path) as file:
+                file.write(text.encode() + b"\n")
+        # A mapping's identity is its own only while it lives: it is kept, the last few of them.
+        if len(self._configurations) >= _KEPT:
+            self._configurations.clear()
+        self._configurations[id(clip.config)] = (clip.config, digest)
+        return digest
+
+    def shard_name(self, number: int) -> str:
+        """``part-00000-000012``."""
+        return f"part-{self.options.part:05d}-{number:06d}"
+
+    def _finish(self) -> None:
+        extra = self._end(self._number)
+        self._open = False
+        index = {"clips": self._pending, **extra}
+        write_json(self.output / INDEX / f"{self.shard_name(self._number)}.json", index)
+        self._written |= self._pending_keys
+        self._pending, self._pending_keys = [], set()
+        self._number += 1
+        self._resume(index)
+        self._describe()
+
+    def _abandon(self) -> None:
+        if self._open:
+            with contextlib.suppress(OSError):
+                self._drop()
+        self._open = False
+        self._pending, self._pending_keys = [], set()
+
+    def _begin_folder(self, fixed: dict[str, Any]) -> None:
+        path = self.output / MARK
+        expected = parse_json(to_json({"program": PROGRAM, "version": 1, **fixed}))
+        try:
+            stored = read_json(path)
+        except FileNotFoundError:
+            write_json(path, expected)
+            return
+        except (OSError, DocumentError) as error:
+            raise OutputError(
+                f"{path}: can't be read ({error}); give a new folder, or remove this one"
+            ) from error
+        for name in sorted({*expected, *(stored if isinstance(stored, dict) else {})}):
+            mine, stood = expected.get(name), stored.get(name) if isinstance(stored, dict) else None
+            if mine != stood:
+                raise ConfigError(
+                    f"{self.output} was begun with {name} = {to_json(stood)}, not {to_json(mine)}; "
+                    "go on with the same, or write to another folder"
+                )
+
+    def _recover(self) -> None:
+        mine = f"part-{self.options.part:05d}-"
+        with _about(self.output):
+            looked = f"{mine}*.json" if self.options.apart else "part-*.json"
+            for path in sorted((self.output / INDEX).glob(looked)):
+                try:
+                    index = read_json(path, most_bytes=_MOST_INDEX)
+                    facts = {str(clip["key"]): _facts(clip) for clip in index["clips"]}
+                except (DocumentError, KeyError, TypeError) as error:
+                    raise OutputError(
+                        f"{path}: no index of a shard ({error}); remove it, and its clips are "
+                        "written again"
+                    ) from error
+                self._written |= facts.keys()
+                self._facts |= facts
+                if path.name.startswith(mine):
+                    if path.stem != self.shard_name(self._number):
+                        raise OutputError(
+                            f"{path}: the index {self.shard_name(self._number)} before it is "
+                            "missing; write to a new folder"
+                        )
+                    self._number += 1
+                    self._resume(index)
+            self._clean(self._number)
+
+
+def _facts(entry: Mapping[str, Any]) -> tuple[int, tuple[str, ...]]:
+    """Frames and notes of a clip, from its entry in an index."""
+    return int(entry["frames"]), tuple(map(str, entry.get("notes", ())))
+
+
+_KEPT: Final = 64
+_MOST_INDEX: Final = 1 << 28
+
+
+@contextlib.contextmanager
+def _about(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OutputError:
+        raise
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def hidden(path: Path) -> Path:
+    """The name under which a file is filled."""
+    return path.with_name(f".{path.name}.tmp")
+
+
+def publish(path: Path) -> None:
+    """Gives a file that was filled under its hidden name its own, on the disk."""
+    temporary = hidden(path)
+    with temporary.open("rb+") as file:
+        os.fsync(file.fileno())  # or a power cut could leave the name on an empty file
+    os.replace(temporary, path)
+
+
+def remove(path: Path) -> None:
+    """Removes a file and the one under its hidden name, if they are there."""
+    for each in (path, hidden(path)):
+        with contextlib.suppress(FileNotFoundError):
+            each.unlink()
+
+
+def close_quietly(file: IO[bytes]) -> None:
+    """Closes a file that is given up, whose last bytes may not fit on the disk."""
+    with contextlib.suppress(OSError):
+        file.close()
+
+
+def drop_parquet(writer: Any) -> None:
+    """Gives up a Parquet file that is not whole."""
+    if writer is not None:
+        with contextlib.suppress(OSError):
+            writer.close()
+        writer.is_open = False  # or it would try again when it is collected
+
+
+class TarShards(ShardedWriter):
+    """Shards that are tar files with deterministic headers."""
+
+    folder = "shards"
+
+    def path(self, number: int) -> Path:
+        """Path of a shard."""
+        return self.output / self.folder / f"{self.shard_name(number)}.tar"
+
+    def _begin(self, number: int) -> None:
+        path = self.path(number)
+        path.parent.mkdir(exist_ok=True)
+        self._file: IO[bytes] = hidden(path).open("wb")
+        self._tar = tarfile.TarFile(fileobj=self._file, mode="w", format=tarfile.PAX_FORMAT)
+
+    def add_file(self, name: str, content: bytes) -> None:
+        """Adds a member to the shard that is open."""
+        header = tarfile.TarInfo(name)
+        header.size, header.mode = len(content), 0o644
+        self._tar.addfile(header, io.BytesIO(content))
+
+    def _size(self) -> int:
+        return self._file.tell()
+
+    def _end(self, number: int) -> dict[str, Any]:
+        path = self.path(number)
+        self._tar.close()
+        self._file.close()
+        publish(path)
+        return {"shard": path.relative_to(self.output).as_posix()}
+
+    def _drop(self) -> None:
+        close_quietly(self._file)
+        remove(hidden(self.path(self._number)))
+
+    def _clean(self, number: int) -> None:
+        remove(self.path(number))
+
+
+def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
+    """A NumPy archive, not packed; the same bytes for the same arrays."""
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **arrays)
+    return content.getvalue()
+
+
+class _Writer(TarShards):
+    def __init__(self, output: Path, options: WritingOptions) -> None:
+        super().__init__(output, options, "webdataset", 256.0, {"rate": options.rate})
+
+    def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
+        if self.options.rate is not None:
+            clip = resampled(clip, self.options.rate)
+        key = unique_slug(clip.clip.name, entry["key"])
+        document = clip_document(clip, entry["key"], self.configuration(clip))
+        self.add_file(f"{key}.json", to_json(document).encode())
+        self.add_file(f"{key}.npz", npz_bytes(clip_arrays(clip)))
+        entry["sample"] = key
+        entry["frames"] = len(clip.clip)
+
+
+WEBDATASET: Final = DatasetFormat("WebDataset tar shards", _Writer, parallel=True)

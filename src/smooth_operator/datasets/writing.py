@@ -1,0 +1,589 @@
+"""From finished clips to the data set: episodes selected, written in order, and accounted for."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+from array import array
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from smooth_operator.atomic_files import atomic_write, write_json
+from smooth_operator.datasets.clip import NOTES, SIDES, RobotClip
+from smooth_operator.datasets.quality import FIGURES, Dropped, Limits, select, worst
+from smooth_operator.datasets.retargeting import Recipe
+from smooth_operator.datasets.store import Kept, Store
+from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
+from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.documents import read_json
+from smooth_operator.parallel import run_tasks
+from smooth_operator.planning import PROGRAM
+from smooth_operator.reporting.report_page import Html, Plots, templates, write_report_page
+from smooth_operator.result_cache import key_digest
+from smooth_operator.types import Side
+from smooth_operator.version import package_version
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PERCENTILES: Final = (1, 5, 50, 95, 99)
+_LIMIT_OF: Final = {
+    "jump_m_s": "max_jump",
+    "confidence": "min_confidence",
+    "valid": "min_valid",
+    "gap_s": "max_gap",
+    "collision": "max_collision",
+    "tip_error_mm": "max_tip_error",
+    "reach": "min_reach",
+    "finger_motion_mm": "min_finger_motion",
+}
+_FIGURE_OF: Final = {limit: figure for figure, limit in _LIMIT_OF.items()} | {
+    "min_seconds": "seconds"
+}
+_SHOWN: Final = 200
+_KEPT: Final = "#0072B2"
+_DROPPED: Final = "#D55E00"
+_COLUMNS: Final = 3
+
+
+class FigureTable:
+    """The figures of all episodes, of the hand that is worse off: 4 bytes each."""
+
+    def __init__(self) -> None:
+        self.kept: dict[str, array[float]] = {}
+        self.dropped: dict[str, array[float]] = {}
+
+    def add(self, episode: RobotClip | Dropped) -> None:
+        """Takes the figures of an episode."""
+        table = self.dropped if isinstance(episode, Dropped) else self.kept
+        if not episode.figures:
+            return
+        for figure in FIGURES:
+            value = worst(episode.figures, figure.name)
+            if value is not None:
+                table.setdefault(figure.name, array("f")).append(value)
+        table.setdefault("seconds", array("f")).append(episode.figures["seconds"])
+
+    def extend(self, other: FigureTable) -> None:
+        """Takes the figures of another table."""
+        for own, more in ((self.kept, other.kept), (self.dropped, other.dropped)):
+            for name, values in more.items():
+                own.setdefault(name, array("f")).extend(values)
+
+    def percentiles(self) -> dict[str, dict[str, float]]:
+        """Name of figure -> percentiles over the episodes that are kept."""
+        result = {}
+        for name, values in self.kept.items():
+            at = np.percentile(np.asarray(values), _PERCENTILES)
+            result[name] = {
+                f"p{p}": round(float(v), 6) for p, v in zip(_PERCENTILES, at, strict=True)
+            }
+        return result
+
+
+def write_report(output: Path, content: Mapping[str, Any], figures: FigureTable) -> None:
+    """Writes ``report.html`` and the histograms, as ``plots/quality.png`` and ``.svg``.
+
+    Without matplotlib there are no histograms.
+
+    Args:
+        content: content of ``report.json``.
+
+    Raises:
+        OutputError: a file can't be written.
+    """
+    try:
+        drawn = _histograms(figures, content["limits"])
+    except ImportError:
+        drawn = None
+    plot = Plots(output / "plots").element(drawn, "quality", "Quality figures of the episodes")
+    template = templates("smooth_operator.datasets").get_template("report.html.j2")
+    macros: Any = template.make_module(
+        {
+            **content,
+            "plot": plot,
+            "percentages": [f"{p} %" for p in _PERCENTILES],
+            "measures": {figure.name: figure for figure in FIGURES},
+            "shown": _SHOWN,
+        }
+    )
+    sections = [
+        (title, anchor, Html(str(section())))
+        for title, anchor, section in (
+            ("Counts", "counts", macros.counts),
+            ("Why episodes were dropped", "reasons", macros.dropped_for),
+            ("Quality", "quality", macros.quality),
+            ("Could not be read or retargeted", "failed", macros.failures),
+        )
+    ]
+    write_report_page(
+        output / "report.html",
+        f"{content['episodes']} episodes of {content['hand']}",
+        Html(str(macros.heading())),
+        sections,
+        f"smooth-operator {content['version']}",
+    )
+
+
+def _histograms(figures: FigureTable, limits: Mapping[str, Any]) -> Figure | None:
+    """A histogram of each figure, kept over dropped episodes; None where there is none."""
+    from matplotlib.figure import Figure  # not pyplot: no global state, no display
+
+    shown = [f for f in FIGURES if f.name in figures.kept or f.name in figures.dropped]
+    if not shown:
+        return None
+    rows = -(-len(shown) // _COLUMNS)
+    drawn = Figure(figsize=(3.2 * _COLUMNS, 2.1 * rows))
+    # By hand: an automatic layout takes as long as the drawing.
+    gap, edge = 0.55, 0.3 / rows
+    drawn.subplots_adjust(0.05, 0.6 * edge, 0.98, 1.0 - edge, wspace=0.25, hspace=gap)
+    axes = np.atleast_1d(drawn.subplots(rows, _COLUMNS)).ravel()
+    for ax, figure in zip(axes, shown, strict=False):
+        parts = [
+            np.asarray(table.get(figure.name, ())) for table in (figures.kept, figures.dropped)
+        ]
+        values = np.concatenate(parts)
+        top = float(np.percentile(values, 99.0)) * 1.1  # a few odd ones do not squeeze the others
+        bins = np.linspace(min(0.0, float(values.min())), top or 1.0, 31)
+        clipped = [np.clip(part, bins[0], bins[-1]) for part in parts]
+        counts = [np.histogram(part, bins)[0] for part in clipped]
+        ax.stairs(counts[0], bins, fill=True, color=_KEPT)
+        ax.stairs(counts[0] + counts[1], bins, baseline=counts[0], fill=True, color=_DROPPED)
+        limit = limits.get(_LIMIT_OF.get(figure.name, ""))
+        if isinstance(limit, int | float) and bins[0] <= limit <= bins[-1]:
+            ax.axvline(limit, color="black", linestyle="--", linewidth=1.0)
+        unit = f" [{figure.unit}]" if figure.unit else ""
+        ax.set_title(f"{figure.name}{unit}", fontsize=9)
+        ax.tick_params(labelsize=8)
+    for ax in axes[len(shown) :]:
+        ax.set_axis_off()
+    return drawn
+
+
+DATASET: Final = "dataset"
+"""Folder of the data set, in the folder of results."""
+
+REPORT: Final = "report.json"
+EPISODES: Final = "episodes.jsonl"
+_STATE: Final = "dataset.json"
+
+PART_FRAMES: Final = 1_000_000
+"""Frames of a part of the data set, which one worker writes: about six files of Parquet."""
+
+
+@dataclass
+class Summary:
+    """The result of a run; counts of clips, episodes and frames.
+
+    Attributes:
+        output: the folder of results.
+        shard: (i, n) of a share of the work; None for a whole data set.
+        clips: retargeted, by this run or earlier ones.
+        frames: number of frames.
+        episodes: that are in the data set.
+        episode_frames: number of their frames, as they were recorded.
+        written_frames: number of their frames in the data set, whose rate may be another.
+        dropped: parts of clips that are not.
+        dropped_frames: number of dropped frames.
+        reasons: name of a limit -> episodes that broke it.
+        failed: name -> why a clip could not be read or retargeted.
+        passed_over: suffix -> files of folders that no reader knows.
+        notes: notes of the writer.
+    """
+
+    output: Path
+    shard: tuple[int, int] | None = None
+    clips: int = 0
+    frames: int = 0
+    episodes: int = 0
+    episode_frames: int = 0
+    written_frames: int = 0
+    dropped: int = 0
+    dropped_frames: int = 0
+    reasons: dict[str, int] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+    passed_over: dict[str, int] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, part: Summary) -> None:
+        """Adds the episodes, reasons and notes of a part."""
+        counts = ("episodes", "episode_frames", "written_frames", "dropped", "dropped_frames")
+        for name in counts:
+            setattr(self, name, getattr(self, name) + getattr(part, name))
+        reasons = Counter(self.reasons) + Counter(part.reasons)
+        self.reasons = dict(sorted(reasons.items()))
+        self.notes += [note for note in part.notes if note not in self.notes]
+
+    @classmethod
+    def of_shard(
+        cls,
+        output: Path,
+        shard: tuple[int, int],
+        packs: Mapping[str, Kept],
+        failed: Mapping[str, str],
+    ) -> Summary:
+        """Summary of a run that retargets its share and writes no data set."""
+        frames = sum(each.frames for each in packs.values())
+        return cls(output, shard, len(packs), frames, failed=dict(sorted(failed.items())))
+
+    def as_json(self) -> dict[str, Any]:
+        """As ``report.json`` has it."""
+        counts = {name: value for name, value in asdict(self).items() if name != "output"}
+        return {"program": PROGRAM, "version": package_version(), **counts}
+
+
+@dataclass(frozen=True)
+class DatasetRequest:
+    """Sources, recipe and output of a data set.
+
+    Attributes:
+        sources: folders, files, patterns, lists of paths (``.txt``, ``.csv``, ``.jsonl``) and
+            addresses of object storage.
+        output: folder of the results.
+        recipe: hand, method and frame of each clip.
+        layout: name of the reader; None for the one that recognises each file.
+        limits: least quality of an episode.
+        format: name of the output format, of ``WRITERS``.
+        writing: settings of that format; the joints of the hand are filled in.
+        shard: (i, n) for the i-th of n runs that share the work, from 1; it retargets its items and
+            writes no data set.
+        merge: retarget nothing; write the data set from what other runs have finished.
+        pack: retarget nothing; write the human clips as they are, a source for later runs.
+        workers: as in ``run_tasks``.
+        cluster: as there.
+    """
+
+    sources: tuple[str, ...]
+    output: Path
+    recipe: Recipe
+    layout: str | None = None
+    limits: Limits = field(default_factory=Limits)
+    format: str = "lerobot"
+    writing: WritingOptions = field(default_factory=WritingOptions)
+    shard: tuple[int, int] | None = None
+    merge: bool = False
+    pack: bool = False
+    workers: int | None = None
+    cluster: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """A data set that is to be written.
+
+    Attributes:
+        request: the request for it.
+        items: name and place of each finished item, by name.
+        store: folder of the packs.
+    """
+
+    request: DatasetRequest
+    items: Sequence[tuple[str, Kept]]
+    store: Path
+
+    @property
+    def identity(self) -> str:
+        """Digest of all that the files of the data set depend on."""
+        content = [(name, pack.key) for name, pack in self.items]
+        request = self.request
+        return key_digest([request.limits, request.format, request.writing, content])
+
+
+@dataclass(eq=False)
+class Part:
+    """The result of writing consecutive items.
+
+    Attributes:
+        summary: counts of episodes.
+        lines: lines of ``episodes.jsonl``.
+        figures: quality of the episodes.
+        items: number of the items.
+    """
+
+    summary: Summary
+    lines: list[bytes] = field(default_factory=list)
+    figures: FigureTable = field(default_factory=FigureTable)
+    items: int = 0
+
+
+def write_episodes(
+    order: Order,
+    failed: Mapping[str, str],
+    passed_over: Mapping[str, int],
+    written: Callable[[int, int], None] = lambda done, count: None,
+    notes: Sequence[str] = (),
+) -> Summary:
+    """Writes the data set and the report; goes on where a run was stopped at this same data set.
+
+    A large data set is written in parts of ``PART_FRAMES`` frames, several in parallel. The parts,
+    and the bytes of each, depend on the items alone.
+
+    Args:
+        order: settings of the data set.
+        failed: name -> why a clip is missing, for the report.
+        passed_over: suffix -> files that no reader knows, for the report.
+        written: is called with the number of items that are done, and of all.
+        notes: notes of the run, for the report.
+
+    Raises:
+        OutputError: it can't be written.
+        RecordingError: a pack is damaged.
+        WorkerError: the cluster can't be reached, or gave up.
+    """
+    summary = Summary(
+        order.request.output,
+        failed=dict(sorted(failed.items())),  # workers end in any order
+        passed_over=dict(passed_over),
+        notes=[*notes],
+    )
+    summary.clips = len(order.items)
+    summary.frames = sum(pack.frames for _, pack in order.items)
+    if not order.items:
+        _account(order, summary, FigureTable())
+        return summary
+    order = _with_writing(order, _fitted(order))
+    _prepare(order)
+    parts = _parts(order)
+    done: dict[int, Part] = {}
+    if len(parts) == 1:
+        done[0] = write_part(parts[0], lambda at: written(at, len(order.items)))
+    else:
+        request = order.request
+        with contextlib.closing(
+            run_tasks(write_part, parts, workers=request.workers, cluster=request.cluster)
+        ) as results:
+            for result in results:
+                if result.value is None:
+                    raise OutputError(f"a part of the data set can't be written: {result.error}")
+                done[result.index] = result.value
+                written(sum(part.items for part in done.values()), len(order.items))
+    figures = FigureTable()
+    with atomic_write(order.request.output / EPISODES) as lines:
+        for _, part in sorted(done.items()):
+            summary.add(part.summary)
+            figures.extend(part.figures)
+            lines.write(b"".join(part.lines))
+    if summary.episodes == 0:  # an empty data set would be taken for one
+        shutil.rmtree(order.request.output / DATASET, ignore_errors=True)
+        summary.notes += _nothing_kept(summary, figures, order.request.limits)
+    _mark(order, whole=True)
+    _account(order, summary, figures)
+    return summary
+
+
+def _nothing_kept(summary: Summary, figures: FigureTable, limits: Limits) -> list[str]:
+    """Why no episode is left: limits, what was found, and options to change."""
+    if not summary.reasons:
+        return []
+    lines = [
+        f"Nothing was kept, so no data set is written. Limits that the {summary.dropped} parts "
+        "break:"
+    ]
+    for name, count in sorted(summary.reasons.items(), key=lambda item: -item[1]):
+        line = f"{count} of {summary.dropped} break {name}"
+        if hasattr(limits, name):
+            option = f"--{name.replace('_', '-')} {getattr(limits, name)}"
+            line = f"{count} of {summary.dropped} break {option}"
+        values = figures.dropped.get(_FIGURE_OF.get(name, ""))
+        if values:
+            line += f"; the parts have {min(values):.2g} to {max(values):.2g}"
+        lines.append(line)
+    lines.append(
+        "Look at report.html, then give other limits: nothing is retargeted again. "
+        "--no-limits keeps every clip whole."
+    )
+    return lines
+
+
+def _parts(order: Order) -> list[Order]:
+    """Consecutive items, so many that a part has ``PART_FRAMES`` frames at least, but the last."""
+    if not getattr(WRITERS.load(order.request.format), "parallel", False):
+        return [order]
+    groups: list[list[tuple[str, Kept]]] = []
+    frames = PART_FRAMES
+    for item in order.items:
+        if frames >= PART_FRAMES:
+            groups.append([])
+            frames = 0
+        groups[-1].append(item)
+        frames += item[1].frames
+    count = len(groups)
+    return [
+        _with_writing(
+            replace(order, items=group),
+            replace(order.request.writing, part=number, parts=count, apart=count > 1),
+        )
+        for number, group in enumerate(groups)
+    ]
+
+
+def write_part(order: Order, written: Callable[[int], None] = lambda done: None) -> Part:
+    """Writes the episodes of some items, in a worker.
+
+    Args:
+        order: the items.
+        written: is called with the number of items that are done.
+
+    Raises:
+        OutputError: they can't be written.
+        RecordingError: a pack is damaged.
+    """
+    request = order.request
+    part = Part(Summary(request.output), items=len(order.items))
+    reasons: Counter[str] = Counter()
+    notes: Counter[str] = Counter()
+    with (
+        contextlib.closing(Store(order.store)) as store,
+        WRITERS.load(order.request.format).open(
+            order.request.output / DATASET, order.request.writing
+        ) as writer,
+    ):
+        for done, (_, pack) in enumerate(order.items, 1):
+            for clip in store.read(pack):
+                notes.update(clip.clip.meta.get(NOTES, ()))
+                for episode in select(clip, order.request.limits):
+                    episode = _written(episode, writer)
+                    _count(part.summary, reasons, episode)
+                    part.figures.add(episode)
+                    part.lines.append(to_json(_line(clip, episode)).encode() + b"\n")
+            written(done)
+    read = [f"{count} clip{'s' * (count > 1)}: {text}" for text, count in sorted(notes.items())]
+    part.summary.notes = [*read, *writer.notes]
+    part.summary.written_frames = getattr(writer, "frames", part.summary.episode_frames)
+    part.summary.reasons = dict(reasons)
+    return part
+
+
+def _written(episode: RobotClip | Dropped, writer: Any) -> RobotClip | Dropped:
+    """Writes an episode; one that the format can't hold is dropped."""
+    if isinstance(episode, Dropped):
+        return episode
+    try:
+        writer.write(episode)
+    except OutputError:
+        raise
+    except RecordingError as error:
+        frames = (0, len(episode.clip))
+        return Dropped(episode.clip.name, frames, {"format": str(error)}, dict(episode.figures))
+    return episode
+
+
+def _count(summary: Summary, reasons: Counter[str], episode: RobotClip | Dropped) -> None:
+    if isinstance(episode, Dropped):
+        summary.dropped += 1
+        summary.dropped_frames += episode.frames[1] - episode.frames[0]
+        reasons.update(episode.reasons.keys())
+    else:
+        summary.episodes += 1
+        summary.episode_frames += len(episode.clip)
+
+
+def _line(clip: RobotClip, episode: RobotClip | Dropped) -> dict[str, Any]:
+    """Line of ``episodes.jsonl`` for an episode."""
+    shared = {"clip": clip.clip.name, "source": clip.clip.meta.get("source")}
+    if isinstance(episode, Dropped):
+        return {
+            "episode": episode.name,
+            "kept": False,
+            "reasons": episode.reasons,
+            "frames": episode.frames[1] - episode.frames[0],
+            "figures": episode.figures,
+            **shared,
+        }
+    return {
+        "episode": episode.clip.name,
+        "kept": True,
+        "frames": len(episode.clip),
+        "task": episode.clip.task,
+        "world": episode.clip.world,
+        "key": episode.key,
+        "figures": episode.figures,
+        **shared,
+    }
+
+
+def _with_writing(order: Order, writing: WritingOptions) -> Order:
+    return replace(order, request=replace(order.request, writing=writing))
+
+
+def _fitted(order: Order) -> WritingOptions:
+    """The settings with the joints, camera and objects that clips have."""
+    writing, packs = order.request.writing, [pack for _, pack in order.items]
+    if writing.joints:
+        return writing
+    sides: set[Side] = {side for pack in packs for side in pack.sides}
+    request = order.request.recipe.request
+    return replace(
+        writing,
+        joints={side: request.load_hand(side).joint_names for side in SIDES if side in sides},
+        camera=any(pack.camera for pack in packs),
+        objects=min(writing.objects, max((pack.objects for pack in packs), default=0)),
+    )
+
+
+def _prepare(order: Order) -> None:
+    """Takes the folder of a stopped run at the same data set, or a new one.
+
+    Raises:
+        OutputError: something stands there that no run has left.
+    """
+    target = order.request.output / DATASET
+    state = _state(order)
+    if target.exists() and state is None and any(target.iterdir()):
+        raise OutputError(
+            f"can't write {str(target)!r}: it holds something that this command has not written; "
+            "give another folder to --output, or remove it first"
+        )
+    if state is not None and state.get("identity") != order.identity:
+        shutil.rmtree(target, ignore_errors=True)  # other clips, limits or format: all again
+    _mark(order, whole=False)
+
+
+def hand_in(output: Path) -> str | None:
+    """Name of the robot hand whose data set a folder of results has; None without one."""
+    if not (output / DATASET).exists():
+        return None
+    try:
+        report = read_json(output / REPORT)
+    except (OSError, ValueError):
+        return None
+    return report.get("hand") if isinstance(report, dict) else None
+
+
+def _state(order: Order) -> dict[str, Any] | None:
+    try:
+        state = read_json(order.request.output / "work" / _STATE)
+    except (OSError, ValueError):
+        return None
+    return state if isinstance(state, dict) and state.get("program") == PROGRAM else None
+
+
+def _mark(order: Order, *, whole: bool) -> None:
+    content = {"program": PROGRAM, "identity": order.identity, "whole": whole}
+    (order.request.output / "work").mkdir(parents=True, exist_ok=True)
+    write_json(order.request.output / "work" / _STATE, content)
+
+
+def _account(order: Order, summary: Summary, figures: FigureTable) -> None:
+    """``report.json`` and ``report.html``."""
+    request = order.request.recipe.request
+    content = {
+        **summary.as_json(),
+        "hand": request.hand_name,
+        "method": request.method,
+        "preset": request.preset,
+        "seed": request.seed,
+        "frame": order.request.recipe.frame,
+        "format": order.request.format,
+        "limits": order.request.limits,
+        "figures": figures.percentiles(),
+    }
+    write_json(order.request.output / REPORT, content, indent=2)
+    write_report(order.request.output, json.loads(to_json(content)), figures)

@@ -1,0 +1,1 @@
+from smooth_operator.hand_discovery.hand_validation import check_hand as check_hand

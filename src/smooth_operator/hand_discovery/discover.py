@@ -1,0 +1,512 @@
+"""The whole analysis: file in, description and findings out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.hand_discovery.branches import Branches, Chain, HandTree, Tip, find_tip, holds
+from smooth_operator.hand_discovery.landmarks import (
+    Discovery,
+    Finding,
+    FoundCoupling,
+    FoundFinger,
+    Overrules,
+    bases_finding,
+    find_wrist,
+    finger_points,
+    fix_bases,
+)
+from smooth_operator.hand_discovery.motion import (
+    Bending,
+    Layout,
+    Thumb,
+    find_bending,
+    find_layout,
+    find_neutral,
+    find_thumb,
+    sample_reach,
+)
+from smooth_operator.hand_discovery.skeleton import Skeleton, fingers_said, read_skeleton, side_said
+from smooth_operator.hands.loading import NO_ROOM, Coupling, shared_range
+from smooth_operator.hands.model_assets import model_path
+from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
+from smooth_operator.hands.spec_file import MOST_NAME
+from smooth_operator.landmarks import FINGERS
+from smooth_operator.types import Side, as_side
+
+_TURNS: Final = 4 * np.pi  # [rad]: no joint of a finger has such a range
+_GENERIC: Final = {
+    *("right", "left", "rh", "lh", "r", "l", "hand", "robot", "model", "scene", "description"),
+    *("urdf", "mjcf", "xml", "assets", "models", "kinematics", "only"),
+}
+
+
+class _Analysis:
+    """One palm and what can be said of it."""
+
+    def __init__(
+        self, skeleton: Skeleton, tree: HandTree, side: Side | None, overrules: Overrules
+    ) -> None:
+        self.skeleton, self.tree = skeleton, tree
+        at = skeleton.place(skeleton.reference)
+        chains = tree.chains
+        for chain in chains:
+            _check_joints(skeleton, chain)
+        names = fingers_said([_names(skeleton, chain) for chain in chains])
+        self.chosen = _chosen(skeleton, chains, overrules)
+        self.tips = tuple(find_tip(skeleton, chain, at) for chain in chains)
+        self.bends: tuple[Bending, ...] = find_bending(skeleton, chains, self.tips)
+        self.reach = reach = sample_reach(skeleton, chains, self.tips, self.bends)
+        thumb = find_thumb(chains, self.bends, reach, names)
+        thumb_index = next((i for i, name in self.chosen.items() if name == "thumb"), None)
+        if thumb_index is not None:
+            thumb = Thumb(thumb_index, 1.0, ("given",))
+        self.thumb = thumb
+        own = [n for chain in chains for n in _names(skeleton, chain)]
+        palm = [skeleton.body_name(b) for b in skeleton.rigid(tree.palm)] if tree.palm else []
+        self.layout: Layout = find_layout(
+            chains, self.bends, reach, thumb.index, names, side_said([*own, *palm]), side
+        )
+
+
+def discover(
+    path: str | Path,
+    *,
+    side: Side | None = None,
+    name: str | None = None,
+    overrules: Overrules | None = None,
+) -> Discovery:
+    """Reads a model and works out how it is a hand.
+
+    Nothing is keyed to a product: the palm is where chains branch, the thumb is what closes
+    against the others, the side follows from where the fingers point, close and have their thumb.
+    Names count as weak evidence, and are said to.
+
+    Args:
+        path: URDF or MJCF file, with or without its meshes.
+        side: side of the hand; selects one of two in one file.
+        name: name of the description; the file's name if left out.
+        overrules: facts from a person, which replace findings.
+
+    Returns:
+        the description and every finding with confidence and evidence.
+
+    Raises:
+        HandModelError: the file can't be used, or holds no hand, or two and no side is given.
+        UnknownNameError: the model lacks a name in ``overrules``.
+    """
+    path = Path(path)
+    side = None if side is None else as_side(side)
+    overrules = overrules or Overrules()
+    skeleton, notes = read_skeleton(path)
+    branches = Branches(skeleton, tuple(where for _, where in overrules.fingers))
+    if overrules.palm is not None:
+        trees: tuple[HandTree, ...] = (branches.at(overrules.palm),)
+    else:
+        trees = branches.find()
+    analysis = _choose(skeleton, trees, side, overrules, path)
+    lost = [out for out in analysis.tree.left_out if out.doubtful]
+    if lost and overrules.palm is None:
+        palm = skeleton.body_name(analysis.tree.palm)
+        raise HandModelError(
+            f"{'; '.join(out.why for out in lost)}, but hangs from the palm {palm!r} as a finger "
+            "does: give its joints limits in the file, or if it is no finger, name the palm: "
+            f"--palm {palm}"
+        )
+    return _described(analysis, path, name, overrules, notes, len(trees))
+
+
+def _choose(
+    skeleton: Skeleton,
+    trees: tuple[HandTree, ...],
+    side: Side | None,
+    overrules: Overrules,
+    path: Path,
+) -> _Analysis:
+    if len(trees) == 1:
+        return _Analysis(skeleton, trees[0], side, overrules)
+    blank = Overrules()
+    layouts = [(tree, _Analysis(skeleton, tree, None, blank).layout) for tree in trees]
+    choices = "; ".join(
+        f"palm {skeleton.body_name(tree.palm)!r}, {layout.side} ({layout.side_confidence:.2f})"
+        for tree, layout in layouts
+    )
+    fits = [tree for tree, layout in layouts if layout.side == side]
+    if len(fits) != 1:
+        hint = "give --side right or --side left" if side is None else "name one with --palm"
+        raise HandModelError(f"{path} holds {len(trees)} hands ({choices}); {hint}")
+    return _Analysis(skeleton, fits[0], side, overrules)
+
+
+def _described(
+    analysis: _Analysis,
+    path: Path,
+    name: str | None,
+    overrules: Overrules,
+    notes: tuple[str, ...],
+    hands: int,
+) -> Discovery:
+    skeleton, tree, layout = analysis.skeleton, analysis.tree, analysis.layout
+    chains = tree.chains
+    at = skeleton.place(skeleton.reference)
+    order, names = _ordered(analysis)
+    tips = dict(zip(order, (analysis.tips[i] for i in order), strict=True))
+    for finger, point in overrules.tips:
+        if finger not in names:
+            raise HandModelError(
+                f"--tip names the finger {finger!r}; this hand has {', '.join(names)}"
+            )
+        i = order[names.index(finger)]
+        tips[i] = _given_tip(skeleton, chains[i], finger, point)
+    _check_tips_differ([(n, tips[i]) for i, n in zip(order, names, strict=True)])
+    fingers = tuple(
+        FingerSpec(
+            finger,
+            finger_points(
+                skeleton, chains[i], analysis.bends[i], tips[i].point, finger == "thumb", at
+            ),
+        )
+        for i, finger in zip(order, names, strict=True)
+    )
+    neutral, neutral_said = find_neutral(skeleton, chains, analysis.bends, analysis.reach, order)
+    fingers, moved_bases = fix_bases(
+        skeleton, tree.palm, fingers, analysis.reach, skeleton.place(skeleton.posed(neutral))
+    )
+    wrist, wrist_sure, wrist_why = find_wrist(skeleton, tree.palm, chains, layout, at)
+    if overrules.wrist is not None:
+        _body(skeleton, overrules.wrist.body)
+        wrist, wrist_sure, wrist_why = overrules.wrist, 1.0, ("given",)
+    spec = HandSpec(
+        name=name or _name(path),
+        side=layout.side,
+        model=model_path(path),
+        palm=skeleton.body_name(tree.palm),
+        wrist=wrist,
+        fingers=fingers,
+        align=_align(names),
+        source=f"worked out from {path.name}",
+        neutral=neutral,
+    )
+    moved = frozenset(j for chain in chains for j in chain.joints)
+    coupled, coupled_finding = find_couplings(skeleton, moved)
+    assign = min(layout.order_confidence, layout.names_confidence)
+    descriptions = tuple(
+        FoundFinger(
+            name=finger,
+            tip_body=tips[i].point.body,
+            tip_offset=tips[i].point.offset,
+            joints=tuple(skeleton.joint_names[j] for j in chains[i].joints),
+            confidence=min(
+                tips[i].confidence,
+                analysis.thumb.confidence if finger == "thumb" else assign,
+            ),
+        )
+        for i, finger in zip(order, names, strict=True)
+    )
+    thumb_joints = " → ".join(descriptions[0].joints)
+    sure_order = 1.0 if set(names) <= set(analysis.chosen.values()) else layout.order_confidence
+    other = "left" if layout.side == "right" else "right"
+    overrule = "any body or joint of the right one"
+    findings = (
+        Finding(
+            "side", layout.side, layout.side_confidence, layout.side_evidence, f"--side {other}"
+        ),
+        _palm_finding(analysis, dict(zip(order, names, strict=True)), overrules, hands),
+        Finding(
+            "thumb",
+            thumb_joints,
+            analysis.thumb.confidence,
+            analysis.thumb.evidence,
+            f"--thumb BODY ({overrule})",
+        ),
+        Finding(
+            "order",
+            ", ".join(names),
+            sure_order,
+            layout.order_evidence,
+            f"--finger {names[-1]}=BODY ({overrule})",
+        ),
+        *(
+            Finding(
+                f"tip of {name}",
+                _place(tips[i].point),
+                tips[i].confidence,
+                tips[i].evidence,
+                f"--tip {name}=BODY:x,y,z (metres)",
+            )
+            for i, name in zip(order, names, strict=True)
+        ),
+        coupled_finding,
+        Finding("wrist", _place(wrist), wrist_sure, wrist_why, "--wrist BODY:x,y,z (metres)"),
+        bases_finding(moved_bases),
+        Finding(
+            "neutral",
+            f"{len(neutral)} joints",
+            0.8,
+            neutral_said,
+            "edit [neutral] in the spec file",
+        ),
+    )
+    notes = (*notes, *coupling_notes(coupled), *_chain_notes(skeleton, tree))
+    return Discovery(spec, findings, descriptions, coupled, notes)
+
+
+def _ordered(analysis: _Analysis) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Chains thumb first, and their human fingers, with what a person named in its place."""
+    layout, chosen = analysis.layout, analysis.chosen
+    order, names = list(layout.order), list(layout.names)
+    free = [n for n in names if n not in chosen.values()]
+    named = {i: chosen.get(i, "") for i in order}
+    for i, name in zip(order, names, strict=True):
+        if not named[i]:
+            named[i] = name if name in free else free[0]
+            free.remove(named[i])
+    ranked = sorted(order, key=lambda i: FINGERS.index(named[i])) if chosen else order
+    return tuple(ranked), tuple(named[i] for i in ranked)
+
+
+def _chosen(skeleton: Skeleton, chains: tuple[Chain, ...], overrules: Overrules) -> dict[int, str]:
+    """Chain -> human finger, where a person said so."""
+    pairs = list(overrules.fingers)
+    if overrules.thumb is not None:
+        pairs = [("thumb", overrules.thumb), *(p for p in pairs if p[0] != "thumb")]
+    out: dict[int, str] = {}
+    for finger, where in pairs:
+        holding = [i for i, chain in enumerate(chains) if holds(skeleton, chain, where)]
+        if not holding:
+            parts = {n for chain in chains for n in _names(skeleton, chain)}
+            raise UnknownNameError("body or joint of a finger", where, parts)
+        i = holding[0]
+        if i in out:
+            raise HandModelError(
+                f"{where!r} is given as {finger}, but it is of the same finger as {out[i]}"
+            )
+        out[i] = finger
+    return out
+
+
+def _names(skeleton: Skeleton, chain: Chain) -> list[str]:
+    bodies = [*chain.bodies, *(b for b in skeleton.rigid(chain.last) if b not in chain.bodies)]
+    joints = [skeleton.joint_names[j] for j in chain.own]
+    return [*(skeleton.body_name(b) for b in bodies), *joints]
+
+
+def _check_joints(skeleton: Skeleton, chain: Chain) -> None:
+    for j in chain.joints:
+        name = skeleton.joint_names[j]
+        if not skeleton.moves[j]:
+            raise HandModelError(
+                f"joint {name!r} of a finger is a ball or free joint; a hand's joints must be "
+                "hinges or slides: write it as hinges in the file"
+            )
+        if not skeleton.bounded[j] and j not in skeleton.leaders:
+            if name in skeleton.pinned:
+                raise HandModelError(
+                    f"joint {name!r} of a finger can't move: lower = upper = "
+                    f"{skeleton.pinned[name]:g} in the file, as for {len(skeleton.pinned)} joints; "
+                    "give them their range there, or make joints that stand still fixed"
+                )
+            raise HandModelError(
+                f"joint {name!r} of a finger has no limits; give it some in the file (URDF: "
+                '<limit lower="…" upper="…"/>, MJCF: range="… …")'
+            )
+        low, high = skeleton.limits[j]
+        if skeleton.turns[j] and skeleton.bounded[j] and high - low > _TURNS:
+            raise HandModelError(
+                f"joint {name!r} of a finger has the limits {low:g} to {high:g} rad, more than two "
+                "turns: are they degrees? A URDF's are radians, and so are an MJCF's under "
+                '<compiler angle="radian"/>; mend them in the file'
+            )
+
+
+def _given_tip(skeleton: Skeleton, chain: Chain, finger: str, point: Point) -> Tip:
+    body = _body(skeleton, point.body)
+    rigid = skeleton.rigid(chain.last)
+    if body not in rigid:
+        options = ", ".join(repr(skeleton.body_name(b)) for b in rigid)
+        raise HandModelError(
+            f"--tip puts the tip of {finger} on {point.body!r}; it must be fixed to that finger's "
+            f"last link: {options}"
+        )
+    at = skeleton.place(skeleton.reference)
+    x, y, z = (float(c) for c in at.world(body, np.array(point.offset)))
+    return Tip(point, 1.0, ("given",), (x, y, z))
+
+
+def _check_tips_differ(tips: list[tuple[str, Tip]]) -> None:
+    tip_names: dict[Point, str] = {}
+    for finger, tip in tips:
+        if tip.point in tip_names:
+            raise HandModelError(
+                f"{tip_names[tip.point]} and {finger} have the same tip, {tip.point.body!r}; give "
+                f"each its own: --tip {finger}=BODY:x,y,z"
+            )
+        tip_names[tip.point] = finger
+
+
+def _body(skeleton: Skeleton, name: str) -> int:
+    names = [skeleton.body_name(b) for b in range(skeleton.model.nbody)]
+    if name not in names:
+        raise UnknownNameError("body", name, names)
+    return names.index(name)
+
+
+def _align(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Landmarks that fix the palm: as the paper's authors, the outer fingers' bases."""
+    if len(names) == 2:
+        return (*names, "wrist")
+    return (names[0], names[1], names[-1])
+
+
+def _name(path: Path) -> str:
+    """A name from the file's, or from a folder's above it where the file's says nothing."""
+    for text in (path.stem, *(folder.name for folder in path.resolve().parents[:3])):
+        parts = [w for w in re.split(r"[^A-Za-z0-9]+", text.lower()) if w]
+        name_words = [w for w in parts if w not in _GENERIC]
+        if name_words:
+            words = [w for w in parts if w not in _GENERIC or w == "hand"]
+            return "_".join(words)[:MOST_NAME]
+    return "hand"
+
+
+_DECLARED: Final = 0.95
+_TENDON: Final = 0.7  # how the joints of a tendon share its travel is not in the file
+_CONTRADICTED: Final = 0.3
+
+
+def find_couplings(
+    skeleton: Skeleton, joints: frozenset[int]
+) -> tuple[tuple[FoundCoupling, ...], Finding]:
+    """The couplings among a hand's joints, and what to say of them all.
+
+    A coupling is doubted that would leave its follower no room: in such a file a sign is wrong, and
+    has been turned where that mends it.
+    """
+    names = {skeleton.joint_names[j] for j in joints}
+    tendons = _on_tendons(skeleton)
+    couplings, notes = [], []
+    for c in skeleton.couplings:
+        if c.joint not in names:
+            continue
+        text = f"{c.joint} follows {c.follows}"
+        confidence = _DECLARED
+        if c.joint in tendons:
+            confidence = _TENDON
+            text += " on a tendon (how they share its travel is taken from its coefficients)"
+        if c.turned:
+            confidence = _CONTRADICTED
+            text += f" with the factor {c.multiplier:g}: {_turned(c)}"
+        elif _contradicted(skeleton, c.joint):
+            confidence = _CONTRADICTED
+            text += (
+                f" with the factor {c.multiplier:g}, as declared, which its own limits do not "
+                "allow: mend the factor or the limits in the file"
+            )
+        couplings.append(FoundCoupling(c, confidence))
+        notes.append(text)
+    overrule = "edit the model file"
+    if not couplings:
+        return (), Finding("coupled", "none", 0.9, ("the file declares none",), overrule)
+    least = min(f.confidence for f in couplings)
+    return tuple(couplings), Finding(
+        "coupled", f"{len(couplings)} joints", least, (*notes, "as the file declares"), overrule
+    )
+
+
+def _chain_notes(skeleton: Skeleton, tree: HandTree) -> Iterator[str]:
+    """Notes about chains that are no fingers, and about fingers whose limits say nothing."""
+    if tree.left_out:
+        yield (
+            f"left out: {'; '.join(out.why for out in tree.left_out)}. If one of them is a "
+            "finger, add --finger NAME=BODY with its body. Joints that move no finger stay at "
+            "neutral"
+        )
+    names = [
+        skeleton.joint_names[j]
+        for j in dict.fromkeys(j for chain in tree.chains for j in chain.joints)
+        if skeleton.bounded[j] and skeleton.turns_freely(j)
+    ]
+    if names:
+        yield (
+            f"joints of fingers can make a full turn in the file: {', '.join(names)}; give them "
+            "the limits of the real hand there"
+        )
+
+
+def coupling_notes(couplings: tuple[FoundCoupling, ...]) -> tuple[str, ...]:
+    """Warnings: couplings that are not as the file has them."""
+    return tuple(
+        f"joint {c.joint!r} follows {c.follows!r} with the factor {c.multiplier:g}: {_turned(c)}. "
+        "Check it on the hand; if it is the limits that are wrong, mend them in the file"
+        for c in (f.coupling for f in couplings)
+        if c.turned
+    )
+
+
+def _turned(coupling: Coupling) -> str:
+    return (
+        f"the file says {-coupling.multiplier:g}, for which its own limits leave no room, so the "
+        "sign is taken to be wrong there"
+    )
+
+
+def _contradicted(skeleton: Skeleton, name: str) -> bool:
+    follower = skeleton.joint_names.index(name)
+    leader, gain, offset = skeleton.leaders[follower]
+    ranges = skeleton.limits[[follower, leader]]
+    if not np.isfinite(ranges).all():
+        return False
+    resolved = Coupling(name, skeleton.joint_names[leader], gain, offset)
+    return shared_range(resolved, *ranges) < NO_ROOM
+
+
+def _on_tendons(skeleton: Skeleton) -> set[str]:
+    """Joints that a tendon moves, and no equality holds to another."""
+    model = skeleton.model
+    kind, held = mujoco.mjtWrap.mjWRAP_JOINT, mujoco.mjtEq.mjEQ_JOINT
+    wrapped = {int(model.wrap_objid[w]) for w in np.flatnonzero(model.wrap_type == int(kind))}
+    equal = {int(model.eq_obj1id[e]) for e in np.flatnonzero(model.eq_type == int(held))}
+    return {skeleton.joint_names[j] for j in wrapped - equal}
+
+
+def _palm_finding(
+    analysis: _Analysis, names: Mapping[int, str], overrules: Overrules, hands: int
+) -> Finding:
+    """Finding about the palm.
+
+    Args:
+        names: chain -> human finger.
+        hands: number of hands in the file.
+    """
+    skeleton, tree = analysis.skeleton, analysis.tree
+    chains = tree.chains
+    palm_why = [f"{len(chains)} chains of joints branch from it"]
+    palm_sure = 0.95
+    nested = [name for i, name in names.items() if chains[i].shared]
+    if nested:
+        palm_why.append(f"{', '.join(nested)} share a joint inside the palm")
+        palm_sure = 0.85
+    above = [j for b in skeleton.path(tree.palm) for j in skeleton.joints_of(b)]
+    if above:
+        palm_why.append(f"{len(above)} joints lead to it: an arm or wrist, no part of the hand")
+    if hands > 1:
+        palm_why.append(f"one of {hands} hands in the file, chosen by side")
+    if tree.left_out:
+        palm_why.append("left out: " + "; ".join(out.why for out in tree.left_out))
+        palm_sure -= 0.2
+    if overrules.palm is not None:
+        palm_sure, palm_why = 1.0, ["given"]
+    value = skeleton.body_name(tree.palm)
+    return Finding("palm", value, round(palm_sure, 2), tuple(palm_why), "--palm BODY")
+
+
+def _place(point: Point) -> str:
+    x, y, z = (round(1e3 * c, 1) + 0.0 for c in point.offset)
+    return f"{point.body} ({x:.1f}, {y:.1f}, {z:.1f}) mm"

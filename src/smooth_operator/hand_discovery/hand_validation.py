@@ -1,0 +1,417 @@
+"""Validation of a hand description: all checks, and the round trip of poses through every method.
+
+A fault is reported once: checks that rest on one that failed are skipped. In a round trip a pose's
+own landmarks should give the pose back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.errors import ConfigError, SmoothOperatorError
+from smooth_operator.hand_discovery.checks import Check, HandValidation, Samples, Verdict
+from smooth_operator.hand_discovery.fingers import (
+    check_flexion,
+    check_side,
+    check_tips,
+    find_flexion_axes,
+)
+from smooth_operator.hand_discovery.joint_map import check_joint_map
+from smooth_operator.hand_discovery.joints import (
+    check_motion,
+    check_neutral,
+    check_palm,
+    check_ranges,
+    check_shapes,
+    check_size,
+    check_tilt,
+)
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.penetration import penetration_depths
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.spec import HandSpec
+from smooth_operator.methods.presets import method_config, method_names
+from smooth_operator.methods.registry import DEFAULT_METHOD
+from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.metrics.consistency import frozen_share
+from smooth_operator.synthetic.robot_landmarks import human_landmarks
+from smooth_operator.types import HandFrame, Status
+
+_TOUCH: Final = 1e-3  # deepest overlap of a pose that a real hand could take [m]
+_PINCH: Final = 0.02  # closer than this, targets with pinches mean a pinch and not the pose [m]
+_TRIES: Final = 40  # random poses per wanted one
+
+
+def reachable_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "T m"]:
+    """Random poses within the limits that a real hand could take, and that mean no pinch.
+
+    Uniform in every actuated joint. Left out are poses in which parts of the hand lie more than a
+    millimetre inside each other (as far as the model has shapes), and those in which the thumb's
+    tip is within 20 mm of another: there, a method that closes pinches is right to go elsewhere. A
+    hand that has too few such poses gets those that come nearest to it.
+
+    Args:
+        count: number of poses.
+
+    Returns:
+        (count, m) positions of the actuated joints [rad].
+    """
+    rng, low, high = np.random.default_rng(seed), hand.limits[:, 0], hand.limits[:, 1]
+    batches: list[np.ndarray] = []
+    rest: list[np.ndarray] = []
+    faults: list[np.ndarray] = []
+    for _ in range(_TRIES):
+        if sum(map(len, batches)) >= count:
+            break
+        poses = rng.uniform(low, high, (count, len(low)))
+        fault = _fault(hand, poses)
+        batches.append(poses[fault <= 0])
+        rest.append(poses[fault > 0])
+        faults.append(fault[fault > 0])
+    order = np.argsort(np.concatenate(faults), kind="stable")
+    chosen: np.ndarray = np.concatenate([*batches, np.concatenate(rest)[order]])[:count]
+    return chosen
+
+
+def _fault(hand: Hand, poses: Float[np.ndarray, "T m"]) -> Float[np.ndarray, " T"]:
+    """(T,) by how much a pose breaks the two rules [m]; 0 where it keeps them."""
+    every = hand.full_configuration(poses)
+    tips = hand.tips(every)
+    gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1).min(axis=1)
+    depths = penetration_depths(hand, every)
+    inside = np.zeros(len(poses)) if depths is None else np.maximum(depths - _TOUCH, 0)
+    fault: np.ndarray = inside + np.maximum(_PINCH - gaps, 0)
+    return fault
+
+
+_MEETS: Final = 0.010  # landmarks lie in the pads or inside the tips, so they need not touch [m]
+_NEAR: Final = 0.030  # [m]
+_MET: Final = 1e-4  # nearer is not worth looking for [m]
+_STARTS: Final = 4
+_EVALUATIONS: Final = 60
+
+
+def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
+    """Finds the fingers that the thumb can pinch with, by landmarks; shapes may touch before."""
+    hand = samples.hand
+    others = [name for name in hand.fingers if name != "thumb" and name in sound]
+    if "thumb" not in sound or not others:
+        return Check("pinches", "skipped", "not checked: fingertips have to be mended first")
+    gaps = {name: closest_pinch(samples, name) for name in others}
+    figures = {name: round(1e3 * gap, 2) for name, gap in gaps.items()}
+    text = "thumb to " + ", ".join(f"{name} {1e3 * gap:.1f}" for name, gap in gaps.items()) + " mm"
+    apart = [name for name, gap in gaps.items() if gap > _MEETS]
+    check = partial(Check, "pinches", figures=figures)
+    if not apart:
+        return check("ok", text)
+    if all(gap > _NEAR for gap in gaps.values()):
+        return check(
+            "failed",
+            text,
+            "the thumb meets no finger: look at its limits and tip, and whether it is the thumb",
+        )
+    return check(
+        "warning",
+        text,
+        f"no pinch with {', '.join(apart)}: some hands can't; if yours can, look at limits, tips",
+    )
+
+
+def closest_pinch(samples: Samples, finger: str) -> float:
+    """Smallest distance of the tips of thumb and finger over all poses within the limits [m].
+
+    Least squares within the limits, from the best of many random poses.
+    """
+    from scipy.optimize import least_squares
+
+    hand, k = samples.hand, samples.hand.fingers.index(finger)
+    apart = np.linalg.norm(samples.tips[:, k] - samples.tips[:, 0], axis=1)
+    low, high = hand.limits.T
+    inset = 1e-6 * (high - low)  # least_squares begins within the limits
+
+    nudges = 1e-6 * np.eye(len(low))
+
+    def gap(q: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch 3"]:
+        tips = hand.tips(hand.full_configuration(q))
+        return np.asarray(tips[..., k, :] - tips[..., 0, :])
+
+    def jacobian(q: Float[np.ndarray, " m"]) -> Float[np.ndarray, "3 m"]:
+        return np.asarray((gap(q + nudges) - gap(q - nudges)).T / 2e-6)
+
+    best = np.inf
+    for start in samples.poses[np.argsort(apart)[:_STARTS]]:
+        inside = np.clip(start, low + inset, high - inset)
+        found = least_squares(
+            gap, inside, jacobian, bounds=(low, high), x_scale=high - low, max_nfev=_EVALUATIONS
+        )
+        best = min(best, float(np.linalg.norm(found.fun)))
+        if best < _MET:
+            break
+    return best
+
+
+_APPROACH: Final = 20  # frames from the neutral pose to the pose
+_HOLD: Final = 15  # frames in which the human then holds still
+_PERIOD_S: Final = 0.01  # from frame to frame [s]
+_ROUNDING: Final = 1e-9  # of limits in float64 [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class RoundTrip:
+    """Errors of poses after a round trip through their landmarks.
+
+    Attributes:
+        tip_error_mm: (poses, F) distance of each fingertip from where the pose has it [mm], thumb
+            first.
+        q_true: (poses, n) positions of all joints in the poses that were asked for [rad].
+        q_found: (poses, n) those that came back [rad].
+        ok: share of frames with the status OK.
+        limit_violations: frames in which some joint was outside its limits.
+        frozen: share of the frames with a moving human in which no joint moved; None if the human
+            never moved.
+    """
+
+    tip_error_mm: Float[np.ndarray, "poses F"]
+    q_true: Float[np.ndarray, "poses n"]
+    q_found: Float[np.ndarray, "poses n"]
+    ok: float
+    limit_violations: int
+    frozen: float | None
+
+    @cached_property
+    def median(self) -> float:
+        """Median error over all fingertips of all poses [mm]."""
+        return float(np.median(self.tip_error_mm))
+
+    @cached_property
+    def p95(self) -> float:
+        """95th percentile of the same [mm]."""
+        return float(np.percentile(self.tip_error_mm, 95))
+
+
+def round_trip(
+    retargeter: Retargeter,
+    *,
+    poses: int,
+    seed: int,
+    track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+) -> RoundTrip:
+    """Asks a retargeter for poses that its hand can reach, and measures how near it comes.
+
+    For each of some random poses (``reachable_poses``) the
+    robot's own landmarks play the human: from a fresh state they go from the neutral pose to the
+    pose in 20 frames, since a live hand never teleports, and stay there for 15, so that what trails
+    behind arrives. The last command counts.
+
+    What is measured is the method as it is configured. Many methods weigh a pull to the neutral
+    pose against the landmarks, and so end millimetres off a pose that they could reach exactly. To
+    judge a hand, or a solver, take that pull away with ``MethodConfig.without_pull``.
+
+    Args:
+        retargeter: the method on its hand; its own state is left alone.
+        poses: number of poses.
+        seed: seed of the poses; the retargeter has its own.
+        track: wraps the iteration over poses, for a progress bar.
+
+    Returns:
+        errors, and what else went wrong.
+
+    Raises:
+        ConfigError: poses is less than one.
+    """
+    if poses < 1:
+        raise ConfigError(f"a round trip needs one pose or more, not {poses}")
+    hand = retargeter.hand
+    targets = reachable_poses(hand, poses, seed)
+    share = np.append(np.linspace(0, 1, _APPROACH), np.ones(_HOLD))[:, None]
+    commands, frozen, good, outside = [], [], 0, 0
+    for k in range(poses) if track is None else track(range(poses)):
+        landmarks = human_landmarks(hand, hand.neutral + share * (targets[k] - hand.neutral))
+        state, positions = retargeter.init(), []
+        for i, points in enumerate(landmarks):
+            frame = HandFrame(points, i * _PERIOD_S, hand.spec.side)
+            state, result = retargeter.step(state, frame)
+            positions.append(result.command.joint_positions)
+            good += result.status == Status.OK
+        run = np.array(positions)
+        low, high = hand.joint_limits.T
+        outside += int(((run < low - _ROUNDING) | (run > high + _ROUNDING)).any(axis=1).sum())
+        reaches = hand.tips(
+            hand.full_configuration(hand.neutral + share * (targets[k] - hand.neutral))
+        )
+        if (still := frozen_share(reaches - hand.wrist, run)) is not None:
+            frozen.append(still)
+        commands.append(run[-1])
+    true, answers = hand.full_configuration(targets), np.array(commands)
+    return RoundTrip(
+        tip_error_mm=np.linalg.norm(hand.tips(answers) - hand.tips(true), axis=-1) * 1e3,
+        q_true=true,
+        q_found=answers,
+        ok=good / (poses * len(share)),
+        limit_violations=outside,
+        frozen=float(np.mean(frozen)) if frozen else None,
+    )
+
+
+MEASURE: Final = "sbr"
+"""The method that the description is judged by: it gets to a pose that the hand can reach."""
+GOOD_MM: Final = 3.0
+"""Median error of a reachable round trip that ``MEASURE`` is to keep on any hand [mm]."""
+_BAD_MM: Final = 10.0
+_FROZEN: Final = 0.02  # share of frames
+_FOLLOWS_TIPS: Final = (MEASURE, "keyvector", "hybrid")
+"""Methods whose answer to a reachable pose is that pose; the others aim at something else."""
+
+
+def check_method(
+    hand: Hand,
+    method: str,
+    *,
+    poses: int,
+    seed: int,
+    track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+) -> Check:
+    """One method's round trip; the pull to the neutral pose is taken away, to judge the hand."""
+    name = f"round trip: {method}"
+    try:
+        retargeter = Retargeter(hand, config=method_config(method).without_pull())
+    except SmoothOperatorError as error:
+        return Check(name, "skipped", f"not served: {error}")
+    trip = round_trip(retargeter, poses=poses, seed=seed, track=track)
+    verdict, advice = _judge(method, trip)
+    text = f"fingertips off by {trip.median:.2f} mm, median; 95 % within {trip.p95:.1f} mm"
+    if trip.limit_violations:
+        text += f"; {trip.limit_violations} frames outside the limits"
+    if (trip.frozen or 0.0) > _FROZEN:
+        text += f"; the hand stood still in {100 * (trip.frozen or 0):.0f} % of the motion"
+    if trip.ok < 1:
+        text += f"; {100 * (1 - trip.ok):.0f} % of the frames refused"
+    figures = {
+        "median_mm": round(trip.median, 4),
+        "p95_mm": round(trip.p95, 4),
+        "ok": trip.ok,
+        "frozen": trip.frozen,
+        "limit_violations": trip.limit_violations,
+        "poses": poses,
+    }
+    return Check(name, verdict, text, advice, figures)
+
+
+def _judge(method: str, trip: RoundTrip) -> tuple[Verdict, str]:
+    if trip.limit_violations:
+        return "failed", "please report this: no command may leave the limits"
+    if trip.ok < 1:
+        return "failed", "look at the palm frame: frames of the hand itself are refused"
+    if (trip.frozen or 0.0) > _FROZEN:
+        return "failed", "the method can't move this hand: look at limits and couplings"
+    if method == DEFAULT_METHOD and trip.median > _BAD_MM:
+        return "warning", (
+            "poses of the hand itself are followed loosely: look at the model's shapes, which may "
+            "keep its parts apart (hands show), and at palm frame and tips"
+        )
+    if method not in (*_FOLLOWS_TIPS, DEFAULT_METHOD):
+        return "unjudged", "for information: this method does not aim at a pose's fingertips"
+    if method == DEFAULT_METHOD or trip.median <= GOOD_MM:
+        return "ok", ""
+    if method == MEASURE and trip.median > _BAD_MM:
+        return "failed", "poses of the hand itself can't be followed: look at palm frame and tips"
+    return "warning", (
+        "poses of the hand itself are followed loosely: look at the palm frame, and whether other "
+        "joints reach the same tips"
+    )
+
+
+_TRIP_POSES: Final = 20
+
+Track = Callable[[str, Sequence[int]], Iterable[int]]
+"""What is being done and its steps, to the same steps: for a progress bar."""
+
+
+def check_hand(
+    hand: str | Path | HandSpec | Hand,
+    side: str | None = None,
+    *,
+    quick: bool = False,
+    poses: int = _TRIP_POSES,
+    methods: Sequence[str] | None = None,
+    seed: int = 0,
+    track: Track | None = None,
+) -> HandValidation:
+    """Checks the description of a hand.
+
+    What rests on something that failed is skipped, so that one fault is one failure: with limits in
+    degrees nothing that moves is looked at, and without sound fingertips there is no round trip.
+
+    Args:
+        hand: name of a hand, path of a spec file, a description, or a loaded hand.
+        side: side of a hand given by name; a spec file brings its own, and is mirrored if the other
+            is asked for.
+        quick: the round trip goes through two methods only: the one that measures best, and the one
+            that is used where none is named.
+        poses: number of poses of each round trip.
+        methods: that the round trip goes through; all if left out.
+        seed: seed of the round trip's poses.
+        track: for a progress bar.
+
+    Returns:
+        the checklist.
+
+    Raises:
+        UnknownNameError: there is no such hand or method.
+        HandModelError: the description or its model can't be loaded.
+        ConfigError: poses is less than one.
+    """
+    loaded = hand if isinstance(hand, Hand) else load_hand(hand, side)
+    few = (MEASURE, DEFAULT_METHOD)
+    chosen = tuple(methods if methods is not None else few if quick else method_names())
+    checks = list(_checks(loaded, chosen, poses, seed, track))
+    return HandValidation(loaded.name, loaded.spec.side, tuple(checks))
+
+
+def _checks(
+    hand: Hand, methods: tuple[str, ...], poses: int, seed: int, track: Track | None
+) -> Iterator[Check]:
+    samples = Samples(hand)
+    yield (size := check_size(samples))
+    yield (palm := check_palm(samples))
+    yield (ranges := check_ranges(hand))
+    motion = _after("joints used", ranges) if ranges.verdict == "failed" else check_motion(samples)
+    yield motion
+    tips, sound = check_tips(hand)
+    yield tips
+    if ranges.verdict == "failed":
+        for name in ("palm tilt", "neutral pose", "shapes", "flexion", "side", "pinches"):
+            yield _after(name, ranges)
+    else:
+        failed = palm.verdict == "failed"
+        yield _after("palm tilt", palm) if failed else check_tilt(samples)
+        yield check_neutral(hand)
+        yield check_shapes(samples)
+        axes = find_flexion_axes(samples, sound)
+        yield check_flexion(axes)
+        yield check_side(samples, axes, sound)
+        yield check_pinches(samples, sound)
+    broken = [check for check in (size, palm, ranges, motion, tips) if check.verdict == "failed"]
+    for method in methods:
+        name = f"round trip: {method}"
+        if broken:
+            yield _after(name, broken[0])
+            continue
+        bar = None if track is None else _named(track, name)
+        yield check_method(hand, method, poses=poses, seed=seed, track=bar)
+    if "joint_angle" in methods:
+        yield _after("joint map", broken[0]) if broken else check_joint_map(hand)
+
+
+def _named(track: Track, name: str) -> Callable[[Iterable[int]], Iterable[int]]:
+    return lambda steps: track(name, list(steps))
+
+
+def _after(name: str, cause: Check) -> Check:
+    return Check(name, "skipped", f"not checked: mend {cause.name!r} first")

@@ -1,0 +1,62 @@
+"""The map from human joint angles to a hand's joints: does it point the thumb where the human's is?
+
+Gains that are measured joint by joint fail on a thumb unlike a human's, as LEAP's: the spec file of
+such a hand has rows of its own ([joint_map], ``smooth_operator.baselines.joint_angle``).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.baselines.joint_angle import JointAngleMap
+from smooth_operator.errors import HandModelError
+from smooth_operator.hand_discovery.checks import Check
+from smooth_operator.hands.hand import Hand
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
+from smooth_operator.synthetic import SyntheticOperator
+
+_SECONDS: Final = 20.0  # of the built-in operator: all that it does
+_RATE_HZ: Final = 20.0
+_AWAY_DEG: Final = 60.0
+"""Of the built-in hands DEX-EE, whose three fingers stand around its palm, has the most with 49."""
+
+
+def mapped_thumb_error(hand: Hand) -> float | None:
+    """Median angle between the thumbs of the built-in operator and of the hand that follows by
+    ``joint_angle`` [deg]; None for a hand without thumb or without such a map."""
+    base, tip = LANDMARKS[BASES[0]], LANDMARKS[TIPS[0]]
+    names = hand.tree.names
+    if base not in names or tip not in names:
+        return None
+    try:
+        mapped = JointAngleMap(hand)
+    except HandModelError:
+        return None
+    recording = SyntheticOperator(side=hand.spec.side, rate_hz=_RATE_HZ).record(_SECONDS)
+    human = align_recording(recording, hand)
+    q = np.clip(mapped.positions(human), *hand.limits.T)
+    landmarks = hand.landmark_positions(q)
+    robot = landmarks[:, names.index(tip)] - landmarks[:, names.index(base)]
+    thumb = human[:, TIPS[0]] - human[:, BASES[0]]
+    lengths = np.linalg.norm(robot, axis=-1) * np.linalg.norm(thumb, axis=-1)
+    cosine = (robot * thumb).sum(axis=-1) / np.maximum(lengths, 1e-9)
+    return float(np.degrees(np.nanmedian(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+
+
+def check_joint_map(hand: Hand) -> Check:
+    """Checks that ``joint_angle`` points the robot's thumb about where the human's points."""
+    away = mapped_thumb_error(hand)
+    if away is None:
+        return Check("joint map", "skipped", "not checked: there is no map to the thumb's joints")
+    text = f"joint_angle points the thumb {away:.0f}° away from the human's, median"
+    figures = {"thumb_deg": round(away, 1)}
+    if away <= _AWAY_DEG:
+        return Check("joint map", "ok", text, figures=figures)
+    advice = (
+        "give [joint_map] rows for the thumb's joints in the spec file, or use another method: "
+        "only joint_angle uses this map"
+    )
+    return Check("joint map", "failed", text, advice, figures)

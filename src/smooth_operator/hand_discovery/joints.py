@@ -1,0 +1,297 @@
+"""The joints, the neutral pose and the palm: limits, what each joint moves, sizes."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from smooth_operator.hand_discovery.checks import Check, Samples, Verdict, worst
+from smooth_operator.hands.collision import PALM, owners, solid_shapes
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.penetration import crowded_links, neutral_overlaps
+from smooth_operator.hands.stand_ins import stand_in_links
+from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
+from smooth_operator.human.flat_hand import palm_tilt_deg
+from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.metrics.safety import COLLISION_DEPTH
+
+_TURN: Final = 2 * np.pi  # no finger joint turns further; degrees read as radians do [rad]
+_WIDE: Final = 3.6  # [rad]; LEAP's widest has 3.2
+_NARROW: Final = 0.1  # [rad]; Shadow's narrowest has 0.42
+_LONG: Final = 0.3  # of a slide [m]
+_STILL: Final = 1e-4  # a joint that moves its landmarks by less moves nothing [m]
+_SLIGHT: Final = 2e-3  # [m]
+_POSES: Final = 12  # in which a joint is swept
+_STEPS: Final = 9
+_ROUNDING: Final = 1e-6  # of spec files [rad]
+_TOUCH: Final = 3e-3  # overlap in the neutral pose that shapes drawn too fat explain [m]
+_DEEP: Final = 0.01  # overlap that no shape explains [m]
+_CROWDED_PALM: Final = 0.25
+"""Share of random poses in which a finger's link and the palm may overlap: joint limits keep most
+fingers out of the palm, and published models have up to 0.1, the built-in hands 0.17."""
+_CROWDED_FINGERS: Final = 0.5
+"""The same of two fingers: neighbours that spread freely cross often (Tesollo's in 0.44)."""
+
+
+def check_ranges(hand: Hand) -> Check:
+    """Checks the range of each commanded joint: degrees read as radians show here."""
+    ranges = hand.limits[:, 1] - hand.limits[:, 0]
+    slides = np.array([_slides(hand, name) for name in hand.actuated_names])
+    named = dict(zip(hand.actuated_names, ranges, strict=True))
+    figures = {name: round(float(width), 4) for name, width in named.items()}
+    turns = ranges[~slides]
+    text = f"{ranges.min():.2f} to {ranges.max():.2f} {_unit(slides)}"
+
+    def those(mask: np.ndarray) -> str:
+        return _list([name for name, hit in zip(named, mask, strict=True) if hit])
+
+    beyond = np.where(slides, ranges > _LONG, ranges > _TURN)
+    check = partial(Check, "joint ranges", figures=figures)
+    if beyond.any():
+        return check(
+            "failed",
+            f"{text}: {those(beyond)} can go further than any finger",
+            "limits are in radians (metres of a slide): are these in degrees (millimetres)?",
+        )
+    if len(turns) and turns.max() < _NARROW:
+        return check(
+            "failed",
+            f"{text}: no joint turns by more than {np.degrees(_NARROW):.0f} degrees",
+            "limits in radians were read as degrees: an MJCF file in radians needs "
+            '<compiler angle="radian"/>',
+        )
+    odd = ~slides & ((ranges < _NARROW) | (ranges > _WIDE))
+    if odd.any():
+        return check(
+            "warning",
+            f"{text}; unusual: {those(odd)}",
+            "compare the limits of these joints with the data sheet, and those of joints that "
+            "follow them",
+        )
+    return check("ok", text)
+
+
+def check_motion(samples: Samples) -> Check:
+    """Checks that each commanded joint moves some landmark, and measures by how much."""
+    hand = samples.hand
+    moved: dict[str, float] = {}
+    for k, name in enumerate(hand.actuated_names):
+        poses = np.repeat(samples.poses[:_POSES, None], _STEPS, axis=1)
+        poses[..., k] = np.linspace(hand.limits[k, 0], hand.limits[k, 1], _STEPS)
+        at = hand.landmark_positions(poses)
+        moved[name] = float(np.linalg.norm(at - at[:, :1], axis=-1).max())
+    figures = {name: round(1e3 * distance, 2) for name, distance in moved.items()}
+    least = min(moved, key=lambda name: moved[name])
+    text = f"each moves its landmarks by {1e3 * moved[least]:.0f} mm or more over its range"
+    idle = [name for name, distance in moved.items() if distance < _STILL]
+    on_fingers = _on_fingers(hand)
+    dead = [name for name in idle if name in on_fingers]
+    check = partial(Check, "joints used", figures=figures)
+    if dead:
+        return check(
+            "failed",
+            f"{_list(dead)}: no landmark moves with it",
+            "the finger's tip lies on the joint's axis or before it: give the tip on the last "
+            "link, past its last joint",
+        )
+    if idle:
+        return check(
+            "warning",
+            f"{_list(idle)}: no landmark moves with it",
+            "it belongs to no finger of the description, and stays at neutral: name its finger, "
+            "if it has one",
+        )
+    if slight := [name for name, distance in moved.items() if distance < _SLIGHT]:
+        return check(
+            "warning",
+            f"{_list(slight)}: moves its landmarks by {1e3 * moved[least]:.1f} mm only",
+            "compare the joint's limits and axis with the data sheet",
+        )
+    return check("ok", text)
+
+
+def check_neutral(hand: Hand) -> Check:
+    """Checks that the neutral pose is within the limits and free of self-collision.
+
+    Values outside the limits are clipped when a hand is loaded, so it is the clipped pose whose
+    parts are looked at.
+    """
+    spec = hand.spec
+    neutral = {k: spec.neutral[k] for k in hand.actuated_names if k in spec.neutral}
+    outside = {
+        name: value
+        for name, low, high in zip(hand.actuated_names, *hand.limits.T, strict=True)
+        if (value := neutral.get(name, low)) < low - _ROUNDING or value > high + _ROUNDING
+    }
+    overlaps = neutral_overlaps(hand)
+    deepest = max(overlaps.values(), default=0.0)
+    figures = {"outside_limits": outside, "overlap_mm": round(1e3 * deepest, 2)}
+    texts, advice, verdicts = [], [], list[Verdict]()
+    if outside:
+        far = max(outside, key=lambda n: abs(outside[n]))
+        texts.append(f"outside the limits: {_list(list(outside))} ({far} = {outside[far]:g})")
+        advice.append("give [neutral] values within the limits, in radians")
+        verdicts.append("failed")
+    else:
+        texts.append(f"{len(neutral)} joints given, within the limits")
+    if deepest > _TOUCH:
+        one, other = max(overlaps, key=lambda pair: overlaps[pair])
+        texts.append(f"{one} and {other} are {1e3 * deepest:.0f} mm inside each other")
+        advice.append("choose a [neutral] in which nothing touches, or look at these shapes")
+        # a mesh collides as its convex hull, which is larger than the part
+        exact = not hand.model.nmesh
+        verdicts.append("failed" if deepest > _DEEP and exact else "warning")
+    elif not _has_shapes(hand):
+        texts.append("no shapes to touch each other")
+    else:
+        texts.append("nothing touches" if deepest <= 0 else f"overlap {1e3 * deepest:.1f} mm")
+    return Check("neutral pose", worst(*verdicts), "; ".join(texts), "; ".join(advice), figures)
+
+
+def check_shapes(samples: Samples) -> Check:
+    """Checks that links have shapes for self-collision, or estimates in their place, and that no
+    two of them are in each other in a large share of random poses."""
+    hand = samples.hand
+    links, solid = stand_in_links(hand), int(solid_shapes(hand).sum())
+    owner = owners(hand)
+    shares = crowded_links(hand, samples.poses, COLLISION_DEPTH)
+    crowded = {}
+    for (one, other), share in shares.items():
+        palm = any(owner[hand.model.body(name).id] == PALM for name in (one, other))
+        if share > (_CROWDED_PALM if palm else _CROWDED_FINGERS):
+            crowded[f"{one} and {other}"] = round(share, 3)
+    texts, advice, verdicts = [f"{solid} shapes that collide"], [], list[Verdict]()
+    if links:
+        texts.append(
+            f"those of {_list(list(links))} can't be read or are missing: estimated capsules along "
+            "the bones take their place"
+        )
+        advice.append("put the mesh files where the model file names them, and add the hand again")
+        verdicts.append("warning")
+    if crowded:
+        most = max(crowded.values())
+        texts.append(
+            f"in up to {most:.0%} of random poses {_list(list(crowded))} are inside each other"
+        )
+        advice.append(
+            "make these shapes as large as the real parts; if the parts can't touch, exclude the "
+            'pair in the model file: <exclude body1="..." body2="..."/>'
+        )
+        verdicts.append("failed")
+    elif shares:
+        (one, other), share = next(iter(shares.items()))
+        texts.append(f"{one} and {other} touch in {share:.0%} of random poses, others in fewer")
+    figures = {
+        "shapes": solid,
+        "estimated": list(links),
+        "crowded": crowded,
+        "largest_share": round(max(shares.values(), default=0.0), 3),
+    }
+    return Check("shapes", worst(*verdicts), "; ".join(texts), "; ".join(advice), figures)
+
+
+def _slides(hand: Hand, name: str) -> bool:
+    kind = int(hand.model.joint(name).type[0])
+    return kind == int(mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def _unit(slides: np.ndarray) -> str:
+    return "m" if slides.all() else "rad or m" if slides.any() else "rad"
+
+
+def _on_fingers(hand: Hand) -> set[str]:
+    """Joints on the way from the palm to a fingertip, and those beyond it on the same finger."""
+    model, palm = hand.model, hand.model.body(hand.spec.palm).id
+    fingers: set[int] = set()
+    for finger in hand.spec.fingers:
+        body = int(model.body(finger.tip.body).id)
+        while body not in (palm, 0):
+            fingers.add(body)
+            body = int(model.body_parentid[body])
+    for body in range(1, model.nbody):  # parents come first
+        if model.body_parentid[body] in fingers:
+            fingers.add(body)
+    return {model.joint(j).name for j in range(model.njnt) if model.jnt_bodyid[j] in fingers}
+
+
+def _has_shapes(hand: Hand) -> bool:
+    return bool(hand.bodies[hand.model.geom_bodyid].any())
+
+
+def _list(names: list[str]) -> str:
+    shown = ", ".join(names[:4])
+    return shown if len(names) <= 4 else f"{shown} and {len(names) - 4} more"
+
+
+_POOR: Final = 0.08  # condition of the palm that noise turns; built-in hands have 0.16 and more
+_MOVES: Final = 2e-3  # of a landmark that aligns: more is seen in the round trip [m]
+_USUAL: Final = (0.10, 0.40)  # wrist to farthest fingertip [m]; built-in hands: 0.166 to 0.251
+_POSSIBLE: Final = (0.05, 0.80)  # [m]
+
+
+def check_palm(samples: Samples) -> Check:
+    """Checks that the landmarks of the palm span a frame and do not move."""
+    hand = samples.hand
+    condition = float(palm_alignment(reference_landmarks(hand), hand).condition)
+    used = [hand.tree.names.index(name) for name in _align_names(samples)]
+    travel = float(np.ptp(samples.landmarks[:, used], axis=0).max())
+    figures = {"condition": round(condition, 3), "travel_mm": round(1e3 * travel, 2)}
+    align = ", ".join(hand.spec.align)
+    text = f"{align}: condition {condition:.2f} (0 is a line, human palms 0.5)"
+    check = partial(Check, "palm frame", figures=figures)
+    if condition < MIN_CONDITION:
+        return check(
+            "failed",
+            text,
+            "these landmarks lie on a line, so they fix no direction: name others in align, or "
+            "give the finger bases and the wrist their places",
+        )
+    if travel > _MOVES:
+        return check(
+            "warning",
+            f"{text}; they move by {1e3 * travel:.0f} mm with the joints",
+            "put the bases that align onto a body fixed to the palm, at their place in the "
+            "neutral pose: a human's knuckles don't move in the palm",
+        )
+    if condition < _POOR:
+        return check(
+            "warning",
+            text,
+            "nearly a line: noise of the tracker will turn the hand; name landmarks in align that "
+            "are further apart",
+        )
+    return check("ok", text)
+
+
+def check_tilt(samples: Samples) -> Check:
+    """Measures the angle between the fingers of a flat human hand and the robot's straight ones."""
+    tilt = palm_tilt_deg(samples.hand)
+    way = "towards the palm" if tilt > 0 else "to the back of the hand"
+    text = f"a flat human hand bends the straight fingers by {abs(tilt):.0f}° {way}"
+    return Check("palm tilt", "unjudged", text, "", {"tilt_deg": round(tilt, 1)})
+
+
+def check_size(samples: Samples) -> Check:
+    """Checks the size of the hand: millimetres read as metres show here."""
+    hand = samples.hand
+    reach = float(np.linalg.norm(samples.tips - hand.wrist, axis=-1).max())
+    figures = {"reach_mm": round(1e3 * reach, 1)}
+    text = f"{1e3 * reach:.0f} mm from the wrist to the farthest fingertip"
+    check = partial(Check, "size", figures=figures)
+    if not _POSSIBLE[0] < reach < _POSSIBLE[1]:
+        return check(
+            "failed",
+            text,
+            "no hand is of that size: model and offsets are in metres (a mesh's scale, or a wrist "
+            "on the wrong body, can also do it)",
+        )
+    if not _USUAL[0] < reach < _USUAL[1]:
+        return check("warning", text, "unusual: look at the wrist and the units of the model")
+    return check("ok", text)
+
+
+def _align_names(samples: Samples) -> list[str]:
+    return [LANDMARKS[i] for i in samples.hand.align_indices]

@@ -1,0 +1,361 @@
+"""Findings about a model with confidence and reason; landmarks of fingers, bases and wrist."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.errors import HandModelError
+from smooth_operator.hand_discovery.branches import Chain
+from smooth_operator.hand_discovery.motion import Bending, Layout, Reach
+from smooth_operator.hand_discovery.skeleton import Placement, Skeleton, says_wrist
+from smooth_operator.hands.loading import Coupling
+from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
+from smooth_operator.landmarks import FINGERS
+
+SURE: Final = 0.8
+"""A finding of at least this confidence needs no second look."""
+UNSURE: Final = 0.5
+"""A finding below this confidence is little better than a guess, and is to be said so."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was found.
+
+    Attributes:
+        subject: the subject: ``side``, ``palm``, ``thumb``, ``order``, ``tip of index``...
+        value: the finding, as a text for a person.
+        confidence: 0 (a guess) to 1 (the model says so).
+        evidence: the reasons, in words.
+        overrule: option that replaces it, of ``smooth-operator hands add``.
+    """
+
+    subject: str
+    value: str
+    confidence: float
+    evidence: tuple[str, ...]
+    overrule: str
+
+
+@dataclass(frozen=True)
+class FoundFinger:
+    """A finger as found.
+
+    Attributes:
+        name: the human finger that drives it.
+        tip_body: body that the fingertip is fixed to.
+        tip_offset: (3,) fingertip in that body's frame [m].
+        joints: all joints that move the tip, palm to tip, coupled ones included.
+        confidence: the lower one of the name's and the tip's.
+    """
+
+    name: str
+    tip_body: str
+    tip_offset: tuple[float, float, float]
+    joints: tuple[str, ...]
+    confidence: float
+
+
+@dataclass(frozen=True)
+class FoundCoupling:
+    """A coupled joint as found, and how sure that is."""
+
+    coupling: Coupling
+    confidence: float
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """All that was found in a model.
+
+    Attributes:
+        spec: the description, ready for ``load_hand_spec``.
+        findings: with confidence and evidence, in the order of a checklist.
+        fingers: thumb first, then from the thumb's side across the palm.
+        coupled: joints of the hand that follow another.
+        notes: other facts for a person, such as missing meshes.
+    """
+
+    spec: HandSpec
+    findings: tuple[Finding, ...]
+    fingers: tuple[FoundFinger, ...]
+    coupled: tuple[FoundCoupling, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def unsure(self) -> tuple[Finding, ...]:
+        """Findings that a person should look at, least sure first."""
+        doubtful = [finding for finding in self.findings if finding.confidence < SURE]
+        return tuple(sorted(doubtful, key=lambda finding: finding.confidence))
+
+    def to_json(self) -> dict[str, Any]:
+        """The whole as one object of plain lists, numbers and strings.
+
+        Returns:
+            ``side`` and ``palm`` (strings), ``fingers`` (``name``, ``tip_body``, ``tip_offset``
+            [m], ``joints``, ``confidence``), ``coupled`` (``joint``, ``follows``, ``multiplier``,
+            ``offset`` [rad], ``confidence``), ``confidence`` (subject -> number, with ``side`` and
+            ``palm``), ``evidence`` (subject -> reasons), and the rest of the description.
+        """
+        spec = self.spec
+        return {
+            "name": spec.name,
+            "model": str(spec.model),
+            "side": spec.side,
+            "palm": spec.palm,
+            "fingers": [
+                {
+                    "name": finger.name,
+                    "tip_body": finger.tip_body,
+                    "tip_offset": list(finger.tip_offset),
+                    "joints": list(finger.joints),
+                    "confidence": finger.confidence,
+                }
+                for finger in self.fingers
+            ],
+            "coupled": [
+                {
+                    "joint": coupling.coupling.joint,
+                    "follows": coupling.coupling.follows,
+                    "multiplier": coupling.coupling.multiplier,
+                    "offset": coupling.coupling.offset,
+                    "confidence": coupling.confidence,
+                }
+                for coupling in self.coupled
+            ],
+            "wrist": {"body": spec.wrist.body, "offset": list(spec.wrist.offset)},
+            "align": list(spec.align),
+            "neutral": dict(spec.neutral),
+            "confidence": {f.subject: f.confidence for f in self.findings},
+            "evidence": {f.subject: list(f.evidence) for f in self.findings},
+            "unsure": [finding.subject for finding in self.unsure],
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True)
+class Overrules:
+    """Findings that are given, not found.
+
+    Attributes:
+        palm: body from which the fingers branch.
+        thumb: a body or joint of the thumb.
+        fingers: (human finger, a body or joint of the robot finger that it drives) pairs; of a
+            model with more than five fingers only these are used.
+        tips: (human finger, fingertip) pairs.
+        wrist: the wrist point.
+
+    Raises:
+        HandModelError: if a finger is not a human one, or is named twice.
+    """
+
+    palm: str | None = None
+    thumb: str | None = None
+    fingers: tuple[tuple[str, str], ...] = ()
+    tips: tuple[tuple[str, Point], ...] = ()
+    wrist: Point | None = None
+
+    def __post_init__(self) -> None:
+        for what, pairs in (("finger", self.fingers), ("tip", self.tips)):
+            names = [name for name, _ in pairs]
+            for name in names:
+                if name not in FINGERS:
+                    raise HandModelError(
+                        f"--{what} names the finger {name!r}; expected one of {', '.join(FINGERS)}"
+                    )
+                if names.count(name) > 1:
+                    raise HandModelError(
+                        f"--{what} names {name!r} twice; give each finger one {what}"
+                    )
+
+
+_BESIDE: Final = 0.09  # of a finger's length: a joint this close to the knuckle is part of it
+_APART: Final = 0.06  # of a finger's length, between two landmarks of a finger
+_CLEAR: Final = 0.2  # of a finger's length: a frame this close to a finger's base is that base
+_WRIST: Final = 0.95  # wrist to knuckles, in finger lengths, of a human hand
+
+
+def finger_points(
+    skeleton: Skeleton, chain: Chain, bend: Bending, tip: Point, is_thumb: bool, at: Placement
+) -> tuple[Point, Point | None, Point | None, Point]:
+    """The robot's counterparts of a finger's four human landmarks.
+
+    A joint's origin may lie anywhere on its axis; where it is next to the finger, the landmark is
+    put on the axis level with the tip.
+
+    Args:
+        is_thumb: a thumb's first landmark is its first joint of all, a finger's is its knuckle.
+    """
+    body = int(skeleton.model.body(tip.body).id)
+    end = at.world(body, np.array(tip.offset))
+    if not bend.joints:  # slides only: level with the tip, where the finger starts
+        first = chain.own[0]
+        start = at.anchors[first]
+        offset = end - start
+        start = start + offset - (offset @ bend.along) * bend.along
+        return _point(skeleton, at, first, start), None, None, tip
+    joints = list(bend.joints)
+    knuckle = joints[0]
+    base = next(
+        j
+        for j in chain.own
+        if is_thumb
+        or j == knuckle
+        or np.linalg.norm(at.anchors[j] - at.anchors[knuckle]) < _BESIDE * chain.length
+    )
+    apart = _APART * chain.length
+    where = at.anchors[base]
+    if base == knuckle and not is_thumb:
+        where = _level(at, base, end, chain.length)
+    points: list[tuple[int, np.ndarray]] = []
+    for j in joints:
+        place = _level(at, j, end, chain.length)
+        before = points[-1][1] if points else where
+        if np.linalg.norm(place - before) > apart and np.linalg.norm(place - end) > apart:
+            points.append((j, place))
+    middle = [_point(skeleton, at, j, place) for j, place in points[-2:]]
+    if len(middle) == 1:  # a last link that is rigid stands for two human ones
+        half = (points[-1][1] + end) / 2
+        middle.append(_fixed(skeleton, at, int(skeleton.model.jnt_bodyid[points[-1][0]]), half))
+    first_point = _point(skeleton, at, base, where)
+    mcp, pip = (middle[0], middle[1]) if middle else (None, None)
+    return first_point, mcp, pip, tip
+
+
+def _level(at: Placement, joint: int, end: np.ndarray, length: float) -> np.ndarray:
+    """A joint's origin; if that is off the finger, the point of its axis level with the tip."""
+    anchor: np.ndarray = at.anchors[joint]
+    axis = at.axes[joint]
+    shift = float((end - anchor) @ axis)
+    # only for a hinge across the finger: one along it, such as a twist, runs towards the tip
+    across = abs(shift) < 0.3 * float(np.linalg.norm(end - anchor))
+    if across and 0.03 * length < abs(shift):
+        anchor = anchor + shift * axis
+    return anchor
+
+
+def _point(skeleton: Skeleton, at: Placement, joint: int, place: np.ndarray) -> Point:
+    return _fixed(skeleton, at, int(skeleton.model.jnt_bodyid[joint]), place)
+
+
+def _fixed(skeleton: Skeleton, at: Placement, body: int, place: np.ndarray) -> Point:
+    return skeleton.point(body, at.local(body, place))
+
+
+def find_wrist(
+    skeleton: Skeleton, palm: int, chains: tuple[Chain, ...], layout: Layout, at: Placement
+) -> tuple[Point, float, tuple[str, ...]]:
+    """The wrist, fixed to the palm: a joint or frame behind the knuckles, else the palm's heel.
+
+    Returns:
+        the point, its confidence, the reasons.
+    """
+    others = [chains[i] for i in layout.order[1:]]
+    knuckles = np.mean([c.base for c in others], axis=0)
+    length = float(np.median([c.length for c in others]))
+
+    def behind(place: np.ndarray) -> float:
+        return float((knuckles - place) @ layout.forward)
+
+    rigid = skeleton.rigid(palm) if palm else (0,)
+    for body in rigid:
+        for j in skeleton.joints_of(body):
+            if skeleton.turns[j] and 0.2 * length < behind(at.anchors[j]) < 2 * length:
+                why = f"joint {skeleton.joint_names[j]!r} moves the whole palm"
+                return _fixed(skeleton, at, palm, at.anchors[j]), 0.9, (why,)
+    frames = [(skeleton.body_name(b), at.bodies[b]) for b in rigid]
+    frames += [
+        (str(skeleton.model.site(int(s)).name), at.sites[s])
+        for s in np.flatnonzero(np.isin(skeleton.model.site_bodyid, rigid))
+    ]
+    for name, place in frames:
+        if says_wrist(name) and 0.2 * length < behind(place) < 2.5 * length:
+            why = f"{name!r} is fixed to the palm, behind the knuckles, and its name says so"
+            return _fixed(skeleton, at, palm, place), 0.85, (why,)
+    expected = knuckles - _WRIST * length * layout.forward
+    clouds = [at.world(b, cloud) for b in rigid for cloud in skeleton.clouds.get(b, ())]
+    if clouds:
+        points = np.concatenate(clouds)
+        back = (knuckles - points) @ layout.forward
+        heel = float(np.quantile(back, 0.995))
+        if 0.4 * length < heel < 2.2 * length:
+            near = points[back > heel - 0.15 * length]
+            place = (near.min(axis=0) + near.max(axis=0)) / 2
+            why = "the heel of the palm's shape, opposite the fingers"
+            return _fixed(skeleton, at, palm, place), 0.65, (why,)
+    starts = np.array([at.anchors[c.own[0]] for c in chains])
+    for body in (b for b in reversed(skeleton.path(palm) or (palm,)) if b in rigid):
+        origin = at.bodies[body]
+        clear = float(np.linalg.norm(starts - origin, axis=1).min())
+        if clear > _CLEAR * length and 0.5 * length < behind(origin) < 2.2 * length:
+            what = "the palm"
+            if body != palm:
+                what = f"{skeleton.body_name(body)!r}, which the palm is mounted on"
+            why = f"origin of {what}, about as far behind the knuckles as a human wrist"
+            return _fixed(skeleton, at, palm, origin), 0.6, (why,)
+    why = "nothing marks it: as far behind the knuckles as a human wrist"
+    return _fixed(skeleton, at, palm, expected), 0.35, (why,)
+
+
+_STILL: Final = 1e-4  # [m]: a base that travels less lies on its joints' axes, but for rounding
+
+
+def fix_bases(
+    skeleton: Skeleton,
+    palm: int,
+    fingers: tuple[FingerSpec, ...],
+    reach: Reach,
+    neutral: Placement,
+) -> tuple[tuple[FingerSpec, ...], dict[str, float]]:
+    """Puts bases that joints move where they lie in the neutral pose, fixed to the palm.
+
+    A human's knuckles don't move in the palm, and the alignment goes by them: with a base that
+    swings with its finger, spreading the fingers would turn the whole hand.
+
+    Args:
+        reach: poses to see in which a base moves.
+
+    Returns:
+        the fingers; and of those whose base was moved, by how much joints move it [m].
+    """
+    bodies = [int(skeleton.model.body(finger.base.body).id) for finger in fingers]
+    offsets = [np.array(finger.base.offset) for finger in fingers]
+
+    def places(at: Placement) -> np.ndarray:
+        points = [at.world(b, offset) for b, offset in zip(bodies, offsets, strict=True)]
+        return at.local(palm, np.array(points))
+
+    placed = np.array([places(skeleton.place(q)) for q in reach.poses])  # (s, f, 3)
+    travel = np.linalg.norm(placed[:, None] - placed[None], axis=-1).max(axis=(0, 1))
+    out, moved = [], {}
+    for finger, place, path in zip(fingers, places(neutral), travel, strict=True):
+        if path > _STILL:
+            finger = replace(finger, points=(skeleton.point(palm, place), *finger.points[1:]))
+            moved[finger.name] = float(path)
+        out.append(finger)
+    return tuple(out), moved
+
+
+def bases_finding(moved: dict[str, float]) -> Finding:
+    """Reports what was done about the bases, for the checklist.
+
+    Args:
+        moved: human finger -> how far joints would move its base [m].
+    """
+    why = "no joint moves them"
+    if moved:
+        why = (
+            f"joints move {'that' if len(moved) == 1 else 'those'} of {', '.join(moved)}, by up "
+            f"to {max(moved.values()) * 1e3:.0f} mm; put where they lie in the neutral pose, as a "
+            "human's knuckles don't move in the palm"
+        )
+    return Finding(
+        "bases",
+        "fixed to the palm",
+        0.85 if moved else 0.9,
+        (why,),
+        "edit the first point of the finger in the spec file",
+    )

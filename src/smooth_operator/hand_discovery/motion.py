@@ -1,0 +1,628 @@
+"""Motion of fingers: bending joints, the thumb, directions of the palm, a neutral pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from smooth_operator.hand_discovery.branches import Chain, Tip
+from smooth_operator.hand_discovery.skeleton import Placement, Skeleton
+from smooth_operator.landmarks import FINGERS
+from smooth_operator.types import Side
+
+_PARALLEL: Final = 0.8  # |cosine| of two axes that bend a finger in one plane
+_SAMPLES: Final = 240
+_STEPS: Final = 9
+_NEAR: Final = 0.25  # of a finger's length: tips this close could touch
+_FACING: Final = 0.3  # cosine of pad and direction to the other tip
+_MANY: Final = 0.1  # share of near pairs of poses that makes a full opposition
+
+
+@dataclass(frozen=True)
+class Bending:
+    """Bending of one finger.
+
+    Attributes:
+        joints: hinges that bend it, base to tip; empty for a finger that only slides.
+        senses: +1 or -1 for each: the sign of the motion that closes the finger.
+        axis: (3,) unit vector, right-handed about which it closes; world, straightened pose. Of a
+            sliding finger: direction of sliding x finger direction.
+        along: (3,) unit vector, base to tip, straightened.
+        clear: 0..1 how clearly one way is closing and the other opening.
+        straight: (n,) pose of all joints in which this finger is straight.
+        reason: in words.
+    """
+
+    joints: tuple[int, ...]
+    senses: tuple[int, ...]
+    axis: Float[np.ndarray, "3"]
+    along: Float[np.ndarray, "3"]
+    clear: float
+    straight: Float[np.ndarray, " n"]
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """Random poses of all fingers, each finger's independent of the others'.
+
+    Attributes:
+        poses: (s, n) positions of all joints [rad].
+        tips: (s, f, 3) fingertips, world [m].
+        pads: (s, f, 3) unit vectors out of the pads.
+        axes: (s, f, 3) unit vectors about which the last links close.
+    """
+
+    poses: Float[np.ndarray, "s n"]
+    tips: Float[np.ndarray, "s f 3"]
+    pads: Float[np.ndarray, "s f 3"]
+    axes: Float[np.ndarray, "s f 3"]
+
+    def facing(self, i: int, j: int, length: float) -> Float[np.ndarray, "s s"]:
+        """Measures how much two fingers close towards each other, pose by pose.
+
+        Returns:
+            smaller of the two cosines between pad and direction to the other tip; -1 where the
+            tips are not close, for pose a of finger i and pose b of finger j.
+        """
+        gaps = self.gaps(i, j)
+        ours, theirs = self.tips[:, i], self.tips[:, j]
+        # pad . (other tip - own tip), for all pairs of poses
+        mine = self.pads[:, i] @ theirs.T - np.einsum("ad,ad->a", self.pads[:, i], ours)[:, None]
+        other = ours @ self.pads[:, j].T - np.einsum("bd,bd->b", self.pads[:, j], theirs)
+        cosine = np.minimum(mine, other) / np.maximum(gaps, 1e-9)
+        return np.where(gaps < _NEAR * length, cosine, -1.0)
+
+    def gaps(self, i: int, j: int) -> Float[np.ndarray, "s s"]:
+        """Distances of two tips, pose a of finger i and pose b of finger j [m]."""
+        ours, theirs = self.tips[:, i], self.tips[:, j]
+        squared = (ours**2).sum(axis=1)[:, None] + (theirs**2).sum(axis=1) - 2 * ours @ theirs.T
+        gaps: np.ndarray = np.sqrt(np.maximum(squared, 0.0))
+        return gaps
+
+    def opposition(self, i: int, j: int, length: float) -> float:
+        """Scores how well two fingers meet pad to pad, 0 (not at all) to 1.
+
+        Of the pairs of poses whose tips are close, in some each finger closes towards the other:
+        many for a thumb and a finger, next to none for two neighbours, which close side by side.
+
+        Args:
+            length: length of a finger [m], the unit of near and far.
+        """
+        gaps = self.gaps(i, j)
+        near = gaps < _NEAR * length
+        if near.sum() < 10:
+            return 0.0
+        share = float((self.facing(i, j, length)[near] > _FACING).mean())
+        closest = float(np.partition(gaps, 20, axis=None)[:20].mean())
+        return min(share / _MANY, 1.0) * float(np.exp(-closest / (_NEAR * length)))
+
+
+def find_bending(
+    skeleton: Skeleton, chains: tuple[Chain, ...], tips: tuple[Tip, ...]
+) -> tuple[Bending, ...]:
+    """Finds the bending of each finger; the others decide where one alone is ambiguous."""
+    rest = skeleton.place(skeleton.reference)
+    ends = np.array([tip.position for tip in tips])
+    return tuple(_bending(skeleton, chain, rest, ends, i) for i, chain in enumerate(chains))
+
+
+def tip_in(skeleton: Skeleton, tip: Tip, at: Placement) -> np.ndarray:
+    """A fingertip in some pose, world [m]."""
+    body = int(skeleton.model.body(tip.point.body).id)
+    return at.world(body, np.array(tip.point.offset))
+
+
+def _bending(
+    skeleton: Skeleton, chain: Chain, rest: Placement, ends: np.ndarray, i: int
+) -> Bending:
+    tip = ends[i]
+    local = rest.local(chain.last, tip)
+    hinges = [j for j in chain.own if skeleton.turns[j]]
+    centre = np.delete(ends, i, axis=0).mean(axis=0)
+    if not hinges:
+        return _sliding(skeleton, chain, rest, tip, centre)
+    last = rest.axes[hinges[-1]]
+    joints = [j for j in hinges if abs(rest.axes[j] @ last) > _PARALLEL]
+    along = [int(np.sign(rest.axes[j] @ last)) for j in joints]
+
+    # Folded one way or the other, tip and base come nearer: that way is closing.
+    def folded(sense: int) -> float:
+        q = skeleton.reference.copy()
+        for j, sign in zip(joints, along, strict=True):
+            leader, gain, _ = skeleton.leaders.get(j, (j, 1.0, 0.0))
+            if skeleton.bounded[leader]:
+                q[leader] = skeleton.limits[leader][int(sign * sense * np.sign(gain) > 0)]
+        at = skeleton.place(skeleton.coupled(q))
+        return float(np.linalg.norm(at.world(chain.last, local) - at.anchors[joints[0]]))
+
+    plus, minus = folded(1), folded(-1)
+    clear = abs(plus - minus) / max(plus, minus, 1e-9)
+    sense = 1 if plus < minus else -1
+    reason = "bending this way brings the tip nearer to the base"
+    if len(joints) == 1 or clear < 0.02:
+        # A single hinge: what it has more room for, and what brings the tip to the others.
+        low, high = (
+            np.array([skeleton.limits[j] for j in joints]) - skeleton.reference[joints][:, None]
+        ).T
+        up = np.where(np.array(along) > 0, high, -low)
+        down = np.where(np.array(along) > 0, -low, high)
+        room = float((up - down).sum() / max((up + down).sum(), 1e-9))
+        step = np.cross(last, tip - rest.anchors[joints[-1]])
+        toward = float(
+            step @ (centre - tip) / max(np.linalg.norm(step) * np.linalg.norm(centre - tip), 1e-9)
+        )
+        score = (room if np.isfinite(room) else 0.0) + 0.6 * toward
+        sense = 1 if score >= 0 else -1
+        clear = min(0.3, 0.3 * abs(score))
+        reason = "a single hinge: by its limits, and by what brings the tip to the others"
+    straight = _straightened(skeleton, chain, joints, local)
+    at = skeleton.place(straight)
+    axis = sense * at.axes[hinges[-1]]
+    reach = at.world(chain.last, local) - at.anchors[joints[0]]
+    reach = reach - (reach @ axis) * axis
+    norm = float(np.linalg.norm(reach))
+    direction = reach / norm if norm > 1e-9 else _any_across(axis)
+    senses = tuple(sense * sign for sign in along)
+    return Bending(tuple(joints), senses, axis, direction, min(clear, 1.0), straight, reason)
+
+
+def _straightened(
+    skeleton: Skeleton, chain: Chain, joints: list[int], local: np.ndarray
+) -> np.ndarray:
+    """The pose in which the tip is farthest from the first joint that bends the finger."""
+    q = skeleton.reference.copy()
+    deciding = [j for j in skeleton.free(tuple(joints[1:])) if skeleton.bounded[j]]
+
+    def stretch(pose: np.ndarray) -> float:
+        at = skeleton.place(skeleton.coupled(pose))
+        return float(np.linalg.norm(at.world(chain.last, local) - at.anchors[joints[0]]))
+
+    for _ in range(2):
+        for j in deciding:
+            trial = q.copy()
+            best = stretch(q) + 1e-6  # as it is, unless another is better
+            for value in np.linspace(skeleton.limits[j, 0], skeleton.limits[j, 1], _STEPS):
+                trial[j] = value
+                if (length := stretch(trial)) > best:
+                    best, q[j] = length, value
+    return skeleton.coupled(q)
+
+
+def _sliding(
+    skeleton: Skeleton, chain: Chain, rest: Placement, tip: np.ndarray, centre: np.ndarray
+) -> Bending:
+    """A finger of slides: it closes towards the others."""
+    slide = rest.axes[chain.own[-1]]
+    closing = slide if slide @ (centre - tip) >= 0 else -slide
+    reach = tip - rest.anchors[chain.own[0]]
+    along = reach - (reach @ closing) * closing
+    norm = float(np.linalg.norm(along))
+    along = along / norm if norm > 1e-4 else _any_across(closing)
+    axis = np.cross(along, closing)  # about it, the tip of a hinge would move the same way
+    return Bending((), (), axis, along, 0.3, skeleton.reference, "slides towards the others")
+
+
+def _any_across(axis: np.ndarray) -> np.ndarray:
+    other = np.eye(3)[int(np.argmin(abs(axis)))]
+    across = np.cross(axis, other)
+    unit: np.ndarray = across / np.linalg.norm(across)
+    return unit
+
+
+def sample_reach(
+    skeleton: Skeleton, chains: tuple[Chain, ...], tips: tuple[Tip, ...], bends: tuple[Bending, ...]
+) -> Reach:
+    """Random poses within limits, the same for the same model."""
+    rng = np.random.default_rng(0)
+    joints = skeleton.free(tuple(dict.fromkeys(j for c in chains for j in c.joints)))
+    joints = tuple(j for j in joints if skeleton.bounded[j])
+    low, high = skeleton.limits[list(joints)].T
+    last, local, pads, axes = [], [], [], []
+    for chain, tip, bend in zip(chains, tips, bends, strict=True):
+        at = skeleton.place(bend.straight)
+        end = tip_in(skeleton, tip, at)
+        axis = bend.axis
+        out = end - at.anchors[chain.joints[-1]]
+        out = out - (out @ axis) * axis
+        pad = np.cross(axis, out if np.linalg.norm(out) > 1e-6 else bend.along)
+        frame = at.frames[chain.last]
+        last.append(chain.last)
+        local.append(at.local(chain.last, end))
+        pads.append(frame.T @ (pad / np.linalg.norm(pad)))
+        axes.append(frame.T @ axis)
+    poses, out_tips, out_pads, out_axes = [], [], [], []
+    q = skeleton.reference.copy()
+    for _ in range(_SAMPLES):
+        q[list(joints)] = rng.uniform(low, high)
+        poses.append(skeleton.coupled(q))
+        at = skeleton.place(poses[-1])
+        frames = at.frames[last]
+        out_tips.append(np.einsum("fij,fj->fi", frames, np.array(local)) + at.bodies[last])
+        out_pads.append(np.einsum("fij,fj->fi", frames, np.array(pads)))
+        out_axes.append(np.einsum("fij,fj->fi", frames, np.array(axes)))
+    return Reach(np.array(poses), np.array(out_tips), np.array(out_pads), np.array(out_axes))
+
+
+@dataclass(frozen=True)
+class Thumb:
+    """The thumb's index among the chains, how sure, why."""
+
+    index: int
+    confidence: float
+    evidence: tuple[str, ...]
+
+
+def find_thumb(
+    chains: tuple[Chain, ...],
+    bends: tuple[Bending, ...],
+    reach: Reach,
+    labels: list[str | None],
+) -> Thumb:
+    """Finds the thumb by opposition, by the direction in which it closes, by where its base is.
+
+    Args:
+        reach: places that they can reach together.
+        labels: the human finger that each one's names speak of; weak evidence.
+    """
+    count = len(chains)
+    length = float(np.median([chain.length for chain in chains]))
+    opposed = np.zeros((count, count))
+    for i in range(count):
+        for j in range(i):
+            opposed[i, j] = opposed[j, i] = reach.opposition(i, j, length)
+    closing = reach.axes.mean(axis=0)
+    straight = np.array([bend.axis for bend in bends])
+    bases = np.array([chain.base for chain in chains])
+    along = np.array([bend.along for bend in bends])
+
+    scores, parts = np.zeros(count), []
+    for t in range(count):
+        others = [i for i in range(count) if i != t]
+        rest = opposed[np.ix_(others, others)]
+        pairs = len(others) * (len(others) - 1)
+        opposition = opposed[t, others].mean() - (rest.sum() / pairs if pairs else 0.0)
+        moving, cosine = _apart(closing, t)
+        resting, _ = _apart(straight, t)
+        across = (moving + resting) / 2 if count > 2 else 0.0
+        forward = along[others].mean(axis=0)
+        behind = float((bases[others].mean(axis=0) - bases[t]) @ forward) / length
+        # a name counts against the others' silence only
+        named = float(labels[t] == "thumb" and labels.count("thumb") == 1)
+        scores[t] = (
+            1.2 * opposition + across + 0.5 * float(np.clip(behind, -0.5, 0.6)) + 0.35 * named
+        )
+        parts.append((opposed[t, others].max(), cosine, behind, named))
+
+    best = int(np.argmax(scores))
+    margin = float(scores[best] - np.delete(scores, best).max())
+    meets, cosine, behind, named = parts[best]
+    evidence = []
+    if count > 2:
+        if meets > 0.05:
+            met = sum(opposed[best, i] > 0.05 for i in range(count) if i != best)
+            evidence.append(f"it meets {met} of {count - 1} fingertips pad to pad")
+        angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+        evidence.append(f"it closes about an axis {angle:.0f}° from the others'")
+    if behind > 0.1:
+        evidence.append(f"its base is {behind * length * 1e3:.0f} mm behind the others'")
+    if named:
+        evidence.append("its names say so (weak evidence)")
+    if labels.count("thumb") == 1 and not named:
+        evidence.append("though names call another finger the thumb")
+        margin -= 0.2
+    if count == 2:
+        evidence.append("of two fingers, which is the thumb is a matter of taste")
+        confidence = 0.35 + 0.35 * float(np.clip(margin, 0, 1))
+    else:
+        confidence = 0.4 + 0.8 * float(np.clip(margin, 0, 0.72))
+    return Thumb(best, round(float(np.clip(confidence, 0.05, 0.98)), 2), tuple(evidence))
+
+
+def _apart(axes: np.ndarray, finger: int) -> tuple[float, float]:
+    """Measures how much one finger's closing direction differs from the others'.
+
+    Returns:
+        1 where all others close about one axis and it about the opposite one, 0 where it closes
+        as they do or they do not agree; and the cosine of its axis and their mean.
+    """
+    together = np.delete(axes, finger, axis=0).mean(axis=0)
+    agree, own = float(np.linalg.norm(together)), float(np.linalg.norm(axes[finger]))
+    cosine = float(axes[finger] @ together) / max(agree * own, 1e-9)
+    return agree * (1 - cosine) / 2, cosine
+
+
+_CLEAR: Final = 0.12  # of a finger's length: thumb off the middle of the palm, for a clear side
+_BASE: Final = 0.04  # the same of its base, to the side of its reach; hands have 0.1 to 0.5
+_UNCLEAR: Final = 0.3  # confidence of a side that is not clear
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The hand's own directions, world frame, and what follows from them.
+
+    Attributes:
+        forward: from wrist to fingers.
+        lateral: axis about which the fingers close, right-handed; to the thumb of a right hand.
+        palmar: out of the palm, forward and lateral at right angles to it.
+        side: right or left.
+        side_confidence: confidence of the side.
+        side_evidence: in words.
+        order: chain indices, thumb first, then from the thumb's side.
+        order_confidence: confidence of the order.
+        order_evidence: in words.
+        names: human fingers, in that order.
+        names_confidence: confidence of the names.
+    """
+
+    forward: Float[np.ndarray, "3"]
+    lateral: Float[np.ndarray, "3"]
+    palmar: Float[np.ndarray, "3"]
+    side: Side
+    side_confidence: float
+    side_evidence: tuple[str, ...]
+    order: tuple[int, ...]
+    order_confidence: float
+    order_evidence: tuple[str, ...]
+    names: tuple[str, ...]
+    names_confidence: float
+
+
+def find_layout(
+    chains: tuple[Chain, ...],
+    bends: tuple[Bending, ...],
+    reach: Reach,
+    thumb: int,
+    labels: list[str | None],
+    side_said: Side | None,
+    side_given: Side | None,
+) -> Layout:
+    """Side and order from the directions in which the fingers point and close.
+
+    With fingers pointing along f and closing about w, the palm faces w x f, and a right hand has
+    its thumb on the side of w.
+
+    Args:
+        reach: places that the fingers can reach.
+        labels: the human finger that each one's names speak of.
+        side_said: the side that names speak of.
+        side_given: the side that a person gave.
+    """
+    others = [i for i in range(len(chains)) if i != thumb]
+    length = float(np.median([chain.length for chain in chains]))
+    lateral = _unit(np.mean([bends[i].axis for i in others], axis=0), bends[others[0]].axis)
+    forward = np.mean([bends[i].along for i in others], axis=0)
+    forward = _unit(forward - (forward @ lateral) * lateral, bends[others[0]].along)
+    palmar = np.cross(lateral, forward)
+
+    bases = np.array([chain.base for chain in chains])
+    middle = reach.tips.mean(axis=0)  # of all that each finger reaches
+    by_base = float((bases[thumb] - bases[others].mean(axis=0)) @ lateral) / length
+    by_reach = float((middle[thumb] - middle[others].mean(axis=0)) @ lateral) / length
+    sideways = 0.5 * by_base + 0.5 * by_reach
+    side: Side = "right" if sideways >= 0 else "left"
+    clear = min(abs(sideways) / _CLEAR, 1.0)
+    evidence = [
+        "seen with the fingers up and the palm towards you, the thumb is "
+        f"{abs(sideways) * length * 1e3:.0f} mm to the {side}: its base "
+        f"{by_base * length * 1e3:+.0f} mm, its reach {by_reach * length * 1e3:+.0f} mm"
+    ]
+    sure = min(bends[i].clear for i in others)
+    confidence = 0.4 + 0.45 * clear + 0.13 * min(sure / 0.2, 1.0)
+    if by_base * np.sign(by_reach) < _BASE:
+        confidence = _UNCLEAR
+        evidence.append(
+            "the two disagree: the fingers stand around the middle, it may be a gripper without a "
+            "side"
+        )
+    if clear < 0.3:
+        confidence = _UNCLEAR
+        evidence = ["the thumb is opposite the middle of the palm: the hand may serve as either"]
+        if side_said is not None:
+            side = side_said
+        elif side_given is None:
+            side = "right"
+            evidence.append("right is assumed")
+    if side_said == side:
+        confidence = min(confidence + (0.3 if clear < 0.3 else 0.05), 0.98)
+        evidence.append(f"names say {side} (weak evidence)")
+    elif side_said is not None:
+        confidence = max(confidence - 0.25, 0.1)
+        evidence.append(f"though names say {side_said}")
+    if side_given is not None:
+        if side_given != side and clear >= 0.3:
+            evidence.append(f"given as {side_given}, though the shape says {side}")
+            confidence = 0.4
+        else:
+            evidence.append("given with --side")
+            confidence = max(confidence, 0.95)
+        side = side_given
+
+    # An unclear thumb has no clear side: the side of the hand then says where the index is.
+    towards = 1.0 if (sideways >= 0 if clear >= 0.3 else side == "right") else -1.0
+    place = {i: towards * float((0.7 * bases[i] + 0.3 * middle[i]) @ lateral) for i in others}
+    ranked = sorted(others, key=lambda i: place[i], reverse=True)
+    gaps = [place[a] - place[b] for a, b in pairwise(ranked)]
+    gap = min(gaps, default=length)
+    ordered = 0.5 + 0.47 * min(gap / (0.1 * length), 1.0)
+    reasons = [
+        "from the thumb's side across the palm, "
+        + (f"at least {gap * 1e3:.0f} mm apart" if gaps else "one finger besides the thumb")
+    ]
+    if clear < 0.3 and len(others) > 1:
+        ordered = min(ordered, 0.4)
+        reasons.append("which end is the thumb's follows from the side, which is not clear")
+    if clear < 0.3 and _spoken([labels[i] for i in others]):
+        # what the shape leaves open, names may decide
+        ranked = sorted(others, key=lambda i: FINGERS.index(labels[i] or ""))
+        ordered = 0.6
+        reasons[1:] = ["its ends are distinguished by names only (weak evidence)"]
+        if side_said is None and side_given is None and len(ranked) > 1:
+            across = bases @ lateral
+            side = "right" if across[ranked[0]] > across[ranked[-1]] else "left"
+            evidence[-1] = f"{side}, if the names of its fingers are right"
+    names, how_sure, why = _names([labels[i] for i in ranked])
+    return Layout(
+        forward=forward,
+        lateral=lateral,
+        palmar=palmar,
+        side=side,
+        side_confidence=round(confidence, 2),
+        side_evidence=tuple(evidence),
+        order=(thumb, *ranked),
+        order_confidence=round(min(ordered, how_sure), 2),
+        order_evidence=(*reasons, *why),
+        names=("thumb", *names),
+        names_confidence=round(how_sure, 2),
+    )
+
+
+def _names(labels: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]:
+    """Human fingers for the robot's, in their order; names of the model only if they fit."""
+    count = len(labels)
+    named = _spoken(labels)
+    if named and list(named) == sorted(named, key=FINGERS.index):
+        return named, 0.95, ["named as the model's own names say"]
+    names = FINGERS[1 : 1 + count]
+    if count == 4:
+        return names, 0.95, []
+    drives = f"driven by {', '.join(names)}; any other may drive them"
+    return names, 0.85 if count == 3 else 0.75, [drives]
+
+
+def _spoken(labels: list[str | None]) -> tuple[str, ...]:
+    """Finger names of the chains other than the thumb; empty unless each has one."""
+    named = tuple(name for name in labels if name is not None and name != "thumb")
+    return named if len(set(named)) == len(labels) else ()
+
+
+def _unit(vector: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    norm = float(np.linalg.norm(vector))
+    return vector / norm if norm > 1e-6 else otherwise
+
+
+_BENT: Final = 0.22  # share of its closing range by which a joint is bent at rest
+_TURNED: Final = 0.7  # how far the thumb is turned to where it pinches
+_BEST: Final = 40  # pairs of poses that show where it pinches
+_DEEP: Final = 3e-3  # fingers farther inside each other than this are opened [m]
+_OPENED: Final = (0.2, 0.4, 0.6)  # shares of the way to an open knuckle that are tried
+
+
+def find_neutral(
+    skeleton: Skeleton,
+    chains: tuple[Chain, ...],
+    bends: tuple[Bending, ...],
+    reach: Reach,
+    order: tuple[int, ...],
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """The pose, within limits.
+
+    Fingers that would be inside each other, as those that stand in a ring may be, are opened at
+    their knuckles.
+
+    Args:
+        order: chains, thumb first, then from its side.
+
+    Returns:
+        joint name -> position [rad] of the hand's joints that follow no other; and the pose in
+        words.
+    """
+    q = skeleton.reference.copy()
+    named: list[int] = []
+    for chain, bend in zip(chains, bends, strict=True):
+        for j in chain.joints:
+            if j in skeleton.leaders or not skeleton.bounded[j] or j in named:
+                continue
+            named.append(j)
+            low, high = skeleton.limits[j]
+            if j in bend.joints:
+                closed = high if bend.senses[bend.joints.index(j)] > 0 else low
+                q[j] += _BENT * (closed - q[j])
+            elif not low < q[j] < high:  # away from its limit, where it could move one way only
+                q[j] += 0.2 * ((high if q[j] <= low else low) - q[j])
+    thumb = order[0]
+    turning = [j for j in chains[thumb].own if j in named and j not in bends[thumb].joints]
+    turned = _pinching(chains, reach, order)
+    if turned is not None:
+        for j in turning:
+            start = skeleton.reference[j]
+            q[j] = start + _TURNED * (turned[j] - start)
+    notes = ["fingers bent by a fifth of their range, the thumb turned towards them"]
+    depth = finger_overlap(skeleton, chains, skeleton.coupled(q))
+    if depth > _DEEP:
+        knuckles = {bend.joints[0]: bend.senses[0] for bend in bends if bend.joints}
+        q, less = _opened(skeleton, chains, {j: s for j, s in knuckles.items() if j in named}, q)
+        notes.append(
+            f"fingers would be {1e3 * depth:.0f} mm inside each other so; with their knuckles "
+            f"opened it is {1e3 * less:.0f} mm"
+        )
+    return {skeleton.joint_names[j]: round(float(q[j]), 4) for j in sorted(named)}, tuple(notes)
+
+
+def _opened(
+    skeleton: Skeleton, chains: tuple[Chain, ...], knuckles: dict[int, int], q: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The pose with its knuckles opened no farther than needed, and the overlap that is left [m].
+
+    Args:
+        knuckles: joint -> sign of the motion that closes its finger.
+    """
+    best, least = q, finger_overlap(skeleton, chains, skeleton.coupled(q))
+    for share in _OPENED:
+        trial = q.copy()
+        for j, sense in knuckles.items():
+            low, high = skeleton.limits[j]
+            trial[j] += share * ((low if sense > 0 else high) - q[j])
+        depth = finger_overlap(skeleton, chains, skeleton.coupled(trial))
+        if depth < least:
+            best, least = trial, depth
+        if least < _DEEP:
+            break
+    return best, least
+
+
+def _pinching(chains: tuple[Chain, ...], reach: Reach, order: tuple[int, ...]) -> np.ndarray | None:
+    """Mean pose of the thumb where it pinches best with the fingers next to it; None if nowhere."""
+    length = float(np.median([chain.length for chain in chains]))
+    poses = []
+    for finger in order[1:3]:
+        facing = reach.facing(order[0], finger, length)
+        best = np.argpartition(facing, -_BEST, axis=None)[-_BEST:]
+        thumb_poses = np.unravel_index(best, facing.shape)[0]
+        poses += [reach.poses[a] for a, i in zip(thumb_poses, best, strict=True)
+                  if facing.flat[i] > 0]  # fmt: skip
+    return np.mean(poses, axis=0) if poses else None
+
+
+def finger_overlap(
+    skeleton: Skeleton, chains: tuple[Chain, ...], q: Float[np.ndarray, " n"]
+) -> float:
+    """Deepest overlap of shapes of two fingers in a pose [m]; 0 if none touch.
+
+    Meshes count as their convex hulls, and what the model takes out of collision stays out.
+
+    Args:
+        q: positions of all joints [rad].
+    """
+    model = skeleton.model
+    owner = np.full(model.nbody, -1)
+    for i, chain in enumerate(chains):
+        moved = [int(model.jnt_bodyid[j]) for j in chain.own]
+        for body in (b for first in moved for b in skeleton.rigid(first)):
+            owner[body] = i
+    finger = owner[model.geom_bodyid]
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    single = np.flatnonzero(skeleton.moves)
+    data.qpos[model.jnt_qposadr[single]] = q[single]
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    pairs = finger[np.array(data.contact.geom).reshape(-1, 2)]
+    between = (pairs >= 0).all(axis=1) & (pairs[:, 0] != pairs[:, 1])
+    return max(float(np.max(-data.contact.dist[between], initial=0.0)), 0.0)

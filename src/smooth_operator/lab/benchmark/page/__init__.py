@@ -1,3 +1,0 @@
-"""The report: one HTML file with everything in it."""
-
-from smooth_operator.lab.benchmark.page.report import write_report as write_report
