@@ -9,7 +9,7 @@ from smooth_operator import (
     method_config,
 )
 
-METHODS = {"smooth": "teleop", "sbr": "realtime", "dexpilot": "default", "joint_angle": "default"}
+METHODS = {"smooth": "teleop", "sbr": "realtime", "dexpilot": "published", "joint_angle": "default"}
 
 hand = load_hand("mimic_p050", "right")
 recording = SyntheticOperator(seed=3, rate_hz=50).record(duration=2.0)

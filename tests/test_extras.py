@@ -20,7 +20,7 @@ from smooth_operator.extras import install_command
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "smooth_operator"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-BASE = {"flatbuffers", "jax", "jaxtyping", "mujoco", "nlopt", "numpy", "rich", "scipy", "tyro"}
+BASE = {"flatbuffers", "jax", "jaxtyping", "mujoco", "numpy", "rich", "scipy", "tyro"}
 """Distributions that everyone gets; their modules have the same names."""
 EXTRAS = [
     "teleop", "lab", "all", "ability", "allegro", "arm", "avp", "cluster", "datasets",

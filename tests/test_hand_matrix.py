@@ -131,7 +131,9 @@ def run_side(name: str, side: str, weekly: bool) -> dict[str, Run]:
                 config = GeortConfig(model=Path(at, "model.npz"))
                 retargeter = Retargeter(hand, config=config)
         else:
-            retargeter = Retargeter(hand, method=method)
+            # Published SLSQP stands still where a step gains less than its tolerance.
+            preset = "fast" if "fast" in live_presets()[method] else None
+            retargeter = Retargeter(hand, method=method, preset=preset)
         commands, _ = retargeter.run(recording)
         q = commands.joint_positions
         tips = hand.tips(q)
@@ -311,7 +313,7 @@ def nothing_is_late(*tasks: str) -> None:
 def test_after_a_warm_up_no_frame_compiles_or_imports():
     """On a hand whose own landmarks are no human hand's; of the methods one of each way to solve,
     the one that loads most first."""
-    methods = ("dexpilot:published", "ako:default", "joint_angle:default", "smooth:teleop")
+    methods = ("dexpilot:published", "ako:fast", "joint_angle:default", "smooth:teleop")
     nothing_is_late(*(f"leap_hand:right:{method}" for method in methods))
 
 

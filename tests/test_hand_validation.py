@@ -375,7 +375,7 @@ def test_a_round_trip_tells_a_hand_that_never_moves():
 def test_without_pull_changes_the_pull_only(method):
     config: Any = method_config(method)
     free = config.without_pull()
-    assert free.objective.pose_weight == pytest.approx(1e-4)
+    assert free.objective.pose_weight == min(config.objective.pose_weight, 1e-4)
     back = replace(
         free, objective=replace(free.objective, pose_weight=config.objective.pose_weight)
     )

@@ -21,7 +21,7 @@ IMPORT_BUDGET_S = 2.0
 HEAVY = ("matplotlib", "viser", "mcap", "tyro", "rich")
 """What only some commands need: no part of it may come with the library."""
 
-LIBRARIES = (*HEAVY, "jax", "mujoco", "numpy", "scipy", "nlopt", "trimesh")
+LIBRARIES = (*HEAVY, "jax", "mujoco", "numpy", "scipy", "trimesh")
 """What no package may import before one of its names is asked for."""
 
 MOST_NAMES = 50

@@ -107,7 +107,7 @@ def test_every_built_in_method_has_a_colour_of_its_own():
 
 
 def test_colours_do_not_depend_on_the_order_of_methods():
-    names = ("smooth", "sbr:paper", "sbr", "keyvector:slsqp")
+    names = ("smooth", "sbr:paper", "sbr", "keyvector:fast")
     expected = colors_of(names)
     assert len(set(expected.values())) == len(names)
     assert expected["smooth"] == COLORS["smooth"]

@@ -15,12 +15,9 @@ from smooth_operator.baselines.slsqp_method import (
     PinchLayout,
     SlsqpMethod,
     SlsqpMethodConfig,
-    TipTargets,
 )
 from smooth_operator.errors import ConfigError
-from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.objective.published import ObjectiveConfig
 from smooth_operator.objective.sampled import SampledObjective
 from smooth_operator.objective.terms import FrameGoal
@@ -36,7 +33,7 @@ FINGERS = ("thumb", "index", "middle", "ring", "pinky")
     params=[pytest.param(m, marks=[pytest.mark.weekly] * (m == "hybrid")) for m in METHODS],
 )
 def retargeter(request, hand) -> Retargeter:
-    built = Retargeter(hand, method=request.param, rate=100.0)
+    built = Retargeter(hand, method=request.param, preset="fast", rate=100.0)
     built.warm_up()
     return built
 
@@ -78,14 +75,11 @@ def test_ako_pinch_target_closes_below_10_mm_and_is_the_humans_above_20():
 def test_ako_switches_between_wrist_and_pinch_at_20_mm():
     """Each pinch vector by its own distance, all wrist vectors by the nearest finger."""
     human = jnp.asarray(ako_vectors([0.02, 0.005, 0.12, 0.02]), jnp.float32)
-    policy = AkoTargets(switch_pinch=True)
-    weights = np.asarray(policy((), PinchLayout(FINGERS), human)[0].weights)
+    weights = np.asarray(AkoTargets()((), PinchLayout(FINGERS), human)[0].weights)
     s = 1 / (1 + np.exp(-10 * (np.array([0.02, 0.005, 0.12, 0.02]) - 0.02)))
     np.testing.assert_allclose(weights[:5], np.array([10, 1, 1, 1, 1]) * s[1], rtol=1e-6)
     np.testing.assert_allclose(weights[5:9], 10 * (1 - s), rtol=1e-6)
     np.testing.assert_allclose(weights[9:], 10)
-    held = AkoTargets()((), PinchLayout(FINGERS), human)[0].weights
-    np.testing.assert_allclose(held[5:9], 10)
 
 
 def test_ako_refuses_a_hand_without_last_joints(hand):
@@ -101,10 +95,10 @@ def test_ako_refuses_a_hand_without_last_joints(hand):
     Retargeter(poor, method="dexpilot")  # asks for tips only
 
 
-@pytest.mark.parametrize("policy", [AkoTargets(), TipTargets()])
-def test_objective_of_other_vectors_is_their_weighted_loss(hand, policy):
+def test_objective_of_other_vectors_is_their_weighted_loss(hand):
     objective = SampledObjective(
-        hand, ObjectiveConfig(targets=policy, loss="squared", pose_weight=0.0, velocity_weight=0.0)
+        hand,
+        ObjectiveConfig(targets=AkoTargets(), loss="squared", pose_weight=0.0, velocity_weight=0.0),
     )
     rng = np.random.default_rng(3)
     q = rng.uniform(*hand.limits.T)
@@ -116,13 +110,10 @@ def test_objective_of_other_vectors_is_their_weighted_loss(hand, policy):
 
     expected = 0.0
     for k, (i, j) in enumerate(layout.vectors):
-        start = np.zeros(3) if i is None else at[LANDMARKS[i]]
-        expected += weights[k] * ((at[LANDMARKS[j]] - start - goals[k]) ** 2).sum()
+        expected += weights[k] * ((at[LANDMARKS[j]] - at[LANDMARKS[i]] - goals[k]) ** 2).sum()
     goal = FrameGoal(jnp.asarray(goals), jnp.asarray(weights), jnp.asarray(q), 0.0)
     got = objective([jnp.asarray(v, jnp.float32) for v in q], goal)
     np.testing.assert_allclose(float(got), expected, rtol=1e-4)
-    if isinstance(policy, TipTargets):
-        assert len(layout.vectors) == 5
 
 
 def test_gradient_against_finite_differences(hand):
@@ -209,17 +200,6 @@ def test_dexpilots_latch_lives_in_the_state_and_resets(hand):
     assert not retargeter.init().method.targets.latched.any()
 
 
-def test_a_time_budget_ends_a_frame_early(hand):
-    config = method_config("dexpilot")
-    assert isinstance(config, SlsqpMethodConfig)
-    hurried = dataclasses.replace(config, solver=SlsqpConfig(time_budget_ms=1e-3))
-    patient, quick = Retargeter(hand, config=config), Retargeter(hand, config=hurried)
-    frame = posed(hand, 0.5)
-    well, early = patient(frame), quick(frame)
-    assert early.status == Status.OK
-    assert early.tracking_loss > well.tracking_loss
-
-
 def test_both_sides(retargeter):
     """Mirrored frames on the mirrored hand give the same joint angles."""
     right = SyntheticOperator(seed=2, rate_hz=10.0).record(1.0)
@@ -231,49 +211,34 @@ def test_both_sides(retargeter):
         np.testing.assert_allclose(a, b, atol=0.02)
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize(
-    ("method", "cosine", "flatness"),
-    [("dexpilot", 0.9981, 6.3e-6),
-     pytest.param("keyvector", 0.9981, 6.3e-6, marks=pytest.mark.weekly),
-     pytest.param("hybrid", 0.9981, 7.7e-6, marks=pytest.mark.weekly),
-     pytest.param("ako", 0.9985, 4.6e-6, marks=pytest.mark.weekly)],
-)  # fmt: skip
-def test_figures_of_our_presets_on_a_glove(shared, hand, method, cosine, flatness):
-    """Our own figures, so that they don't get worse unseen. They were tuned on these frames, so
-    that says nothing about other recordings; the authors' are in test_published_methods.py."""
-    path = shared / "recordings" / "manus_right_subject-000_run-010.npz"
-    recording = read_recording(path)[:500]
-    commands, _ = Retargeter(hand, method=method).run(recording)
-    human = align_recording(recording, hand)
-    tips = hand.tips(commands.joint_positions)
-    ours = tips[:, 1:] - tips[:, :1]
-    theirs = human[:, [8, 12, 16, 20]] - human[:, [4]]
-    alike = (ours * theirs).sum(-1) / (
-        np.linalg.norm(ours, axis=-1) * np.linalg.norm(theirs, axis=-1)
-    )
-    bend = ((tips[2:] + tips[:-2] - 2 * tips[1:-1]) ** 2).sum(-1).mean()
-    assert alike.mean() >= cosine - 2e-4  # the figure has four places
-    assert bend <= flatness
-    assert (np.abs(np.diff(commands.joint_positions, axis=0)).max(axis=1) > 1e-6).mean() > 0.95
-
-
-@pytest.mark.parametrize("method", ["keyvector", pytest.param("hybrid", marks=pytest.mark.weekly)])
-def test_newton_steps_find_what_slsqp_alone_finds_in_fewer_evaluations(hand, method, monkeypatch):
+    "method",
+    ["dexpilot", "ako", "keyvector", pytest.param("hybrid", marks=pytest.mark.weekly)],
+)
+def test_fast_finds_the_minima_of_the_published_objective_in_fewer_evaluations(
+    hand, method, monkeypatch
+):
+    """Against SLSQP alone without the published limit of 20 iterations."""
     evaluations: list[int] = []
 
     def counted(*arguments: Any) -> slsqp.SlsqpResult:
-        found = slsqp.slsqp_minimise(*arguments)
-        evaluations.append(found.evaluations)
-        return found
+        result = slsqp.slsqp_minimise(*arguments)
+        evaluations.append(result.evaluations)
+        return result
 
     monkeypatch.setattr(slsqp_method, "slsqp_minimise", counted)
+    published, fast = method_config(method, "published"), method_config(method, "fast")
+    assert isinstance(published, SlsqpMethodConfig)
+    assert isinstance(fast, SlsqpMethodConfig)
+    assert fast.objective == published.objective
+    assert fast.start == published.start
+    alone = dataclasses.replace(published, solver=SlsqpConfig(1e-12, max_iterations=500))
     recording = SyntheticOperator(seed=3).record(1.0)
     losses, counts = [], []
-    for preset in ("slsqp", "default"):
+    for config in (alone, fast):
         evaluations.clear()
-        _, loss = Retargeter(hand, method=method, preset=preset).run(recording)
+        _, loss = Retargeter(hand, config=config).run(recording)
         losses.append(np.mean(loss))
         counts.append(sum(evaluations) / len(recording))
-    assert losses[1] < 1.02 * losses[0]
+    assert losses[1] < 1.01 * losses[0]
     assert counts[1] < 0.7 * counts[0]

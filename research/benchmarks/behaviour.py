@@ -40,12 +40,12 @@ PRESETS = {
     "sbr": ("realtime", "paper"),
     "smooth": ("teleop", "precise"),
     "joint_angle": ("default",),
-    "keyvector": ("default", "vector", "position", "slsqp", "published"),
-    "hybrid": ("default", "slsqp", "published"),
-    "dexpilot": ("default", "slsqp", "published"),
-    "ako": ("default", "slsqp", "published"),
+    "keyvector": ("published", "fast"),
+    "hybrid": ("published", "fast"),
+    "dexpilot": ("published", "fast"),
+    "ako": ("published", "fast"),
 }
-SLOW = ("paper", "slsqp", "published")
+SLOW = ("paper", "published")
 FRAMES, SLOW_FRAMES = 100, 20
 GLOVE = "manus_right_subject-000_run-010.npz"
 CLIPS = {

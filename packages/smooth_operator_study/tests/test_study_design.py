@@ -327,7 +327,7 @@ def test_study_new_alone_is_the_papers(tmp_path):
 
 
 def test_a_condition_is_typed_with_its_method_and_preset():
-    assert Condition.of("a=ako:slsqp") == Condition("a", "ako", "slsqp")
+    assert Condition.of("a=ako:fast") == Condition("a", "ako", "fast")
     assert Condition.of("mine=ako") == Condition("mine", "ako")
     assert Condition.of("sbr=sbr") == Condition("sbr")
 

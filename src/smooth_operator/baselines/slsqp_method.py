@@ -1,7 +1,8 @@
 """Optimisation-based methods: an objective that SLSQP minimises from a warm start.
 
-Newton steps in the compiled program come first: they have the objective's exact Hessian, which
-SLSQP estimates again in every frame. SLSQP continues from their result, unless that is a minimum.
+Preset ``published`` is SLSQP alone, with the settings of the paper's authors. In ``fast``, Newton
+steps in the compiled program come first: they have the objective's exact Hessian, which SLSQP
+estimates again in every frame. SLSQP continues from their result, unless that is a minimum.
 
 DexPilot, AKO, the keyvector method and its hybrid with joint angles differ only in their targets,
 weights and starting point. AKO is "Analyzing Key Objectives" (Xin et al. 2025): the nearer a finger
@@ -22,13 +23,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.baselines.joint_angle import JointAngleMap, PublishedAngles
-from smooth_operator.baselines.slsqp import (
-    ScipySlsqpConfig,
-    SlsqpConfig,
-    ValueAndGradient,
-    scipy_slsqp_minimise,
-    slsqp_minimise,
-)
+from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
 from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
@@ -57,24 +52,25 @@ class SlsqpMethodConfig(ObjectiveMethodConfig):
     Attributes:
         alignment: alignment of human landmarks to the palm frame.
         objective: targets, loss and weights.
-        solver: implementation of SLSQP and its stopping conditions: NLopt's (``SlsqpConfig``) or
-            SciPy's (``ScipySlsqpConfig``).
-        start: start of the search: the ``previous`` command; the ``joint_angle`` method's command
-            for the frame; or the joint angles of the paper's authors (``published_angles``), which
-            exist for the joints of the mimic hand, and are ``joint_angle`` for another hand.
+        solver: stopping conditions of SLSQP.
+        start: start of the search: the ``previous`` command; or the joint angles of the paper's
+            authors for the frame (``published_angles``), which exist for the joints of the mimic
+            hand. For another hand it is the command of the method ``joint_angle``.
         approach: Newton steps before SLSQP; without iterations, SLSQP alone.
+        optimality: largest component of the gradient, without those that push against a limit, at
+            which the result of the Newton steps is a minimum, so that SLSQP is left out.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
-    solver: SlsqpConfig | ScipySlsqpConfig = field(
-        default_factory=lambda: SlsqpConfig(optimality=1e-4)
-    )
-    start: Literal["previous", "joint_angle", "published_angles"] = "previous"
-    approach: NewtonConfig = field(default_factory=lambda: NewtonConfig(iterations=5))
+    solver: SlsqpConfig = field(default_factory=SlsqpConfig)
+    start: Literal["previous", "published_angles"] = "previous"
+    approach: NewtonConfig = field(default_factory=lambda: NewtonConfig(iterations=0))
+    optimality: float = 1e-4
 
     def __post_init__(self) -> None:
-        check_choice(self, "start", ("previous", "joint_angle", "published_angles"))
+        check_numbers(self, not_negative=("optimality",))
+        check_choice(self, "start", ("previous", "published_angles"))
 
     def build(self, hand: Hand) -> SlsqpMethod:
         """The method for one hand.
@@ -139,9 +135,8 @@ class SlsqpMethod(HostMethod):
         """Map that gives the start of the search; None for the previous command."""
         if self.config.start == "previous":
             return None
-        if self.config.start == "published_angles" and PublishedAngles.fits(self.hand):
-            return PublishedAngles(self.hand)
-        return JointAngleMap(self.hand)
+        fits = PublishedAngles.fits(self.hand)
+        return PublishedAngles(self.hand) if fits else JointAngleMap(self.hand)
 
     @cached_property
     def needs(self) -> tuple[int, ...]:
@@ -216,12 +211,12 @@ class SlsqpMethod(HostMethod):
         self, state: SlsqpMethodState, problem: SlsqpProblem
     ) -> tuple[SlsqpMethodState, MethodOutput]:
         """Minimise by SLSQP, unless the start is a minimum."""
-        evaluate, solver = self.evaluate, self.config.solver  # compiles at the first frame
+        evaluate = self.evaluate  # compiles at the first frame
         start = np.asarray(problem.start)
         velocity_weight = self.config.objective.velocity_weight
         on_host = FrameGoal(*problem.targets, np.asarray(state.q), velocity_weight)
         value, residual = np.asarray(problem.optimality).tolist()
-        if isinstance(solver, SlsqpConfig) and residual <= solver.optimality:
+        if residual <= self.config.optimality:
             x = start.astype(np.float64)
         else:
             point = self.packed(start, on_host)
@@ -230,24 +225,13 @@ class SlsqpMethod(HostMethod):
                 point[: len(q)] = q
                 return np.asarray(evaluate(point))
 
-            x, value = self._slsqp(objective, start)
+            x, value, _ = slsqp_minimise(objective, start, self.hand.limits, self.config.solver)
         q = x.astype(np.float32)
         regular = float(self.objective.regularisation(x, on_host))
         after = SlsqpMethodState(q, problem.policy)
         if not math.isfinite(value):  # the frame gets the status SOLVER_FAILED
             q = np.full_like(q, np.nan)
         return after, MethodOutput(q, np.float32(value - regular))
-
-    def _slsqp(
-        self, objective: ValueAndGradient, start: Float[np.ndarray, " m"]
-    ) -> tuple[Float[np.ndarray, " m"], float]:
-        """Result of SLSQP from a start, and the objective there."""
-        solver, limits = self.config.solver, self.hand.limits
-        if isinstance(solver, SlsqpConfig):
-            result = slsqp_minimise(objective, start, limits, solver)
-        else:
-            result = scipy_slsqp_minimise(objective, start, limits, solver)
-        return result.x, result.value
 
 
 @dataclass(frozen=True)
@@ -278,7 +262,8 @@ class AkoTargets(StatelessTargets[PinchLayout]):
     Attributes:
         w_thumb_wrist: weight of wrist to thumb tip, before switching.
         w_wrist: weight of wrist to each other tip, before switching.
-        w_pinch: weight of thumb tip to each other tip.
+        w_pinch: weight of thumb tip to each other tip, before it fades with the distance from the
+            thumb.
         w_distal: weight of last joint to tip, which determines the direction of the pad.
         switch_distance: thumb-to-tip distance at which a switched vector has half its weight [m].
             The finger nearest to the thumb switches all wrist vectors.
@@ -286,9 +271,6 @@ class AkoTargets(StatelessTargets[PinchLayout]):
         contact: distance below which the target of a pinch is closed [m].
         release: distance from which on the pinch vector is the human's own [m]; in between, the
             target length rises from 0 at ``contact``.
-        switch_pinch: True fades each pinch vector with the distance from the thumb, as published.
-            With False, pinches close further and directions are nearer to the human's:
-            docs/reference/methods.md.
     """
 
     w_thumb_wrist: float = 10.0
@@ -299,7 +281,6 @@ class AkoTargets(StatelessTargets[PinchLayout]):
     switch_scale: float = 10.0
     contact: float = 0.01
     release: float = 0.02
-    switch_pinch: bool = False
 
     def __post_init__(self) -> None:
         lengths = ("switch_distance", "switch_scale", "release")
@@ -333,114 +314,24 @@ class AkoTargets(StatelessTargets[PinchLayout]):
         weights = jnp.concatenate(
             [
                 wrist * open_share.min(),
-                self.w_pinch * (1 - open_share if self.switch_pinch else jnp.ones_like(open_share)),
+                self.w_pinch * (1 - open_share),
                 jnp.full(fingers, self.w_distal, human.dtype),
             ]
         )
         return Targets(human.at[pinch].set(scaled), weights), state
 
 
-@dataclass(frozen=True)
-class TipLayout(VectorLayout):
-    """Vectors from the origin of the palm frame to each fingertip.
-
-    Attributes:
-        fingers: human finger names, thumb first.
-    """
-
-    fingers: tuple[str, ...]
-
-    @cached_property
-    def vectors(self) -> tuple[tuple[int | None, int], ...]:
-        """(F,) (origin, tip)."""
-        return tuple((None, tip) for tip in tips_of(self.fingers))
-
-
-@dataclass(frozen=True)
-class TipTargets(StatelessTargets[TipLayout]):
-    """Targets at the human's fingertip positions in the palm frame.
-
-    Attributes:
-        beta: scale of the human positions.
-    """
-
-    beta: float = 1.0
-
-    def __post_init__(self) -> None:
-        check_numbers(self, "targets.", positive=("beta",))
-
-    def layout(self, fingers: tuple[str, ...]) -> TipLayout:
-        """Vectors from the palm's origin to each tip."""
-        return TipLayout(fingers)
-
-    def __call__(
-        self, state: tuple[()], layout: TipLayout, human: Float[Array, "K 3"]
-    ) -> tuple[Targets, tuple[()]]:
-        """Targets of one frame."""
-        return Targets(human * self.beta, jnp.ones(len(human), human.dtype)), state
-
-
-KEYVECTOR: Final = SlsqpMethodConfig(
-    objective=ObjectiveConfig(targets=PlainTargets(), pose_weight=2.5e-3, velocity_weight=0.0)
-)
-"""All keyvectors follow the human's, by SLSQP from the last command.
-
-Smooth-L1 in units of its transition and a tolerance of 1e-6 leave no dead band: the hand moves in
-every frame in which the human's moves.
-"""
-
-KEYVECTOR_VECTOR: Final = replace(
-    KEYVECTOR,
-    objective=ObjectiveConfig(
-        targets=PlainTargets(w_thumb=0.0, w_between=0.0), pose_weight=0.0, velocity_weight=4e-3
-    ),
-)
-"""``vector`` as in dex-retargeting: wrist-to-tip vectors, regularised to the last command."""
-
-KEYVECTOR_POSITION: Final = replace(
-    KEYVECTOR,
-    objective=ObjectiveConfig(targets=TipTargets(), pose_weight=0.0, velocity_weight=4e-3),
-)
-"""``position`` as in dex-retargeting: fingertips at the human's positions in the palm frame."""
-
-HYBRID: Final = replace(KEYVECTOR, start="joint_angle", approach=NewtonConfig(iterations=12))
-"""The hybrid of mimic-one (Nava et al. 2025): the keyvector method from the joint-angle solution.
-
-That start lies further from the minimum than the last command, so it takes more Newton steps.
-"""
-
-DEXPILOT: Final = SlsqpMethodConfig(
-    objective=ObjectiveConfig(
-        targets=DexPilotTargets(
-            project=0.03, escape=0.05, eta1=5e-3, eta2=0.03, w_set1=200.0, w_set2=400.0
-        ),
-        pose_weight=2.5e-3,
-        velocity_weight=0.0,
-    )
-)
-"""DexPilot (Handa et al. 2019) with its published numbers, without a velocity term."""
-
-AKO: Final = SlsqpMethodConfig(
-    objective=ObjectiveConfig(
-        targets=AkoTargets(),
-        loss="smooth_l1_norm",
-        pose_weight=0.0,
-        velocity_weight=0.1,
-        velocity_loss="smooth_l1",
-    )
-)
-"""Analyzing Key Objectives (Yu et al. 2025), but pinch vectors do not fade with distance."""
-
-
-def _as_published(
-    config: SlsqpMethodConfig, objective: ObjectiveConfig, tolerance: float = 1e-6
+def _published(
+    objective: ObjectiveConfig,
+    *,
+    tolerance: float = 1e-6,
+    start: Literal["previous", "published_angles"] = "previous",
 ) -> SlsqpMethodConfig:
-    """The configuration with the authors' solver: SciPy's SLSQP, at most 20 iterations a frame."""
-    return replace(
-        config,
+    """Settings of the authors: SciPy's SLSQP, at most 20 iterations a frame."""
+    return SlsqpMethodConfig(
         objective=objective,
-        approach=NewtonConfig(iterations=0),
-        solver=ScipySlsqpConfig(tolerance=tolerance, max_iterations=20),
+        solver=SlsqpConfig(tolerance=tolerance, max_iterations=20),
+        start=start,
     )
 
 
@@ -451,41 +342,58 @@ _FIVE_VECTORS: Final = ObjectiveConfig(
     velocity_weight=0.0,
 )
 
-KEYVECTOR_PUBLISHED: Final = _as_published(KEYVECTOR, _FIVE_VECTORS)
-"""The baseline of the paper's authors: wrist to tips with a squared error."""
+KEYVECTOR: Final = _published(_FIVE_VECTORS)
+"""The keyvector method of the paper's authors: wrist to tips with a squared error."""
 
-HYBRID_PUBLISHED: Final = replace(KEYVECTOR_PUBLISHED, start="published_angles")
-"""The paper's baseline: the same, from the authors' joint angles."""
+HYBRID: Final = _published(_FIVE_VECTORS, start="published_angles")
+"""The hybrid of mimic-one (Nava et al. 2025): the same, from the authors' joint angles."""
 
-DEXPILOT_PUBLISHED: Final = _as_published(DEXPILOT, replace(DEXPILOT.objective, pose_centre="zero"))
-"""The paper's baseline: the pose term pulls to zero angles."""
-
-AKO_PUBLISHED: Final = _as_published(
-    AKO, replace(AKO.objective, targets=AkoTargets(switch_pinch=True)), tolerance=1e-5
+DEXPILOT: Final = _published(
+    ObjectiveConfig(
+        targets=DexPilotTargets(
+            project=0.03, escape=0.05, eta1=5e-3, eta2=0.03, w_set1=200.0, w_set2=400.0
+        ),
+        pose_weight=2.5e-3,
+        pose_centre="zero",
+        velocity_weight=0.0,
+    )
 )
-"""The paper's baseline: pinch vectors fade with the distance from the thumb."""
+"""DexPilot (Handa et al. 2019) with the paper's numbers; the pose term pulls to zero angles."""
+
+AKO: Final = _published(
+    ObjectiveConfig(
+        targets=AkoTargets(),
+        loss="smooth_l1_norm",
+        pose_weight=0.0,
+        velocity_weight=0.1,
+        velocity_loss="smooth_l1",
+    ),
+    tolerance=1e-5,
+)
+"""Analyzing Key Objectives (Yu et al. 2025)."""
 
 
-def _alone(config: SlsqpMethodConfig) -> SlsqpMethodConfig:
-    """The configuration with NLopt's SLSQP alone, until its own tolerance."""
-    return replace(config, approach=NewtonConfig(iterations=0), solver=SlsqpConfig())
+def _fast(
+    config: SlsqpMethodConfig, approach: NewtonConfig, optimality: float
+) -> SlsqpMethodConfig:
+    """The same objective with Newton steps first, and SLSQP until a minimum where they need it."""
+    solver = SlsqpConfig(tolerance=1e-9, max_iterations=100)
+    return replace(config, approach=approach, optimality=optimality, solver=solver)
 
+
+_EIGHT_STEPS: Final = NewtonConfig(iterations=8)
+_SQUARED_DAMPING: Final = (0.0, 0.001, 0.01, 0.1)
+"""Damping for a squared error in metres, whose Hessian is small; without a term of pose or velocity
+some directions have none at all."""
 
 KEYVECTOR_PRESETS: Final = {
-    "default": KEYVECTOR,
-    "vector": KEYVECTOR_VECTOR,
-    "position": KEYVECTOR_POSITION,
-    "slsqp": _alone(KEYVECTOR),
-    "published": KEYVECTOR_PUBLISHED,
+    "published": KEYVECTOR,
+    "fast": _fast(KEYVECTOR, NewtonConfig(8, _SQUARED_DAMPING), 1e-5),
 }
 HYBRID_PRESETS: Final = {
-    "default": HYBRID,
-    "slsqp": _alone(HYBRID),
-    "published": HYBRID_PUBLISHED,
+    "published": HYBRID,
+    # Its start lies further from the minimum than the last command, so it takes more Newton steps.
+    "fast": _fast(HYBRID, NewtonConfig(20, _SQUARED_DAMPING), 1e-5),
 }
-DEXPILOT_PRESETS: Final = {
-    "default": DEXPILOT,
-    "slsqp": _alone(DEXPILOT),
-    "published": DEXPILOT_PUBLISHED,
-}
-AKO_PRESETS: Final = {"default": AKO, "slsqp": _alone(AKO), "published": AKO_PUBLISHED}
+DEXPILOT_PRESETS: Final = {"published": DEXPILOT, "fast": _fast(DEXPILOT, _EIGHT_STEPS, 1e-4)}
+AKO_PRESETS: Final = {"published": AKO, "fast": _fast(AKO, _EIGHT_STEPS, 1e-4)}

@@ -112,7 +112,7 @@ def frame_times(
     return FrameTimes(len(times), float(p50), float(p99), float(times.max()))
 
 
-_LIBRARIES: Final = ("jax", "jaxlib", "mujoco", "numpy", "scipy", "nlopt")
+_LIBRARIES: Final = ("jax", "jaxlib", "mujoco", "numpy", "scipy")
 _OPENCV: Final = tuple(
     f"opencv-{part}" for part in ("python", "python-headless", "contrib-python",
                                   "contrib-python-headless")

@@ -25,15 +25,10 @@ METHODS: Final = Registry(
             "teleop, precise, or offline for recordings",
         ),
         "joint_angle": Entry(f"{_BASELINES}.joint_angle:JOINT_ANGLE_PRESETS", "default"),
-        "keyvector": Entry(
-            f"{_BASELINES}.slsqp_method:KEYVECTOR_PRESETS",
-            "default, vector, position, slsqp or published",
-        ),
-        "hybrid": Entry(f"{_BASELINES}.slsqp_method:HYBRID_PRESETS", "default, slsqp or published"),
-        "dexpilot": Entry(
-            f"{_BASELINES}.slsqp_method:DEXPILOT_PRESETS", "default, slsqp or published"
-        ),
-        "ako": Entry(f"{_BASELINES}.slsqp_method:AKO_PRESETS", "default, slsqp or published"),
+        "keyvector": Entry(f"{_BASELINES}.slsqp_method:KEYVECTOR_PRESETS", "published or fast"),
+        "hybrid": Entry(f"{_BASELINES}.slsqp_method:HYBRID_PRESETS", "published or fast"),
+        "dexpilot": Entry(f"{_BASELINES}.slsqp_method:DEXPILOT_PRESETS", "published or fast"),
+        "ako": Entry(f"{_BASELINES}.slsqp_method:AKO_PRESETS", "published or fast"),
         "geort": Entry(
             f"{_BASELINES}.geort.method:GEORT_PRESETS",
             "default, or the file of a model that you trained",

@@ -19,11 +19,9 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from smooth_operator.baselines.slsqp import (
-    ScipySlsqpConfig,
     SlsqpConfig,
     SlsqpResult,
     ValueAndGradient,
-    scipy_slsqp_minimise,
     slsqp_minimise,
 )
 from smooth_operator.errors import ConfigError
@@ -33,6 +31,7 @@ from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 from smooth_operator.solvers.normals import counter_normal_matrix
 from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
+from smooth_operator_research.paper.nlopt_slsqp import NloptConfig, nlopt_minimise
 
 BatchGradient: TypeAlias = Callable[[Array], tuple[Array, Array]]
 """(m, N) candidates, batch last, to their costs (N,) and gradients (m, N)."""
@@ -421,7 +420,7 @@ class Slsqp(_FromStarts):
     NLopt's, until it gains nothing more; or SciPy's with the limit of the paper's authors.
     """
 
-    config: SlsqpConfig | ScipySlsqpConfig = field(default_factory=SlsqpConfig)
+    config: NloptConfig | SlsqpConfig = field(default_factory=NloptConfig)
     starts: Starts = field(default_factory=Starts)
     name: ClassVar[str] = "SLSQP"
     family: ClassVar[str] = "slsqp"
@@ -429,7 +428,7 @@ class Slsqp(_FromStarts):
     @property
     def label(self) -> str:
         """With the limit of iterations, where there is one, and the number of starts."""
-        limited = isinstance(self.config, ScipySlsqpConfig)
+        limited = isinstance(self.config, SlsqpConfig)
         return f"{self.name}, published limit{self.starts}" if limited else super().label
 
     @property
@@ -442,9 +441,9 @@ class Slsqp(_FromStarts):
         limits: Float[np.ndarray, "m 2"],
     ) -> SlsqpResult:  # fmt: skip
         """From one start."""
-        if isinstance(self.config, ScipySlsqpConfig):
-            return scipy_slsqp_minimise(objective, start, limits, self.config)
-        return slsqp_minimise(objective, start, limits, self.config)
+        if isinstance(self.config, SlsqpConfig):
+            return slsqp_minimise(objective, start, limits, self.config)
+        return nlopt_minimise(objective, start, limits, self.config)
 
 
 def _many_gradients(

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from smooth_operator.baselines.slsqp import ScipySlsqpConfig
-from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
+from smooth_operator.baselines.slsqp import SlsqpConfig
+from smooth_operator.baselines.slsqp_method import DEXPILOT
 from smooth_operator.errors import counted
 from smooth_operator.methods.sbr import SBR_PAPER
 from smooth_operator_research.paper.compared_solvers import Slsqp
@@ -117,8 +117,8 @@ def _losses(context: ExperimentContext, problems: list[Problem], points: list[Po
 
 def _references(context: ExperimentContext, problems: list[Problem]) -> tuple[Samples, Samples]:
     """DexPilot's answers measured by SBR's loss, and by its own."""
-    own = context.problems(DEXPILOT_PUBLISHED.objective, context.size.grid_frames)
-    published = Slsqp(config=ScipySlsqpConfig())
+    own = context.problems(DEXPILOT.objective, context.size.grid_frames)
+    published = Slsqp(config=SlsqpConfig())
     runs = context.run_all(
         "DexPilot", [context.run_job(problem, published, 0.0) for problem in own]
     )

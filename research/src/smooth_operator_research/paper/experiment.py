@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, TypeAlias
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error, write_json
-from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
+from smooth_operator.baselines.slsqp_method import DEXPILOT
 from smooth_operator.benchmark.recordings import Source, load_sources, parse_request
 from smooth_operator.benchmark.suite import check_folder as check_benchmark_folder
 from smooth_operator.errors import DocumentError, UnknownNameError, counted
@@ -261,7 +261,8 @@ def experiment_code() -> str:
     """Digest of the code and the models that a cell depends on."""
     return research_digest(
         "hands", "objective", "solvers", "baselines/slsqp.py",
-        "paper/compared_solvers.py", "paper/solver_grid.py", "paper/runs.py",
+        "paper/compared_solvers.py", "paper/nlopt_slsqp.py", "paper/solver_grid.py",
+        "paper/runs.py",
     )  # fmt: skip
 
 
@@ -464,7 +465,7 @@ class ExperimentContext:
     @cached_property
     def judged(self) -> list[Problem]:
         """DexPilot's loss on the recordings, for the experiments that change the solver."""
-        return self.problems(DEXPILOT_PUBLISHED.objective, self.size.frames)
+        return self.problems(DEXPILOT.objective, self.size.frames)
 
     @cached_property
     def tuning(self) -> Problem:
@@ -477,9 +478,7 @@ class ExperimentContext:
             (source,) = load_sources([parse_request(f"synthetic:{seed}@{frames}", side=side)])
             if source.digest not in digests:
                 break
-        (problem,) = make_problems(
-            [source], self.hand, DEXPILOT_PUBLISHED.objective, self.size.tuning_frames
-        )
+        (problem,) = make_problems([source], self.hand, DEXPILOT.objective, self.size.tuning_frames)
         return problem
 
     def run_job(

@@ -269,8 +269,7 @@ BASELINES: Final = ("dexpilot:published", "geort", "hybrid:published")
 METHODS: Final = (PUBLISHED_SBR, *BASELINES, "sbr", "smooth", "ako", "joint_angle")
 """Those of the paper's table as published, and ours."""
 
-_EFFORT_MS: Final = {"sbr:paper": 20.0, "ako": 5.0, "hybrid": 4.0, "keyvector": 1.5,
-                     "dexpilot": 2.0, "dexpilot:published": 8.0,
+_EFFORT_MS: Final = {"sbr:paper": 20.0, "ako": 5.0, "dexpilot:published": 8.0,
                      "hybrid:published": 8.0}  # fmt: skip
 """About how long a frame takes [ms], for the time that is left; 0.7 for others."""
 

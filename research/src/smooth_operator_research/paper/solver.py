@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.baselines.slsqp import ScipySlsqpConfig
-from smooth_operator.baselines.slsqp_method import DEXPILOT_PUBLISHED
+from smooth_operator.baselines.slsqp import SlsqpConfig
+from smooth_operator.baselines.slsqp_method import DEXPILOT
 from smooth_operator.errors import counted
 from smooth_operator.metrics.consistency import JOINTS_STILL
 from smooth_operator.reporting.drawing import INK
@@ -171,10 +171,10 @@ def compare_as_printed(context: ExperimentContext) -> Comparison:
     size = context.size
     sampling = Sampling(size.samples, size.cycles, most_cycles=size.cycles)
     solvers: list[Solver] = [
-        sampling, Slsqp(), Slsqp(config=ScipySlsqpConfig()),
+        sampling, Slsqp(), Slsqp(config=SlsqpConfig()),
         Slsqp(starts=Starts(size.slsqp_starts)),
     ]  # fmt: skip
-    problems = context.problems(replace(DEXPILOT_PUBLISHED.objective, loss="squared"), size.frames)
+    problems = context.problems(replace(DEXPILOT.objective, loss="squared"), size.frames)
     solver_grid = SolverGrid({one.label: one for one in solvers}, ())
     return _compared(context, solver_grid, problems, 0.0, "squared loss")
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, Final
 
-from smooth_operator.baselines.slsqp import ScipySlsqpConfig
+from smooth_operator.baselines.slsqp import SlsqpConfig
 from smooth_operator_research.paper.compared_solvers import (
     Newton,
     Rmsprop,
@@ -138,7 +138,7 @@ def make_solver_grid(context: ExperimentContext, velocity_weight: float) -> Solv
         # where the published deviation is the best of those tried, there is no second one
         *([sampling] if sampling.sigma != published.sigma else []),
         Slsqp(),
-        Slsqp(config=ScipySlsqpConfig()),
+        Slsqp(config=SlsqpConfig()),
         Slsqp(starts=Starts(size.slsqp_starts)),
         rmsprop,
         rmsprops,

@@ -96,7 +96,7 @@ PAPERS: Final = {
 }
 """Our label -> the paper's, in the order of its columns; all but GeoRT as published."""
 
-METHODS: Final = (*PAPERS, "sbr", "dexpilot", "hybrid", "keyvector", "ako", "joint_angle")
+METHODS: Final = (*PAPERS, "sbr", "keyvector", "ako", "joint_angle")
 LATENCY: Final = "latency_ms.p50"
 
 _TITLES: Final = {

@@ -3,9 +3,9 @@
 A message is a command, or a JSON object with ``do``: ``stop``, ``release``, ``pause``, ``resume``,
 ``quit``, ``status`` and
 
-    {"do": "method", "method": "dexpilot", "preset": "default"}
+    {"do": "method", "method": "dexpilot", "preset": "published"}
         another method; compiled while the old one goes on, and answered when the hands go over to
-        it: {"ok": true, "method": "dexpilot", "preset": "default"}. Without a preset its default.
+        it: {"ok": true, "method": "dexpilot", "preset": "published"}. Without a preset its default.
     {"do": "calibration", "path": "operator.json"}
         an operator's calibration, of the hand of its side; without a path none for all hands:
         {"ok": true, "method": ..., "preset": ..., "side": "right", "hand": "mimic_p050"}.

@@ -1,7 +1,7 @@
 """Client of ``teleop --control``: commands a running teleoperation.
 
     teleop = RemoteTeleop("tcp://127.0.0.1:5558")
-    teleop.request("method", method="dexpilot", preset="default")
+    teleop.request("method", method="dexpilot", preset="published")
     teleop.request("status")["method"]
 
 ``smooth_operator.teleop.control.rpc`` describes the commands and their answers.
