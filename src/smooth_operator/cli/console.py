@@ -74,7 +74,7 @@ SUMMARY: Final = (
            "99 of 100 commands took up to {:.3g} ms (good: up to {:.3g} ms, the time between two "
            "frames)",
            "The time of a command was not measured",
-           "smooth-operator doctor measures where time is lost on this machine"),
+           "smooth-operator doctor says what slows this machine down"),
 )  # fmt: skip
 """The five figures of ``demo`` and ``retarget``: shape, pinches, collision, steadiness, speed."""
 

@@ -223,7 +223,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator study analyze trials.csv tlx.csv --output out
       a user study: models, corrected p-values, a report (packages/smooth_operator_study)
   smooth-operator doctor
-      measure start-up and frame time on this machine, and suggest fixes
+      check this machine, its extras and settings, and suggest fixes
 
 Each command has its own help: smooth-operator retarget --help
 """
