@@ -50,8 +50,8 @@ from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import BASES
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.offline.finished import digest
 from smooth_operator.planning import RetargetRequest
+from smooth_operator.result_cache import content_digest
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory
@@ -159,7 +159,11 @@ def test_both_hands_are_those_of_the_library(folder, whole):
                 clip.T_world_wrist[side], source.hands[side].T_world_wrist
             )
             assert clip.clip.meta["source"] == [
-                {"path": f"{name}.pair.npz", "bytes": path.stat().st_size, "sha256": digest(path)}
+                {
+                    "path": f"{name}.pair.npz",
+                    "bytes": path.stat().st_size,
+                    "sha256": content_digest(path),
+                }
             ]
             assert clip.clip.world == "room"
     assert not clips["b"].valid["right"][5:10].any()
@@ -752,6 +756,34 @@ def test_the_busy_share_is_what_nvidia_smi_says(tmp_path, monkeypatch):
     assert use.busy is None
 
 
+def test_after_a_change_of_the_code_clips_and_data_set_are_made_again(copy, monkeypatch):
+    folder, output = copy
+    before, count = contents(output), Counting()
+    (file,) = (output / "dataset").rglob("part-*.parquet")
+
+    def again() -> tuple[int, bool]:
+        """Items that were kept, and whether the data set was written."""
+        file.touch()
+        os.utime(file, ns=(0, 0))
+        make_dataset(request(folder, output), count)
+        return count.kept, file.stat().st_mtime_ns != 0
+
+    assert again() == (len(FRAMES), False)
+    with monkeypatch.context() as writers:
+        writers.setattr("smooth_operator.datasets.writing.code_digest", lambda *_: "other")
+        assert again() == (len(FRAMES), True)
+        assert again() == (len(FRAMES), False)
+    assert again() == (len(FRAMES), True)
+    with monkeypatch.context() as commands:
+        commands.setattr("smooth_operator.planning.code_digest", lambda *_: "other")
+        RECIPE.__dict__.pop("digest")  # of the code before
+        assert again() == (0, True)
+        assert again() == (len(FRAMES), False)
+    RECIPE.__dict__.pop("digest")
+    assert again() == (len(FRAMES), True)
+    assert contents(output) == before
+
+
 def test_keys_of_clips_are_of_the_code_and_of_the_readers_of_plugins(monkeypatch, tmp_path):
     module = tmp_path / "own_reader_module.py"
     module.write_text("READER = None\n")
@@ -765,7 +797,7 @@ def test_keys_of_clips_are_of_the_code_and_of_the_readers_of_plugins(monkeypatch
     module.write_text("READER = 1\n")
     result_cache._package_digest.cache_clear()
     digests.append(Recipe(RECIPE.request).digest)
-    monkeypatch.setattr("smooth_operator.offline.finished.code_digest", lambda *_: "other")
+    monkeypatch.setattr("smooth_operator.planning.code_digest", lambda *_: "other")
     digests.append(Recipe(RECIPE.request).digest)
     assert len(set(digests)) >= 4  # the same module twice is one
 

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, load_hand, read_commands, read_recording
+from smooth_operator.atomic_files import claimed
 from smooth_operator.compilation.batching import BLOCK
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
 from smooth_operator.methods.presets import PRESETS
 from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.offline import folder as pipeline
-from smooth_operator.offline.finished import claimed, made_by
 from smooth_operator.offline.folder import (
     Entry,
     Job,
@@ -32,7 +32,7 @@ from smooth_operator.offline.folder import (
     retarget_all,
     survey,
 )
-from smooth_operator.planning import RetargetRequest, make_request
+from smooth_operator.planning import RetargetRequest, code_of_commands, make_request
 from smooth_operator.solvers.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import LogWriter
@@ -319,7 +319,7 @@ def test_after_a_change_of_the_code_all_is_made_again(copy, monkeypatch):
         names.extend(parts)
         return "another"
 
-    monkeypatch.setattr("smooth_operator.offline.finished.code_digest", digest_of)
+    monkeypatch.setattr("smooth_operator.planning.code_digest", digest_of)
     assert left(*copy) == {f"{name}.npz" for name in FRAMES}
     for name in ("methods", "hands", "objective", "human", "formats", "io", "offline"):
         assert name in names
@@ -330,9 +330,9 @@ def test_after_a_change_of_the_robot_hand_all_is_made_again(copy, monkeypatch, t
     model = Path(shutil.copy(hand.spec.model, tmp_path))
     same = replace(hand, spec=replace(hand.spec, model=model))
     monkeypatch.setattr(RetargetRequest, "load_hand", lambda self, side: same)
-    before = made_by(ASKED)
+    before = code_of_commands(ASKED)
     model.write_bytes(model.read_bytes() + b"\n")
-    assert made_by(ASKED) != before
+    assert code_of_commands(ASKED) != before
 
 
 def test_two_runs_do_not_meet(tmp_path):

@@ -113,6 +113,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
 
 _MACHINE = hashlib.sha256(os.uname().nodename.encode() if os.name != "nt" else b"").hexdigest()[:8]
 _TEMPORARY = re.compile(rf"\..{{1,32}}\.{_MACHINE}-(\d{{1,10}})\.[0-9a-f]{{8}}\.tmp", re.DOTALL)
+_ANY_TEMPORARY = re.compile(r"\..{1,32}\.[0-9a-f]{8}-\d{1,10}\.[0-9a-f]{8}\.tmp", re.DOTALL)
 _swept: set[Path] = set()
 
 
@@ -136,6 +137,22 @@ def temporary_beside(target: Path) -> Path:
                         path.unlink()
     unique = f"{_MACHINE}-{os.getpid()}.{secrets.token_hex(4)}"
     return target.with_name(f".{target.name[:32]}.{unique}.tmp")
+
+
+def remove_leftovers(folders: Iterable[Path]) -> int:
+    """Delete the unfinished files that killed runs, on any machine, have left in some folders.
+
+    Returns:
+        their number.
+    """
+    count = 0
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            for path in list(folder.iterdir()):
+                if _ANY_TEMPORARY.fullmatch(path.name) and path.is_file():
+                    path.unlink()
+                    count += 1
+    return count
 
 
 def _runs(process: int) -> bool:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.calibration.operator_file import OperatorProfile, read_operator
-from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.formats.environment import environment
+from smooth_operator.errors import ConfigError, HandModelError, RecordingError
+from smooth_operator.formats.environment import environment, versions
 from smooth_operator.formats.readers import read_recording
+from smooth_operator.formats.registry import READERS
 from smooth_operator.hands.finger_choice import parse_fingers
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, load_hand
@@ -19,13 +20,25 @@ from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.human.aligned_recording import calibrate_scale
 from smooth_operator.human.known_gaps import MEDIAPIPE, NO_GAPS
+from smooth_operator.io.documents import read_json
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import default_preset, method_config
 from smooth_operator.methods.registry import DEFAULT_METHOD
+from smooth_operator.result_cache import content_digest, key_digest, outside_code
+from smooth_operator.source_digest import code_digest
 from smooth_operator.types import HandRecording, Side
 
 PROGRAM: Final = "smooth-operator"
 """Value of ``program`` in every configuration that this program writes."""
+
+_MOST_BYTES: Final = 64_000_000  # of a configuration that lists thousands of recordings
+
+_CODE: Final = (
+    *("geometry.py", "landmarks.py", "planning.py", "poses.py", "types.py"),
+    *("human", "hands", "objective", "solvers", "methods", "baselines", "compilation"),
+    *("io", "formats", "episode_files", "headsets", "teleop/recording", "offline"),
+)
+"""Files and folders of this package that commands depend on."""
 
 Scale: TypeAlias = float | Literal["frame", "calibrate"]
 """Robot size over human size: a number, by frame, or calibrated once on the recording."""
@@ -155,6 +168,32 @@ def make_request(
     )
 
 
+def code_of_commands(request: RetargetRequest, *readers: str) -> str:
+    """Digest of the code and the hands that make the commands of a request.
+
+    It covers this package's code from the reader of a file to the commands, the code of plugins for
+    methods and readers, the versions of the libraries that compute, and the descriptions and models
+    of both robot hands, wherever these stand on a machine.
+
+    Args:
+        request: settings of the retargeting.
+        readers: more files and folders of this package that the commands depend on, and modules of
+            other distributions, as ``module:attribute``.
+    """
+    own = [name for name in readers if ":" not in name]
+    others = [entry.target for entry in READERS.plugins.values()]
+    others += [name for name in readers if ":" in name]
+    modules = [target.partition(":")[0] for target in others]
+    hands = []
+    sides: tuple[Side, Side] = ("right", "left")
+    for side in sides:
+        with suppress(HandModelError):  # there is no hand of this side
+            spec = request.load_hand(side).spec
+            hands.append((replace(spec, model=Path(spec.model.name)), content_digest(spec.model)))
+    code = code_digest(*_CODE, *own)
+    return key_digest([code, outside_code(request.config, *modules), versions(), hands])
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A request with all names resolved, for one recording.
@@ -244,6 +283,16 @@ def resolve_config(
             fixed = None if request.scale == "frame" else float(request.scale)
         config = config.with_alignment(scale=fixed)
     return config
+
+
+def read_configuration(path: Path) -> dict[str, Any] | None:
+    """A configuration that this program wrote; None if there is none, or the file is another's."""
+    try:
+        content = read_json(path, most_bytes=_MOST_BYTES)
+    except (OSError, ValueError):
+        return None
+    ours = isinstance(content, dict) and content.get("program") == PROGRAM
+    return content if ours else None
 
 
 def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:

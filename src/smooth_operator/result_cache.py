@@ -1,7 +1,8 @@
 """Store of the results of long computations in a folder, reused while they are valid.
 
 The module is independent of hands: a result has a key, which is any JSON, and the digest of the
-code that computed it.
+code that computed it. A key holds the digest of the content that the result is made from and the
+settings, so a result is used again only if content, settings and code are the same.
 """
 
 from __future__ import annotations
@@ -38,6 +39,14 @@ MOST_BYTES: Final = 100_000_000
 def key_digest(key: object) -> str:
     """SHA-256 of a value with a JSON form, in hexadecimal."""
     return hashlib.sha256(to_json(key).encode()).hexdigest()
+
+
+def content_digest(content: bytes | Path) -> str:
+    """SHA-256 of some bytes or of a file, in hexadecimal."""
+    if isinstance(content, bytes):
+        return hashlib.sha256(content).hexdigest()
+    with content.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def content_name(prefix: str, key: object) -> str:

@@ -20,10 +20,9 @@ from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.presets import PRESETS, loadable_presets, method_config
 from smooth_operator.methods.registry import METHODS
 from smooth_operator.metrics.table import Definition, plugin_metrics
-from smooth_operator.offline.finished import digest
 from smooth_operator.planning import Plan
 from smooth_operator.plugins import is_target
-from smooth_operator.result_cache import code_digest, key_digest
+from smooth_operator.result_cache import code_digest, content_digest, key_digest
 from smooth_operator.result_cache import outside_code as outside_code
 from smooth_operator.types import Side
 
@@ -271,7 +270,7 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
             "pinch_gaps": dict(cell.pinch_gaps),
             "seed": settings.seed,
             "definition": settings.definition,
-            "files": [digest(path) for path in files_of(cell.config)],
+            "files": [content_digest(path) for path in files_of(cell.config)],
             **({"plugins": outside} if outside else {}),
             **({"metrics": sorted(settings.metrics)} if settings.metrics else {}),
         }

@@ -41,9 +41,8 @@ from smooth_operator.formats.environment import environment
 from smooth_operator.io.documents import read_json
 from smooth_operator.metrics import Metric
 from smooth_operator.metrics.table import add_metrics
-from smooth_operator.offline.finished import read_configuration
 from smooth_operator.parallel import TaskResult, run_tasks
-from smooth_operator.planning import PROGRAM
+from smooth_operator.planning import PROGRAM, read_configuration
 from smooth_operator.result_cache import (
     Job,
     Note,

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from smooth_operator.atomic_files import write_json
+from smooth_operator.atomic_files import claimed, write_json
 from smooth_operator.benchmark import (
     Settings,
     compare,
@@ -48,7 +48,6 @@ from smooth_operator.hands.finger_choice import parse_fingers
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.metrics import Metric
-from smooth_operator.offline.finished import claimed
 
 _MOST_PANELS: Final = 8
 _MOST_NAMED: Final = 4

@@ -243,7 +243,7 @@ def _stem(source: Source, alone: bool) -> str:
 
 
 def _check(target: Path, to: Format, options: Convert) -> None:
-    from smooth_operator.cli.outputs import read_configuration
+    from smooth_operator.planning import read_configuration
     from smooth_operator.teleop.recording.convert import check_target, files_of
 
     main, *others = files_of(target, to)

@@ -10,7 +10,7 @@ from pathlib import Path
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.formats.commands import config_path, read_commands
-from smooth_operator.offline.finished import read_configuration as read_configuration
+from smooth_operator.planning import read_configuration
 
 
 def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:

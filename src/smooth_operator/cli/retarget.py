@@ -167,14 +167,13 @@ def retarget_folder(options: Retarget) -> None:
         SmoothOperatorError: with the reason; what is finished stays.
         SystemExit: 1, if a recording failed.
     """
-    from smooth_operator.atomic_files import atomic_write
+    from smooth_operator.atomic_files import atomic_write, claimed
     from smooth_operator.cli.console import Progressing
     from smooth_operator.cli.outputs import folder_for, stopped
     from smooth_operator.cli.session import requested
     from smooth_operator.formats.environment import environment
     from smooth_operator.formats.jsonable import to_json
     from smooth_operator.formats.registry import file_kind, is_dataset
-    from smooth_operator.offline.finished import claimed, read_configuration
     from smooth_operator.offline.folder import (
         SUMMARY,
         check_folders,
@@ -183,7 +182,7 @@ def retarget_folder(options: Retarget) -> None:
         retarget_all,
         survey,
     )
-    from smooth_operator.planning import PROGRAM
+    from smooth_operator.planning import PROGRAM, read_configuration
 
     progress = Progressing(options.quiet)
     folder, output = options.recording, options.output

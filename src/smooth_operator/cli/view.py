@@ -128,11 +128,11 @@ class _Run:
 
 
 def _run(options: View, out: Path, source: Path) -> _Run:
-    from smooth_operator.cli.outputs import read_configuration
     from smooth_operator.formats.commands import config_path, read_commands
     from smooth_operator.formats.readers import read_recording
     from smooth_operator.hands.registry import load_hand
     from smooth_operator.metrics.assemble import assemble_trace
+    from smooth_operator.planning import read_configuration
 
     commands = _chosen(read_commands(out), options.frames)
     config = read_configuration(config_path(out)) or {}

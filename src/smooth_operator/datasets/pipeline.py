@@ -27,6 +27,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from smooth_operator.atomic_files import claimed
 from smooth_operator.datasets.retargeting import SourceFile
 from smooth_operator.datasets.sources import Found, Item, find_items, in_shard
 from smooth_operator.datasets.store import Kept, Store, clear_unfinished
@@ -43,7 +44,6 @@ from smooth_operator.datasets.writing import DatasetRequest as DatasetRequest
 from smooth_operator.datasets.writing import Order, Summary, hand_in, write_episodes
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.foreign import foreign_suffix
-from smooth_operator.offline.finished import claimed
 from smooth_operator.offline.folder import checked
 from smooth_operator.parallel import run_groups, usable_cores
 

@@ -19,10 +19,9 @@ from smooth_operator.formats.jsonable import to_json
 from smooth_operator.methods.method import MethodConfig
 from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.offline.execution import answers
-from smooth_operator.offline.finished import digest, made_by
-from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, plan
+from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, code_of_commands, plan
 from smooth_operator.plugins import Entry
-from smooth_operator.result_cache import key_digest
+from smooth_operator.result_cache import content_digest, key_digest
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 from smooth_operator.version import package_version
 
@@ -116,15 +115,17 @@ class Recipe:
 
     @functools.cached_property
     def digest(self) -> str:
-        """Digest of it, with the code and both robot hands; see ``made_by``."""
+        """Digest of it, with the code and both robot hands; see ``code_of_commands``."""
         mano = self.reading.mano
         models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
         readers = [entry.target for entry in DATASETS.plugins.values()]
-        code = made_by(self.request, *_CODE, *readers)
+        code = code_of_commands(self.request, *_CODE, *readers)
         parts = [code, self.request, self.frame, self.side]
         parts += ["with objects"] if self.with_objects else []
         parts += ["gpu"] if self.device == "gpu" else []
-        return key_digest([*parts, self.reading.rate, [(m.name, digest(m)) for m in models]])
+        return key_digest(
+            [*parts, self.reading.rate, [(m.name, content_digest(m)) for m in models]]
+        )
 
     def of_item(self, side: Side | None, rate: float | None) -> Recipe:
         """The recipe of one item, for which a list may say the hand and the rate."""

@@ -18,8 +18,8 @@ from smooth_operator.datasets.sources import Item, fetched, find_reader
 from smooth_operator.datasets.store import Finished, Kept, write_pack
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.formats.checks import frame_slice
-from smooth_operator.offline.finished import digest
 from smooth_operator.parallel.tasks import describe
+from smooth_operator.result_cache import content_digest
 
 _MOST_CLIPS = 1_000_000  # of one fetched file
 
@@ -130,7 +130,7 @@ def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
         try:
             stat = path.stat()
             same = str(stat.st_mtime_ns) == file.changed
-            if stat.st_size != file.bytes or not (same or digest(path) == file.sha256):
+            if stat.st_size != file.bytes or not (same or content_digest(path) == file.sha256):
                 return False
         except OSError:
             return False
@@ -240,4 +240,4 @@ def _file(path: Path) -> SourceFile:
 @functools.lru_cache(maxsize=16)
 def _digested(path: Path, size: int, modified: int) -> SourceFile:
     """Digest of a file that may hold many clips."""
-    return SourceFile(str(path), size, digest(path), str(modified))
+    return SourceFile(str(path), size, content_digest(path), str(modified))

@@ -26,12 +26,19 @@ from smooth_operator.io.documents import read_json
 from smooth_operator.parallel import run_tasks
 from smooth_operator.planning import PROGRAM
 from smooth_operator.reporting.report_page import Html, Plots, templates, write_report_page
-from smooth_operator.result_cache import key_digest
+from smooth_operator.result_cache import key_digest, outside_code
+from smooth_operator.source_digest import code_digest
 from smooth_operator.types import Side
 from smooth_operator.version import package_version
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_CODE: Final = (
+    *(f"datasets/{name}" for name in ("clip.py", "quality.py", "writers", "writing.py")),
+    *("episode_files", "formats"),
+)
+"""Files and folders of this package that the files of a data set depend on, beside its clips."""
 
 _PERCENTILES: Final = (1, 5, 50, 95, 99)
 _LIMIT_OF: Final = {
@@ -290,10 +297,12 @@ class Order:
 
     @property
     def identity(self) -> str:
-        """Digest of all that the files of the data set depend on."""
+        """Digest of all that the files of the data set depend on, with the code that writes."""
         content = [(name, pack.key) for name, pack in self.items]
         request = self.request
-        return key_digest([request.limits, request.format, request.writing, content])
+        writer = WRITERS[request.format].target.partition(":")[0]
+        code = [code_digest(*_CODE), outside_code(writer)]
+        return key_digest([code, request.limits, request.format, request.writing, content])
 
 
 @dataclass(eq=False)

@@ -15,6 +15,7 @@ from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
+from smooth_operator.atomic_files import remove_leftovers
 from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
@@ -26,18 +27,12 @@ from smooth_operator.formats.registry import file_kind, is_dataset, recording_su
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side
 from smooth_operator.offline.execution import answers, tools_of
-from smooth_operator.offline.finished import (
-    digest,
-    finished,
-    foreign,
-    identity,
-    made_by,
-    remove_leftovers,
-)
+from smooth_operator.offline.finished import finished, foreign, identity
 from smooth_operator.offline.trajectory_retargeter import check_method
 from smooth_operator.parallel import run_groups, usable_cores
 from smooth_operator.parallel.tasks import timed
-from smooth_operator.planning import Plan, RetargetRequest, configuration, plan
+from smooth_operator.planning import Plan, RetargetRequest, code_of_commands, configuration, plan
+from smooth_operator.result_cache import content_digest
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 _COMMANDS: Final = ("joint_positions", "joint_names")
@@ -355,7 +350,7 @@ def _written(read: _Read, commands: CommandTrajectory, loss: np.ndarray) -> Entr
         request=job.request,
         made_by=job.made_by,
         commands={
-            "sha256": digest(encoded),
+            "sha256": content_digest(encoded),
             "held": entry.held,
             "tracking_loss": entry.tracking_loss,
             "side_assumed": entry.side_assumed,
@@ -445,7 +440,7 @@ def survey(
     recordings, commands = find_recordings(folder, leave_out=output)
     refused = clashes(recordings)
     leftovers = remove_leftovers({output} | {(output / item.output).parent for item in recordings})
-    as_json, code = json.loads(to_json(request)), made_by(request)
+    as_json, code = json.loads(to_json(request)), code_of_commands(request)
 
     def earlier(item: Found) -> dict[str, Any] | None:
         return None if overwrite else finished(output / item.output, item.path, as_json, code)

@@ -20,9 +20,8 @@ from smooth_operator.errors import DocumentError, UnknownNameError, counted
 from smooth_operator.formats.environment import environment
 from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.objective.published import ObjectiveConfig
-from smooth_operator.offline.finished import read_configuration
 from smooth_operator.parallel import TaskResult
-from smooth_operator.planning import PROGRAM
+from smooth_operator.planning import PROGRAM, read_configuration
 from smooth_operator.result_cache import (
     Job,
     Note,

@@ -28,7 +28,7 @@ from smooth_operator.benchmark.quality import Watch
 from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.offline.finished import digest
+from smooth_operator.result_cache import content_digest
 from smooth_operator_research.paper.experiment import (
     Drawing,
     ExperimentContext,
@@ -489,7 +489,7 @@ def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
 
     def key(kind: str, names: Sequence[str], **more: Any) -> dict[str, Any]:
         versions = {name: library_version(name) for name in names}
-        model = [write_urdf(hand).text, to_json(hand.limits), digest(Path(__file__))]
+        model = [write_urdf(hand).text, to_json(hand.limits), content_digest(Path(__file__))]
         return {
             "kind": kind,
             "libraries": versions,

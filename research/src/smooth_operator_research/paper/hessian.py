@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.objective.terms import FrameGoal
-from smooth_operator.offline.finished import digest
 from smooth_operator.reporting.drawing import INK
-from smooth_operator.result_cache import Job
+from smooth_operator.result_cache import Job, content_digest
 from smooth_operator_research.paper.compared_solvers import Newton, Rmsprop, Slsqp
 from smooth_operator_research.paper.experiment import (
     Compute,
@@ -245,7 +244,12 @@ def _job(problem: Problem, q: Float[np.ndarray, "T m"]) -> Job[Compute]:
     where = np.ascontiguousarray(q, "<f8").tobytes()
     return cell_job(
         f"Hessians along {problem.name}",
-        {"kind": "hessian", "problem": problem.digest, "at": digest(where), "step": FLOAT64_STEP},
+        {
+            "kind": "hessian",
+            "problem": problem.digest,
+            "at": content_digest(where),
+            "step": FLOAT64_STEP,
+        },
         2000.0,
         compute,
     )

@@ -19,7 +19,6 @@ from smooth_operator.benchmark.cells import (
 from smooth_operator.benchmark.suite import CONFIG, Track, check_folder, silent
 from smooth_operator.errors import UnknownNameError
 from smooth_operator.formats.environment import environment
-from smooth_operator.offline.finished import digest
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.planning import PROGRAM
 from smooth_operator.result_cache import (
@@ -28,6 +27,7 @@ from smooth_operator.result_cache import (
     Note,
     ResultLog,
     compute_results,
+    content_digest,
     find_results,
     no_note,
 )
@@ -196,7 +196,7 @@ def _job(measure: Measure, case: Case) -> Job[Case]:
         "seed": case.seed,
         "quick": case.quick,
         "clip": case.clip,
-        "files": [digest(path) for path in files_of(case.config)],
+        "files": [content_digest(path) for path in files_of(case.config)],
         "outside": outside_code(case.config, measure),
     }
     code = benchmark_code() + research_digest(*_CODE)
