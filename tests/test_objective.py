@@ -276,7 +276,7 @@ def test_one_pose_has_the_same_objective_and_its_derivatives_are_exact(loss):
         for row, cost in zip(q, expected, strict=True):
             value, gradient, hessian = derivatives(row, goal)
             np.testing.assert_allclose(value, cost, rtol=1e-12)
-            pull = objective.regularisation(jnp.asarray(row), goal)
+            pull = objective.regularisation(jnp.asarray(row), goal).cost
             loose = goal._replace(velocity_weight=0.0)
             tracking = plain_cost(hand, replace(config, pose_weight=0.0), row, loose)
             np.testing.assert_allclose(value - pull, tracking, rtol=1e-12)

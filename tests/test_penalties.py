@@ -93,14 +93,14 @@ def test_regularisation(centre, velocity):
         assert 0 < (size < 0.2).sum() < len(q)
     expected = 0.05 * pose + change.sum()
     goal = FrameGoal(np.zeros((0, 3)), np.zeros(0), before, 0.1)
-    assert objective.regularisation(q, goal) == pytest.approx(expected, rel=1e-9)
+    assert objective.regularisation(q, goal).cost == pytest.approx(expected, rel=1e-9)
     with float64():
         at, goal = jnp.asarray(q), goal._replace(previous=jnp.asarray(before))
 
         def cost(x: jax.Array) -> jax.Array:
-            return objective.regularisation(x, goal)
+            return objective.regularisation(x, goal).cost
 
-        slope, bend = jax.jit(lambda x: objective.regularisation_derivatives(x, goal))(at)
+        _, slope, bend = jax.jit(lambda x: objective.regularisation(x, goal))(at)
         np.testing.assert_allclose(slope, jax.jit(jax.grad(cost))(at), rtol=1e-9)
         second = jax.jit(jax.hessian(cost))(at)
         np.testing.assert_allclose(bend * np.eye(len(q)), second, rtol=1e-9, atol=1e-12)

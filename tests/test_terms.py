@@ -10,10 +10,10 @@ from jax import Array
 from trees import float64, limited_poses
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
-from smooth_operator.geometry import AnyKind
+from smooth_operator.geometry import AnyArray
 from smooth_operator.objective import LeastSquaresTerm, ObjectiveConfig
 from smooth_operator.objective.sampled import SampledObjective
-from smooth_operator.objective.terms import FrameGoal, JointTerm, smooth_l1
+from smooth_operator.objective.terms import FrameGoal, JointCost, JointTerm, smooth_l1
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,9 @@ class EvenBend(JointTerm):
 
     weight: float = 2.0
 
-    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
-        return self.weight * (q**4).sum(axis=-1)
-
-    def derivatives(self, q: Array, goal: FrameGoal) -> tuple[Array, Array]:
-        return 4 * self.weight * q**3, 12 * self.weight * q**2
+    def expand(self, q: AnyArray, goal: FrameGoal) -> JointCost:
+        weight = self.weight
+        return JointCost(weight * (q**4).sum(axis=-1), 4 * weight * q**3, 12 * weight * q**2)
 
 
 def test_terms_of_points_and_of_joints_add_to_eq_1_in_both_forms():

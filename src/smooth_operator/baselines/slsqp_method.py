@@ -227,7 +227,7 @@ class SlsqpMethod(HostMethod):
 
             x, value, _ = slsqp_minimise(objective, start, self.hand.limits, self.config.solver)
         q = x.astype(np.float32)
-        regular = float(self.objective.regularisation(x, on_host))
+        regular = float(self.objective.regularisation(x, on_host).cost)
         after = SlsqpMethodState(q, problem.policy)
         if not math.isfinite(value):  # the frame gets the status SOLVER_FAILED
             q = np.full_like(q, np.nan)

@@ -195,7 +195,7 @@ class Sbr(Method):
             )
         else:
             q, cost = solve(0, state.q)
-        tracking = cost - self.objective.regularisation(q, goal)
+        tracking = cost - self.objective.regularisation(q, goal).cost
         after = SbrState(q, policy_state, state.seed, state.frames + jnp.uint32(1), operator)
         return after, MethodOutput(q, tracking)
 

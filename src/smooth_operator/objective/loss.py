@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.geometry import AnyKind
+from smooth_operator.geometry import AnyArray
 from smooth_operator.hands.differential import PointKinematics, PointMotion, all_joints, contracted
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
@@ -30,6 +30,7 @@ from smooth_operator.objective.targets import CloseTargets, TargetPolicy
 from smooth_operator.objective.terms import (
     TRANSITION,
     FrameGoal,
+    JointCost,
     JointTerm,
     Keyvectors,
     PointTerm,
@@ -124,25 +125,14 @@ class Objective:
         terms = (*self.more, *(term.build(self.hand) for term in self.config.terms))
         return tuple(term for term in terms if not term.is_off)
 
-    def regularisation(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+    def regularisation(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
         """The terms of joint positions: the last two of Eq. (1), and a preset's own.
 
         Args:
             q: (..., m) actuated joint positions [rad]; NumPy or JAX.
-
-        Returns:
-            (...) cost.
         """
-        return functools.reduce(operator.add, [term.cost(q, goal) for term in self.joint_terms])
-
-    def regularisation_derivatives(
-        self, q: Float[Array, " m"], goal: FrameGoal
-    ) -> tuple[Float[Array, " m"], Float[Array, " m"] | Float[Array, ""] | float]:
-        """First derivative of ``regularisation``, and the diagonal of its second derivative (or
-        the one number on it), whose other elements are zero."""
-        both = [term.derivatives(q, goal) for term in self.joint_terms]
-        first = functools.reduce(operator.add, [slope for slope, _ in both])
-        return first, functools.reduce(operator.add, [diagonal for _, diagonal in both])
+        every = zip(*(term.expand(q, goal) for term in self.joint_terms), strict=True)
+        return JointCost(*(functools.reduce(operator.add, parts) for parts in every))
 
     # One pose, with derivatives
 
@@ -175,10 +165,10 @@ class Objective:
         total = jnp.asarray(self.kinematics.moves.T, q.dtype) @ near.moments
         joints = self.hand.coupling_matrix[np.array(self.kinematics.order)]
         slope, curvature = self.kinematics.derivatives(near.motion, total)
-        first, second = self.regularisation_derivatives(q, goal)
+        cost, first, second = self.regularisation(q, goal)
         half = contracted(hessian + curvature, joints)
         return (
-            near.cost + self.regularisation(q, goal),
+            near.cost + cost,
             contracted(slope, joints) + first,
             contracted(half.T, joints) + second * jnp.eye(len(q), dtype=q.dtype),
         )
@@ -200,7 +190,7 @@ class Objective:
     def values(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
         """Costs of a few poses, through the small program."""
         costs: Array = jax.vmap(
-            lambda one: self._near(one, goal).cost + self.regularisation(one, goal)
+            lambda one: self._near(one, goal).cost + self.regularisation(one, goal).cost
         )(q)
         return costs
 

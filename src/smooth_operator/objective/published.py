@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.geometry import AnyKind
+from smooth_operator.geometry import AnyArray
 from smooth_operator.objective.keyvectors import KeyvectorLayout
 from smooth_operator.objective.loss import TermsConfig
 from smooth_operator.objective.targets import LayoutT, TargetPolicy, Targets
@@ -20,6 +20,7 @@ from smooth_operator.objective.terms import (
     TINY_AREA,
     TRANSITION,
     FrameGoal,
+    JointCost,
     JointTerm,
     Keyvectors,
     RobotVectors,
@@ -241,18 +242,13 @@ class SmoothL1Velocity(JointTerm):
 
     transition: float
 
-    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
         """See ``JointTerm``."""
-        change: Any = q - goal.previous
-        return smooth_l1(goal.velocity_weight * change, self.transition).sum(axis=-1)  # type: ignore
-
-    def derivatives(
-        self, q: Float[Array, " m"], goal: FrameGoal
-    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        """See ``JointTerm``."""
-        weight = goal.velocity_weight
-        first, second = smooth_l1_slopes(weight * (q - goal.previous), self.transition)
-        return weight * first, weight**2 * second
+        weight: Any = goal.velocity_weight
+        change = weight * (q - goal.previous)
+        first, second = smooth_l1_slopes(change, self.transition)
+        cost = smooth_l1(change, self.transition).sum(axis=-1)
+        return JointCost(cost, weight * first, weight**2 * second)
 
 
 @dataclass(frozen=True)

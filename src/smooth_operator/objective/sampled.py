@@ -49,7 +49,8 @@ class SampledObjective(Objective):
         total = self._point_costs(self.point_terms, q, goal, within_limits)
         pulls = [term.of(goal) for term in self.joint_terms if isinstance(term, Pull)]
         if len(pulls) < len(self.joint_terms):
-            return total + self.regularisation(jnp.stack(q, axis=-1), goal)
+            joints: Array = self.regularisation(jnp.stack(q, axis=-1), goal).cost
+            return total + joints
         # Squares about several poses are one about their mean, and a constant.
         constant: Array | float = 0.0
         weight, centre = pulls[0][0], jnp.asarray(pulls[0][1], q[0].dtype)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from smooth_operator.geometry import AnyKind
+from smooth_operator.geometry import AnyArray
 from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments_apart
 from smooth_operator.hands.differential import PointKinematics, contracted
 from smooth_operator.hands.finger_circles import spread_joints
@@ -21,6 +21,7 @@ from smooth_operator.landmarks import LANDMARKS, TIPS
 from smooth_operator.objective.terms import (
     TRANSITION,
     FrameGoal,
+    JointCost,
     JointTerm,
     PointTerm,
     Quadratic,
@@ -236,23 +237,13 @@ class FingerSpread(JointTerm):
         weights: np.ndarray = np.where(spread_joints(self.hand) & beyond, self.weight, 0.0)
         return weights.astype(np.float32)
 
-    def _excess(self, q: AnyKind) -> AnyKind:
-        off = q - self.hand.neutral.astype(np.float32)
-        excess: AnyKind = off - off.clip(-SPREAD, SPREAD)
-        return excess
-
-    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
         """See ``JointTerm``."""
-        cost: AnyKind = (self._weights * self._excess(q) ** 2).sum(axis=-1)
-        return cost
-
-    def derivatives(
-        self, q: Float[Array, " m"], goal: FrameGoal
-    ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        """See ``JointTerm``."""
-        slopes = 2 * jnp.asarray(self._weights)
-        excess = self._excess(q)
-        return slopes * excess, jnp.where(excess == 0, 0.0, slopes)
+        off, weights = q - self.hand.neutral.astype(np.float32), self._weights
+        excess = off - off.clip(-SPREAD, SPREAD)
+        return JointCost(
+            (weights * excess**2).sum(axis=-1), 2 * weights * excess, 2 * weights * (excess != 0)
+        )
 
 
 @dataclass(frozen=True)

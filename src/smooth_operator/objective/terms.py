@@ -120,18 +120,26 @@ class PointTerm(Term, ABC):
         """
 
 
+class JointCost(NamedTuple):
+    """A cost of joints at poses, with its derivatives.
+
+    Attributes:
+        cost: (...) a sum over the joints.
+        slope: (..., m) first derivative.
+        curvature: (..., m) diagonal of the second derivative, or the one number on it.
+    """
+
+    cost: Any
+    slope: Any
+    curvature: Any
+
+
 class JointTerm(Term, ABC):
-    """A cost of the m actuated joints, each for itself: a sum over the joints."""
+    """A cost of the m actuated joints, each for itself."""
 
     @abstractmethod
-    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
-        """(..., m) joint positions [rad] to their (...) costs; NumPy or JAX."""
-
-    @abstractmethod
-    def derivatives(
-        self, q: Float[Array, " m"], goal: FrameGoal
-    ) -> tuple[Float[Array, " m"], Float[Array, " m"] | Float[Array, ""] | float]:
-        """First derivative, and the diagonal of the second or the one number on it."""
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+        """Cost and derivatives at joint positions [rad]; NumPy or JAX."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,18 +152,11 @@ class Pull(JointTerm):
 
     of: Callable[[FrameGoal], tuple[Any, Any]]
 
-    def cost(self, q: AnyKind, goal: FrameGoal) -> AnyKind:
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
         """See ``JointTerm``."""
         weight, pose = self.of(goal)
-        cost: AnyKind = (weight * (q - pose.astype(q.dtype, copy=False)) ** 2).sum(axis=-1)
-        return cost
-
-    def derivatives(
-        self, q: Float[Array, " m"], goal: FrameGoal
-    ) -> tuple[Float[Array, " m"], Float[Array, ""] | Float[Array, " m"] | float]:
-        """See ``JointTerm``."""
-        weight, pose = self.of(goal)
-        return 2 * weight * (q - pose.astype(q.dtype)), 2 * weight
+        off = q - pose.astype(q.dtype, copy=False)
+        return JointCost((weight * off**2).sum(axis=-1), 2 * weight * off, 2 * weight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +314,7 @@ def smooth_l1(x: AnyKind, transition: float) -> AnyKind:
     return cost
 
 
-def smooth_l1_slopes(x: Array, transition: float) -> tuple[Array, Array]:
+def smooth_l1_slopes(x: AnyKind, transition: float) -> tuple[AnyKind, AnyKind]:
     """First and second derivative of ``smooth_l1``."""
-    slope = jnp.clip(x / transition, -1, 1)
-    return slope, (jnp.abs(slope) < 1) / transition
+    slope = (x / transition).clip(-1, 1)
+    return slope, (abs(slope) < 1) / transition

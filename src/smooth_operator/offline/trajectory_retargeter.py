@@ -113,7 +113,7 @@ class TrajectoryRetargeter:
 
         def costs(q: Array, goal: FrameGoal, valid: Array) -> tuple[Array, Array, Array, Array]:
             cost, gradient, hessian = jax.vmap(objective.value_grad_hess)(q, goal)
-            tracking = cost - jax.vmap(objective.regularisation)(q, goal)
+            tracking = cost - jax.vmap(objective.regularisation)(q, goal).cost
             return (
                 jnp.where(valid, cost, 0.0),
                 jnp.where(valid[:, None], gradient, 0.0),

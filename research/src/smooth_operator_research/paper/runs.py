@@ -130,7 +130,7 @@ class Problem:
         """All of Eq. (1) at an answer to each frame, each with the answer before it."""
         before = np.concatenate([self.start[None], q[:-1]])
         goal = FrameGoal(self.vectors, self.weights, before, velocity_weight)
-        rest = self.objective.regularisation(np.asarray(q), goal)
+        rest = self.objective.regularisation(np.asarray(q), goal).cost
         return np.asarray(self.tracking_loss(q) + rest)
 
 
