@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 import smooth_operator as so
 from smooth_operator import AlignmentConfig, Hand
-from smooth_operator.methods import Method, MethodConfig, MethodOutput
+from smooth_operator.retargeting import Method, MethodConfig, MethodOutput
 
 
 @dataclass(frozen=True)

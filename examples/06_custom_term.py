@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
-from smooth_operator.objective import LeastSquaresTerm
+from smooth_operator.retargeting import LeastSquaresTerm
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ from smooth_operator.hands.registry import MODELS
 SPEC = MODELS / "leap_hand.right.toml"
 """,
     "methods": """
-from smooth_operator.methods.presets import PRESETS as BUILT_IN
+from smooth_operator.retargeting.presets import PRESETS as BUILT_IN
 MyConfig = BUILT_IN["joint_angle"]["default"]
 PRESETS = {"quick": MyConfig}
 """,

@@ -41,7 +41,7 @@ def recording(path: Path) -> None:
 
 
 def episode(path: Path) -> None:
-    from smooth_operator.formats.jsonable import to_json
+    from smooth_operator.io.jsonable import to_json
     from smooth_operator.teleop.recording.convert import read_episode
 
     found = read_episode(path)
@@ -83,7 +83,7 @@ def overwrite(path: Path) -> None:
 
 
 def latency(path: Path) -> None:
-    from smooth_operator.formats.jsonable import to_json
+    from smooth_operator.io.jsonable import to_json
     from smooth_operator.teleop.recording import read_log
     from smooth_operator.teleop.runtime.statistics import log_timing
 
@@ -97,7 +97,7 @@ def operator(path: Path) -> None:
 
 
 def preset(path: Path) -> None:
-    from smooth_operator.methods.presets import method_config
+    from smooth_operator.retargeting.presets import method_config
 
     method_config("sbr", str(path))
 

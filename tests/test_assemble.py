@@ -13,9 +13,9 @@ from smooth_operator.errors import HandModelError, RecordingError
 from smooth_operator.hands.capsules import parts_apart
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.surfaces import tip_surface_distances
-from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.metrics.assemble import assemble_trace, sample_reach
+from smooth_operator.retargeting.aligned_recording import align_recording
+from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 

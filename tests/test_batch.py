@@ -12,15 +12,15 @@ from jax import lax
 from smooth_operator import Hand, Retargeter, method_config
 from smooth_operator.compilation.batching import LaneProgram, Tracks
 from smooth_operator.errors import ConfigError
-from smooth_operator.methods.frame import FrameState, RetargetState
-from smooth_operator.methods.method import Method, MethodOutput
-from smooth_operator.methods.program import ticks_of
-from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.methods.smooth import SmoothConfig
-from smooth_operator.methods.trajectory import TrajectoryConfig, TrajectoryMethodConfig
-from smooth_operator.objective.smooth_terms import SelfCollisionConfig
 from smooth_operator.offline.trajectory_retargeter import TrajectoryRetargeter
-from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.retargeting.frame import FrameState, RetargetState
+from smooth_operator.retargeting.method import Method, MethodOutput
+from smooth_operator.retargeting.program import ticks_of
+from smooth_operator.retargeting.sbr.method import SbrConfig
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig
+from smooth_operator.retargeting.smooth import SmoothConfig
+from smooth_operator.retargeting.smooth_terms import SelfCollisionConfig
+from smooth_operator.retargeting.trajectory import TrajectoryConfig, TrajectoryMethodConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording, Side, Status
 

@@ -32,21 +32,21 @@ from smooth_operator.benchmark.recordings import load_sources, parse_request, un
 from smooth_operator.benchmark.suite import Row
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
-from smooth_operator.formats.jsonable import to_json
-from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.human.flat_hand import human_palm_axes
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import BASES, TIPS
-from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.presets import PRESETS
-from smooth_operator.methods.registry import METHODS
-from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS, evaluate
 from smooth_operator.offline.execution import tools_of
 from smooth_operator.parallel import run_tasks
 from smooth_operator.planning import make_request, plan
 from smooth_operator.plugins import Entry
 from smooth_operator.reporting.report_page import Plots
-from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.flat_hand import human_palm_axes
+from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.retargeting.presets import PRESETS
+from smooth_operator.retargeting.registry import METHODS
+from smooth_operator.retargeting.sbr.method import SbrConfig
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.synthetic.tracker import tracker_model
 
 # The smallest SBR there is: it compiles in a second.

@@ -19,10 +19,10 @@ from smooth_operator.calibration.segments import PROMPTS, Prompt
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import knuckle_joints
-from smooth_operator.human.known_gaps import MEDIAPIPE
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.offline.folder import survey
 from smooth_operator.planning import make_request, plan
+from smooth_operator.retargeting.known_gaps import MEDIAPIPE
 from smooth_operator.types import HandRecording, Side
 
 THREE = "thumb,index,pinky=ring"

@@ -17,11 +17,11 @@ from live_time import PATIENCE_S, until
 from smooth_operator import Retargeter, load_hand, read_commands, read_recording
 from smooth_operator.cli import main
 from smooth_operator.errors import RecordingError
-from smooth_operator.methods.presets import PRESETS
-from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.metrics import METRICS
 from smooth_operator.plugins import Entry
-from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.retargeting.presets import PRESETS
+from smooth_operator.retargeting.sbr.method import SbrConfig
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.types import HandRecording, Side, Status

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from smooth_operator import HandFrame, Retargeter, load_hand, poses
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.planning import make_request
+from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.runtime.limiter import MAX_STEP_S, Clutch, PoseLimiter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline

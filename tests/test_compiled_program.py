@@ -18,9 +18,9 @@ from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_con
 from smooth_operator.compilation import batching, cache, compiled_program
 from smooth_operator.compilation.cache import ProgramCache
 from smooth_operator.compilation.compiled_program import CompiledProgram, program_key
-from smooth_operator.methods import program as programs
-from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.retargeting import program as programs
+from smooth_operator.retargeting.sbr.method import SbrConfig
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 
 TINY = SbrConfig(sampling=SamplingConfig(samples=64, elites=8, cycles=2, draws="quasi"))
 

@@ -17,8 +17,8 @@ from ticks import make_tick
 
 from smooth_operator import HandFrame, Retargeter, load_hand
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.planning import make_request
+from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.teleop.control.rpc import RpcHandlers, RpcServer, remote
 from smooth_operator.teleop.control.switches import actions, keyboard
 from smooth_operator.teleop.pages.live import live_texts

@@ -14,12 +14,12 @@ from smooth_operator import Retargeter, assemble_trace, evaluate, load_hand, met
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.surfaces import tip_surface_distances
-from smooth_operator.human.alignment import reference_landmarks
-from smooth_operator.human.correspondence import Correspondence, CorrespondenceConfig
-from smooth_operator.human.flat_hand import palm_tilt_deg
 from smooth_operator.landmarks import BASES, TIPS
-from smooth_operator.methods.sbr import SBR_REALTIME
 from smooth_operator.metrics.pinches import DEEP, TOUCH_DISTANCE
+from smooth_operator.retargeting.alignment import reference_landmarks
+from smooth_operator.retargeting.correspondence import Correspondence, CorrespondenceConfig
+from smooth_operator.retargeting.flat_hand import palm_tilt_deg
+from smooth_operator.retargeting.sbr.method import SBR_REALTIME
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandFrame

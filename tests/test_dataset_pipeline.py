@@ -45,14 +45,14 @@ from smooth_operator.datasets.store import Store
 from smooth_operator.datasets.writers.registry import WritingOptions
 from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import BASES
-from smooth_operator.methods.presets import PRESETS
-from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.result_cache import content_digest
-from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.retargeting.aligned_recording import align_recording
+from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.presets import PRESETS
+from smooth_operator.retargeting.sbr.method import SbrConfig
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory
 

@@ -5,7 +5,7 @@ import os
 import jax
 
 from smooth_operator.compilation.start import dispatch_here
-from smooth_operator.methods.presets import method_config
+from smooth_operator.retargeting.presets import method_config
 
 
 def test_the_pool_starts_with_one_thread_and_the_environment_is_left_as_it_was(monkeypatch):

@@ -25,7 +25,7 @@ STUDY = PROJECT / "packages" / "smooth_operator_study" / "smooth_operator_study"
 OTHER_NAMES = {
     "smooth_operator.method", "smooth_operator.origin",  # metadata records of the log
     "smooth_operator.sources", "smooth_operator.sinks", "smooth_operator.readers",  # entry points
-    "smooth_operator.commands", "smooth_operator.datasets", "smooth_operator.writers",
+    "smooth_operator.commands", "smooth_operator.methods", "smooth_operator.writers",
 }  # fmt: skip
 """Names that are no modules."""
 SKIP = "<!-- no-test -->"

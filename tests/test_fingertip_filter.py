@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.human.fingertip_filter import (
+from smooth_operator.retargeting.fingertip_filter import (
     FilterState,
     FingertipFilterConfig,
     filter_fingertips,

@@ -55,10 +55,10 @@ from smooth_operator.errors import (
 )
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand, load_hand_spec
-from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import TIPS
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandFrame, HandRecording, Status
 

@@ -8,13 +8,13 @@ import pytest
 
 from smooth_operator import Retargeter, Status
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.solvers.gpu_kernels import (
+from smooth_operator.retargeting.sbr.gpu_kernels import (
     kernels_available,
     next_gaussian,
     solve_positive_definite,
 )
-from smooth_operator.solvers.normals import counter_normal_matrix
-from smooth_operator.solvers.random_words import random_words
+from smooth_operator.retargeting.sbr.normals import counter_normal_matrix
+from smooth_operator.retargeting.sbr.random_words import random_words
 from smooth_operator.synthetic import SyntheticOperator
 
 LIMITS = np.array([[-0.4, 0.5]])

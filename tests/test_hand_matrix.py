@@ -28,10 +28,10 @@ from smooth_operator.baselines.geort.method import (
 )
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import hand_names
-from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.methods.presets import live_presets
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.parallel import run_tasks
+from smooth_operator.retargeting.aligned_recording import align_recording
+from smooth_operator.retargeting.presets import live_presets
 from smooth_operator.synthetic import SyntheticOperator
 
 NAMES = (

@@ -22,10 +22,10 @@ from smooth_operator.hands.loading import Coupling, load_model
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import MODELS, find_hand, hand_names, known_hands, load_hand
 from smooth_operator.hands.spec import JointMap
-from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment
-from smooth_operator.human.flat_hand import palm_tilt_deg
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
-from smooth_operator.objective.keyvectors import KeyvectorLayout
+from smooth_operator.retargeting.alignment import MIN_CONDITION, palm_alignment
+from smooth_operator.retargeting.flat_hand import palm_tilt_deg
+from smooth_operator.retargeting.keyvectors import KeyvectorLayout
 from smooth_operator.synthetic.gestures import RELAXED
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, mirror, pose_hand
 

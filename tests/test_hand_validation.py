@@ -32,9 +32,9 @@ from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.methods.presets import method_config
-from smooth_operator.methods.registry import DEFAULT_METHOD
-from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.registry import DEFAULT_METHOD
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import JointCommand, Result, Status
 

@@ -27,8 +27,8 @@ LIBRARIES = (*HEAVY, "jax", "mujoco", "numpy", "scipy", "trimesh")
 MOST_NAMES = 50
 PUBLIC_NAMES = Path(__file__).with_name("public_names.txt")
 PUBLIC_PACKAGES = (
-    "calibration", "formats", "hand_discovery", "hands", "methods", "metrics", "objective",
-    "solvers", "teleop",
+    "calibration", "formats", "hand_discovery", "hands", "metrics", "retargeting",
+    "teleop",
 )  # fmt: skip
 
 PUBLIC_MODULES = ("errors", "landmarks")

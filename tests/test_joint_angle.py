@@ -25,13 +25,13 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import FingerSpec, HandSpec, JointMap, Point
-from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.flat_hand import human_palm_axes
-from smooth_operator.human.palm import PalmAxes, palm_axes
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, WRIST
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.retargeting.alignment import palm_alignment
+from smooth_operator.retargeting.flat_hand import human_palm_axes
+from smooth_operator.retargeting.palm import PalmAxes, palm_axes
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic.hand_anatomy import (
     JOINTS,
     LOWER,

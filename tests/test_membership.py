@@ -18,7 +18,7 @@ from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.loading import Coupling
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.methods.registry import DEFAULT_METHOD
+from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.pages.hand_view import HandView
 

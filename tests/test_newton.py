@@ -8,7 +8,7 @@ from scipy.optimize import lsq_linear, minimize
 from trees import float64
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
+from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
 
 
 def expansion(cost):

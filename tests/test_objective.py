@@ -13,16 +13,16 @@ from trees import float64, limited_poses
 from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import FINGERS, LANDMARKS
-from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.objective.published import (
+from smooth_operator.retargeting.keyvectors import KeyvectorLayout
+from smooth_operator.retargeting.sbr.published import (
     DexPilotTargets,
     LatchState,
     ObjectiveConfig,
     PlainTargets,
 )
-from smooth_operator.objective.sampled import SampledObjective
-from smooth_operator.objective.targets import Targets
-from smooth_operator.objective.terms import FrameGoal
+from smooth_operator.retargeting.sbr.sampled import SampledObjective
+from smooth_operator.retargeting.targets import Targets
+from smooth_operator.retargeting.terms import FrameGoal
 
 FIVE = KeyvectorLayout(FINGERS)
 

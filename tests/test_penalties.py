@@ -10,10 +10,10 @@ from trees import float64
 
 from smooth_operator import load_hand
 from smooth_operator.errors import ConfigError
-from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.objective.loss import Objective
-from smooth_operator.objective.published import KEYVECTORS, Loss, ObjectiveConfig
-from smooth_operator.objective.terms import FrameGoal, Keyvectors, RobotVectors
+from smooth_operator.retargeting.keyvectors import KeyvectorLayout
+from smooth_operator.retargeting.objective import Objective
+from smooth_operator.retargeting.sbr.published import KEYVECTORS, Loss, ObjectiveConfig
+from smooth_operator.retargeting.terms import FrameGoal, Keyvectors, RobotVectors
 
 TRANSITION = 0.02
 

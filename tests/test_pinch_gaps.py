@@ -7,15 +7,15 @@ import pytest
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.flat_hand import FLAT_HAND
-from smooth_operator.human.known_gaps import MEDIAPIPE, NO_GAPS
-from smooth_operator.human.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.landmarks import TIPS
-from smooth_operator.methods.presets import method_config
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.offline import execute
 from smooth_operator.planning import Plan
+from smooth_operator.retargeting.alignment import palm_alignment
+from smooth_operator.retargeting.flat_hand import FLAT_HAND
+from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
+from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
+from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import tracker_model
 

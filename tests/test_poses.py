@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from smooth_operator import HandFrame, HandRecording, poses
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.poses import WORLD_AXES, WRIST_AXES
+from smooth_operator.retargeting.flat_hand import FLAT_HAND
 
 RNG = np.random.default_rng(7)
 TURNS = Rotation.random(200, random_state=3)

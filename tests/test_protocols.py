@@ -11,13 +11,13 @@ import pytest
 from made_hands import hand_points
 
 from smooth_operator import AlignmentConfig, Hand, HandFrame, Retargeter, Status, load_hand
-from smooth_operator.methods.host_method import HostMethod
-from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
-from smooth_operator.methods.presets import PRESETS, method_config
-from smooth_operator.methods.registry import METHODS
-from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.plugins import Entry
 from smooth_operator.reporting.drawing import COLORS, colors_of
+from smooth_operator.retargeting.host_method import HostMethod
+from smooth_operator.retargeting.method import Method, MethodConfig, MethodOutput
+from smooth_operator.retargeting.presets import PRESETS, method_config
+from smooth_operator.retargeting.registry import METHODS
+from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.teleop.sinks.table import TableSink

@@ -18,7 +18,7 @@ import pytest
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.commands import config_path, read_commands, write_commands
-from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import CommandTrajectory, Status
 
 

@@ -33,7 +33,12 @@ from smooth_operator.errors import (
 )
 from smooth_operator.formats.registry import Reader
 from smooth_operator.hands.registry import HANDS, MODELS, hand_names, known_hands, load_hand
-from smooth_operator.methods.presets import (
+from smooth_operator.metrics import METRICS, Metric, Trace, evaluate
+from smooth_operator.metrics.table import REGISTRY as METRIC_REGISTRY
+from smooth_operator.metrics.table import add_metrics, plugin_metrics
+from smooth_operator.offline.folder import find_recordings
+from smooth_operator.plugins import Entry, Registry
+from smooth_operator.retargeting.presets import (
     PRESETS,
     default_preset,
     live_presets,
@@ -41,13 +46,8 @@ from smooth_operator.methods.presets import (
     method_config,
     method_names,
 )
-from smooth_operator.methods.registry import METHODS
-from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.metrics import METRICS, Metric, Trace, evaluate
-from smooth_operator.metrics.table import REGISTRY as METRIC_REGISTRY
-from smooth_operator.metrics.table import add_metrics, plugin_metrics
-from smooth_operator.offline.folder import find_recordings
-from smooth_operator.plugins import Entry, Registry
+from smooth_operator.retargeting.registry import METHODS
+from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.synthetic import SyntheticOperator
 
 OWN = SbrConfig(settle_rounds=3)
@@ -92,8 +92,10 @@ def test_a_method_of_ones_own_is_named_by_its_module():
     assert method_config(f"{__name__}:OWN") is OWN
     assert method_config(f"{__name__}:TWO") is OWN
     assert method_config(f"{__name__}:TWO", "slow") is TWO["slow"]
-    assert method_config("smooth_operator.methods.sbr:SbrConfig") == SbrConfig()  # the class itself
-    assert default_preset("smooth_operator.methods.sbr:SbrConfig") == "default"
+    assert (
+        method_config("smooth_operator.retargeting.sbr.method:SbrConfig") == SbrConfig()
+    )  # the class itself
+    assert default_preset("smooth_operator.retargeting.sbr.method:SbrConfig") == "default"
     chosen = select_methods((f"{__name__}:TWO", f"{__name__}:TWO:slow", "sbr:paper"))
     assert [c.config for c in chosen] == [*TWO.values(), method_config("sbr", "paper")]
     labels = [method_label(c.method, c.preset) for c in chosen]
@@ -323,7 +325,7 @@ def test_a_cell_is_measured_again_when_the_code_of_its_plugin_changes(monkeypatc
     file = tmp_path / "own_method.py"
     file.write_text(
         "from dataclasses import dataclass\n"
-        "from smooth_operator.methods.sbr import SbrConfig\n"
+        "from smooth_operator.retargeting.sbr.method import SbrConfig\n"
         "@dataclass(frozen=True)\n"
         "class OwnConfig(SbrConfig):\n    pass\n"
         "CONFIG = OwnConfig()\n"

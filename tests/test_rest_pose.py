@@ -7,14 +7,14 @@ from trees import float64
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.errors import ConfigError
-from smooth_operator.methods.smooth import SMOOTH_PRECISE, SmoothConfig
-from smooth_operator.objective.keyvectors import KeyvectorLayout
-from smooth_operator.objective.smooth_terms import (
+from smooth_operator.retargeting.keyvectors import KeyvectorLayout
+from smooth_operator.retargeting.smooth import SMOOTH_PRECISE, SmoothConfig
+from smooth_operator.retargeting.smooth_terms import (
     FingertipPosition,
     FingertipPositionConfig,
     SelfCollisionConfig,
 )
-from smooth_operator.objective.terms import FrameGoal, RobotVectors
+from smooth_operator.retargeting.terms import FrameGoal, RobotVectors
 from smooth_operator_research.physics.reachable_motion import reachable_motion
 
 

@@ -20,8 +20,6 @@ from smooth_operator import Retargeter, load_hand, read_commands, read_recording
 from smooth_operator.atomic_files import claimed
 from smooth_operator.compilation.batching import BLOCK
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
-from smooth_operator.methods.presets import PRESETS
-from smooth_operator.methods.sbr import SbrConfig
 from smooth_operator.offline import folder as pipeline
 from smooth_operator.offline.folder import (
     Entry,
@@ -33,7 +31,9 @@ from smooth_operator.offline.folder import (
     survey,
 )
 from smooth_operator.planning import RetargetRequest, code_of_commands, make_request
-from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.retargeting.presets import PRESETS
+from smooth_operator.retargeting.sbr.method import SbrConfig
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import LogWriter
 from smooth_operator.types import HandRecording, Side, Status
@@ -321,7 +321,7 @@ def test_after_a_change_of_the_code_all_is_made_again(copy, monkeypatch):
 
     monkeypatch.setattr("smooth_operator.planning.code_digest", digest_of)
     assert left(*copy) == {f"{name}.npz" for name in FRAMES}
-    for name in ("methods", "hands", "objective", "human", "formats", "io", "offline"):
+    for name in ("retargeting", "hands", "formats", "io", "offline"):
         assert name in names
 
 

@@ -14,27 +14,27 @@ from smooth_operator.cli.teleop import Teleop
 from smooth_operator.errors import ConfigError, RecordingError, UnknownNameError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import hand_names, load_hand
-from smooth_operator.human.aligned_recording import align_recording, calibrate_scale
-from smooth_operator.human.alignment import (
+from smooth_operator.io.anatomy import implausible
+from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
+from smooth_operator.planning import make_request
+from smooth_operator.retargeting import frame as frame_module
+from smooth_operator.retargeting.aligned_recording import align_recording, calibrate_scale
+from smooth_operator.retargeting.alignment import (
     MIN_CONDITION,
     AlignmentConfig,
     palm_alignment,
     palm_range,
     reference_landmarks,
 )
-from smooth_operator.io.anatomy import implausible
-from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
-from smooth_operator.methods import frame as frame_module
-from smooth_operator.methods.frame import RetargetState
-from smooth_operator.methods.presets import PRESETS, method_config, method_names
-from smooth_operator.methods.registry import DEFAULT_METHOD
-from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.methods.smooth import SmoothConfig
-from smooth_operator.objective.published import ObjectiveConfig, PlainTargets
-from smooth_operator.planning import make_request
-from smooth_operator.solvers.newton import NewtonConfig
-from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.retargeting.frame import RetargetState
+from smooth_operator.retargeting.presets import PRESETS, method_config, method_names
+from smooth_operator.retargeting.registry import DEFAULT_METHOD
+from smooth_operator.retargeting.retargeter import Retargeter
+from smooth_operator.retargeting.sbr.method import SbrConfig
+from smooth_operator.retargeting.sbr.newton import NewtonConfig
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig, PlainTargets
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig
+from smooth_operator.retargeting.smooth import SmoothConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandFrame, HandRecording, Result, Status

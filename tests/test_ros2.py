@@ -22,9 +22,9 @@ from ticks import make_tick
 
 from smooth_operator.errors import ConfigError, RecordingError, SinkError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.poses import wrist_from_landmarks
+from smooth_operator.retargeting.alignment import reference_landmarks
 from smooth_operator.teleop.components import build_sink, build_source
 from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Mode, Tick, WristCommand
 from smooth_operator.teleop.sources.live import Mailbox

@@ -9,9 +9,9 @@ import pytest
 from scipy import stats
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.solvers.normals import counter_normal_matrix, counter_normals
-from smooth_operator.solvers.random_words import frame_key, random_words, seed_words
-from smooth_operator.solvers.sampling import SamplingConfig, quasi_normals, sample_minimise
+from smooth_operator.retargeting.sbr.normals import counter_normal_matrix, counter_normals
+from smooth_operator.retargeting.sbr.random_words import frame_key, random_words, seed_words
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig, quasi_normals, sample_minimise
 
 # Many elites: with few, the covariance (about the new mean) collapses before the mean arrives.
 SMALL = SamplingConfig(samples=2048, elites=512, cycles=15, sigma=0.3)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.compilation.compiled_program import compiled
-from smooth_operator.solvers.sampling import largest
+from smooth_operator.retargeting.sbr.sampling import largest
 
 RNG = np.random.default_rng(5)
 MANY, FEW = 4096, 48

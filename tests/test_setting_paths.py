@@ -12,9 +12,9 @@ from smooth_operator.formats.setting_paths import (
     read_preset_file,
     with_settings,
 )
-from smooth_operator.methods.presets import PRESETS, method_config
-from smooth_operator.methods.sbr import SBR_REALTIME
-from smooth_operator.objective import LeastSquaresTerm
+from smooth_operator.retargeting import LeastSquaresTerm
+from smooth_operator.retargeting.presets import PRESETS, method_config
+from smooth_operator.retargeting.sbr.method import SBR_REALTIME
 
 
 def test_settings_are_replaced_and_checked():

@@ -51,7 +51,7 @@ def test_every_page_is_in_the_site(site):
 
 def test_the_site_has_a_search_index(site):
     index = (site / "search" / "search_index.json").read_text(encoding="utf-8")
-    assert "smooth_operator.methods" in index
+    assert "smooth_operator.retargeting" in index
     assert "load_hand" in index
 
 

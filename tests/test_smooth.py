@@ -20,13 +20,13 @@ from smooth_operator import (
 )
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.penetration import penetration_depths
-from smooth_operator.human.fingertip_filter import FingertipFilterConfig
 from smooth_operator.landmarks import LANDMARKS, TIPS
-from smooth_operator.methods import smooth as smooth_module
-from smooth_operator.methods.smooth import SMOOTH_TELEOP, SmoothConfig
 from smooth_operator.metrics.consistency import frozen_share, motion_preservation
-from smooth_operator.objective.smooth_terms import SelfCollisionConfig
-from smooth_operator.solvers.levenberg import damped_newton
+from smooth_operator.retargeting import smooth as smooth_module
+from smooth_operator.retargeting.fingertip_filter import FingertipFilterConfig
+from smooth_operator.retargeting.levenberg import damped_newton
+from smooth_operator.retargeting.smooth import SMOOTH_TELEOP, SmoothConfig
+from smooth_operator.retargeting.smooth_terms import SelfCollisionConfig
 
 RATE = 115.0
 

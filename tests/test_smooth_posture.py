@@ -5,7 +5,7 @@ import pytest
 
 from smooth_operator import Hand, Retargeter, assemble_trace, evaluate, hand_names, load_hand
 from smooth_operator.landmarks import TIPS
-from smooth_operator.methods.program import FrameState, RetargetState
+from smooth_operator.retargeting.program import FrameState, RetargetState
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording, Status
 

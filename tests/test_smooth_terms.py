@@ -15,12 +15,13 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import MOST, capsule_pairs, parts_apart, segment_parameters
 from smooth_operator.hands.finger_circles import spread_joints
 from smooth_operator.hands.penetration import penetration_depths
-from smooth_operator.methods.method import FrameClock
-from smooth_operator.methods.program import tick_after, ticks_of
-from smooth_operator.objective.loss import Objective
-from smooth_operator.objective.published import ObjectiveConfig
-from smooth_operator.objective.sampled import SampledObjective
-from smooth_operator.objective.smooth_terms import (
+from smooth_operator.retargeting.levenberg import damped_newton
+from smooth_operator.retargeting.method import FrameClock
+from smooth_operator.retargeting.objective import Objective
+from smooth_operator.retargeting.program import tick_after, ticks_of
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig
+from smooth_operator.retargeting.sbr.sampled import SampledObjective
+from smooth_operator.retargeting.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
     FingerSpread,
@@ -28,9 +29,8 @@ from smooth_operator.objective.smooth_terms import (
     SelfCollision,
     SelfCollisionConfig,
 )
-from smooth_operator.objective.targets import CloseTargets
-from smooth_operator.objective.terms import FrameGoal, VectorSlopes
-from smooth_operator.solvers.levenberg import damped_newton
+from smooth_operator.retargeting.targets import CloseTargets
+from smooth_operator.retargeting.terms import FrameGoal, VectorSlopes
 
 NO_GOAL = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 0.0)
 HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")

@@ -12,8 +12,8 @@ import pytest
 from live_time import PATIENCE_S, Kept, Waits, started, until
 
 from smooth_operator.errors import ConfigError, RecordingError, SourceError, UnknownNameError
-from smooth_operator.human.known_gaps import MEDIAPIPE
 from smooth_operator.plugins import Entry, Registry
+from smooth_operator.retargeting.known_gaps import MEDIAPIPE
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import tracker_model
 from smooth_operator.teleop.components import SOURCES, build_component, build_source

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.landmarks import (
     BASES,
     BONES,
@@ -19,6 +18,7 @@ from smooth_operator.landmarks import (
     NUM_LANDMARKS,
     TIPS,
 )
+from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.synthetic import (
     GESTURES,
     TRACKERS,

@@ -11,9 +11,9 @@ from trees import float64, limited_poses
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
 from smooth_operator.geometry import AnyArray
-from smooth_operator.objective import LeastSquaresTerm, ObjectiveConfig
-from smooth_operator.objective.sampled import SampledObjective
-from smooth_operator.objective.terms import FrameGoal, JointCost, JointTerm, smooth_l1
+from smooth_operator.retargeting import LeastSquaresTerm, ObjectiveConfig
+from smooth_operator.retargeting.sbr.sampled import SampledObjective
+from smooth_operator.retargeting.terms import FrameGoal, JointCost, JointTerm, smooth_l1
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from smooth_operator import load_hand, poses, read_recording
 from smooth_operator.episode_files.hdf5 import read_hdf5_episode, write_hdf5_episode
 from smooth_operator.episode_files.npz import read_npz_episode, write_npz_episode
 from smooth_operator.formats.episode import Episode, WristTrack
-from smooth_operator.human.flat_hand import FLAT_HAND
 from smooth_operator.landmarks import FROM_OPENXR_26
+from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.synthetic import SyntheticOperator, WristMotion
 from smooth_operator.teleop.recording.convert import read_episode
 from smooth_operator.teleop.recording.log_episode import read_log_episode, write_log_episode

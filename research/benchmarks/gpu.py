@@ -24,7 +24,7 @@ import numpy as np
 from smooth_operator import HandFrame, Retargeter
 from smooth_operator.datasets.pipeline import gpu_samples
 from smooth_operator.errors import ConfigError
-from smooth_operator.methods.sbr import SbrConfig
+from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator_research.run_report import (
     BenchmarkError,
     Report,

@@ -23,9 +23,9 @@ from smooth_operator.benchmark.figures import Panel, Run
 from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.cli.hand_shape import ModelShape
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics import Trace, evaluate, posture
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.types import HandRecording
 
 COLUMNS: Final = {

@@ -29,7 +29,7 @@ from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, WRIST
-from smooth_operator.methods.presets import method_config
+from smooth_operator.retargeting.presets import method_config
 from smooth_operator.types import CommandTrajectory
 from smooth_operator_research.run_report import (
     BenchmarkError,

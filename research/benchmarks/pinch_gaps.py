@@ -19,10 +19,10 @@ import numpy as np
 
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import palm_alignment
-from smooth_operator.human.known_gaps import MEDIAPIPE, NO_GAPS
-from smooth_operator.human.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
+from smooth_operator.retargeting.alignment import palm_alignment
+from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
+from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.types import HandRecording
 
 CLOSED, CONTACT, FAR, LEAST = 8.0, 3.0, 10.0, 15.0  # [mm]

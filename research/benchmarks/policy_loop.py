@@ -40,7 +40,7 @@ import tyro
 from smooth_operator import load_hand
 from smooth_operator.benchmark.cells import select_methods
 from smooth_operator.hands.hand import Hand
-from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.simulation.scenes import scene_for
 from smooth_operator.simulation.scenes.scene import object_pose
 from smooth_operator.simulation.tasks import task_named

@@ -7,7 +7,7 @@ import pytest
 
 from smooth_operator import load_hand, method_config
 from smooth_operator.errors import StudyError, UnknownNameError
-from smooth_operator.human.known_gaps import MEDIAPIPE
+from smooth_operator.retargeting.known_gaps import MEDIAPIPE
 from smooth_operator.simulation.scenes import SCENES
 from smooth_operator.synthetic.tracker import TRACKERS
 from smooth_operator_research.physics.demonstrations import Demonstrations

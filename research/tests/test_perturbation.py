@@ -8,8 +8,8 @@ import pytest
 from smooth_operator.baselines.joint_angle import joint_angles
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.palm import palm_axes
 from smooth_operator.landmarks import BASES, BONES, LANDMARKS, TIPS
+from smooth_operator.retargeting.palm import palm_axes
 from smooth_operator.simulation.scenes import SCENES, ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.scene import OBJECT
 from smooth_operator.simulation.tasks import TASKS

@@ -7,8 +7,8 @@ import pytest
 
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import BASES, TIPS, WRIST
+from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.synthetic.tracker import TRACKERS
 from smooth_operator_research.physics.reachable_motion import (
     KNOT_S,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator.methods.presets import method_config
+from smooth_operator.retargeting.presets import method_config
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "explanation" / "smooth.md"
@@ -71,11 +71,12 @@ MOST_LINES = 1610
 """2,160 on 2026-11-27, without pinch gaps (102) and the thumb's pad (25), new since."""
 
 A_FRAME = (
-    "human/alignment", "human/pinch_gaps", "human/fingertip_filter",
-    "human/correspondence", "objective/targets", "objective/keyvectors",
-    "objective/terms", "objective/smooth_terms", "objective/loss", "objective/straight_fingers",
-    "hands/differential", "hands/pose_table", "solvers/levenberg", "methods/method",
-    "methods/smooth", "methods/frame", "methods/program",
+    "retargeting/frame", "retargeting/program", "retargeting/alignment", "retargeting/method",
+    "retargeting/smooth", "retargeting/pinch_gaps", "retargeting/fingertip_filter",
+    "retargeting/correspondence", "retargeting/targets", "retargeting/keyvectors",
+    "retargeting/terms", "retargeting/smooth_terms", "retargeting/objective",
+    "retargeting/straight_fingers", "retargeting/levenberg", "hands/differential",
+    "hands/pose_table",
 )  # fmt: skip
 """Modules that a frame of ``smooth`` passes from landmarks to command."""
 

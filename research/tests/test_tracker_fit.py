@@ -8,8 +8,8 @@ import pytest
 
 from smooth_operator.formats.episode import Episode
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.landmarks import BASES, TIPS, WRIST
+from smooth_operator.retargeting.alignment import reference_landmarks
 from smooth_operator.synthetic.tracker import TRACKERS, TrackerModel, TrackerStream
 from smooth_operator.teleop.recording import write_episode
 from smooth_operator.types import HandRecording

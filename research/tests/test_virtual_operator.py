@@ -11,8 +11,8 @@ import pytest
 
 from smooth_operator import Hand, Retargeter, load_hand
 from smooth_operator.errors import ConfigError, StudyError
-from smooth_operator.human.known_gaps import MEDIAPIPE
 from smooth_operator.landmarks import TIPS
+from smooth_operator.retargeting.known_gaps import MEDIAPIPE
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.task import TASKS
 from smooth_operator.simulation.tasks.trial import Outcome

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, BinaryIO, Final
 
 from smooth_operator.errors import OutputError
-from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.jsonable import to_json
 
 _LOCKED_BYTE: Final = 1 << 30
 """Place of the byte that is locked on Windows, behind what is in a file for a while [byte]."""

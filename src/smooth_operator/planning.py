@@ -18,13 +18,13 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
-from smooth_operator.human.aligned_recording import calibrate_scale
-from smooth_operator.human.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.io.documents import read_json
-from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.presets import default_preset, method_config
-from smooth_operator.methods.registry import DEFAULT_METHOD
 from smooth_operator.result_cache import content_digest, key_digest, outside_code
+from smooth_operator.retargeting.aligned_recording import calibrate_scale
+from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
+from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.retargeting.presets import default_preset, method_config
+from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.source_digest import code_digest
 from smooth_operator.types import HandRecording, Side
 
@@ -35,7 +35,7 @@ _MOST_BYTES: Final = 64_000_000  # of a configuration that lists thousands of re
 
 _CODE: Final = (
     *("geometry.py", "landmarks.py", "planning.py", "poses.py", "types.py"),
-    *("human", "hands", "objective", "solvers", "methods", "baselines", "compilation"),
+    *("hands", "retargeting", "baselines", "compilation"),
     *("io", "formats", "episode_files", "headsets", "teleop/recording", "offline"),
 )
 """Files and folders of this package that commands depend on."""

@@ -21,8 +21,8 @@ from typing import Any, ClassVar, Final, Generic, TypeAlias, TypeVar
 
 from smooth_operator.atomic_files import output_error, write_json
 from smooth_operator.errors import DocumentError, SmoothOperatorError
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json, read_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.parallel import TaskResult
 from smooth_operator.source_digest import HOME
 from smooth_operator.source_digest import code_digest as code_digest

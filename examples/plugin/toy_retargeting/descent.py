@@ -7,8 +7,14 @@ import jax
 import jax.numpy as jnp
 
 from smooth_operator import AlignmentConfig
-from smooth_operator.methods import Method, MethodOutput, ObjectiveMethodConfig
-from smooth_operator.objective import FrameGoal, ObjectiveConfig, SampledObjective
+from smooth_operator.retargeting import (
+    FrameGoal,
+    Method,
+    MethodOutput,
+    ObjectiveConfig,
+    ObjectiveMethodConfig,
+    SampledObjective,
+)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from smooth_operator.datasets.clip import CAMERA, Clip, ObjectTrack
 from smooth_operator.datasets.readers.both_hands import checked_hands, first_video
 from smooth_operator.datasets.registry import ClipRef
 from smooth_operator.errors import RecordingError
-from smooth_operator.human.palm import palm_axes
+from smooth_operator.retargeting.palm import palm_axes
 from smooth_operator.types import HandRecording, Side
 
 MOST_FRAMES: Final = 1_000_000

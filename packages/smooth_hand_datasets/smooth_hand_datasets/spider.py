@@ -34,7 +34,7 @@ from smooth_operator.datasets.clip import SIDES, RobotClip
 from smooth_operator.datasets.writers.arrays import slug, unique_slug
 from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.datasets.writers.shards import npz_bytes
-from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.jsonable import to_json
 
 _RATE: Final = 50.0  # ref_dt = 0.02, the default of SPIDER's programs
 _TIPS: Final = [4, 8, 12, 16, 20]

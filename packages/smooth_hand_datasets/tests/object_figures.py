@@ -12,9 +12,9 @@ from object_scenes import MadeClip
 
 from smooth_hand_datasets.objects.hand_surface import HandSurface
 from smooth_hand_datasets.objects.interaction_metrics import interaction_figures, interaction_tracks
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.metrics.accuracy import cosine_similarity
 from smooth_operator.metrics.assemble import assemble_trace
+from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.types import CommandTrajectory
 
 AWARE: Final = "object-aware"

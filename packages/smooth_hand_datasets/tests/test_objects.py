@@ -35,11 +35,11 @@ from smooth_operator.datasets.retargeting import Recipe, retarget_clips, whole_c
 from smooth_operator.datasets.sources import find_items
 from smooth_operator.datasets.work import read_item
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.methods.sbr import SbrConfig
-from smooth_operator.methods.trajectory import TrajectoryConfig, TrajectoryMethodConfig
 from smooth_operator.planning import RetargetRequest
-from smooth_operator.solvers.newton import NewtonConfig
-from smooth_operator.solvers.sampling import SamplingConfig
+from smooth_operator.retargeting.sbr.method import SbrConfig
+from smooth_operator.retargeting.sbr.newton import NewtonConfig
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig
+from smooth_operator.retargeting.trajectory import TrajectoryConfig, TrajectoryMethodConfig
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 
 

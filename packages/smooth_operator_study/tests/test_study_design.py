@@ -13,7 +13,7 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
-from smooth_operator.methods.presets import live_presets
+from smooth_operator.retargeting.presets import live_presets
 from smooth_operator.simulation.tasks.task import PAPER_TASKS
 from smooth_operator_study.design.forms import DEFAULT_FORMS
 from smooth_operator_study.design.plan import (

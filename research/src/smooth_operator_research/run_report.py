@@ -23,7 +23,7 @@ import tyro
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.formats.environment import environment
 from smooth_operator.hands.hand import Hand
-from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording
 

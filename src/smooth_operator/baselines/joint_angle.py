@@ -52,14 +52,14 @@ from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import JointMap
-from smooth_operator.human.alignment import AlignmentConfig
-from smooth_operator.human.flat_hand import human_palm_axes
-from smooth_operator.human.palm import PalmAxes, unit_vectors
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS, WRIST
-from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
-from smooth_operator.objective.published import ObjectiveConfig, PlainTargets
-from smooth_operator.objective.sampled import SampledObjective
-from smooth_operator.objective.terms import FrameGoal
+from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.flat_hand import human_palm_axes
+from smooth_operator.retargeting.method import Method, MethodConfig, MethodOutput
+from smooth_operator.retargeting.palm import PalmAxes, unit_vectors
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig, PlainTargets
+from smooth_operator.retargeting.sbr.sampled import SampledObjective
+from smooth_operator.retargeting.terms import FrameGoal
 
 
 class JointAngleMap:

@@ -27,22 +27,22 @@ from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
 from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import WRIST
-from smooth_operator.methods.host_method import HostMethod
-from smooth_operator.methods.method import Compiling, MethodOutput, ObjectiveMethodConfig
-from smooth_operator.objective.keyvectors import VectorLayout, tips_of
-from smooth_operator.objective.published import (
+from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.host_method import HostMethod
+from smooth_operator.retargeting.keyvectors import VectorLayout, tips_of
+from smooth_operator.retargeting.method import Compiling, MethodOutput, ObjectiveMethodConfig
+from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
+from smooth_operator.retargeting.sbr.published import (
     DexPilotTargets,
     ObjectiveConfig,
     PlainTargets,
     StatelessTargets,
 )
-from smooth_operator.objective.sampled import SampledObjective
-from smooth_operator.objective.targets import Targets
-from smooth_operator.objective.terms import FrameGoal
+from smooth_operator.retargeting.sbr.sampled import SampledObjective
+from smooth_operator.retargeting.targets import Targets
+from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.settings import check_choice, check_numbers
-from smooth_operator.solvers.newton import NewtonConfig, newton_minimise
 
 
 @dataclass(frozen=True)

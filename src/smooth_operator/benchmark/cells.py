@@ -14,16 +14,16 @@ from smooth_operator.atomic_files import file_name
 from smooth_operator.benchmark.recordings import Source
 from smooth_operator.calibration.operator_file import OperatorProfile
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.registry import hand_names, known_hands, load_hand
-from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.presets import PRESETS, loadable_presets, method_config
-from smooth_operator.methods.registry import METHODS
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.metrics.table import Definition, plugin_metrics
 from smooth_operator.planning import Plan
 from smooth_operator.plugins import is_target
 from smooth_operator.result_cache import code_digest, content_digest, key_digest
 from smooth_operator.result_cache import outside_code as outside_code
+from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.retargeting.presets import PRESETS, loadable_presets, method_config
+from smooth_operator.retargeting.registry import METHODS
 from smooth_operator.types import Side
 
 ALL: Final = "all"
@@ -284,8 +284,8 @@ def benchmark_code() -> str:
     benchmark gets its cells measured again.
     """
     return code_digest(
-        "geometry.py", "landmarks.py", "types.py", "human", "hands", "objective", "solvers",
-        "methods", "baselines", "metrics", "offline", "io", "formats",
+        "geometry.py", "landmarks.py", "types.py", "hands", "retargeting",
+        "compilation", "baselines", "metrics", "offline", "io", "formats",
     )  # fmt: skip
 
 

@@ -18,7 +18,6 @@ from smooth_operator.benchmark.quality import Measured
 from smooth_operator.benchmark.suite import Finished, Row, row_method, value_of
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import BASES, BONES, FINGERS, LANDMARKS, NUM_LANDMARKS, TIPS, WRIST
 from smooth_operator.metrics import METRICS
 from smooth_operator.planning import Plan
@@ -33,6 +32,7 @@ from smooth_operator.reporting.drawing import (
     styled,
     write_figure,
 )
+from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.types import CommandTrajectory
 
 if TYPE_CHECKING:

@@ -23,9 +23,9 @@ from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorEr
 from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
 from smooth_operator.formats.registry import recording_suffixes
-from smooth_operator.human.known_gaps import MEDIAPIPE, known_gaps
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.offline.folder import find_recordings
+from smooth_operator.retargeting.known_gaps import MEDIAPIPE, known_gaps
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import TRACKERS, tracker_model
 from smooth_operator.types import HandRecording, Side, as_side

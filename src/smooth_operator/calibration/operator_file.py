@@ -10,10 +10,10 @@ from typing import Final
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError, DocumentError, brief
 from smooth_operator.extras import UPGRADE
-from smooth_operator.formats.jsonable import to_json
-from smooth_operator.human.known_gaps import check_gaps
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.entries import Entries
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.retargeting.known_gaps import check_gaps
 from smooth_operator.types import Side, as_side
 
 FORMAT: Final = "smooth-operator operator"

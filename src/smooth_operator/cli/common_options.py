@@ -11,8 +11,8 @@ from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, get_args
 from tyro.conf import arg
 
 from smooth_operator.errors import MissingExtraError, require
-from smooth_operator.methods.registry import DEFAULT_METHOD, METHODS
 from smooth_operator.plugins import Entry
+from smooth_operator.retargeting.registry import DEFAULT_METHOD, METHODS
 
 HandSide: TypeAlias = Literal["right", "left"]
 METHOD_HELP: Final = (

@@ -20,7 +20,7 @@ from smooth_operator.datasets.work import Entry
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, counted
-from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.terminal import printable
 
 _SHOWN_FAILURES = 20

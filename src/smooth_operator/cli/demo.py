@@ -118,7 +118,7 @@ def _write(
     from smooth_operator.atomic_files import atomic_write
     from smooth_operator.benchmark.figures import save_plots
     from smooth_operator.formats.commands import write_commands
-    from smooth_operator.formats.jsonable import to_json
+    from smooth_operator.io.jsonable import to_json
     from smooth_operator.teleop.recording import LogWriter
     from smooth_operator.types import JointCommand, Status
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.doctor_options import Doctor
 from smooth_operator.compilation.diagnosis import environment
-from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.runtime.priority import going_first
 
 

@@ -16,9 +16,9 @@ from rich.text import Text
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.hardware_options import Check, List, Monitor
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.formats.jsonable import numbers
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.io.jsonable import numbers
 from smooth_operator.teleop.components import SINKS, build_sink
 from smooth_operator.teleop.hardware.actuator_map import (
     ActuatorMap,

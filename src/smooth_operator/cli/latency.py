@@ -45,7 +45,7 @@ _SHOWN: Final = ("p50", "p95", "p99", "max")
 
 def latency(options: Latency) -> None:
     """Prints a table for each log, or JSON."""
-    from smooth_operator.formats.jsonable import to_json
+    from smooth_operator.io.jsonable import to_json
     from smooth_operator.teleop.recording import read_log
     from smooth_operator.teleop.runtime.statistics import log_timing
 

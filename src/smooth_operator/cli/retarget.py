@@ -96,9 +96,9 @@ def retarget(options: Retarget) -> None:
     from smooth_operator.cli.session import execute_shown, measure_shown, requested
     from smooth_operator.formats.checks import frame_slice, reading_notes
     from smooth_operator.formats.commands import write_commands
-    from smooth_operator.formats.jsonable import to_json
-    from smooth_operator.methods.trajectory import TrajectoryMethodConfig
+    from smooth_operator.io.jsonable import to_json
     from smooth_operator.planning import configuration, plan
+    from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
     from smooth_operator.types import Status
 
     if options.recording.is_dir():
@@ -172,8 +172,8 @@ def retarget_folder(options: Retarget) -> None:
     from smooth_operator.cli.outputs import folder_for, stopped
     from smooth_operator.cli.session import requested
     from smooth_operator.formats.environment import environment
-    from smooth_operator.formats.jsonable import to_json
     from smooth_operator.formats.registry import file_kind, is_dataset
+    from smooth_operator.io.jsonable import to_json
     from smooth_operator.offline.folder import (
         SUMMARY,
         check_folders,

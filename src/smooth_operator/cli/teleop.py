@@ -19,7 +19,7 @@ from smooth_operator.cli.common_options import (
     PinchGapChoice,
 )
 from smooth_operator.errors import ConfigError
-from smooth_operator.methods.registry import DEFAULT_METHOD
+from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.teleop.components import SINKS, SOURCES
 from smooth_operator.teleop.runtime.settings import LimitsConfig, SafetyConfig, WristConfig
 

@@ -15,8 +15,8 @@ from smooth_operator.errors import ConfigError, HandModelError, RecordingError
 if TYPE_CHECKING:
     from smooth_operator.hands.hand import Hand
     from smooth_operator.hands.spec import FingerChoice
-    from smooth_operator.human.alignment import AlignmentConfig
     from smooth_operator.metrics import Trace
+    from smooth_operator.retargeting.alignment import AlignmentConfig
     from smooth_operator.teleop.pages import Playback
     from smooth_operator.types import CommandTrajectory, HandRecording
 
@@ -211,7 +211,7 @@ def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
 
 def _alignment(config: dict[str, Any]) -> AlignmentConfig:
     """The scale that the method used, where the configuration says."""
-    from smooth_operator.human.alignment import AlignmentConfig
+    from smooth_operator.retargeting.alignment import AlignmentConfig
 
     try:
         return AlignmentConfig(scale=config["config"]["alignment"]["scale"])

@@ -26,11 +26,11 @@ import numpy as np
 from smooth_operator.compilation.cache import LOGGER, ProgramCache, jax_cache, program_cache
 from smooth_operator.geometry import on_gpu
 from smooth_operator.hands.hand import Hand, fingerprint
-from smooth_operator.methods.method import MethodConfig
+from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.source_digest import HOME, code_digest
 
 _CODE: Final = (
-    "compilation", "methods", "baselines", "objective", "solvers", "human", "hands",
+    "compilation", "retargeting", "baselines", "hands",
     "geometry.py", "io/anatomy.py", "poses.py", "landmarks.py", "types.py",
 )  # fmt: skip
 """Code that programs are traced from."""

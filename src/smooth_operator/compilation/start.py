@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:  # their imports take a second
     from smooth_operator.hands.hand import Hand
-    from smooth_operator.methods.method import MethodConfig
-    from smooth_operator.methods.retargeter import Retargeter
+    from smooth_operator.retargeting.method import MethodConfig
+    from smooth_operator.retargeting.retargeter import Retargeter
 
 _SIZES: Final = ("PJRT_NPROC", "NPROC")
 """Environment variables from which XLA takes the size of its pool of threads, when it starts."""
@@ -50,7 +50,7 @@ def build_retargeter(
     Raises:
         ConfigError: the preset needs the whole recording.
     """
-    from smooth_operator.methods.retargeter import Retargeter
+    from smooth_operator.retargeting.retargeter import Retargeter
 
     started = time.perf_counter()
     dispatch_here(one_thread=config.one_thread)

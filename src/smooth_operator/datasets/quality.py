@@ -16,13 +16,13 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import STIFF_M, finger_motion
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
-from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
 from smooth_operator.metrics import summary
 from smooth_operator.metrics.consistency import second_derivative
 from smooth_operator.metrics.joints import max_joint_step
 from smooth_operator.metrics.safety import COLLISION_DEPTH
+from smooth_operator.retargeting.aligned_recording import align_recording
+from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 REACHED: Final = 0.25

@@ -15,13 +15,13 @@ from smooth_operator.datasets.clip import SIDES, Clip, Frame, RobotClip, in_fram
 from smooth_operator.datasets.quality import Tracks, quality_tracks
 from smooth_operator.datasets.registry import DATASETS, RESEARCH_PACKAGE, ReadingOptions
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
-from smooth_operator.formats.jsonable import to_json
-from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.trajectory import TrajectoryMethodConfig
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.offline.execution import answers
 from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, code_of_commands, plan
 from smooth_operator.plugins import Entry
 from smooth_operator.result_cache import content_digest, key_digest
+from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 from smooth_operator.version import package_version
 

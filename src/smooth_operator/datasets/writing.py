@@ -21,8 +21,8 @@ from smooth_operator.datasets.retargeting import Recipe
 from smooth_operator.datasets.store import Kept, Store
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.errors import OutputError, RecordingError
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import read_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.parallel import run_tasks
 from smooth_operator.planning import PROGRAM
 from smooth_operator.reporting.report_page import Html, Plots, templates, write_report_page

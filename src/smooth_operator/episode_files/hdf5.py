@@ -70,8 +70,8 @@ from smooth_operator.formats.episode import (
     check_commands,
 )
 from smooth_operator.formats.hand_arrays import own_stamps
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 

@@ -39,9 +39,9 @@ from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.commands import config_path, read_commands, written_result
 from smooth_operator.formats.episode import Episode, WristTrack
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.readers import LANDMARK_STAMPS, read_recording
 from smooth_operator.io.documents import parse_json, read_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import Side, Status
 
 _COMMANDS: Final = ("joint_positions", "joint_names", "latency_ms", "status")

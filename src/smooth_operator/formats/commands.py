@@ -16,8 +16,8 @@ from smooth_operator.errors import OutputError, RecordingError, brief
 from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.episode import check_commands
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.registry import file_kind
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import CommandTrajectory, Status
 
 _KEYS = ("joint_positions", "joint_names", "timestamps", "latency_ms", "status")

@@ -36,10 +36,10 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.methods.presets import PRESETS, method_config, method_names
-from smooth_operator.methods.registry import DEFAULT_METHOD
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.metrics.consistency import frozen_share
+from smooth_operator.retargeting.presets import PRESETS, method_config, method_names
+from smooth_operator.retargeting.registry import DEFAULT_METHOD
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandFrame, Status
 

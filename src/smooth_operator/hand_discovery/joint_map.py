@@ -14,8 +14,8 @@ from smooth_operator.baselines.joint_angle import JointAngleMap
 from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.checks import Check
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
+from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.synthetic import SyntheticOperator
 
 _SECONDS: Final = 20.0  # of the built-in operator: all that it does

@@ -13,10 +13,10 @@ from smooth_operator.hands.collision import PALM, owners, solid_shapes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import crowded_links, neutral_overlaps
 from smooth_operator.hands.stand_ins import stand_in_links
-from smooth_operator.human.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
-from smooth_operator.human.flat_hand import palm_tilt_deg
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics.safety import COLLISION_DEPTH
+from smooth_operator.retargeting.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
+from smooth_operator.retargeting.flat_hand import palm_tilt_deg
 
 _TURN: Final = 2 * np.pi  # no finger joint turns further; degrees read as radians do [rad]
 _WIDE: Final = 3.6  # [rad]; LEAP's widest has 3.2

@@ -11,11 +11,11 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.surfaces import tip_surface_distances
-from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import LANDMARKS, NUM_LANDMARKS
 from smooth_operator.metrics.pinches import pinched_frames
 from smooth_operator.metrics.trace import Trace
+from smooth_operator.retargeting.aligned_recording import align_recording
+from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.types import CommandTrajectory, HandRecording
 
 REACH_SAMPLES: Final = 100_000

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.human.palm import unit_vectors
 from smooth_operator.metrics import summary
+from smooth_operator.retargeting.palm import unit_vectors
 
 FLAT: Final = 0.92
 """A hand all of whose long fingers are extended further than this is flat."""

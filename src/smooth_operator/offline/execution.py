@@ -14,14 +14,14 @@ from jaxtyping import Float
 from smooth_operator.compilation.cache import jax_cache
 from smooth_operator.compilation.start import build_retargeter as build_retargeter
 from smooth_operator.compilation.start import dispatch_here
-from smooth_operator.formats.jsonable import to_json
-from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.trajectory import TrajectoryMethodConfig
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.metrics.table import Definition
 from smooth_operator.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.planning import Plan
+from smooth_operator.retargeting.retargeter import Retargeter
+from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.types import CommandTrajectory
 
 Runner: TypeAlias = Retargeter | TrajectoryRetargeter

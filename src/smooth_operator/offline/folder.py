@@ -21,11 +21,11 @@ from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.checks import frame_slice, reading_notes, stamps_from_rate
 from smooth_operator.formats.commands import config_path, encode_commands, write_encoded_commands
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.formats.readers import rated_if_unstamped
 from smooth_operator.formats.registry import file_kind, is_dataset, recording_suffixes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.offline.execution import answers, tools_of
 from smooth_operator.offline.finished import finished, foreign, identity
 from smooth_operator.offline.trajectory_retargeter import check_method

@@ -25,15 +25,7 @@ from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.known_gaps import NO_GAPS
-from smooth_operator.human.pinch_gaps import PinchGapEstimate, PinchGapState
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
-from smooth_operator.methods.frame import align_frame
-from smooth_operator.methods.method import Method, MethodConfig
-from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.trajectory import TrajectoryMethodConfig
-from smooth_operator.objective.loss import Objective
-from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.offline.trajectory_solver import (
     JOINED,
     ExtraTerms,
@@ -41,6 +33,14 @@ from smooth_operator.offline.trajectory_solver import (
     Led,
     smooth_trajectory,
 )
+from smooth_operator.retargeting.frame import align_frame
+from smooth_operator.retargeting.known_gaps import NO_GAPS
+from smooth_operator.retargeting.method import Method, MethodConfig
+from smooth_operator.retargeting.objective import Objective
+from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
+from smooth_operator.retargeting.retargeter import Retargeter
+from smooth_operator.retargeting.terms import FrameGoal
+from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 WINDOW: Final = 2048

@@ -26,7 +26,7 @@ from typing import Final, NamedTuple, Protocol, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float
 
-from smooth_operator.methods.trajectory import SPEEDING, TrajectoryConfig
+from smooth_operator.retargeting.trajectory import SPEEDING, TrajectoryConfig
 
 JOINED: Final = 2
 """Frames before and after a frame that its acceleration joins it to."""

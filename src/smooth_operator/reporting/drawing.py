@@ -15,7 +15,7 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import SmoothOperatorError
-from smooth_operator.methods.registry import METHODS, as_presets
+from smooth_operator.retargeting.registry import METHODS, as_presets
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import palm_alignment
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
+from smooth_operator.retargeting.alignment import palm_alignment
 from smooth_operator.synthetic.hand_anatomy import NUM_JOINTS, draw_anatomy, mirror, pose_hand
 
 

@@ -15,9 +15,9 @@ from smooth_operator.errors import ConfigError, MissingExtraError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.landmarks import FROM_OPENXR_26, METACARPALS_OPENXR_26
-from smooth_operator.methods.registry import DEFAULT_METHOD
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.poses import WORLD_AXES, is_valid, to_ours
+from smooth_operator.retargeting.registry import DEFAULT_METHOD
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, SafetyConfig
 from smooth_operator.teleop.sources.live import Arrival

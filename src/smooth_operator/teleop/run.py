@@ -24,10 +24,6 @@ from smooth_operator.hand_files.vendor_model import drawn_on
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, hand_names
 from smooth_operator.hands.spec import HandSpec
-from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.presets import default_preset, method_config, method_names
-from smooth_operator.methods.registry import DEFAULT_METHOD
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import (
     PinchGapChoice,
     RetargetRequest,
@@ -36,6 +32,10 @@ from smooth_operator.planning import (
     resolve,
     resolve_config,
 )
+from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.retargeting.presets import default_preset, method_config, method_names
+from smooth_operator.retargeting.registry import DEFAULT_METHOD
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
 from smooth_operator.teleop.components import build_sink, build_source

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from smooth_operator import poses
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import (
+from smooth_operator.retargeting.alignment import (
     MIN_CONDITION,
     AlignmentConfig,
     palm_alignment,

@@ -14,8 +14,8 @@ from smooth_operator.cli.outputs import folder_for
 from smooth_operator.errors import ConfigError, DocumentError, SmoothOperatorError, StudyError
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.io.documents import parse_json
+from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.types import CommandTrajectory
 from smooth_operator_study.commands.options import Metrics

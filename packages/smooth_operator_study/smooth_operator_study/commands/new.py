@@ -10,7 +10,7 @@ from rich.text import Text
 from smooth_operator.cli.console import output_console, plain_table
 from smooth_operator.cli.outputs import folder_for
 from smooth_operator.errors import ConfigError, UnknownNameError
-from smooth_operator.methods.registry import METHODS
+from smooth_operator.retargeting.registry import METHODS
 from smooth_operator.simulation.tasks.task import PAPER_TASKS, TASKS
 from smooth_operator.terminal import printable
 from smooth_operator_study.commands.options import Enrol, New

@@ -514,7 +514,7 @@ def _running(answer: Mapping[str, Any]) -> tuple[str, str | None]:
 
 def _default_preset(running: tuple[str, str | None]) -> str | None:
     """Default preset of the running method; the running preset if the method is not known here."""
-    from smooth_operator.methods.presets import default_preset
+    from smooth_operator.retargeting.presets import default_preset
 
     try:
         return default_preset(running[0])

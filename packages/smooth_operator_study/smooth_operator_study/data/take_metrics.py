@@ -16,10 +16,10 @@ import numpy as np
 
 from smooth_operator.errors import StudyError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.metrics.assemble import assemble_trace, sample_reach
 from smooth_operator.metrics.table import find_metric
 from smooth_operator.metrics.trace import Trace
+from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.types import CommandTrajectory, HandRecording
 from smooth_operator_study.store.progress import Trial
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
 from smooth_operator.simulation.tasks.task import SimulatedTask

@@ -10,7 +10,7 @@ import numpy as np
 from smooth_operator.baselines.slsqp import SlsqpConfig
 from smooth_operator.baselines.slsqp_method import DEXPILOT
 from smooth_operator.errors import counted
-from smooth_operator.methods.sbr import SBR_PAPER
+from smooth_operator.retargeting.sbr.method import SBR_PAPER
 from smooth_operator_research.paper.compared_solvers import Slsqp
 from smooth_operator_research.paper.experiment import (
     Drawing,

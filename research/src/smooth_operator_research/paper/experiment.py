@@ -19,7 +19,6 @@ from smooth_operator.benchmark.suite import check_folder as check_benchmark_fold
 from smooth_operator.errors import DocumentError, UnknownNameError, counted
 from smooth_operator.formats.environment import environment
 from smooth_operator.io.plain_files import check_plain_file
-from smooth_operator.objective.published import ObjectiveConfig
 from smooth_operator.parallel import TaskResult
 from smooth_operator.planning import PROGRAM, read_configuration
 from smooth_operator.result_cache import (
@@ -31,6 +30,7 @@ from smooth_operator.result_cache import (
     find_results,
     no_note,
 )
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.paper.compared_solvers import Solver
 from smooth_operator_research.paper.runs import Problem, Run, make_problems, run_solver

@@ -10,9 +10,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.objective.terms import FrameGoal
 from smooth_operator.reporting.drawing import INK
 from smooth_operator.result_cache import Job, content_digest
+from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator_research.paper.compared_solvers import Newton, Rmsprop, Slsqp
 from smooth_operator_research.paper.experiment import (
     Compute,

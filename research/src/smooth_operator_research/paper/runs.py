@@ -26,17 +26,17 @@ from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
-from smooth_operator.objective.published import ObjectiveConfig
-from smooth_operator.objective.sampled import SampledObjective
-from smooth_operator.objective.targets import Targets
-from smooth_operator.objective.terms import FrameGoal
-from smooth_operator.solvers.newton import newton_minimise
-from smooth_operator.solvers.random_words import frame_key, seed_words
-from smooth_operator.solvers.sampling import SamplingConfig, sample_minimise
+from smooth_operator.retargeting.aligned_recording import align_recording
+from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.sbr.newton import newton_minimise
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig
+from smooth_operator.retargeting.sbr.random_words import frame_key, seed_words
+from smooth_operator.retargeting.sbr.sampled import SampledObjective
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_minimise
+from smooth_operator.retargeting.targets import Targets
+from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator_research.paper.compared_solvers import (
     NEWTON_CONFIG,
     CompiledSolver,

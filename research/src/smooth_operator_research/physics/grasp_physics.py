@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import reference_landmarks
 from smooth_operator.landmarks import BASES, FINGERS
+from smooth_operator.retargeting.alignment import reference_landmarks
 from smooth_operator.simulation.physics import FURNISHED, HandPhysics
 from smooth_operator.simulation.scenes.physics import Touching, finger_geoms, soften_pads
 from smooth_operator.simulation.scenes.scene import OBJECT, Scene, add_shape, mount

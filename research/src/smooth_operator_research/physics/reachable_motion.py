@@ -13,8 +13,8 @@ from jaxtyping import Float
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.aligned_recording import align_recording
 from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.synthetic.tracker import TrackerStream, tracker_model
 from smooth_operator.types import HandRecording, Side, Status

@@ -13,11 +13,11 @@ from smooth_operator.benchmark.cells import benchmark_code
 from smooth_operator.errors import HandModelError, StudyError, UnknownNameError
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.known_gaps import known_gaps
-from smooth_operator.methods.presets import method_config
-from smooth_operator.methods.retargeter import Retargeter
-from smooth_operator.methods.trajectory import TrajectoryMethodConfig
 from smooth_operator.result_cache import Job, Note, ResultLog, no_note
+from smooth_operator.retargeting.known_gaps import known_gaps
+from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.retargeter import Retargeter
+from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.simulation.scenes.task_scenes import scene_for
 from smooth_operator.simulation.tasks.task import task_named
 from smooth_operator.synthetic.tracker import tracker_model

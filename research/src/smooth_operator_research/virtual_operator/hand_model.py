@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS
-from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.simulation.physics import FURNISHED
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.simulation.scenes.physics import ObjectVariation, ScenePhysics
 from smooth_operator.simulation.scenes.scene import Scene, SceneState
 from smooth_operator.simulation.scenes.task_scenes import scene_for

@@ -20,15 +20,15 @@ from jaxtyping import Array, Float, UInt32
 from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError, brief
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.io.documents import parse_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
-from smooth_operator.methods.method import Method, MethodConfig, MethodOutput
-from smooth_operator.objective.published import ObjectiveConfig, PlainTargets
-from smooth_operator.objective.sampled import SampledObjective
-from smooth_operator.objective.terms import FrameGoal
+from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.method import Method, MethodConfig, MethodOutput
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig, PlainTargets
+from smooth_operator.retargeting.sbr.sampled import SampledObjective
+from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.types import as_side
 
 _MODELS: Final = Path(__file__).parent / "models"

@@ -47,9 +47,9 @@ from smooth_operator.errors import (
 from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.formats.csv_table import csv_text
 from smooth_operator.formats.environment import environment
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io.documents import parse_json
+from smooth_operator.io.jsonable import to_json
 
 require("training GeoRT", "lab", "optax")
 

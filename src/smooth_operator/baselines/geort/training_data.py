@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 from smooth_operator.baselines.geort.method import finger_joints, human_tips
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.human.alignment import AlignmentConfig
+from smooth_operator.retargeting.aligned_recording import align_recording
+from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.types import HandRecording, Side
 

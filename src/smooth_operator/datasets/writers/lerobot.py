@@ -66,7 +66,7 @@ from smooth_operator.episode_files.lerobot.tables import (
     tasks_table,
 )
 from smooth_operator.errors import RecordingError, reason, require
-from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.jsonable import to_json
 
 VIDEO_KEY: Final = "observation.images.camera"
 _CODECS: Final = {

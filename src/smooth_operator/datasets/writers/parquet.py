@@ -32,7 +32,7 @@ from smooth_operator.datasets.writers.shards import (
 )
 from smooth_operator.episode_files.lerobot.tables import arrow, parquet
 from smooth_operator.errors import require
-from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import Side
 
 require("a Parquet data set", "datasets", "pyarrow")

@@ -40,8 +40,8 @@ from smooth_operator.datasets.writers.arrays import (
 )
 from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json, read_json
+from smooth_operator.io.jsonable import to_json
 
 PROGRAM: Final = "smooth-operator"
 MARK: Final = "meta/dataset.json"

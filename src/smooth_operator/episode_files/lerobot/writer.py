@@ -45,8 +45,8 @@ from smooth_operator.episode_files.lerobot.tables import (
 from smooth_operator.episode_files.staging import staged_folder
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.episode import Episode
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import read_json
+from smooth_operator.io.jsonable import to_json
 
 MARK: Final = "meta/smooth_operator.json"
 PROGRAM: Final = "smooth-operator"

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 from smooth_operator.calibration.operator_file import OperatorProfile
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.methods.method import MethodConfig
-from smooth_operator.methods.presets import default_preset, method_config
-from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.planning import RetargetRequest, resolve_config
+from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.retargeting.presets import default_preset, method_config
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.sinks.tick import Driver

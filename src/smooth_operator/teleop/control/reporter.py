@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
-from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
 _LOG = logging.getLogger("smooth_operator.teleop")

@@ -60,8 +60,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from smooth_operator.calibration.operator_file import OperatorProfile, read_operator
 from smooth_operator.errors import ConfigError, MissingExtraError, SmoothOperatorError, SourceError
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import json_object
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.control.method_switcher import DriverSpec, MethodSwitcher
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.terminal import print_note

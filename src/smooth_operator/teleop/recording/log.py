@@ -21,7 +21,7 @@ import numpy as np
 
 from smooth_operator.atomic_files import open_locked, output_error
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
-from smooth_operator.formats.jsonable import to_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording.messages import (
     ARM,
     COMMAND,

@@ -17,8 +17,8 @@ from smooth_operator.formats.episode import (
     WristTrack,
     check_commands,
 )
-from smooth_operator.formats.jsonable import to_json
 from smooth_operator.io.documents import parse_json
+from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_reader import Log, log_topics, read_log
 from smooth_operator.teleop.recording.messages import FOXGLOVE, SCHEMAS

@@ -11,10 +11,10 @@ import numpy as np
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
-from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.human.alignment import AlignmentConfig
 from smooth_operator.landmarks import BASES, FINGERS
 from smooth_operator.metrics import posture, safety
+from smooth_operator.retargeting.aligned_recording import align_recording
+from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.types import Status

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
-from smooth_operator.formats.jsonable import numbers
 from smooth_operator.hands.hand import Hand
+from smooth_operator.io.jsonable import numbers
 from smooth_operator.poses import is_valid
 from smooth_operator.teleop.sinks.sink import Link, ThreadedSink
 from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Tick

@@ -20,7 +20,7 @@ from typing import Final, Literal, Protocol, TypeAlias, TypeVar
 import numpy as np
 
 from smooth_operator.errors import SmoothOperatorError
-from smooth_operator.human.known_gaps import NO_GAPS
+from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.types import HandFrame, Side
 
 Clock: TypeAlias = Callable[[], float]

@@ -11,7 +11,7 @@ import viser
 
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.methods.registry import DEFAULT_METHOD
+from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.teleop.pages.live import live_texts
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.stop_panel import StopPanel

@@ -15,13 +15,13 @@ from jaxtyping import Float, UInt8
 from smooth_operator import poses
 from smooth_operator.errors import SmoothOperatorError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.alignment import (
+from smooth_operator.landmarks import FINGERS, TIPS
+from smooth_operator.retargeting.alignment import (
     MIN_CONDITION,
     AlignmentConfig,
     palm_alignment,
     reference_landmarks,
 )
-from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.simulation.arms.arm import (
     CarriedHand,
     WristKinematics,

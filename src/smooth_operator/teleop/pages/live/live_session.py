@@ -17,9 +17,9 @@ from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, SinkError, SmoothOperatorError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, WRIST
-from smooth_operator.methods.presets import live_presets
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid
+from smooth_operator.retargeting.presets import live_presets
 from smooth_operator.simulation.arms.arm import Matrix, inverse, pose_of, rigid
 from smooth_operator.simulation.live import LiveSimulation
 from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState

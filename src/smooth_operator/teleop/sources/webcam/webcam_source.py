@@ -14,8 +14,8 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.formats.checks import check_recording
-from smooth_operator.human.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
 from smooth_operator.settings import check_numbers
 from smooth_operator.teleop.sources.live import Running, SourceHealth, ThreadedSource
 from smooth_operator.teleop.sources.webcam.camera import Camera, VideoFile

@@ -1,5 +1,0 @@
-"""Named retargeting methods, composed from alignment, objective and solver."""
-
-from smooth_operator.lazy_names import public_names
-
-__getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -1,0 +1,16 @@
+from smooth_operator.retargeting.least_squares import LeastSquaresTerm as LeastSquaresTerm
+from smooth_operator.retargeting.method import Method as Method
+from smooth_operator.retargeting.method import MethodConfig as MethodConfig
+from smooth_operator.retargeting.method import MethodOutput as MethodOutput
+from smooth_operator.retargeting.method import ObjectiveMethodConfig as ObjectiveMethodConfig
+from smooth_operator.retargeting.objective import Objective as Objective
+from smooth_operator.retargeting.presets import method_config as method_config
+from smooth_operator.retargeting.presets import method_names as method_names
+from smooth_operator.retargeting.retargeter import Retargeter as Retargeter
+from smooth_operator.retargeting.sbr.newton import NewtonConfig as NewtonConfig
+from smooth_operator.retargeting.sbr.newton import newton_minimise as newton_minimise
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig as ObjectiveConfig
+from smooth_operator.retargeting.sbr.sampled import SampledObjective as SampledObjective
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig as SamplingConfig
+from smooth_operator.retargeting.sbr.sampling import sample_minimise as sample_minimise
+from smooth_operator.retargeting.terms import FrameGoal as FrameGoal

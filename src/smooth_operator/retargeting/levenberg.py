@@ -1,0 +1,138 @@
+"""Levenberg's descent within bounds: Newton steps with a few dampings side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Final, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from smooth_operator.geometry import on_gpu
+
+ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
+"""A point (m,) to its cost (), gradient (m,) and Hessian (m, m)."""
+
+STILL: Final = 3e-3
+"""``damped_newton`` stops after a step in which no variable moves further than this [rad]: since it
+converges quadratically, the next step would be too small to see."""
+
+AT_FIRST: Final = 3.0
+"""Damping of the first step of ``damped_newton``."""
+DAMPINGS: Final = (0.0, 0.2, 2.0)
+"""Dampings of its candidates, in units of that of the step before."""
+GROWTH: Final = 20.0
+"""Factor of the damping after a step of which no candidate descends."""
+LEAST: Final = 0.01
+"""Least damping; each joint's pull to the neutral pose curves the cost by five times as much."""
+MOST: Final = 1e5
+"""Damping with which a step hardly moves: the descent ends."""
+
+_AT_BOUND: Final = 1e-6
+"""A variable this near a bound is at it [rad]: solvers return 1e-15 for 0."""
+
+
+def gpu_kernels(samples: int = 0) -> ModuleType | None:
+    """The module of GPU kernels, if programs that are traced now may hold them; ``samples`` is the
+    number of costs of a call of ``next_gaussian``."""
+    if not on_gpu():
+        return None
+    from smooth_operator.retargeting.sbr import gpu_kernels
+
+    return gpu_kernels if gpu_kernels.kernels_available(samples) else None
+
+
+def solve_small(
+    matrices: Float[Array, "*c m m"], right: Float[Array, "*c m"]
+) -> Float[Array, "*c m"]:
+    """x of ``matrix @ x = right`` for one or a few small positive definite matrices, else NaN: by
+    LAPACK on a CPU, in one kernel on a GPU."""
+    if (kernels := gpu_kernels()) is not None:
+        size = right.shape[-1]
+        few = matrices.reshape(-1, size, size), right.reshape(-1, size)
+        solution: Array = kernels.solve_positive_definite(*few)
+        return solution.reshape(right.shape)
+    factor = jnp.linalg.cholesky(matrices)
+    if right.ndim == 1:
+        return jax.scipy.linalg.cho_solve((factor, True), right)
+    return jax.scipy.linalg.cho_solve((factor, True), right[..., None])[..., 0]
+
+
+def newton_candidates(
+    q: Float[Array, " m"],
+    gradient: Float[Array, " m"],
+    hessian: Float[Array, "m m"],
+    limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
+    dampings: Float[Array, " c"] | tuple[float, ...],
+) -> Float[Array, "c m"]:
+    """(c, m) ends of damped Newton steps from a point within (m, 2) bounds, clipped to them; one
+    candidate per damping.
+
+    Variables at a bound that the gradient pushes outwards are held; the others take the step. An
+    indefinite damped Hessian has no Cholesky factor: its candidate is NaN, and so is its cost.
+    """
+
+    low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))
+    identity = jnp.eye(len(limits), dtype=q.dtype)
+    damping = jnp.asarray(dampings, q.dtype)[:, None, None]
+    under, over = q <= low + _AT_BOUND, q >= high - _AT_BOUND
+    held = (under & (gradient > 0)) | (over & (gradient < 0))
+    matrices = jnp.where(held[:, None] | held[None, :], identity, hessian) + damping * identity
+    right = jnp.broadcast_to(jnp.where(held, 0.0, gradient), (len(damping), len(limits)))
+    return jnp.clip(q - solve_small(matrices, right), low, high)
+
+
+def best_of(costs: Float[Array, " c"]) -> tuple[Array, Array]:
+    """Index of the lowest finite cost, and that cost; infinite if there is none."""
+    costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
+    winner = jnp.argmin(costs)
+    return winner, costs[winner]
+
+
+def damped_newton(
+    value_grad_hess: ValueGradHess,
+    values: Callable[[Array], Array],
+    start: Float[Array, " m"],
+    limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
+    iterations: int,
+    still: float = STILL,
+) -> tuple[Float[Array, " m"], Float[Array, ""], Int[Array, ""]]:
+    """Descend from a start within bounds, with derivatives once per step; the cost never rises.
+
+    Levenberg's method, with a few dampings side by side: where parts touch, the quadratic model
+    changes from step to step, and a damping that fits one step rarely fits the next.
+
+    Args:
+        value_grad_hess: (m,) to cost, (m,) gradient and (m, m) Hessian.
+        values: (c, m) candidates to their (c,) costs.
+        start: (m,) a point within the bounds.
+        limits: (m, 2) bounds.
+        iterations: steps at most.
+        still: see ``STILL``.
+
+    Returns:
+        (m,) the best point found, its cost, and the number of iterations.
+    """
+
+    def step(carry: tuple[Array, ...]) -> tuple[Array, ...]:
+        count, q, _, damping, _ = carry
+        cost, gradient, hessian = value_grad_hess(q)
+        dampings = damping * np.array(DAMPINGS, np.float32)
+        candidates = newton_candidates(q, gradient, hessian, limits, dampings)
+        winner, lowest = best_of(values(candidates))
+        descends = lowest < cost
+        after = jnp.where(descends, candidates[winner], q)
+        damping = jnp.where(descends, jnp.maximum(dampings[winner], LEAST), GROWTH * damping)
+        goes_on = jnp.where(descends, jnp.abs(after - q).max() > still, damping < MOST)
+        return count + 1, after, jnp.minimum(lowest, cost), damping, goes_on
+
+    worst, damping = (jnp.asarray(value, start.dtype) for value in (jnp.inf, AT_FIRST))
+    last: tuple[Array, ...] = jax.lax.while_loop(
+        lambda carry: (carry[0] < iterations) & carry[-1],
+        step,
+        (jnp.int32(0), start, worst, damping, jnp.bool_(True)),
+    )
+    return last[1], last[2], last[0]

@@ -1,0 +1,145 @@
+"""Look-up of methods and their presets; the presets stand with their methods."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Final
+
+from smooth_operator.errors import ConfigError, UnknownNameError, brief
+from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.retargeting.registry import DEFAULT_METHOD, METHODS, as_presets
+from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
+
+_FILE: Final = ".toml"
+
+
+class _Presets(Mapping[str, Mapping[str, MethodConfig]]):
+    """The registry of methods, with its values loaded."""
+
+    def __getitem__(self, method: str) -> Mapping[str, MethodConfig]:
+        loaded = METHODS.load(method)
+        refusal = (
+            f"{METHODS.find(method).target} can't be a method: it must be a MethodConfig, its "
+            "class, or a mapping of preset names to them, not "
+        )
+        if isinstance(loaded, type) and not issubclass(loaded, MethodConfig):
+            raise ConfigError(f"{refusal}{brief(loaded)}")
+        try:
+            presets = as_presets(loaded)
+        except TypeError as error:  # a class whose fields lack defaults
+            raise ConfigError(f"{refusal}a class that needs arguments ({error})") from error
+        if not presets:
+            raise ConfigError(f"method {method!r} has no preset")
+        for config in presets.values():
+            if not isinstance(config, MethodConfig):
+                raise ConfigError(f"{refusal}{brief(config)}")
+        return presets
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(METHODS)
+
+    def __len__(self) -> int:
+        return len(METHODS)
+
+
+PRESETS: Final[Mapping[str, Mapping[str, MethodConfig]]] = _Presets()
+"""Method name -> preset name -> configuration; the first preset of a method is its default.
+
+A name may be ``package.module:attribute``. A look-up raises ``UnknownNameError`` (a ``KeyError``)
+where there is no such method, and ``ConfigError`` where a plugin's can't be loaded.
+"""
+
+_ALIASES: Final = {"sbr": {"published": "paper"}}
+"""Method -> other names of its presets: ``published`` is what every published method answers to."""
+
+
+def method_names() -> tuple[str, ...]:
+    """Names of the methods, built-in and of plugins."""
+    return tuple(METHODS)
+
+
+def loadable_presets() -> dict[str, Mapping[str, MethodConfig]]:
+    """``PRESETS`` without the methods of plugins that can't be loaded; a note says which."""
+    return METHODS.loadable(PRESETS.__getitem__)
+
+
+def live_presets() -> dict[str, list[str]]:
+    """Names of the presets that answer frame by frame, by method."""
+    return {
+        method: [
+            name
+            for name, config in presets.items()
+            if not isinstance(config, TrajectoryMethodConfig)
+        ]
+        for method, presets in loadable_presets().items()
+    }
+
+
+def default_preset(method: str) -> str:
+    """Name of a method's default preset.
+
+    Raises:
+        UnknownNameError: there is no such method.
+        ConfigError: it is a plugin's, and can't be loaded.
+    """
+    return next(iter(PRESETS[method]))
+
+
+def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> MethodConfig:
+    """Configuration of a method by preset name; None gives the method's default preset.
+
+    For a method with a trained model (geort), the file of one may stand for the preset; for any
+    method a preset file (``smooth_operator.formats.setting_paths``). ``published`` is a preset
+    of every method that the paper compares but GeoRT, of ``ako`` and of ``keyvector``; that of sbr
+    is its ``paper``.
+
+    The method may be ``package.module:attribute``: a configuration, its class, or presets by name.
+
+    Raises:
+        UnknownNameError: if there is no such method or preset.
+        ConfigError: the preset file is none, or for another method; the method is a plugin's and
+            can't be loaded.
+    """
+    for name in (method, preset):
+        if not isinstance(name, (str, type(None))):
+            raise ConfigError(
+                f"method and preset must be names, not {brief(name)}; pass a configuration as "
+                "Retargeter(..., config=...)"
+            )
+    default = default_preset(method)
+    presets = PRESETS[method]
+    if preset is None:
+        return presets[default]
+    preset = _ALIASES.get(method, {}).get(preset, preset)
+    if preset not in presets and preset.endswith(_FILE):
+        return _from_file(method, Path(preset))
+    if preset not in presets:
+        file = Path(preset)
+        own = presets[default].with_file(file) if file.is_file() else None
+        if own is not None:
+            return own
+        raise UnknownNameError(f"preset of method {method!r}:", preset, presets, _elsewhere(preset))
+    return presets[preset]
+
+
+def _elsewhere(preset: str) -> str:
+    """Whose preset it is, if not that of the method: who names none gets the default one."""
+    owners = [method for method, presets in loadable_presets().items() if preset in presets]
+    return (
+        f"{preset!r} is a preset of {', '.join(owners)}: choose that method too." if owners else ""
+    )
+
+
+def _from_file(method: str, path: Path) -> MethodConfig:
+    from smooth_operator.formats.setting_paths import read_preset_file, with_settings
+
+    file = read_preset_file(path)
+    if file.method != method:
+        raise ConfigError(
+            f"{path} is a preset of method {brief(file.method)}, not of {method!r}: choose "
+            "that method too"
+        )
+    if file.base.endswith(_FILE):
+        raise ConfigError(f"{path}: its base must be the name of a preset, not {brief(file.base)}")
+    return with_settings(method_config(method, file.base), file.settings)

@@ -1,0 +1,427 @@
+"""From a hand frame to a joint command: one compiled program per frame, explicit state."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from smooth_operator.errors import ConfigError, HandModelError, RecordingError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import load_hand
+from smooth_operator.hands.spec import HandSpec
+from smooth_operator.io.anatomy import HandCheck
+from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.retargeting.frame import FrameState, RetargetState
+from smooth_operator.retargeting.known_gaps import NO_GAPS
+from smooth_operator.retargeting.method import Method, MethodConfig
+from smooth_operator.retargeting.presets import default_preset, method_config
+from smooth_operator.retargeting.program import shared_program, tick_after
+from smooth_operator.retargeting.registry import DEFAULT_METHOD
+from smooth_operator.settings import check_frame_rate
+from smooth_operator.types import (
+    CommandTrajectory,
+    HandFrame,
+    HandRecording,
+    JointCommand,
+    Result,
+    Status,
+)
+
+if TYPE_CHECKING:
+    from smooth_operator.compilation.batching import BatchArrays, LaneProgram
+
+_REFLECTION = np.array([-1, 1, 1], np.float32)
+
+
+class Retargeter:
+    """Retargets frames of a tracked human hand onto one robot hand.
+
+    Use it with explicit state (``init``, ``step``), or call it and let it keep the state
+    (``__call__``, ``reset``). Either way a frame is one compiled program from landmarks to
+    command (up to the solver, for methods whose solver is a library on the host), compiled at the
+    first frame or by ``warm_up``.
+
+    Methods go by time, so every frame has a stamp. A frame without one has that of the call, by the
+    clock, when the retargeter is called; with a ``rate`` it is one period after the frame before.
+    ``step`` has no clock and refuses a frame without a stamp unless there is a rate.
+
+    A frame that is invalid, not finite, degenerate, or no hand in metres gives the last good
+    command (before the first good frame: the neutral pose) with a status that says why, and leaves
+    the state as it was.
+
+    Args:
+        hand: name of a hand, the path of a spec file, a description, or a loaded hand.
+        side: side of a hand given by name, ``right`` if left out; a spec file brings its own.
+        method: name of the method.
+        preset: name of its preset; None for the method's default.
+        config: a configuration of your own, instead of method and preset.
+        seed: seed of the method's random numbers.
+        rate: frames a second [Hz] of frames without stamps, such as those of a video; None for the
+            time of the call. Their stamps count from 0.
+        clock: seconds that never go back, for the time of the call.
+        cache: True if compiled programs are read from this user's cache folder, and kept there.
+        pinch_gaps: gaps that the tracker is known to leave between thumb and finger where they
+            touch, finger -> gap [palm lengths]: there the running estimate begins, such as
+            ``smooth_operator.retargeting.known_gaps.MEDIAPIPE``. None takes landmarks as they are.
+
+    Attributes:
+        method: the method for this hand.
+        shared: the compiled program, and the method that it was made from: that of the mirror image
+            for a hand that is described as one.
+
+    Raises:
+        UnknownNameError: for an unknown hand, method or preset.
+        HandModelError: if the hand's model can't be used.
+        ConfigError: if the rate is outside 1 to 2000 Hz, or a pinch gap 0 to 1 palm length.
+    """
+
+    def __init__(
+        self,
+        hand: str | Path | HandSpec | Hand = "mimic_p050",
+        *,
+        side: str | None = None,
+        method: str = DEFAULT_METHOD,
+        preset: str | None = None,
+        config: MethodConfig | None = None,
+        seed: int = 0,
+        rate: float | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+        cache: bool = True,
+        pinch_gaps: Mapping[str, float] | None = NO_GAPS,
+    ) -> None:
+        self.hand = hand if isinstance(hand, Hand) else load_hand(hand, side)
+        if config is None:
+            self.config: MethodConfig = method_config(method, preset)
+            self._named = f"method={method!r}, preset={preset or default_preset(method)!r}"
+        else:
+            self.config = config
+            self._named = f"config={type(config).__name__}(...)"
+        check_frame_rate(rate)
+        self.seed, self.rate, self.cache = seed, rate, cache
+        self.known_gaps = pinch_gaps
+        self._clock = clock
+        self._stamped: bool | None = None
+        self._input = HandCheck(self.hand.spec.side)
+        self.method: Method = self.config.build(self.hand)
+        self.shared = shared_program(self.hand, self.config, cache)
+        self._state = self.init()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for a person on this method on this hand, such as collision shapes that are
+        estimated because the model's mesh files can't be read; empty for most hands."""
+        return self.config.notes(self.hand)
+
+    @property
+    def compiled(self) -> bool:
+        """True if this process has already answered a frame with this hand and these settings,
+        so that the next frame compiles nothing. ``warm_up`` answers one."""
+        return self.shared.compiled.is_set()
+
+    def __repr__(self) -> str:
+        """Hand, side, method and preset; the settings' class where they were given instead."""
+        return f"Retargeter({self.hand.name!r}, side={self.hand.spec.side!r}, {self._named})"
+
+    def init(self, seed: int | None = None, before: RetargetState | None = None) -> RetargetState:
+        """The state before the first frame.
+
+        Args:
+            seed: seed of the random numbers; None for the retargeter's own.
+            before: a state after frames of the same operator, whose estimate of pinch gaps goes on.
+        """
+        method = self.method.init(self.seed if seed is None else seed)
+        if before is None:
+            method = self.method.with_pinch_gaps(method, self.known_gaps)
+        else:
+            method = self.method.continued(method, before.method)
+        state = FrameState(method, self.hand.neutral.astype(np.float32))
+        return RetargetState.of(state, joined=not self.method.on_host)
+
+    def step(
+        self, state: RetargetState, frame: HandFrame | ArrayLike
+    ) -> tuple[RetargetState, Result]:
+        """One frame.
+
+        Args:
+            state: from ``init`` or the last step; not changed.
+            frame: a hand frame, or (21, 3) landmarks [m] where the retargeter has a rate.
+
+        Returns:
+            the next state and the result.
+
+        Raises:
+            ConfigError: if the frame is of the other hand's side, or has no stamp and there is no
+                rate.
+            RecordingError: if landmarks have another shape.
+        """
+        start = time.perf_counter()
+        frame = self._framed(frame)
+        stamp = self._stamp_of(state, frame)
+        self.check_side(frame.side)
+        assert frame.valid is not None  # filled in on construction
+        landmarks = self.program_landmarks(frame.landmarks)
+        ticks = tick_after(state.answered, stamp)
+        after, output = self.shared.run(state, landmarks, frame.valid, np.uint32(ticks))
+        q, status = np.asarray(output.q, float), Status(int(output.status))
+        state = replace(
+            after,
+            stamp=None if self.rate is None else stamp,
+            answered=(stamp, ticks) if status == Status.OK else state.answered,
+        )
+        if status == Status.OK and not self.shared.compiled.is_set():
+            self.shared.compiled.set()
+        # float32 may round a limit outwards: the last word is in float64
+        q = self.hand.full_configuration(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
+        latency_ms = (time.perf_counter() - start) * 1e3
+        return state, Result(
+            JointCommand(q, self.hand.joint_names, stamp),
+            status,
+            latency_ms,
+            float(output.tracking_loss),
+            float(output.scale),
+        )
+
+    def fingertip_targets(
+        self, state: RetargetState | None = None
+    ) -> Float[np.ndarray, "F 3"] | None:
+        """Places of the fingertips that the last frame asks for, in the palm frame [m].
+
+        Args:
+            state: from ``step``; None for the one that is kept inside.
+
+        Returns:
+            (F, 3), thumb first; None for a method that does not place fingertips, and before the
+            first frame.
+        """
+        state = self._state if state is None else state
+        targets = self.shared.method.fingertip_targets(state.method)
+        if targets is None:
+            return None
+        return np.asarray(targets, float) * (_REFLECTION if self.shared.reflects else 1.0)
+
+    def pinch_gaps(self, state: RetargetState | None = None) -> dict[str, float]:
+        """Estimated gaps that the tracker leaves where thumb and finger touch.
+
+        Args:
+            state: from ``step``; None for the one that is kept inside.
+
+        Returns:
+            finger -> gap [palm lengths]; without fingers whose gap is not known.
+        """
+        state = self._state if state is None else state
+        gaps = self.method.pinch_gaps(state.method)
+        found = () if gaps is None else np.asarray(gaps, float).tolist()
+        return {name: gap for name, gap in zip(self.hand.fingers[1:], found, strict=False) if gap}
+
+    def check_side(self, side: str) -> None:
+        """Raises ConfigError unless a human hand of this side drives the hand."""
+        if side != self.hand.spec.side:
+            raise ConfigError(
+                f"a {side} human hand can't drive the {self.hand.spec.side} hand "
+                f"{self.hand.name!r}: load the {side} one, or mirror the landmarks"
+            )
+
+    def program_landmarks(
+        self, landmarks: Float[np.ndarray, "*batch 21 3"]
+    ) -> Float[np.ndarray, "*batch 21 3"]:
+        """Landmarks as the program takes them [m]: in its precision, reflected if it is the mirror
+        image's."""
+        with np.errstate(over="ignore"):  # what overflows is not finite, and has its status
+            points = landmarks.astype(np.float32, copy=False)
+        return points * _REFLECTION if self.shared.reflects else points
+
+    def __call__(self, frame: HandFrame | ArrayLike) -> Result:
+        """One frame, with the state kept inside; see ``step``.
+
+        A frame without a stamp is of this moment, unless there is a rate.
+
+        Raises:
+            ConfigError, RecordingError: as ``step``; frames with and without stamps are
+                mixed, which two clocks would time; or the first 30 frames are of the other hand,
+                in another order or no hand by their shape (``check_hand``). Later such frames have
+                the status ``IMPLAUSIBLE_HAND``.
+        """
+        frame = self._framed(frame)
+        stamped = frame.stamp is not None
+        if self._stamped not in (None, stamped):
+            raise ConfigError(
+                "frames with and without stamps are mixed, so the time between them is not known; "
+                "give all of them stamps or none, or call reset() in between"
+            )
+        if not stamped and self.rate is None:
+            frame = replace(frame, stamp=self._clock())
+        doubtful = self._check_input(frame)
+        if doubtful:
+            frame = replace(frame, valid=np.zeros(NUM_LANDMARKS, bool))
+        self._state, result = self.step(self._state, frame)
+        self._stamped = stamped
+        return replace(result, status=Status.IMPLAUSIBLE_HAND) if doubtful else result
+
+    def _check_input(self, frame: HandFrame) -> bool:
+        """True if the last frames show another hand; among the first, that is an error."""
+        assert frame.valid is not None  # filled in on construction
+        check = self._input
+        doubtful = check.see(frame.landmarks, frame.valid, self._stamp_of(self._state, frame))
+        sure = doubtful is not None and (doubtful.side is None or check.surely_other)
+        if doubtful is not None and sure and check.judged <= HandCheck.WINDOW:
+            self._input = HandCheck(self.hand.spec.side)
+            raise RecordingError(f"the last frames: {doubtful.what}; {doubtful.in_python}")
+        return doubtful is not None
+
+    def _framed(self, frame: HandFrame | ArrayLike) -> HandFrame:
+        if isinstance(frame, HandFrame):
+            return frame
+        return HandFrame(np.asarray(frame), side=self.hand.spec.side)
+
+    def _stamp_of(self, state: RetargetState, frame: HandFrame) -> float:
+        """Time of a frame [s]: its stamp, or a period after the last one."""
+        if frame.stamp is not None:
+            return frame.stamp
+        if self.rate is None:
+            raise ConfigError(
+                "the frame has no stamp, and step() has no clock: give it the time of the "
+                "measurement, HandFrame(landmarks, stamp=seconds), or say the frame rate, "
+                "Retargeter(..., rate=30)"
+            )
+        return 0.0 if state.stamp is None else state.stamp + 1.0 / self.rate
+
+    def reset(self, seed: int | None = None) -> None:
+        """Back to the start: latches, random numbers, last command. Never recompiles."""
+        self._state = self.init(seed)
+        self._stamped = None
+        self._input = HandCheck(self.hand.spec.side)
+
+    def warm_up(self) -> float:
+        """Compiles the program, and loads the libraries of the solver, by two frames of a flat
+        human hand. The state kept inside stays as it is.
+
+        Returns:
+            seconds it took.
+
+        Raises:
+            HandModelError: the frames got no command, so the retargeter may not be ready.
+        """
+        from smooth_operator.retargeting.flat_hand import FLAT_HAND
+
+        start = time.perf_counter()
+        side, state = self.hand.spec.side, self.init()
+        landmarks = FLAT_HAND * (1.0, -1.0, 1.0) if side == "left" else FLAT_HAND
+        for stamp in (0.0, 0.01):  # the second one has a state that the program returned
+            state, result = self.step(state, HandFrame(landmarks, stamp, side))
+            if result.status != Status.OK:
+                raise HandModelError(
+                    f"{self!r} gives no command for a flat human hand ({result.status.name}): "
+                    f"run `smooth-operator hands check` on the hand, or choose another method"
+                )
+        return time.perf_counter() - start
+
+    def run(
+        self,
+        recording: HandRecording,
+        *,
+        seed: int | None = None,
+        track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+    ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
+        """A whole recording from a fresh state, frame by frame, as a live loop would.
+
+        Args:
+            seed: seed of the random numbers; None for the retargeter's own.
+            track: wraps the iteration over frames, for a progress bar.
+
+        Returns:
+            the commands, and the (T,) tracking loss of each frame (NaN where a command was held).
+        """
+        self.warm_up()
+        state = self.init(seed)
+        steps = range(len(recording))
+        results: list[Result] = []
+        for i in steps if track is None else track(steps):
+            state, result = self.step(state, recording[i])
+            results.append(result)
+        commands = CommandTrajectory(
+            np.stack([r.command.joint_positions for r in results]),
+            self.hand.joint_names,
+            recording.stamps,
+            np.array([r.latency_ms for r in results]),
+            np.array([r.status for r in results], np.int8),
+        )
+        loss = [r.tracking_loss if r.status == Status.OK else np.nan for r in results]
+        return commands, np.array(loss)
+
+    def batch(
+        self,
+        recordings: Sequence[HandRecording],
+        *,
+        seed: int | None = None,
+        track: Callable[[Iterable[int]], Iterable[int]] | None = None,
+        lanes: int | None = None,
+    ) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
+        """Recordings of any length, side by side in one program, each from a fresh state.
+
+        A result is that of ``run`` but for rounding and latencies, which are NaN. It does not
+        depend on the other recordings. Methods with a solver on the host take them in turn.
+
+        Args:
+            recordings: human hands of the retargeter's side; another raises ``ConfigError``.
+            seed: random seed of each recording; None for the retargeter's own.
+            track: wraps the iteration over all frames, for a progress bar.
+            lanes: recordings side by side; None for 1024 on a GPU, and on a CPU for 8 or, where
+                frames take a solver unequal times as that of ``smooth``, one for each core.
+        """
+        from smooth_operator.compilation.batching import one_by_one, side_by_side
+
+        for recording in recordings:
+            self.check_side(recording.side)
+        if self.shared.method.on_host:
+            return one_by_one(lambda each: self.run(each, seed=seed), recordings, track)
+        program = self._lanes(lanes)
+        return side_by_side(
+            program, self.init(seed), recordings, self.hand, self.program_landmarks, track
+        )
+
+    def batch_arrays(
+        self,
+        landmarks: Float[np.ndarray, "R T 21 3"],
+        stamps: Float[np.ndarray, "R T"] | Float[np.ndarray, " T"],
+        *,
+        seed: int | None = None,
+        lanes: int | None = None,
+    ) -> BatchArrays:
+        """Commands for recordings that lie in one array: ``batch`` without an object for each.
+
+        On a GPU half of the time of ``batch`` is spent on those. Landmarks that are not known are
+        NaN; so are the frames that a recording shorter than the others lacks at its end.
+
+        Args:
+            landmarks: (R, T, 21, 3) of R hands of the retargeter's side [m]; float32 is copied
+                least.
+            stamps: (R, T) when each frame was measured [s], or (T,) for all recordings.
+            seed: random seed of each recording; None for the retargeter's own.
+            lanes: recordings side by side; None for 1024 on a GPU, and on a CPU for 8 or, where
+                frames take a solver unequal times as that of ``smooth``, one for each core.
+
+        Returns:
+            commands of the actuated joints, status and tracking loss of every frame.
+
+        Raises:
+            RecordingError: an array has another shape.
+            ConfigError: the method's solver runs on the host.
+        """
+        if self.shared.method.on_host:
+            raise ConfigError("this method's solver runs on the host, frame by frame: use batch()")
+        program = self._lanes(lanes)
+        return program.run_arrays(
+            self.init(seed), landmarks, stamps, self.hand.limits, self.program_landmarks
+        )
+
+    def _lanes(self, lanes: int | None) -> LaneProgram:
+        from smooth_operator.compilation.batching import lane_program
+
+        return lane_program(self.shared.method, self.config, lanes, self.cache)

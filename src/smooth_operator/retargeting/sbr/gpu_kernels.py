@@ -1,0 +1,281 @@
+"""Two steps of the solvers as one kernel each on a GPU, where library calls cost more than they do.
+
+``next_gaussian`` is lines 7 to 11 of Algorithm 1: the elites by a threshold, which a counting
+search finds on the bits of the costs, their mean and covariance, and its Cholesky factor.
+``solve_positive_definite`` solves a few small systems. Both are written in Pallas for Triton, which
+``jax.experimental`` has for NVIDIA's and AMD's cards; where it has not (any more), and on a CPU,
+``kernels_available`` is false, and callers take the operations of JAX.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, UInt32
+
+from smooth_operator.geometry import on_gpu
+from smooth_operator.retargeting.sbr.normals import pair_of_normals
+from smooth_operator.retargeting.sbr.random_words import random_word_at
+
+MOST_SAMPLES: Final = 1 << 14
+"""Most costs that one block of threads holds in its registers."""
+
+WARPS: Final = 4
+"""Groups of 32 threads that search for the elites."""
+
+_BLOCK: Final = 16
+"""Least size of a matrix product in Triton."""
+
+
+def kernels_available(samples: int = 0) -> bool:
+    """Programs that are traced now may hold the kernels of this module.
+
+    Args:
+        samples: costs of a call of ``next_gaussian``.
+    """
+    try:
+        return on_gpu() and samples <= MOST_SAMPLES and hasattr(_pallas()[1], "debug_barrier")
+    except ImportError:
+        return False
+
+
+def _pallas() -> tuple[Any, Any]:
+    """Pallas, and what it has for Triton; a tenth of a second to import, so not on a CPU."""
+    from jax.experimental import pallas
+    from jax.experimental.pallas import triton
+
+    return pallas, triton
+
+
+def cholesky_rows(matrix: Sequence[Sequence[Array]]) -> list[list[Array]]:
+    """The lower Cholesky factor, row by row, of a matrix whose entries are arrays of one shape;
+    those above the diagonal are not read. A matrix that is not positive definite has NaN in it."""
+    rows: list[list[Array]] = []
+    inverse: list[Array] = []
+    for i, entries in enumerate(matrix):
+        row: list[Array] = []
+        for j in range(i):
+            entry = entries[j]
+            for k in range(j):
+                entry = entry - row[k] * rows[j][k]
+            row.append(entry * inverse[j])
+        pivot = entries[i]
+        for k in range(i):
+            pivot = pivot - row[k] * row[k]
+        inverse.append(lax.rsqrt(pivot))
+        rows.append([*row, pivot * inverse[i]])
+    return rows
+
+
+def _solved(factor: Sequence[Sequence[Array]], right: Sequence[Array]) -> list[Array]:
+    """x of ``L L^T x = right``, entry by entry."""
+    size = len(right)
+    inverse = [1 / factor[i][i] for i in range(size)]
+    x = list(right)
+    for i in range(size):
+        for k in range(i):
+            x[i] = x[i] - factor[i][k] * x[k]
+        x[i] = x[i] * inverse[i]
+    for i in reversed(range(size)):
+        for k in range(i + 1, size):
+            x[i] = x[i] - factor[k][i] * x[k]
+        x[i] = x[i] * inverse[i]
+    return x
+
+
+def solve_positive_definite(
+    matrices: Float[Array, "c m m"], right: Float[Array, "c m"], interpret: bool = False
+) -> Float[Array, "c m"]:
+    """x of ``matrix @ x = right`` for a few small positive definite matrices.
+
+    Args:
+        matrices: (c, m, m); only the lower triangles are read.
+        interpret: run the kernel's operations one by one, on any device; for tests.
+
+    Returns:
+        (c, m); NaN for a matrix that is not positive definite.
+    """
+    count, size = right.shape
+    pallas, triton = _pallas()
+    like: Any = jax.ShapeDtypeStruct
+
+    def kernel(matrices: Any, right: Any, x: Any) -> None:
+        # Numbers, not vectors of them: Triton compiles those in 3 s, vectors of 8 in 30 s
+        which = pallas.program_id(0)
+        rows = [[matrices[which, i, j] for j in range(i + 1)] for i in range(size)]
+        sides = [right[which, i] for i in range(size)]
+        for i, entry in enumerate(_solved(cholesky_rows(rows), sides)):
+            x[which, i] = entry
+
+    solution: Array = pallas.pallas_call(
+        kernel,
+        like(right.shape, right.dtype),
+        grid=(count,),
+        interpret=interpret,
+        compiler_params=None if interpret else triton.CompilerParams(num_warps=1),
+    )(matrices, right)
+    return solution
+
+
+def next_gaussian(
+    costs: Float[Array, " n"],
+    mean: Float[Array, " m"],
+    chol: Float[Array, "m m"],
+    words: UInt32[Array, "2"],
+    following: tuple[UInt32[Array, "2"], Array],
+    base: Float[Array, "m n"] | None,
+    limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
+    elites: int,
+    temperature: float,
+    jitter: float,
+    interpret: bool = False,
+) -> tuple[Float[Array, " m"], Float[Array, "m m"], UInt32[Array, "2"]]:
+    """Mean, Cholesky factor and key of the next cycle, from the costs of this one's candidates.
+
+    The elites are drawn again from their indices. Of equal costs those of lower index are taken;
+    NaN counts as infinite.
+
+    Args:
+        costs: (n,), n up to ``MOST_SAMPLES``.
+        words: the key of this cycle's normals.
+        following: the frame's key, and the number of the next cycle: see ``random_words_at``.
+        base: (m, n) the normals, if they are fixed; None for those of the key.
+        limits: (m, 2) bounds that draws are clipped to.
+        elites: number of elites.
+        temperature: temperature of the softmax over the elites.
+        interpret: run the kernel's operations one by one, on any device; for tests.
+    """
+    count, size = len(costs), len(mean)
+    pallas, triton = _pallas()
+    side, places = max(_BLOCK, _power_of_two(size)), max(_BLOCK, _power_of_two(elites))
+
+    def barrier() -> None:  # what a thread of the block has written, the others can read
+        if not interpret:
+            triton.debug_barrier()
+
+    def kernel(*refs: Any) -> None:
+        costs, mean, chol, words, key, number, limits, *rest = refs
+        *fixed, new_mean, new_chol, new_words, chosen, covariance = rest
+        one, two = words[0], words[1]
+        which = jnp.arange(_power_of_two(count))
+        inside = which < count
+        values = triton.load(costs.at[which], mask=inside, other=jnp.inf)
+        values = jnp.where(values != values, jnp.inf, values)
+        elite, place = _lowest(_ordered(values), inside, elites)
+        # the others have places of their own, out of bounds, for the interpreter
+        place = jnp.where(elite, place, places + which)
+        triton.store(chosen.at[place], which, mask=elite)
+        least = jnp.min(values)
+        barrier()
+
+        at = jnp.arange(places)
+        index = triton.load(chosen.at[at], mask=at < elites, other=0)
+        cost = triton.load(costs.at[index])
+        weight = jnp.where(at < elites, jnp.exp((least - cost) / temperature), 0.0)
+        weight = jnp.where(cost != cost, jnp.exp((least - jnp.inf) / temperature), weight)
+        weight = weight / jnp.sum(weight)
+
+        row = jnp.arange(side)
+        joint = jnp.minimum(row, size - 1)
+        used = row < size
+        if fixed:
+            normals = triton.load(fixed[0].at[joint[:, None], index[None, :]])
+        else:
+            pairs = (size + 1) // 2
+            second = joint >= pairs
+            pair = jnp.where(second, joint - pairs, joint).astype(jnp.uint32)
+            counter = index.astype(jnp.uint32)[None, :] * jnp.uint32(pairs) + pair[:, None]
+            first_half, second_half = pair_of_normals(counter, (one, two))
+            normals = jnp.where(second[:, None], second_half, first_half)
+        lower = used[:, None] & (row[None, :] <= row[:, None])
+        factor = triton.load(chol.at[joint[:, None], joint[None, :]], mask=lower, other=0.0)
+        low, high, middle = (
+            triton.load(ref, mask=used, other=0.0)
+            for ref in (limits.at[joint, 0], limits.at[joint, 1], mean.at[joint])
+        )
+        draws = middle[:, None] + _product(factor, normals)
+        draws = jnp.minimum(jnp.maximum(draws, low[:, None]), high[:, None])
+
+        centre = jnp.sum(draws * weight[None, :], axis=1)
+        triton.store(new_mean.at[row], centre, mask=used)
+        spread = (draws - centre[:, None]) * jnp.sqrt(weight)[None, :]
+        square = _product(spread, jnp.transpose(spread))
+        square = square + jnp.where(row[:, None] == row[None, :], jitter, 0.0)
+        triton.store(covariance.at[row[:, None], row[None, :]], square)
+        barrier()
+
+        for half in range(2):
+            new_words[half] = random_word_at((key[0], key[1]), number[0], half)
+        entries = [[covariance[i, j] for j in range(i + 1)] for i in range(size)]
+        for i, entry in enumerate(cholesky_rows(entries)):
+            for j, value in enumerate(entry):
+                new_chol[i, j] = value  # above the diagonal are the zeros of ``chol``
+
+    like: Any = jax.ShapeDtypeStruct
+    key, number = following
+    arguments = [costs, mean, chol, words, key, number.reshape(1), jnp.asarray(limits, jnp.float32)]
+    new_mean, new_chol, new_words, *_ = pallas.pallas_call(
+        kernel,
+        [
+            like((size,), jnp.float32),
+            like((size, size), jnp.float32),
+            like((2,), jnp.uint32),
+            like((places,), jnp.int32),
+            like((side, side), jnp.float32),
+        ],
+        input_output_aliases={1: 0, 2: 1, 3: 2},  # or a loop copies them in every turn
+        interpret=interpret,
+        compiler_params=None if interpret else triton.CompilerParams(num_warps=WARPS),
+    )(*arguments, *([] if base is None else [base]))
+    return new_mean, new_chol, new_words
+
+
+def _lowest(keys: Array, inside: Array, count: int) -> tuple[Array, Array]:
+    """Mask of the lowest of some whole numbers, and their places among them, by index."""
+
+    def searching(carry: tuple[Array, Array, Array]) -> Array:
+        low, high, reached = carry
+        return (low + 1 < high) & (reached != count)
+
+    def narrowed(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        low, high, reached = carry
+        width = lax.bitcast_convert_type(high - low, jnp.uint32) // 3
+        third = jnp.maximum(lax.bitcast_convert_type(width, jnp.int32), 1)
+        one, two = low + third, high - third
+        # both counts in one sum, which takes most of a turn
+        both = (keys <= one).astype(jnp.int32) + ((keys <= two).astype(jnp.int32) << 15)
+        sums = jnp.sum(both)
+        up_to_one, up_to_two = sums & 0x7FFF, sums >> 15
+        first, second = up_to_one >= count, up_to_two >= count
+        low = jnp.where(first, low, jnp.where(second, one, two))
+        high = jnp.where(first, one, jnp.where(second, two, high))
+        return low, high, jnp.where(first, up_to_one, jnp.where(second, up_to_two, reached))
+
+    start = (jnp.min(keys) - 1, jnp.max(keys), jnp.int32(len(keys)))
+    _, threshold, _ = lax.while_loop(searching, narrowed, start)
+    below, equal = keys < threshold, (keys == threshold) & inside
+    # as above: those below in the upper half of the word
+    sums = jnp.cumsum((below.astype(jnp.int32) << 16) + equal.astype(jnp.int32))
+    room = count - jnp.sum(below.astype(jnp.int32))
+    so_far = sums & 0xFFFF
+    elite = below | (equal & (so_far <= room))
+    return elite, (sums >> 16) + jnp.minimum(so_far, room) - 1
+
+
+def _ordered(values: Array) -> Array:
+    """The bits of float32 as whole numbers of the same order."""
+    bits = lax.bitcast_convert_type(values, jnp.int32)
+    return bits ^ ((bits >> 31) & 0x7FFFFFFF)
+
+
+def _product(a: Array, b: Array) -> Array:
+    return jnp.dot(a, b, precision=lax.Precision.HIGHEST)
+
+
+def _power_of_two(count: int) -> int:
+    return 1 << max(0, count - 1).bit_length()

@@ -1,0 +1,258 @@
+"""The paper's sampling-based retargeter (SBR), with an optional second-order polish."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, UInt32
+
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import WRIST
+from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.correspondence import (
+    Correspondence,
+    CorrespondenceConfig,
+    CorrespondenceState,
+)
+from smooth_operator.retargeting.keyvectors import tips_of
+from smooth_operator.retargeting.method import (
+    FrameClock,
+    Method,
+    MethodOutput,
+    ObjectiveMethodConfig,
+)
+from smooth_operator.retargeting.objective import Objective
+from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
+from smooth_operator.retargeting.sbr.published import DexPilotTargets, ObjectiveConfig
+from smooth_operator.retargeting.sbr.random_words import frame_key, seed_words
+from smooth_operator.retargeting.sbr.sampled import SampledObjective
+from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_minimise
+from smooth_operator.retargeting.terms import FrameGoal
+from smooth_operator.retargeting.trajectory import FUTURE, TrajectoryMethodConfig
+from smooth_operator.settings import check_numbers, is_off
+
+
+@dataclass(frozen=True)
+class SbrConfig(ObjectiveMethodConfig):
+    """Settings of SBR.
+
+    Attributes:
+        alignment: alignment of human landmarks to the palm frame.
+        objective: weights of Eq. (1).
+        sampling: hyper-parameters of Algorithm 1.
+        polish: Newton steps on the same objective after Algorithm 1; none in the paper.
+        settle_rounds: number of solutions of the first frame, each from the last answer and
+            without the velocity term, since there is no last command to be near to. The hand then
+            starts where the operator is, and does not creep there from the neutral pose over
+            several frames. 1 is as published: once, velocity term and all.
+        settle_sigma: initial standard deviation of the sampler while it settles [rad]: the first
+            pose may be anywhere, and the wrong basin would last.
+        correspondence: places of the fingertips by the correspondence of human and robot fingers,
+            as in ``smooth``; share 0, as published, leaves them the human's.
+    """
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
+    sampling: SamplingConfig = field(default_factory=SamplingConfig)
+    polish: NewtonConfig = field(default_factory=lambda: NewtonConfig(iterations=0))
+    settle_rounds: int = 1
+    settle_sigma: float = 0.4
+    correspondence: CorrespondenceConfig = field(
+        default_factory=lambda: CorrespondenceConfig(share=0.0)
+    )
+
+    def __post_init__(self) -> None:
+        check_numbers(self, positive=("settle_rounds", "settle_sigma"))
+
+    @property
+    def one_thread(self) -> bool:
+        """Up to 2,048 samples are faster on one; 4,096 are 12 % slower."""
+        return self.sampling.samples <= 2048
+
+    def build(self, hand: Hand) -> Sbr:
+        """The method for one hand."""
+        return Sbr(hand, self)
+
+
+class OperatorState(NamedTuple):
+    """The operator between frames.
+
+    Attributes:
+        fingers: lengths of the operator's fingers, and the last places of the robot's fingertips.
+        tips: (F, 3) the human's fingertips in the last frame [m].
+        ticks: time of the last frame, in microseconds modulo 2^32.
+    """
+
+    fingers: CorrespondenceState
+    tips: Float[Array, "F 3"]
+    ticks: UInt32[Array, ""]
+
+
+class SbrState(NamedTuple):
+    """All that SBR remembers between frames.
+
+    Attributes:
+        q: (m,) last command of the actuated joints [rad].
+        targets: state of the target policy.
+        seed: two words, constant.
+        frames: frames answered so far; with the seed it gives each frame its random numbers.
+        operator: lengths of the operator's fingers; empty without a correspondence.
+    """
+
+    q: Float[Array, " m"]
+    targets: Any
+    seed: UInt32[Array, "2"]
+    frames: UInt32[Array, ""]
+    operator: OperatorState | tuple[()]
+
+
+@dataclass(frozen=True, eq=False)
+class Sbr(Method):
+    """SBR for one hand."""
+
+    hand: Hand
+    config: SbrConfig
+
+    @cached_property
+    def objective(self) -> SampledObjective:
+        """Eq. (1)."""
+        return SampledObjective(self.hand, self.config.objective)
+
+    @property
+    def needs(self) -> tuple[int, ...]:
+        """Wrist and fingertips."""
+        return self.objective.layout.landmarks
+
+    @cached_property
+    def correspondence(self) -> Correspondence:
+        """The correspondence of human and robot fingers."""
+        return Correspondence(self.hand, self.config.correspondence)
+
+    @property
+    def optional_landmarks(self) -> tuple[int, ...]:
+        """All of the fingers, for their lengths, with a correspondence."""
+        return () if is_off(self.config.correspondence.share) else self.correspondence.landmarks
+
+    def init(self, seed: int) -> SbrState:
+        """Neutral pose, the target policy's first state."""
+        operator: OperatorState | tuple[()] = ()
+        if not is_off(self.config.correspondence.share):
+            fingers = self.correspondence.init()
+            operator = OperatorState(fingers, fingers.places, jax.device_put(np.uint32(0)))
+        seeds, frames = jax.device_put((seed_words(seed), np.uint32(0)))
+        return SbrState(
+            jax.device_put(self.hand.neutral.astype(np.float32)),
+            self.config.objective.targets.init(self.objective.layout),
+            seeds,
+            frames,
+            operator,
+        )
+
+    def latched(self, state: SbrState) -> Bool[Array, " P"] | None:
+        """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
+        return self.config.objective.targets.latched(state.targets)
+
+    @property
+    def trajectory_objective(self) -> Objective:
+        """Eq. (1)."""
+        return self.objective
+
+    def step(
+        self, state: SbrState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
+    ) -> tuple[SbrState, MethodOutput]:
+        """One frame."""
+        aligned, operator = self._placed(state, aligned, jnp.asarray(ticks, jnp.uint32))
+        config, limits, layout = self.config, self.hand.limits, self.objective.layout
+        targets, policy_state = config.objective.targets(
+            state.targets, layout, layout.human(aligned)
+        )
+        starting = (state.frames == 0) & (config.settle_rounds > 1)
+        velocity_weight = jnp.where(starting, 0.0, config.objective.velocity_weight)
+        sigma = jnp.where(starting, config.settle_sigma, config.sampling.sigma)
+        goal = FrameGoal(targets.vectors, targets.weights, state.q, velocity_weight)
+
+        def solve(round: Array | int, q: Array) -> tuple[Array, Array]:
+            q = sample_minimise(
+                lambda candidates: self.objective(candidates, goal),
+                q,
+                limits,
+                frame_key(state.seed, state.frames + jnp.uint32(round)),
+                config.sampling,
+                sigma,
+            )
+            solution = newton_minimise(
+                lambda one: self.objective.value_grad_hess(one, goal), q, limits, config.polish
+            )
+            return solution[:2]
+
+        if config.settle_rounds > 1:
+            q, cost = lax.fori_loop(
+                0,
+                jnp.where(starting, config.settle_rounds, 1),
+                lambda round, last: solve(round, last[0]),
+                (state.q, jnp.zeros_like(state.q[0])),
+            )
+        else:
+            q, cost = solve(0, state.q)
+        tracking = cost - self.objective.regularisation(q, goal).cost
+        after = SbrState(q, policy_state, state.seed, state.frames + jnp.uint32(1), operator)
+        return after, MethodOutput(q, tracking)
+
+    def _placed(
+        self, state: SbrState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
+    ) -> tuple[Float[Array, "21 3"], OperatorState | tuple[()]]:
+        """Landmarks with the fingertips at their places, and the operator after the frame."""
+        before = state.operator
+        if not before:  # a tuple of arrays; empty without a correspondence
+            return aligned, ()
+        clock = FrameClock.of(now - before.ticks, state.frames)
+        at = np.array(tips_of(self.hand.fingers))
+        tips = aligned[at]
+        steps = jnp.where(clock.restart, 0.0, tips - before.tips)
+        fingers, *_ = self.correspondence.step(
+            before.fingers, aligned, tips, steps, steps, clock.dt, clock.restart
+        )
+        wrist = jnp.asarray(self.hand.wrist, aligned.dtype)
+        placed = aligned.at[at].set(fingers.places).at[WRIST].set(wrist)
+        return placed, OperatorState(fingers, tips, now)
+
+
+SBR_PAPER: Final = SbrConfig()
+"""The paper's table of hyper-parameters, fresh normals in every cycle."""
+
+SBR_REALTIME: Final = SbrConfig(
+    objective=ObjectiveConfig(
+        targets=DexPilotTargets(w_thumb=1.4, w_between=0.85, blend=0.4),
+        pose_weight=0.049,
+        velocity_weight=0.107,
+    ),
+    sampling=SamplingConfig(samples=256, elites=24, cycles=5, draws="quasi"),
+    polish=NewtonConfig(iterations=3, damping=(0.0, 1.0)),
+    settle_rounds=10,
+)
+"""For an ordinary CPU: few quasi-random base samples find the basin, Newton steps its floor.
+
+The optimum that the paper's sampler only approaches follows jumps of the pinch latches more
+closely; so a latch moves over 2.5 frames, and weight goes from the finger-to-finger keyvectors to
+the thumb's. docs/reference/benchmarks.md says what the weights were tuned on.
+"""
+
+SBR_OFFLINE: Final = TrajectoryMethodConfig(
+    replace(SBR_REALTIME, objective=replace(SBR_REALTIME.objective, pose_weight=0.02)),
+    FUTURE,
+    jump=0.03,
+)
+"""For recordings: Eq. (1) for all frames together, with a cost of acceleration, and of fingertips
+that move otherwise than the human's.
+
+With the future known, velocity need not cost anything, and the pull to the neutral pose can be
+weaker for the same smoothness.
+"""
+
+SBR: Final = {"realtime": SBR_REALTIME, "paper": SBR_PAPER, "offline": SBR_OFFLINE}

@@ -1,0 +1,298 @@
+"""Targets and costs of published methods: plain and DexPilot's keyvectors, penalties, velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.geometry import AnyArray
+from smooth_operator.retargeting.keyvectors import KeyvectorLayout
+from smooth_operator.retargeting.objective import TermsConfig
+from smooth_operator.retargeting.targets import LayoutT, TargetPolicy, Targets
+from smooth_operator.retargeting.terms import (
+    TINY_AREA,
+    TRANSITION,
+    FrameGoal,
+    JointCost,
+    JointTerm,
+    Keyvectors,
+    RobotVectors,
+    VectorSlopes,
+    smooth_l1,
+    smooth_l1_slopes,
+)
+from smooth_operator.settings import check_choice, check_numbers
+
+Loss: TypeAlias = Literal["smooth_l1", "squared", "smooth_l1_norm"]
+"""``smooth_l1``: weight times smooth-L1 of each component; ``squared``: weight times the square of
+each; ``smooth_l1_norm``: smooth-L1 of the weight times the length of the error."""
+
+
+def base_weights(
+    layout: KeyvectorLayout, wrist: float, thumb: float, between: float
+) -> Float[np.ndarray, " K"]:
+    """(K,) weights by kind of keyvector."""
+    weights = np.full(len(layout.pairs), between)
+    weights[: len(layout.fingers)] = wrist
+    weights[layout.thumb] = thumb
+    return weights
+
+
+class StatelessTargets(TargetPolicy[LayoutT, tuple[()]]):
+    """Base class of policies that remember nothing between frames."""
+
+    def init(self, layout: LayoutT) -> tuple[()]:
+        """The empty state."""
+        del layout
+        return ()
+
+
+@dataclass(frozen=True)
+class PlainTargets(StatelessTargets[KeyvectorLayout]):
+    """Every keyvector follows the human's.
+
+    Attributes:
+        beta: scale of the human vector.
+        w_wrist, w_thumb, w_between: weights of the wrist-to-tip, thumb-to-tip and finger-to-finger
+            keyvectors.
+    """
+
+    beta: float = 1.0
+    w_wrist: float = 1.0
+    w_thumb: float = 1.0
+    w_between: float = 1.0
+
+    def __post_init__(self) -> None:
+        weights = ("w_wrist", "w_thumb", "w_between")
+        check_numbers(self, "targets.", positive=("beta",), not_negative=weights)
+
+    def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
+        """The paper's keyvectors."""
+        return KeyvectorLayout(fingers)
+
+    def __call__(
+        self, state: tuple[()], layout: KeyvectorLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, tuple[()]]:
+        """Targets of one frame."""
+        weights = jnp.asarray(base_weights(layout, self.w_wrist, self.w_thumb, self.w_between))
+        return Targets(human * self.beta, weights.astype(human.dtype)), state
+
+
+class LatchState(NamedTuple):
+    """State of a policy with pinch latches between frames.
+
+    Attributes:
+        latched: (F - 1,) which fingers are latched to the thumb.
+        closure: (F - 1,) how far each latch has taken effect, 0 to 1.
+    """
+
+    latched: Bool[Array, " P"]
+    closure: Float[Array, " P"]
+
+
+@dataclass(frozen=True)
+class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
+    """Group form of DexPilot's targets (Handa et al. 2019), as the paper's table has it.
+
+    Per finger, a latch with hysteresis: it closes when the (aligned) human thumb-to-tip distance
+    falls under ``project`` and opens when it rises above ``escape``. Closed thumb vectors aim at
+    direction x eta1 with weight w_set1; vectors between two fingers that are both latched aim at
+    direction x eta2 with weight w_set2; all others at the human vector x beta with w_default.
+
+    Attributes:
+        project: closing distance [m].
+        escape: opening distance [m].
+        eta1: closed thumb-to-tip distance [m].
+        eta2: distance between two latched fingers [m].
+        w_set1: weight of closed thumb vectors.
+        w_set2: weight between latched fingers.
+        w_default: weight of the rest.
+        w_thumb: factor on the open thumb-to-tip vectors (1 in the paper).
+        w_between: factor on the open finger-to-finger vectors (1 in the paper).
+        beta: scale of the human vectors.
+        blend: share by which a latch's effect moves on per frame. 1, as published, makes targets
+            and weights jump when a latch closes or opens; less spreads it over 1 / blend frames.
+    """
+
+    project: float = 0.010
+    escape: float = 0.015
+    eta1: float = 0.001
+    eta2: float = 0.0
+    w_set1: float = 2.0
+    w_set2: float = 0.0
+    w_default: float = 1.0
+    w_thumb: float = 1.0
+    w_between: float = 1.0
+    beta: float = 1.0
+    blend: float = 1.0
+
+    def __post_init__(self) -> None:
+        weights = ("eta1", "eta2", "w_set1", "w_set2", "w_default", "w_thumb", "w_between")
+        check_numbers(self, "targets.", positive=("escape", "beta"), not_negative=weights)
+        if not 0 < self.blend <= 1:
+            raise ConfigError(f"blend must be in (0, 1], not {self.blend}")
+        if not 0 < self.project <= self.escape:
+            raise ConfigError(
+                f"pinch distances must satisfy 0 < project <= escape, not project={self.project}, "
+                f"escape={self.escape} [m]"
+            )
+
+    def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
+        """The paper's keyvectors."""
+        return KeyvectorLayout(fingers)
+
+    def init(self, layout: KeyvectorLayout) -> LatchState:
+        """Open latches."""
+        count = len(layout.fingers) - 1
+        return LatchState(*jax.device_put((np.zeros(count, bool), np.zeros(count, np.float32))))
+
+    def latched(self, state: LatchState) -> Bool[Array, " P"]:
+        """(F - 1,) which fingers are latched to the thumb."""
+        return state.latched
+
+    def __call__(
+        self, state: LatchState, layout: KeyvectorLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, LatchState]:
+        """Targets of one frame, and the latches after it."""
+        latched, closure = state
+        length = jnp.linalg.norm(human, axis=-1)
+        direction = human / jnp.maximum(length, 1e-9)[:, None]
+        distance = length[layout.thumb]
+        latched = jnp.where(latched, distance <= self.escape, distance < self.project)
+        closure = jnp.clip(closure + jnp.where(latched, self.blend, -self.blend), 0.0, 1.0)
+
+        weights = base_weights(
+            layout, self.w_default, self.w_default * self.w_thumb, self.w_default * self.w_between
+        )
+        # Per keyvector: how far is it a closed thumb vector, or one between latched fingers?
+        closed = jnp.zeros(len(layout.pairs), human.dtype).at[layout.thumb].set(closure)
+        both = jnp.zeros_like(closed)
+        if layout.between:
+            k, i, j = (np.asarray(column) for column in zip(*layout.between, strict=True))
+            both = both.at[k].set(jnp.minimum(closure[i], closure[j]))
+        held = closed + both  # never both: they are different keyvectors
+        eta = closed * self.eta1 + both * self.eta2
+        free = (1 - held) * self.beta
+        vectors = human * free[:, None] + direction * eta[:, None]
+        lambdas = (1 - held) * weights + closed * self.w_set1 + both * self.w_set2
+        return Targets(vectors, lambdas.astype(human.dtype)), LatchState(latched, closure)
+
+
+class SquaredKeyvectors(Keyvectors):
+    """The same with the square of each component, as Eq. (1) is printed."""
+
+    def price(self, error: Sequence[Array], weight: Array) -> Array:
+        """See ``Keyvectors``."""
+        return weight * (error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
+
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``; exact."""
+        double = 2 * jnp.asarray(goal.weights)[:, None]
+        cost = 0.5 * (double * errors * errors).sum()
+        return VectorSlopes(cost, double * errors, double * jnp.ones_like(errors))
+
+
+class NormKeyvectors(Keyvectors):
+    """The same with smooth-L1 of the weight times the length of the error, as in AKO."""
+
+    def price(self, error: Sequence[Array], weight: Array) -> Array:
+        """See ``Keyvectors``."""
+        x, y, z = error
+        length = jnp.sqrt(x * x + y * y + z * z + TINY_AREA)
+        return smooth_l1(weight * length, self.transition)
+
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``; exact but on the kink of smooth-L1."""
+        weights = jnp.asarray(goal.weights)
+        length = jnp.sqrt((errors * errors).sum(axis=-1) + TINY_AREA)
+        unit = errors / length[:, None]
+        slope, second = smooth_l1_slopes(weights * length, self.transition)
+        along = unit[:, :, None] * unit[:, None, :]
+        radial, tangential = weights**2 * second, weights * slope / length
+        across = jnp.eye(3, dtype=errors.dtype) - along
+        return VectorSlopes(
+            smooth_l1(weights * length, self.transition).sum(),
+            (weights * slope)[:, None] * unit,
+            radial[:, None, None] * along + tangential[:, None, None] * across,
+        )
+
+
+KEYVECTORS: Final[dict[Loss, type[Keyvectors]]] = {
+    "smooth_l1": Keyvectors,
+    "squared": SquaredKeyvectors,
+    "smooth_l1_norm": NormKeyvectors,
+}
+"""First term of Eq. (1), by its penalty."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothL1Velocity(JointTerm):
+    """Smooth-L1 of the weight times the change of each joint, as in AKO.
+
+    Attributes:
+        transition: where smooth-L1 turns from quadratic to linear [rad].
+    """
+
+    transition: float
+
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+        """See ``JointTerm``."""
+        weight: Any = goal.velocity_weight
+        change = weight * (q - goal.previous)
+        first, second = smooth_l1_slopes(change, self.transition)
+        cost = smooth_l1(change, self.transition).sum(axis=-1)
+        return JointCost(cost, weight * first, weight**2 * second)
+
+
+@dataclass(frozen=True)
+class ObjectiveConfig(TermsConfig):
+    """Weights of Eq. (1).
+
+    Attributes:
+        targets: the target policy; by default DexPilot's, as the paper's table has it.
+        pose_weight: lambda_reg (gamma of the paper's table), pull to a pose.
+        terms: more terms, which are built for the hand.
+        transition: where smooth-L1 turns from quadratic to linear [m].
+        loss: ``smooth_l1`` per component, as in the authors' released code and in the figures of
+            the paper; ``squared``, as Eq. (1) is printed; or ``smooth_l1_norm``, smooth-L1 of the
+            weight times the length of the error, as in "Analyzing Key Objectives" (AKO).
+        pose_centre: that pose: the hand's ``neutral`` pose, or ``zero`` angles.
+        velocity_weight: lambda_vel (w_v of the table), penalty on the change of the command.
+        velocity_loss: ``squared``, the weight times the squared change, as in Eq. (1); or
+            ``smooth_l1``, smooth-L1 of the weight times the change of each joint, as in AKO, with
+            the same ``transition`` [rad].
+    """
+
+    targets: TargetPolicy[Any, Any] = field(default_factory=DexPilotTargets)
+    pose_weight: float = 0.05
+    transition: float = TRANSITION
+    loss: Loss = "smooth_l1"
+    pose_centre: Literal["neutral", "zero"] = "neutral"
+    velocity_weight: float = 0.1
+    velocity_loss: Literal["squared", "smooth_l1"] = "squared"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice(self, "loss", get_args(Loss))
+        check_choice(self, "pose_centre", ("neutral", "zero"))
+        check_choice(self, "velocity_loss", ("squared", "smooth_l1"))
+        check_numbers(self, positive=("transition",), not_negative=("velocity_weight",))
+
+    def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
+        """First term of Eq. (1), with the penalty of the settings."""
+        return KEYVECTORS[self.loss](vectors, self.transition)
+
+    def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
+        """Second and third term of Eq. (1), of a hand's neutral pose [rad]."""
+        centre = neutral if self.pose_centre == "neutral" else np.zeros_like(neutral)
+        pose, velocity = super().pulls(centre)
+        if self.velocity_loss == "smooth_l1":
+            velocity = SmoothL1Velocity(self.transition)
+        return pose, velocity

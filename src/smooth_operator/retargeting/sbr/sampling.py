@@ -1,0 +1,284 @@
+"""Algorithm 1 of the paper: MPOPI with iCEM's elites as its adaptive importance sampler.
+
+``sample_minimise`` follows the printed algorithm from top to bottom, in its letters: mean mu',
+covariance Sigma' (kept as its Cholesky factor ``chol``), elites and weights w. Comments "line n"
+give the line number of the printed algorithm.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Final, Literal, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, Int, UInt32
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.retargeting.levenberg import gpu_kernels
+from smooth_operator.retargeting.sbr.random_words import random_words
+from smooth_operator.settings import check_choice, check_numbers
+
+_ROWS: Final = 32  # a bit of a word for each
+
+
+def largest(
+    values: Float[Array, " n"], count: int
+) -> tuple[Float[Array, " count"], Int[Array, " count"]]:
+    """The largest values, in descending order, and their indices: ``lax.top_k``, but sooner.
+
+    XLA's own keeps a heap, whose branches a processor can't predict: 45 us for 128 of 8192 on a
+    CPU; this takes half. The values fill a table of 32 rows. The columns with the largest maxima
+    hold all of the answer, and few other entries reach the least of those maxima; only these are
+    compared one by one. Of equal values any may be taken; NaN is not allowed.
+    """
+    columns, rest = divmod(len(values), _ROWS)
+    if rest or columns < 2 * count or jax.default_backend() != "cpu":
+        return _by_heap(values, count)
+    rows = [values[i * columns : (i + 1) * columns] for i in range(_ROWS)]
+    best, column = _by_heap(functools.reduce(jnp.maximum, rows), count)
+    # Bit i of a column's word: whether row i reaches the least of the best maxima
+    bit = [(row >= best[-1]).astype(jnp.uint32) << i for i, row in enumerate(rows)]
+    words = functools.reduce(jnp.bitwise_or, bit)[column]
+    # Place p takes one of the set bits, column after column; exact, since they are small integers
+    bits = lax.population_count(words).astype(jnp.float32)
+    so_far = jnp.asarray(np.tri(count, dtype=np.float32)) @ bits
+    place = jnp.arange(2 * count)
+    at = jnp.minimum(jnp.sum(so_far[:, None] <= place, axis=0, dtype=jnp.int32), count - 1)
+    row_of = _set_bit(words[at], place - (so_far - bits).astype(jnp.int32)[at])
+    index = row_of * columns + column[at]
+
+    chosen = jnp.where(place < so_far[-1], values[index], -jnp.inf)
+    ordered, position = _by_heap(chosen, count)
+    # More than there are places for: values in an unlikely order, or many equal ones. A loop of one
+    # turn or none, and no branch: ``vmap`` would work out both sides of a branch.
+    more = (so_far[-1] > len(place)).astype(jnp.int32)
+    largest: tuple[Array, Array] = lax.fori_loop(
+        0, more, lambda _, largest: _by_heap(values, count), (ordered, index[position])
+    )
+    return largest
+
+
+def _by_heap(values: Array, count: int) -> tuple[Array, Array]:
+    # The barrier keeps XLA from sorting all values, which it does when it sees that one is read
+    return lax.optimization_barrier(tuple(lax.top_k(values, count)))  # type: ignore
+
+
+def _set_bit(word: Array, rank: Array) -> Array:
+    """The place of the set bit with so many set bits below it, by halving."""
+    place = jnp.zeros_like(rank)
+    for half in (16, 8, 4, 2, 1):
+        below = lax.population_count(word & jnp.uint32((1 << half) - 1)).astype(jnp.int32)
+        above = rank >= below
+        rank = jnp.where(above, rank - below, rank)
+        word = jnp.where(above, word >> half, word)
+        place = place + jnp.where(above, half, 0)
+    return place
+
+
+MOST_SAMPLES: Final = 1 << 20
+MOST_CYCLES: Final = 10_000
+"""Upper bounds against typing errors: larger values exceed the memory or take minutes."""
+
+Cost: TypeAlias = Callable[[Sequence[Array]], Array]
+"""m arrays of a common shape (one per variable, batch last) to costs of that shape."""
+
+
+@dataclass(frozen=True)
+class SamplingConfig:
+    """Hyper-parameters of Algorithm 1; the defaults are the paper's table.
+
+    Attributes:
+        samples: N, candidates per cycle.
+        elites: M, candidates that shape the next cycle.
+        cycles: L.
+        sigma: initial standard deviation [rad].
+        temperature: lambda of the softmax over elites.
+        jitter: epsilon, added to the diagonal of the covariance.
+        draws: ``fresh`` normals in every cycle, as published; or ``quasi``, always the same base
+            normals, of low discrepancy.
+    """
+
+    samples: int = 8192
+    elites: int = 128
+    cycles: int = 20
+    sigma: float = 0.2
+    temperature: float = 0.1
+    jitter: float = 1e-6
+    draws: Literal["fresh", "quasi"] = "fresh"
+
+    def __post_init__(self) -> None:
+        numbers = ("samples", "elites", "cycles", "sigma", "temperature", "jitter")
+        check_numbers(self, "sampling.", positive=numbers)
+        if self.elites > self.samples:
+            raise ConfigError(
+                "sampling needs samples >= elites, not "
+                f"samples={self.samples}, elites={self.elites}"
+            )
+        if self.samples > MOST_SAMPLES or self.cycles > MOST_CYCLES:
+            raise ConfigError(
+                f"sampling takes at most {MOST_SAMPLES} samples and {MOST_CYCLES} cycles, not "
+                f"samples={self.samples}, cycles={self.cycles}; the paper has 8192 and 20"
+            )
+        check_choice(self, "draws", ("fresh", "quasi"))
+
+
+def sample_minimise(
+    cost: Cost,
+    start: Float[Array, " m"],
+    limits: Float[np.ndarray, "m 2"],
+    key: UInt32[Array, "2"],
+    config: SamplingConfig,
+    sigma: Float[Array, ""] | float | None = None,
+    cycles: Int[Array, ""] | int | None = None,
+) -> Float[Array, " m"]:
+    """Minimise a cost within bounds by Algorithm 1.
+
+    In the last cycle of the printed algorithm, candidates are drawn and scored that nothing reads
+    (``if l < L`` skips the update). That cycle is left out; the result is the same.
+
+    Candidates are clipped to the bounds before they are scored, as in the authors' released code,
+    so mean and covariance are those of clipped elites. The printed algorithm clips in line 14 only.
+
+    Args:
+        cost: the cost of batch-last candidates; it is called within the bounds only.
+        start: (m,) initial mean.
+        limits: (m, 2) bounds.
+        key: two random words; unused when the base normals are fixed.
+        config: hyper-parameters.
+        sigma: initial standard deviation [rad], instead of the configured one; may be traced.
+        cycles: L, instead of the configured one and no more than that; may be traced.
+
+    Returns:
+        (m,) the final mean, clipped to the bounds.
+    """
+    size, dtype = len(limits), jnp.float32
+    low, high = (jnp.asarray(limits[:, i], dtype) for i in (0, 1))
+    gaussian = _ClippedGaussian(low, high, config)
+    cycle_keys = random_words(key, config.cycles - 1)
+    ones = jnp.ones((1, config.elites), dtype)
+
+    # Lines 1-2: mu' = q and Sigma' = diag(sigma^2) + epsilon I
+    deviation = config.sigma if sigma is None else sigma
+    mean = start.astype(dtype)
+    chol = jnp.sqrt(deviation**2 + config.jitter) * jnp.eye(size, dtype=dtype)
+    epsilon = config.jitter * jnp.eye(size, dtype=dtype)
+    kernels = gpu_kernels(config.samples)
+
+    def cycle(mean: Array, chol: Array, cycle_key: Array) -> tuple[Array, Array]:
+        # Line 4: draw the candidates. Line 5: compute their costs
+        costs = cost(gaussian.draw_all(mean, chol, cycle_key))
+        # Line 7: the M elites, best first
+        rewards, index = largest(-costs, config.elites)
+        elites = gaussian.draw(mean, chol, cycle_key, index)
+        # Line 8: J_min is the cost of the first elite. Line 9: w_m, not yet divided by their sum,
+        # which is cheaper after the next sum
+        weights = jnp.exp((rewards - rewards[0]) / config.temperature)
+        sums = jnp.concatenate([elites, ones]) @ weights
+        # Line 10: the new mean
+        mean = sums[:-1] / sums[-1]
+        # Line 11: the covariance about the new mean
+        centred = (elites - mean[:, None]) * jnp.sqrt(weights / sums[-1])
+        covariance = centred @ centred.T + epsilon
+        return mean, lax.linalg.cholesky(covariance, symmetrize_input=False)
+
+    # Lines 3-13: L - 1 cycles
+    if kernels is not None:
+        next_gaussian = kernels.next_gaussian
+
+        def cycle_in_kernel(i: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+            mean, chol, words = carry
+            following: tuple[Array, ...] = next_gaussian(
+                cost(gaussian.draw_all(mean, chol, words)),
+                mean,
+                chol,
+                words,
+                (key, i + 1),
+                gaussian.base,
+                limits,
+                config.elites,
+                config.temperature,
+                config.jitter,
+            )
+            return following
+
+        count = config.cycles if cycles is None else cycles
+        mean, *_ = lax.fori_loop(0, count - 1, cycle_in_kernel, (mean, chol, cycle_keys[0]))
+    elif cycles is None:
+        (mean, _), _ = lax.scan(lambda carry, k: (cycle(*carry, k), None), (mean, chol), cycle_keys)
+    else:
+        mean, _ = lax.fori_loop(
+            0, cycles - 1, lambda i, carry: cycle(carry[0], carry[1], cycle_keys[i]), (mean, chol)
+        )
+    # Line 14: clip to the joint limits
+    return jnp.clip(mean, low, high)
+
+
+class _ClippedGaussian:
+    """Draws from N(mean, chol chol^T) that are clipped to bounds; a draw is known by its index."""
+
+    def __init__(self, low: Array, high: Array, config: SamplingConfig) -> None:
+        self.low, self.high, self.size = low, high, len(low)
+        self.everyone = jnp.arange(config.samples, dtype=jnp.uint32)
+        quasi = config.draws == "quasi"
+        self.base = jnp.asarray(quasi_normals(self.size, config.samples)) if quasi else None
+
+    def draw(self, mean: Array, chol: Array, words: Array, index: Array) -> Array:
+        """(m, len(index)) the draws with these indices."""
+        if self.base is None:
+            from smooth_operator.retargeting.sbr.normals import counter_normal_matrix
+
+            normals = counter_normal_matrix(index.astype(jnp.uint32), words, self.size)
+        else:
+            normals = self.base if index is self.everyone else self.base[:, index]
+        return jnp.clip(mean[:, None] + chol @ normals, self.low[:, None], self.high[:, None])
+
+    def draw_all(self, mean: Array, chol: Array, words: Array) -> list[Array]:
+        """All N draws, as m arrays (N,).
+
+        The product with ``chol`` is written out, so that drawing, kinematics and cost fuse into one
+        loop that stores nothing; the elites are drawn again from their indices. Where the normals
+        are stored anyway, a matrix product is as fast and compiles faster.
+        """
+        if self.base is not None:
+            return list(self.draw(mean, chol, words, self.everyone))
+        from smooth_operator.retargeting.sbr.normals import counter_normals
+
+        normals = counter_normals(self.everyone, words, self.size)
+        rows = []
+        for i in range(self.size):
+            row = mean[i] + chol[i, 0] * normals[0]
+            for j in range(1, i + 1):
+                row = row + chol[i, j] * normals[j]
+            rows.append(lax.clamp(self.low[i], row, self.high[i]))
+        return rows
+
+
+def quasi_normals(count: int, samples: int) -> Float[np.ndarray, "count samples"]:
+    """(count, samples) standard normals of low discrepancy, to use again in every frame: the
+    additive recurrence of Roberts' generalised golden ratio, shifted. Sampling noise is then a
+    smooth function of the input, which a command that is compared with the last one wants."""
+    rng = np.random.default_rng(0)
+    ratio = 2.0
+    for _ in range(64):  # the root of x^(count + 1) = x + 1
+        ratio = (1 + ratio) ** (1 / (count + 1))
+    steps = ratio ** -np.arange(1.0, count + 1)
+    points = (rng.random((count, 1)) + steps[:, None] * np.arange(1, samples + 1)) % 1.0
+    inverse = NormalDist().inv_cdf  # SciPy's would cost half a second of import at start-up
+    quantiles = [inverse(u) for u in np.clip(points, 1e-6, 1 - 1e-6).ravel()]
+    return _whitened(np.array(quantiles).reshape(count, samples))
+
+
+def _whitened(normals: Float[np.ndarray, "count samples"]) -> Float[np.ndarray, "count samples"]:
+    """Mean 0 and covariance I exactly, where there are samples enough: a few hundred fixed normals
+    in 16 dimensions would otherwise lean one way for ever."""
+    count, samples = normals.shape
+    if samples > 2 * count:
+        normals = normals - normals.mean(axis=1, keepdims=True)
+        normals = np.linalg.solve(np.linalg.cholesky(normals @ normals.T / samples), normals)
+    return normals.astype(np.float32)

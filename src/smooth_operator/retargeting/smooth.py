@@ -1,0 +1,455 @@
+"""``smooth``: accurate, smooth and clear of itself, for a live loop.
+
+Eq. (1) with six ideas more; a weight of 0 leaves its idea out. Fingertips move as the human's do,
+while their places are corrected little by little, and most while the hand moves. Fingertips that
+can be where the human's are, are exactly there. The thumb's vectors are held by angle and length
+and not by distance alone. The thumb's pad faces as the human's does. Parts of the hand stay out of
+each other. The fingertip filter takes out
+most of the tracker's shake and limits its jumps. docs/explanation/smooth.md has equations,
+smooth-appendix.md measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, UInt32
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.pose_table import PoseTable
+from smooth_operator.landmarks import TIPS
+from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.correspondence import (
+    Correspondence,
+    CorrespondenceConfig,
+    CorrespondenceState,
+)
+from smooth_operator.retargeting.fingertip_filter import (
+    FilterState,
+    FingertipFilterConfig,
+    filter_fingertips,
+)
+from smooth_operator.retargeting.keyvectors import KeyvectorLayout
+from smooth_operator.retargeting.levenberg import damped_newton
+from smooth_operator.retargeting.method import (
+    FrameClock,
+    Method,
+    MethodOutput,
+    ObjectiveMethodConfig,
+)
+from smooth_operator.retargeting.objective import Objective, TermsConfig
+from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
+from smooth_operator.retargeting.smooth_terms import (
+    DirectionLength,
+    DirectionLengthConfig,
+    FingerSpread,
+    FingertipMotion,
+    FingertipPosition,
+    FingertipPositionConfig,
+    PadDirection,
+    SelfCollision,
+    SelfCollisionConfig,
+)
+from smooth_operator.retargeting.straight_fingers import frame_limits
+from smooth_operator.retargeting.targets import CloseTargets
+from smooth_operator.retargeting.terms import FrameGoal
+from smooth_operator.retargeting.trajectory import FUTURE, TrajectoryMethodConfig
+from smooth_operator.settings import check_numbers, is_off
+
+REFERENCE: Final = 0.01
+"""Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an
+error is worked off in the same time at any rate."""
+
+ASTRAY: Final = 0.01
+"""Distance of a fingertip from its place, beyond that of the table's nearest pose, at which it is
+astray [m]. Its motion then weighs half, and further away hardly at all."""
+PATIENCE: Final = 0.3
+"""Time for which a fingertip is astray until another pose is looked for [s]."""
+BETTER: Final = 0.7
+"""Another pose is then taken if it costs less than this share of what the hand's own comes to."""
+LEAP: Final = (0.03, 1.0)
+"""A fingertip that is seen further from the last frame's than this [m] and this speed [m/s] allow
+has leapt: the tracker was wrong, or is."""
+SETTLED: Final = 0.15
+"""Time after a leap at which the past is forgotten [s]."""
+
+
+@dataclass(frozen=True)
+class SmoothConfig(ObjectiveMethodConfig):
+    """Settings of ``smooth``. A weight of 0 leaves its term out.
+
+    Attributes:
+        alignment: alignment of human landmarks to the palm frame.
+        objective: targets, pose weight, and terms of your own.
+        motion_weight: weight of fingertips that move as the human's do, at 100 Hz.
+        motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
+            with the square of the speed, since a correction of the same size turns a fast motion
+            less. 0 leaves it constant.
+        pinch_damping: added to the velocity weight of joints that move the thumb or a finger that
+            the targets have latched to it, for fingers that move roll out what they hold. It falls
+            as the motion weight does, so that a hand that opens is not held back.
+        spread_weight: cost of a long finger that spreads by over 0.2 rad to a side, per squared
+            radian beyond.
+        pad_weight: cost of one minus the cosine between the last segments of the robot's and the
+            human's thumb.
+        fingertip_position: cost of fingertips that are nearly where the human's are.
+        self_collision: cost of parts of the hand inside each other.
+        direction_length: cost of direction and length of the thumb-to-tip vectors.
+        correspondence: where the robot's fingertips belong, by fingers of other lengths.
+        fingertips: filter of the human's fingertips.
+        iterations: Newton steps of a descent, at most. Most frames need two to four, and one in a
+            hundred 15; descents that are stopped early end far from each other.
+    """
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    objective: TermsConfig = field(default_factory=TermsConfig)
+    motion_weight: float = 6000.0
+    motion_speed: float = 0.05
+    pinch_damping: float = 100.0
+    spread_weight: float = 1.0
+    pad_weight: float = 2.0
+    fingertip_position: FingertipPositionConfig = field(default_factory=FingertipPositionConfig)
+    self_collision: SelfCollisionConfig = field(default_factory=SelfCollisionConfig)
+    direction_length: DirectionLengthConfig = field(default_factory=DirectionLengthConfig)
+    correspondence: CorrespondenceConfig = field(default_factory=CorrespondenceConfig)
+    fingertips: FingertipFilterConfig = field(default_factory=FingertipFilterConfig)
+    iterations: int = 50
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            positive=("iterations",),
+            not_negative=(
+                "motion_weight",
+                "motion_speed",
+                "pinch_damping",
+                "spread_weight",
+                "pad_weight",
+            ),
+        )
+
+    def build(self, hand: Hand) -> Smooth:
+        """The method for one hand."""
+        return Smooth(hand, self)
+
+    def notes(self, hand: Hand) -> tuple[str, ...]:
+        """Note on estimated collision shapes."""
+        from smooth_operator.hands.stand_ins import stand_in_note
+
+        note = stand_in_note(hand) if self.self_collision.weight else None
+        return (note,) if note else ()
+
+
+class SmoothState(NamedTuple):
+    """All that ``smooth`` remembers between frames.
+
+    Attributes:
+        q: (m,) last command of the actuated joints [rad].
+        operator: lengths of the operator's fingers; empty without a correspondence.
+        gaps: gaps that the tracker leaves in pinches.
+        filtered: the fingertip filter's state, of the needed landmarks.
+        targets: state of the target policy.
+        ticks: time of the last frame, in microseconds modulo 2^32.
+        frames: frames answered so far.
+        astray: time for which a fingertip has been astray [s].
+        leapt: time since a fingertip leapt [s].
+    """
+
+    q: Float[Array, " m"]
+    operator: CorrespondenceState | tuple[()]
+    gaps: PinchGapState
+    filtered: FilterState
+    targets: Any
+    ticks: UInt32[Array, ""]
+    frames: UInt32[Array, ""]
+    astray: Float[Array, ""]
+    leapt: Float[Array, ""]
+
+
+class _Observed(NamedTuple):
+    """What a frame asks.
+
+    Attributes:
+        state: the state after its landmarks.
+        clock: its time.
+        goal: targets and weights.
+        places: (F, 3) places of the fingertips in the palm frame [m].
+        table: (m,) the pose table's nearest pose [rad].
+        possible: (F,) distances of that pose's fingertips from their places [m].
+    """
+
+    state: SmoothState
+    clock: FrameClock
+    goal: FrameGoal
+    places: Float[Array, "F 3"]
+    table: Float[Array, " m"]
+    possible: Float[Array, " F"]
+
+    def beyond(self, tips: Float[Array, "F 3"]) -> Float[Array, " F"]:
+        """By how much fingertips are further from their places than the table's [m]."""
+        off = tips - self.places
+        return jnp.maximum(jnp.sqrt((off * off).sum(-1)) - self.possible, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth(Method):
+    """``smooth`` for one hand."""
+
+    uneven = True
+
+    hand: Hand
+    config: SmoothConfig
+
+    @cached_property
+    def objective(self) -> Objective:
+        """The terms that are minimised: those of Eq. (1), and six more."""
+        config = self.config
+        vectors = Objective(self.hand, config.objective).keyvectors.vectors
+        return Objective(
+            self.hand,
+            config.objective,
+            (
+                self.motion,
+                FingertipPosition(vectors, config.fingertip_position),
+                DirectionLength(vectors, config.direction_length),
+                SelfCollision(self.hand, config.self_collision),
+                FingerSpread(self.hand, config.spread_weight),
+                PadDirection(self.hand, config.pad_weight),
+            ),
+        )
+
+    @cached_property
+    def motion(self) -> FingertipMotion:
+        """The term of fingertip motion."""
+        return FingertipMotion(self.hand)
+
+    @cached_property
+    def closing(self) -> PinchGapEstimate:
+        """The closing of the gaps that a tracker leaves in pinches."""
+        return PinchGapEstimate(self.hand)
+
+    @cached_property
+    def correspondence(self) -> Correspondence:
+        """The correspondence of human and robot fingers."""
+        return Correspondence(self.hand, self.config.correspondence)
+
+    @cached_property
+    def pose_table(self) -> PoseTable:
+        """Poses to start from without the last answer."""
+        return PoseTable(self.hand)
+
+    @property
+    def layout(self) -> KeyvectorLayout:
+        """The vectors from wrist and thumb's tip to the fingertips.
+
+        Raises:
+            ConfigError: the target policy speaks of others.
+        """
+        layout = self.objective.layout
+        if not isinstance(layout, KeyvectorLayout):
+            raise ConfigError(f"smooth needs the paper's keyvectors, not {type(layout).__name__}")
+        return layout
+
+    @property
+    def needs(self) -> tuple[int, ...]:
+        """Wrist and fingertips."""
+        return self.layout.landmarks
+
+    @property
+    def optional_landmarks(self) -> tuple[int, ...]:
+        """All landmarks of the fingers, which show their lengths."""
+        corresponds = not is_off(self.config.correspondence.share)
+        return self.correspondence.landmarks if corresponds else ()
+
+    def init(self, seed: int) -> SmoothState:
+        """Neutral pose; nothing is random."""
+        del seed
+        put = jax.device_put  # compiles nothing
+        neutral = put(self.hand.neutral.astype(np.float32))
+        return SmoothState(
+            neutral,
+            () if is_off(self.config.correspondence.share) else self.correspondence.init(),
+            PinchGapState.of(self.hand.fingers, {}),
+            FilterState.unseen(len(self.needs)),
+            self.config.objective.targets.init(self.objective.layout),
+            put(np.uint32(0)),
+            put(np.uint32(0)),
+            put(np.float32(0)),
+            put(np.float32(1)),
+        )
+
+    def latched(self, state: SmoothState) -> Bool[Array, " P"] | None:
+        """(F - 1,) which fingers are latched to the thumb; None if the policy has no latches."""
+        return self.config.objective.targets.latched(state.targets)
+
+    def pinch_gaps(self, state: SmoothState) -> Float[Array, " P"]:
+        """(F - 1,) estimated gaps between thumb and finger in a pinch [palm lengths]."""
+        return state.gaps.gap
+
+    def with_pinch_gaps(self, state: SmoothState, known: Mapping[str, float] | None) -> SmoothState:
+        """The state with gaps that are known; None closes none."""
+        return state._replace(gaps=PinchGapState.of(self.hand.fingers, known))
+
+    def continued(self, fresh: SmoothState, before: SmoothState) -> SmoothState:
+        """A state without a past, with the gaps of an earlier one."""
+        return fresh._replace(gaps=before.gaps)
+
+    def fingertip_targets(self, state: SmoothState) -> Float[Array, "F 3"] | None:
+        """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m];
+        None without a correspondence, and before the first frame."""
+        if not state.operator or not np.asarray(state.frames):
+            return None
+        return state.operator.places
+
+    @property
+    def trajectory_objective(self) -> Objective:
+        """The objective; a known future makes the filter needless."""
+        return self.objective
+
+    def step(
+        self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
+    ) -> tuple[SmoothState, MethodOutput]:
+        """One frame."""
+        frame = self._observed(state, aligned, jnp.asarray(ticks, jnp.uint32))
+        solved, tips, astray = self._solve(state, frame)
+        after = frame.state._replace(q=solved, astray=astray, frames=state.frames + jnp.uint32(1))
+        keyvectors = self.objective.keyvectors
+        errors = keyvectors.vectors.at(tips) - frame.goal.vectors
+        return after, MethodOutput(solved, keyvectors.slopes(errors, frame.goal).cost)
+
+    def _observed(
+        self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
+    ) -> _Observed:
+        """The landmarks of a frame, filtered, and what they ask."""
+        config = self.config
+        clock = FrameClock.of(now - state.ticks, state.frames)
+        gaps, closed = self.closing.step(state.gaps, aligned, clock.dt, clock.restart)
+        measured = closed[np.array(self.needs)]  # the wrist and the fingertips
+        filtered, still = filter_fingertips(
+            state.filtered, measured, clock.dt, config.fingertips, clock.restart
+        )
+        steps = jnp.where(clock.restart, 0.0, filtered.followed - state.filtered.followed)
+        tips, origin = filtered.followed[1:], jnp.asarray(self.hand.wrist, aligned.dtype)
+        operator, speeds = state.operator, still[1:] - still[0]
+        places, moves = tips - filtered.followed[0] + origin, speeds
+        if operator:  # a tuple of arrays; empty without a correspondence
+            operator, moves = self.correspondence.step(
+                operator, aligned, tips, speeds, steps[1:] - steps[0], clock.dt, clock.restart
+            )
+            places = operator.places
+        off = (measured - state.filtered.followed)[1:]
+        leaps = jnp.sqrt((off * off).sum(-1)) > LEAP[0] + LEAP[1] * clock.dt
+        leapt = jnp.where(leaps.any() & ~clock.restart, 0.0, state.leapt + clock.dt)
+        policy, human = config.objective.targets, self.layout.of_tips(places, origin)
+        targets, latches = policy(state.targets, self.layout, human)
+        # the further apart two frames are, the less they hold each other
+        holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
+        slow = jnp.ones(len(moves), aligned.dtype)
+        if not is_off(config.motion_speed):
+            speed = jnp.sqrt((speeds * speeds).sum(-1) + 1e-18) / clock.dt
+            slow = 1 / (1 + (speed / config.motion_speed) ** 2)
+        latched = policy.latched(latches)
+        latched = jnp.zeros(len(tips) - 1, bool) if latched is None else latched
+        pinching = slow * jnp.concatenate([latched.any()[None], latched])
+        damped = (pinching[:, None] * jnp.asarray(self.pose_table.moves)).max(axis=0)
+        damping = config.pinch_damping * holds * damped
+        pad = aligned[TIPS[0]] - aligned[TIPS[0] - 1]
+        pad = pad / jnp.sqrt((pad * pad).sum() + 1e-12)
+        arrival, weights = self.motion.tips(state.q) + moves, config.motion_weight * holds * slow
+        goal = FrameGoal(*targets, state.q, damping, arrival, weights, pad)
+        after = state._replace(
+            operator=operator,
+            gaps=gaps,
+            filtered=filtered,
+            targets=latches,
+            ticks=now,
+            leapt=leapt,
+        )
+        frame = _Observed(after, clock, goal, places, *self.pose_table.nearest(places))
+        if not operator:
+            return frame
+        # the places are within reach: an error that stays is a fault's
+        weights = weights / (1 + (frame.beyond(arrival) / ASTRAY) ** 4)
+        return frame._replace(goal=goal._replace(motion_weights=weights))
+
+    def _solve(
+        self, state: SmoothState, frame: _Observed
+    ) -> tuple[Float[Array, " m"], Float[Array, "F 3"], Float[Array, ""]]:
+        """(m,) the solver's answer, (F, 3) its fingertips [m], and the time for which a finger has
+        been astray [s].
+
+        A descent from the last answer. Where there is none, and a moment after a fingertip has
+        leapt, two descents of a goal that knows no past, from the table's pose and from the neutral
+        pose: the lower cost counts. Where a fingertip has been astray for a while, it counts if it
+        is much lower than that of a third one, from the hand's own pose.
+        """
+        goal, last = frame.goal, state.q
+        limits = frame_limits(self.hand, goal.vectors[: len(frame.places)])
+        neutral = jnp.asarray(self.hand.neutral, last.dtype)
+
+        def descent(start: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
+            pose, lowest = best
+            past = start == 0
+            now = goal._replace(
+                velocity_weight=jnp.where(past, goal.velocity_weight, 0.0),
+                motion_weights=jnp.where(past, jnp.asarray(goal.motion_weights), 0.0),
+            )
+            end, cost, _ = damped_newton(
+                lambda one: self.objective.value_grad_hess(one, now),
+                lambda few: self.objective.values(few, now),
+                jnp.clip(jnp.stack([last, pose, frame.table, neutral])[start], *limits.T),
+                limits,
+                self.config.iterations,
+            )
+            taken = (start != 1) & (cost <= lowest)
+            bar = jnp.where(past, jnp.inf, jnp.where(start == 1, BETTER * cost, cost))
+            return jnp.where(taken, end, pose), jnp.minimum(bar, lowest)
+
+        forget = frame.clock.restart | ((state.leapt < SETTLED) & (frame.state.leapt >= SETTLED))
+        search = state.astray > PATIENCE
+        first, after = jnp.where(forget, 2, 0), jnp.where(forget | search, 4, 1)
+        pose, _ = lax.fori_loop(first, after, descent, (last, jnp.float32(jnp.inf)))
+        tips = self.motion.tips(pose)
+        astray = (frame.beyond(tips) > ASTRAY).any() & ~search & bool(state.operator)
+        return pose, tips, jnp.where(astray, state.astray + frame.clock.dt, 0.0)
+
+
+SMOOTH_TELEOP: Final = SmoothConfig()
+"""For a live loop: causal, no frame later than the human's; open when the human's hand is open,
+closed when it is closed, whatever the lengths of either's fingers."""
+
+SMOOTH_PRECISE: Final = replace(
+    SMOOTH_TELEOP,
+    correspondence=CorrespondenceConfig(share=0.0),
+    objective=replace(SMOOTH_TELEOP.objective, targets=CloseTargets(w_wrist=1.0)),
+    motion_weight=1300.0,
+    motion_speed=0.1,
+    pinch_damping=0.0,
+    spread_weight=0.0,
+    pad_weight=0.0,
+    direction_length=DirectionLengthConfig(direction=2.5),
+)
+"""For the paper's metrics: the human's fingertips as the palms are aligned, and of them first the
+directions from the thumb. Fingers of other lengths than the human's stay bent in an open hand."""
+
+SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
+    SMOOTH_PRECISE,
+    replace(FUTURE, acceleration_weight=3e-8, motion_weight=0.35, motion_speed=0.15),
+    jump=0.02,
+    noise=50.0,
+)
+"""For recordings: ``smooth:precise`` for all frames together, without its filters."""
+
+SMOOTH: Final = {
+    "teleop": SMOOTH_TELEOP,
+    "precise": SMOOTH_PRECISE,
+    "offline": SMOOTH_OFFLINE,
+}

@@ -1,0 +1,395 @@
+"""Cost terms of ``smooth``: motion and position of fingertips, direction and length, spread,
+self-collision."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from smooth_operator.geometry import AnyArray
+from smooth_operator.hands.capsules import CapsulePairs, capsule_pairs, segments_apart
+from smooth_operator.hands.differential import PointKinematics, contracted
+from smooth_operator.hands.finger_circles import spread_joints
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import LANDMARKS, TIPS
+from smooth_operator.retargeting.terms import (
+    TRANSITION,
+    FrameGoal,
+    JointCost,
+    JointTerm,
+    PointTerm,
+    Quadratic,
+    VectorSlopes,
+    VectorTerm,
+)
+from smooth_operator.settings import check_numbers, is_off
+
+BELOW_THUMB_TIP: Final = LANDMARKS[TIPS[0] - 1]
+"""Landmark at the other end of the thumb's last segment."""
+_SHORT: Final = 0.002
+"""Length by which a vector is rounded, since a vector of length 0 has no direction [m]."""
+_LEAST: Final = 0.25
+"""Share of the curvature that is kept where a vector points away; its own would be negative."""
+
+
+@dataclass(frozen=True, eq=False)
+class FingertipMotion(PointTerm):
+    """Fingertips move as the human's do, whatever their error is.
+
+    Sum over fingertips of mu_i / (2 beta) |p_i - p_i(last answer) - the human's step|^2, with the
+    goal's mu_i (``motion_weights``) and places of arrival (``tips``).
+
+    Attributes:
+        hand: the robot hand.
+    """
+
+    hand: Hand
+
+    def points(self) -> tuple[str, ...]:
+        """Fingertips, thumb first."""
+        return self.hand.tip_names
+
+    def expand(
+        self, points: Float[Array, "F 3"], jacobian: Float[Array, "F J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``; exact."""
+        if goal.tips is None or goal.motion_weights is None:
+            raise ValueError(
+                "the term of fingertip motion needs a goal with tips and their weights"
+            )
+        weights = jnp.repeat(goal.motion_weights / TRANSITION, 3)
+        error = points - goal.tips
+        return Quadratic(
+            0.5 * (weights * (error * error).reshape(-1)).sum(),
+            weights.reshape(error.shape) * error,
+            jnp.swapaxes(jacobian, 1, 2).reshape(-1, jacobian.shape[1]),
+            weights,
+        )
+
+    def tips(self, q: Float[Array, " m"]) -> Float[Array, "F 3"]:
+        """Fingertips at a pose within the limits [m]."""
+        tree = self.hand.tree
+        points = tree.forward_kinematics(
+            self.hand.full_configuration_rows(list(q)), self.points(), within_limits=True
+        )
+        return jnp.stack([jnp.stack([jnp.asarray(c, q.dtype) for c in point]) for point in points])
+
+
+@dataclass(frozen=True)
+class FingertipPositionConfig:
+    """Settings of the fingertip position cost.
+
+    Attributes:
+        weight: weight of a small error, in the units of a keyvector's weight: the cost is
+            weight x e^2 / (2 x 20 mm) / (1 + e^2 / width^2) for an error e (Geman-McClure); 0
+            leaves the term out.
+        width: error beyond which the force falls [m].
+    """
+
+    weight: float = 40.0
+    width: float = 0.004
+
+    def __post_init__(self) -> None:
+        check_numbers(self, "fingertip_position.", positive=("width",), not_negative=("weight",))
+
+
+@dataclass(frozen=True, eq=False)
+class FingertipPosition(VectorTerm):
+    """Fingertips are exactly where the human's are, where they are nearly so already.
+
+    The keyvectors between fingertips weigh more than those from the wrist, so that all fingertips
+    together are held softly. This cost makes it stiff where the robot can reach the human's
+    fingertips. It is bounded: a fingertip that is far from the human's, for the robot's bones are
+    others, is not pulled, and moves as the human's does.
+
+    Attributes:
+        config: settings.
+    """
+
+    part = "wrist"
+
+    config: FingertipPositionConfig
+
+    @property
+    def is_off(self) -> bool:
+        """Without weight."""
+        return is_off(self.config.weight)
+
+    def slopes(self, errors: Float[Array, "F 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``."""
+        squared = (errors * errors).sum(-1)
+        share = 1 / (1 + squared / self.config.width**2)
+        stiffness = self.config.weight / TRANSITION
+        weights = stiffness * share**2
+        cost = 0.5 * stiffness * (squared * share).sum()
+        return VectorSlopes(
+            cost, weights[:, None] * errors, jnp.repeat(weights, 3).reshape(errors.shape)
+        )
+
+
+class _Turn(NamedTuple):
+    """Cost of the direction of vectors, and its derivatives.
+
+    Attributes:
+        size: (...) lengths of the vectors, rounded near 0 [m].
+        unit: (..., 3) the vectors over those.
+        cost: (...) weight times one minus the cosine to the direction that is aimed at.
+        slope: (..., 3) its first derivative.
+        curvature: (...) its second derivative across the vector; along it there is none.
+    """
+
+    size: Array
+    unit: Array
+    cost: Array
+    slope: Array
+    curvature: Array
+
+
+def _turned(
+    vectors: Float[Array, "*n 3"], aim: Float[Array, "*n 3"], weight: Array | float
+) -> _Turn:
+    """Cost of vectors that point another way than the unit vectors ``aim``."""
+    size = jnp.sqrt((vectors * vectors).sum(-1) + _SHORT**2)
+    unit = vectors / size[..., None]
+    cosine = (aim * unit).sum(-1)
+    slope = -(weight / size)[..., None] * (aim - cosine[..., None] * unit)
+    curvature = weight * jnp.maximum(cosine, _LEAST) / size**2
+    return _Turn(size, unit, weight * (1 - cosine), slope, curvature)
+
+
+@dataclass(frozen=True, eq=False)
+class PadDirection(PointTerm):
+    """The thumb's last segment points as the human's does, which turns the thumb's pad.
+
+    Weight times one minus the cosine between the two segments. Most thumbs have more joints than a
+    fingertip's place decides. The way the pad faces then decides whether what it holds stays or
+    rolls.
+
+    Attributes:
+        hand: the robot hand.
+        weight: of one minus the cosine.
+    """
+
+    hand: Hand
+    weight: float
+
+    @property
+    def is_off(self) -> bool:
+        """Without weight, and for a hand without a landmark below the thumb's tip."""
+        return is_off(self.weight) or BELOW_THUMB_TIP not in self.hand.tree.names
+
+    def points(self) -> tuple[str, ...]:
+        """The thumb's tip, and the joint below it."""
+        return self.hand.tip_names[self.hand.fingers.index("thumb")], BELOW_THUMB_TIP
+
+    def expand(
+        self, points: Float[Array, "2 3"], jacobian: Float[Array, "2 J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``; nothing where the human's segment is not known."""
+        pad = jnp.full(3, jnp.nan) if goal.pad is None else goal.pad
+        known = jnp.isfinite(pad).all()
+        weight, aim = jnp.where(known, self.weight, 0.0), jnp.where(known, pad, 0.0)
+        turn = _turned(points[0] - points[1], aim, weight)
+        moves = jacobian[0] - jacobian[1]
+        across = moves - (moves @ turn.unit)[:, None] * turn.unit
+        return Quadratic(
+            turn.cost,
+            jnp.stack([turn.slope, -turn.slope]),
+            across.T,
+            jnp.full(3, turn.curvature),
+        )
+
+
+SPREAD: Final = 0.2
+"""Angle to either side of neutral to which a finger may spread at no cost [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class FingerSpread(JointTerm):
+    """Long fingers that spread far have a cost: weight times the squared excess over ``SPREAD``.
+
+    The tip of a bent finger hardly moves with the joint that spreads it. Where that joint has a
+    wide range, as LEAP's of 1.05 rad, it would drift to its limit, from where the finger opens
+    along another way than the human's, and then leaps.
+
+    Attributes:
+        hand: the robot hand.
+        weight: cost per squared radian beyond ``SPREAD``.
+    """
+
+    hand: Hand
+    weight: float
+
+    @property
+    def is_off(self) -> bool:
+        """Without weight, or if no finger can spread as far."""
+        return is_off(self.weight) or not self._weights.any()
+
+    @cached_property
+    def _weights(self) -> Float[np.ndarray, " m"]:
+        beyond = np.abs(self.hand.limits - self.hand.neutral[:, None]).max(axis=1) > SPREAD
+        weights: np.ndarray = np.where(spread_joints(self.hand) & beyond, self.weight, 0.0)
+        return weights.astype(np.float32)
+
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+        """See ``JointTerm``."""
+        off, weights = q - self.hand.neutral.astype(np.float32), self._weights
+        excess = off - off.clip(-SPREAD, SPREAD)
+        return JointCost(
+            (weights * excess**2).sum(axis=-1), 2 * weights * excess, 2 * weights * (excess != 0)
+        )
+
+
+@dataclass(frozen=True)
+class DirectionLengthConfig:
+    """Settings of the direction and length cost.
+
+    The cost of length is linear beyond ``huber_width``, so the force that closes a pinch is
+    bounded, and with it the depth to which parts are pressed into each other.
+
+    Attributes:
+        direction: cost of one minus the cosine between a vector and the human's; 0 leaves it out.
+        length: cost per metre of the length error of a short vector; 0 leaves it out.
+        huber_width: length error below which that cost is quadratic [m].
+        near: length of the human's vector at which that cost is halved; it falls with the fourth
+            power [m].
+    """
+
+    direction: float = 1.9
+    length: float = 160.0
+    huber_width: float = 0.0012
+    near: float = 0.0145
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            "direction_length.",
+            positive=("huber_width", "near"),
+            not_negative=("direction", "length"),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionLength(VectorTerm):
+    """Direction error (1 - cosine) and length error of the vectors from the thumb's tip to others.
+
+    Where parts that touch keep a short vector from its target, the nearest point to the target may
+    lie in any direction. With a cost of its own, the direction stays the human's.
+
+    Attributes:
+        config: settings.
+    """
+
+    part = "thumb"
+
+    config: DirectionLengthConfig
+
+    @property
+    def is_off(self) -> bool:
+        """True if both costs are left out."""
+        return is_off(self.config.direction) and is_off(self.config.length)
+
+    def slopes(self, errors: Float[Array, "P 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``."""
+        config, targets = self.config, jnp.asarray(goal.vectors)[self.which]
+        # error + target, not the vectors themselves: a compiler shares the error with the keyvector
+        # term, and the rounding decides when Newton steps stop
+        vectors = errors + targets
+        goal_length = jnp.sqrt((targets * targets).sum(-1) + 1e-12)
+        turn = _turned(vectors, targets / goal_length[:, None], config.direction)
+        unit = turn.unit
+        along = unit[:, :, None] * unit[:, None, :]
+        across = jnp.eye(3, dtype=unit.dtype) - along
+        slope = config.length / (1 + (goal_length / config.near) ** 4)
+        longer = turn.size - goal_length
+        rounded = jnp.sqrt(longer * longer + config.huber_width**2)
+        # the second derivative of the parabola that touches the cost on both sides: not too little
+        length_weight = slope / rounded
+        return VectorSlopes(
+            (turn.cost + slope * (rounded - config.huber_width)).sum(),
+            turn.slope + (length_weight * longer)[:, None] * unit,
+            turn.curvature[:, None, None] * across + length_weight[:, None, None] * along,
+        )
+
+
+@dataclass(frozen=True)
+class SelfCollisionConfig:
+    """Settings of the self-collision cost.
+
+    Attributes:
+        weight: weight of a pair that is too near, in the units of a keyvector's weight: the cost is
+            weight x d^2 / (2 x 20 mm) for a depth d; 0 leaves the term out.
+        margin: distance below which a pair counts [m]. Negative lets soft parts sink in.
+    """
+
+    weight: float = 12000.0
+    margin: float = -0.00125
+
+    def __post_init__(self) -> None:
+        check_numbers(self, "self_collision.", not_negative=("weight",), finite=("margin",))
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCollision(PointTerm):
+    """Squared depth of each pair of capsules that are nearer than the margin."""
+
+    hand: Hand
+    config: SelfCollisionConfig
+
+    @cached_property
+    def pairs(self) -> CapsulePairs:
+        """The P pairs of parts that could touch."""
+        return capsule_pairs(self.hand)
+
+    @cached_property
+    def carried(self) -> Float[np.ndarray, "P J"]:
+        """Joints that carry only the first capsule of each pair (1), or only the second (-1)."""
+        moves = PointKinematics(self.pairs.tree, self.pairs.names[::2]).moves.astype(np.float32)
+        first, second = self.pairs.pairs.T
+        return np.asarray(moves[first] - moves[second])
+
+    @property
+    def is_off(self) -> bool:
+        """Without weight, and where no parts could touch."""
+        return is_off(self.config.weight) or len(self.pairs.pairs) == 0
+
+    def points(self) -> tuple[str, ...]:
+        """First and second end of each capsule."""
+        return self.pairs.names
+
+    def own_points(self) -> Mapping[str, tuple[int, np.ndarray]]:
+        """The ends of the capsules."""
+        return self.pairs.ends
+
+    def expand(
+        self, points: Float[Array, "E 3"], jacobian: Float[Array, "E J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``; nearest points are held fixed on their segments: exact for the first
+        derivative. Of the second, only what the kinematics adds is kept."""
+        pairs, config = self.pairs, self.config
+        ends = points.reshape(-1, 2, 3)[pairs.pairs]
+        one, other = ((ends[:, side, 0], ends[:, side, 1]) for side in (0, 1))
+        apart, s, t = segments_apart(one, other)
+        distance = jnp.sqrt((apart * apart).sum(-1) + 1e-12)
+        depth = jnp.asarray(pairs.reach + 0.0, points.dtype) + config.margin - distance
+        inside = jnp.maximum(depth, 0.0)
+        scale = config.weight / TRANSITION
+        direction = -apart / distance[:, None]
+        force, s, t = (scale * inside)[:, None] * direction, s[:, None], t[:, None]
+        ends_of = [(1 - s) * force, s * force], [(t - 1) * force, -t * force]
+        forces = jnp.concatenate([jnp.concatenate(both, axis=1) for both in ends_of])  # (2 P, 6)
+        capsules = np.arange(len(points) // 2)[:, None] == pairs.pairs.T.ravel()  # (C, 2 P)
+        carried = jnp.asarray(self.carried, points.dtype)
+        nearest = one[0] + s * (one[1] - one[0])
+        return Quadratic(
+            0.5 * scale * (inside * inside).sum(),
+            jnp.moveaxis(contracted(forces.T, capsules.T), 0, 1).reshape(-1, 3),
+            lambda motion: carried * motion.along(nearest, direction),
+            jnp.where(depth > 0, scale, 0.0),
+        )

@@ -1,0 +1,320 @@
+"""Terms of an objective: costs of points of the robot, and costs of its joints.
+
+A term of your own is a frozen dataclass with its settings. ``LeastSquaresTerm`` needs residuals
+alone; ``VectorTerm`` is for a cost of keyvectors, ``JointTerm`` for one of joint positions, and
+``PointTerm`` gives gradient and Gauss-Newton rows itself. ``ObjectiveConfig(terms=(MyTerm(),))``
+adds a term to a preset. The terms of Eq. (1) are here, those of ``smooth`` in ``smooth_terms.py``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
+from smooth_operator.hands.differential import PointMotion
+from smooth_operator.hands.hand import Hand
+from smooth_operator.landmarks import LANDMARKS
+from smooth_operator.retargeting.keyvectors import KeyvectorLayout, VectorLayout
+
+T = TypeVar("T", bound="Term")
+
+TRANSITION: Final = 0.02
+"""Where the keyvectors' smooth-L1 turns from quadratic to linear [m]; quadratic terms divide their
+weights by it, so that all weights compare."""
+
+TINY_AREA: Final = 1e-12
+"""Added to the square of a length, so that its root has a derivative at 0 [m^2]."""
+
+
+class FrameGoal(NamedTuple):
+    """Targets and weights of one frame.
+
+    Attributes:
+        vectors: (K, 3) keyvector targets [m].
+        weights: (K,) their weights.
+        previous: (m,) last command of the actuated joints [rad].
+        velocity_weight: lambda_vel of the frame, or (m,) of each joint; 0 where there is no last
+            command to be near to.
+        tips: (F, 3) where fingertips arrive if they move as the human's do [m]; for the term of
+            fingertip motion only.
+        motion_weights: (F,) weights of that term, in the units of a keyvector's weight.
+        pad: (3,) direction of the last segment of the human's thumb; for ``PadDirection`` only.
+    """
+
+    vectors: Float[AnyArray, "K 3"]
+    weights: Float[AnyArray, " K"]
+    previous: Float[AnyArray, " m"]
+    velocity_weight: Float[Array, ""] | Float[Array, " m"] | float
+    tips: Float[Array, "F 3"] | None = None
+    motion_weights: Float[Array, " F"] | None = None
+    pad: Float[Array, "3"] | None = None
+
+
+class Quadratic(NamedTuple):
+    """A term near one pose.
+
+    The objective makes the Hessian of the rows, rows^T weights rows, and adds the curvature of the
+    kinematics along the gradient.
+
+    Attributes:
+        cost: at the pose.
+        gradient: (P, 3) of the cost with respect to the term's points.
+        rows: (R, J) derivatives of R residuals with respect to the J joints; or (K, 3, J), where
+            second derivatives mix residuals in groups of three. Or what gives them of a motion.
+        weights: (R,) second derivatives of the cost with respect to the residuals; or (K, 3, 3).
+    """
+
+    cost: Float[Array, ""]
+    gradient: Float[Array, "P 3"]
+    rows: Float[Array, "R J"] | Float[Array, "K 3 J"] | Callable[[PointMotion], Array]
+    weights: Float[Array, " R"] | Float[Array, "K 3 3"]
+
+
+class Term:
+    """One term of an objective."""
+
+    def build(self: T, hand: Hand) -> T:
+        """The term for one hand; itself, if it does not depend on the hand.
+
+        Raises:
+            ConfigError: if the hand lacks what the term needs.
+        """
+        del hand
+        return self
+
+    @property
+    def is_off(self) -> bool:
+        """True if the term is left out, as with a weight of 0."""
+        return False
+
+
+class PointTerm(Term, ABC):
+    """A cost of where some points of the robot are, in the palm frame."""
+
+    @abstractmethod
+    def points(self) -> tuple[str, ...]:
+        """Names of the P points: landmarks that a joint moves, or points of ``own_points``."""
+
+    def own_points(self) -> Mapping[str, tuple[int, np.ndarray]]:
+        """Points that are no landmarks: name -> (body of the model, (3,) position in it [m])."""
+        return {}
+
+    @abstractmethod
+    def expand(
+        self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """Cost, gradient and Gauss-Newton rows at one pose; traceable.
+
+        Args:
+            points: (P, 3) the term's points [m].
+            jacobian: (P, J, 3) their derivatives with respect to the J joints [m/rad].
+        """
+
+
+class JointCost(NamedTuple):
+    """A cost of joints at poses, with its derivatives.
+
+    Attributes:
+        cost: (...) a sum over the joints.
+        slope: (..., m) first derivative.
+        curvature: (..., m) diagonal of the second derivative, or the one number on it.
+    """
+
+    cost: Any
+    slope: Any
+    curvature: Any
+
+
+class JointTerm(Term, ABC):
+    """A cost of the m actuated joints, each for itself."""
+
+    @abstractmethod
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+        """Cost and derivatives at joint positions [rad]; NumPy or JAX."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pull(JointTerm):
+    """Weight times the squared distance of each joint from a pose.
+
+    Attributes:
+        of: goal to weight, or (m,) weights, and (m,) pose [rad].
+    """
+
+    of: Callable[[FrameGoal], tuple[Any, Any]]
+
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+        """See ``JointTerm``."""
+        weight, pose = self.of(goal)
+        off = q - pose.astype(q.dtype, copy=False)
+        return JointCost((weight * off**2).sum(axis=-1), 2 * weight * off, 2 * weight)
+
+
+@dataclass(frozen=True, eq=False)
+class RobotVectors:
+    """The vectors of a layout on one hand: incidence @ moving points + a constant.
+
+    Attributes:
+        hand: the robot hand.
+        layout: landmarks that each vector joins; the hand has counterparts of them all.
+    """
+
+    hand: Hand
+    layout: VectorLayout
+
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """The P landmarks whose counterparts a joint moves; those of the others are fixed."""
+        keypoints = self.hand.tree.keypoints
+        return tuple(i for i in self.layout.landmarks if keypoints[LANDMARKS[i]].joint >= 0)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the moving points."""
+        return tuple(LANDMARKS[i] for i in self.moving)
+
+    @cached_property
+    def incidence(self) -> Float[np.ndarray, "K P"]:
+        """1 where a vector ends at a moving point, -1 where it begins at one."""
+        matrix = np.zeros((len(self.layout.vectors), len(self.moving)))
+        for k, (start, end) in enumerate(self.layout.vectors):
+            for landmark, sign in ((end, 1.0), (start, -1.0)):
+                if landmark in self.moving:
+                    matrix[k, self.moving.index(landmark)] = sign
+        return matrix
+
+    def at(self, points: Float[Array, "P 3"]) -> Float[Array, "K 3"]:
+        """The vectors [m], from the moving points [m]."""
+        keypoints = self.hand.tree.keypoints
+        moving = {i: points[p] for p, i in enumerate(self.moving)}
+        fixed = {
+            i: jnp.asarray(keypoints[LANDMARKS[i]].position, points.dtype)
+            for i in self.layout.landmarks
+            if i not in moving
+        }
+        return self.layout.among([{**moving, **fixed}[i] for i in self.layout.landmarks])
+
+    def jacobian(self, jacobian: Float[Array, "P J 3"]) -> Float[Array, "K 3 J"]:
+        """Derivatives of the vectors, from those of the moving points [m/rad]."""
+        every = jnp.concatenate([jacobian, jnp.zeros_like(jacobian[:1])])  # the last: fixed points
+        row = {landmark: p for p, landmark in enumerate(self.moving)}
+        start, end = np.array([[row.get(i, -1) for i in pair] for pair in self.layout.vectors]).T  # type: ignore
+        return jnp.swapaxes(every[end] - every[start], 1, 2)
+
+    def spread(self, slopes: Float[Array, "V 3"], which: slice = slice(None)) -> Array:
+        """(P, 3) a cost's derivatives with respect to the points, from those by some vectors."""
+        # a sum, for XLA's library takes 4 us to begin with so small a product
+        incidence = jnp.asarray(self.incidence[which], slopes.dtype)
+        return (incidence[:, :, None] * slopes[:, None, :]).sum(axis=0)
+
+
+class VectorSlopes(NamedTuple):
+    """Derivatives of the cost of K vectors.
+
+    Attributes:
+        cost: sum of their costs.
+        first: (K, 3) first derivative with respect to each vector.
+        second: (K, 3) second derivative, without what is negative in it, where components don't
+            mix; (K, 3, 3) where they do.
+    """
+
+    cost: Float[Array, ""]
+    first: Float[Array, "K 3"]
+    second: Float[Array, "K 3"] | Float[Array, "K 3 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class VectorTerm(PointTerm):
+    """A cost of the errors of some of the robot's vectors, each for itself.
+
+    Attributes:
+        vectors: the robot's vectors.
+    """
+
+    part: ClassVar[Literal["all", "wrist", "thumb"]] = "all"
+    """All vectors, or those of the paper's keyvectors from the wrist or from the thumb's tip."""
+
+    vectors: RobotVectors
+
+    @abstractmethod
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+        """The cost of the errors of ``part`` [m], with derivatives; traceable."""
+
+    def points(self) -> tuple[str, ...]:
+        """Landmarks that the vectors join and a joint moves."""
+        return self.vectors.names
+
+    @cached_property
+    def which(self) -> slice:
+        """The vectors of ``part``.
+
+        Raises:
+            ConfigError: if it is of the paper's keyvectors, and the vectors are others.
+        """
+        if self.part == "all":
+            return slice(None)
+        layout = self.vectors.layout
+        if not isinstance(layout, KeyvectorLayout):
+            raise ConfigError(
+                f"{type(self).__name__} needs the paper's keyvectors, not {type(layout).__name__}"
+            )
+        return layout.thumb if self.part == "thumb" else slice(0, len(layout.fingers))
+
+    def expand(
+        self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``."""
+        which = self.which
+        cost, first, second = self.slopes((self.vectors.at(points) - goal.vectors)[which], goal)
+        rows = self.vectors.jacobian(jacobian)[which]
+        if second.ndim == 2:  # components that don't mix
+            rows, second = rows.reshape(second.size, rows.shape[-1]), second.reshape(-1)
+        return Quadratic(cost, self.vectors.spread(first, which), rows, second)
+
+
+@dataclass(frozen=True, eq=False)
+class Keyvectors(VectorTerm):
+    """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H), with smooth-L1 of each component
+    for the penalty l.
+
+    Attributes:
+        transition: where smooth-L1 turns from quadratic to linear [m].
+    """
+
+    transition: float
+
+    def price(self, error: Sequence[Array], weight: Array) -> Array:
+        """lambda_k l(v_R - v_H): the cost of one vector's error, of three components [m]."""
+        parts = [smooth_l1(e, self.transition) for e in error]
+        return weight * (parts[0] + parts[1] + parts[2])
+
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``; exact but on the kinks of smooth-L1."""
+        weights = jnp.asarray(goal.weights)
+        cost = self.price([errors[:, c] for c in range(3)], weights).sum()
+        slope, second = smooth_l1_slopes(errors, self.transition)
+        return VectorSlopes(cost, weights[:, None] * slope, weights[:, None] * second)
+
+
+def smooth_l1(x: AnyKind, transition: float) -> AnyKind:
+    """x^2 / (2 transition) up to the transition, |x| - transition / 2 beyond; NumPy or JAX."""
+    xp = array_namespace(x)
+    size = xp.abs(x)
+    near = xp.minimum(size, transition)
+    cost: AnyKind = near * (size - 0.5 * near) * (1 / transition)
+    return cost
+
+
+def smooth_l1_slopes(x: AnyKind, transition: float) -> tuple[AnyKind, AnyKind]:
+    """First and second derivative of ``smooth_l1``."""
+    slope = (x / transition).clip(-1, 1)
+    return slope, (abs(slope) < 1) / transition

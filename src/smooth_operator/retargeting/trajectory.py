@@ -1,0 +1,107 @@
+"""Settings of trajectory optimisation: all frames of a recording are solved together."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, Final, NoReturn
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.hands.hand import Hand
+from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.settings import LARGEST, check_numbers
+
+SPEEDING: Final = 500.0
+"""Cost of a joint's change beyond the speed limit [1/rad^2]; what a frame asks is worth a few."""
+
+
+@dataclass(frozen=True)
+class TrajectoryConfig:
+    """Weights of the motion's cost, against a frame's cost of one.
+
+    Attributes:
+        acceleration_weight: weight of squared joint acceleration [s^4/rad^2].
+        motion_weight: weight of the difference of fingertip velocities to the human's [s^2], in
+            units of a keyvector's weight.
+        motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
+            with the square of the speed. 0 leaves it constant.
+        speed_limit: largest speed of joints [rad/s]; a faster change between frames at the median
+            rate costs half of ``SPEEDING`` times the square of what is too much. After a lost
+            frame a command must not jump further than after any other.
+        iterations: Newton steps at most.
+        tolerance: a step that moves no joint further ends it [rad].
+    """
+
+    acceleration_weight: float
+    motion_weight: float = 0.0
+    motion_speed: float = 0.0
+    speed_limit: float = LARGEST
+    iterations: int = 40
+    tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            positive=("acceleration_weight", "speed_limit", "iterations", "tolerance"),
+            not_negative=("motion_weight", "motion_speed"),
+        )
+
+
+FUTURE: Final = TrajectoryConfig(
+    acceleration_weight=2e-8, motion_weight=0.07, motion_speed=0.6, speed_limit=28.0
+)
+"""Costs of motion in the presets ``offline``."""
+
+
+@dataclass(frozen=True)
+class TrajectoryMethodConfig(MethodConfig):
+    """Settings of trajectory optimisation: with the future known, all frames are solved together.
+
+    Attributes:
+        causal: the method that answers frame by frame. Its answer is where the optimisation begins,
+            and its objective, without the terms about the last frame, is the cost of each frame.
+        future: costs of motion between the frames.
+        bridge: gaps that are no longer are bridged [s]; over longer ones the last pose is held.
+        jump: the filter follows half of a landmark's step of this length, the rest before and after
+            it [m]: a tracker's jumps dominate the acceleration of a recording; 0 follows all.
+        noise: by how many times the tracker's noise that step is longer.
+    """
+
+    causal: MethodConfig
+    future: TrajectoryConfig
+    bridge: float = 0.25
+    jump: float = 0.0
+    noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self, not_negative=("bridge", "jump", "noise"))
+
+    @property
+    def alignment(self) -> AlignmentConfig:  # type: ignore[override]
+        """Alignment of landmarks to the palm frame."""
+        return self.causal.alignment
+
+    def build(self, hand: Hand) -> NoReturn:
+        """Refuses: there is no answer to a single frame.
+
+        Raises:
+            ConfigError: always.
+        """
+        raise ConfigError(
+            "this preset looks at the whole recording, the future included, so it can't answer "
+            "frame by frame: use it with `smooth-operator retarget`, and choose another preset for "
+            "live use"
+        )
+
+    def with_alignment(self, **changes: Any) -> TrajectoryMethodConfig:
+        """These settings with another alignment of the frame-by-frame method."""
+        return dataclasses.replace(self, causal=self.causal.with_alignment(**changes))
+
+    def without_pull(self) -> TrajectoryMethodConfig:
+        """These settings with next to no pull to the neutral pose."""
+        return dataclasses.replace(self, causal=self.causal.without_pull())
+
+    def notes(self, hand: Hand) -> tuple[str, ...]:
+        """Notes on what the frame-by-frame method lacks on a hand."""
+        return self.causal.notes(hand)
