@@ -1,4 +1,4 @@
-"""Many clips: packed, written in parts, resumed after kills, and run on Ray."""
+"""Many clips: written in parts, resumed after kills, and run on Ray."""
 
 import hashlib
 import os
@@ -69,7 +69,7 @@ def test_workers_write_the_parts_of_a_large_data_set(
     tmp_path, source, format, workers, monkeypatch
 ):
     pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
-    options: dict[str, Any] = {"format": format, "pack": format == "parquet"}
+    options: dict[str, Any] = {"format": format}
     whole = make_dataset(request(source, tmp_path / "whole", **options))
     monkeypatch.setattr(writing, "PART_FRAMES", 60)
     parts = [
@@ -94,8 +94,8 @@ def test_a_run_that_is_killed_while_it_writes_goes_on(tmp_path, source, monkeypa
             raise KeyboardInterrupt
 
     monkeypatch.setattr(writing, "PART_FRAMES", 60)
-    make_dataset(request(source, tmp_path / "whole", pack=True))
-    stopped = request(source, tmp_path / "stopped", pack=True)
+    make_dataset(request(source, tmp_path / "whole"))
+    stopped = request(source, tmp_path / "stopped")
     with pytest.raises(KeyboardInterrupt):
         make_dataset(stopped, Stop())
     (first,) = (tmp_path / "stopped" / "dataset" / "data").iterdir()
@@ -108,7 +108,7 @@ def test_a_run_that_is_killed_while_it_writes_goes_on(tmp_path, source, monkeypa
 def test_a_file_that_hangs_its_reader_ends_its_worker_and_is_reported(tmp_path):
     pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
     source = made_clips.write(tmp_path / "hands.made.json", 4, (0.3, 0.5))
-    options = {"pack": True, "layout": "hanging_clips:CLIPS", "workers": 1}
+    options = {"layout": "hanging_clips:CLIPS", "workers": 1}
     summary = make_dataset(request(source, tmp_path / "out", **options))
     assert summary.episodes == 3
     (name, reason), *more = summary.failed.items()
@@ -117,9 +117,9 @@ def test_a_file_that_hangs_its_reader_ends_its_worker_and_is_reported(tmp_path):
     assert "exit status 1" in reason
 
 
-def test_packed_clips_are_read_as_they_were(tmp_path, source):
+def test_human_clips_of_parquet_files_are_read_as_they_were(tmp_path, source):
     pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
-    make_dataset(request(source, tmp_path, pack=True))
+    make_dataset(request(source, tmp_path))
     packed = items(tmp_path / "dataset" / "data", None)
     assert [each.ref.layout for each in packed if each.ref] == ["parquet"] * 10
     reader = DATASETS.load("parquet")
@@ -132,7 +132,7 @@ def test_packed_clips_are_read_as_they_were(tmp_path, source):
             np.testing.assert_array_equal(own.landmarks, hand.landmarks.astype(np.float32))
             np.testing.assert_allclose(own.T_world_wrist, hand.T_world_wrist, atol=1e-6)
             np.testing.assert_array_equal(found.confidence[side], want.confidence[side])
-        assert found.meta == want.meta
+        assert found.meta.items() >= want.meta.items()
 
 
 def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_path):
@@ -203,7 +203,7 @@ def test_on_ray_a_killed_worker_loses_nothing(tmp_path, source, monkeypatch):
     pytest.importorskip("ray.data", reason="needs ray: in the clone, pip install '.[cluster]'")
     monkeypatch.setattr(writing, "PART_FRAMES", 60)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
-    options: dict[str, Any] = {"pack": True, "layout": "test_corpus:FATAL"}
+    options: dict[str, Any] = {"layout": "test_corpus:FATAL"}
     ray = request(source, tmp_path / "on_ray", workers=1, cluster="local", **options)
     summary = make_dataset(ray)
     assert source.with_name("killed").exists()

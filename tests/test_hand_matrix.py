@@ -64,7 +64,7 @@ REFUSED: dict[tuple[str, str], str] = {}
 """(hand, method) -> why the method can't serve the hand; none so far."""
 
 FLOORS = {
-    "sbr": 0.88, "smooth": 0.9, "dexpilot": 0.92, "ako": 0.88, "keyvector": 0.87, "hybrid": 0.87,
+    "sbr": 0.88, "smooth": 0.9, "dexpilot": 0.92, "ako": 0.88, "keyvector": 0.84, "hybrid": 0.84,
     "joint_angle": 0.8, "geort": 0.5,
 }  # fmt: skip
 """Mean cosine of the thumb-to-tip vectors that every hand exceeds; what was measured is 0.02 to

@@ -82,7 +82,7 @@ def request_of(options: Dataset) -> DatasetRequest:
         recipe,
         options.layout,
         NO_LIMITS if options.no_limits else limits,
-        "parquet" if options.pack else options.format,
+        options.format,
         WritingOptions(
             rate=options.fps,
             videos=options.videos,
@@ -91,7 +91,6 @@ def request_of(options: Dataset) -> DatasetRequest:
         ),
         None if options.shard is None else parse_shard(options.shard),
         options.merge,
-        options.pack,
         options.workers,
         options.cluster,
     )

@@ -156,9 +156,6 @@ request is invalid, 130 stopped."""
     merge: bool = False
     """Write the data set from what shares have finished; retarget nothing."""
 
-    pack: bool = False
-    """Retarget nothing: write the human clips into few Parquet files, a source for later runs."""
-
     json: bool = False
     """Print the report as one JSON object on standard output."""
 
@@ -167,7 +164,7 @@ request is invalid, 130 stopped."""
         before it."""
         libraries = ["jinja2", "matplotlib"]
         extra = "lab"
-        if self.pack or self.format in ("lerobot", "parquet"):
+        if self.format in ("lerobot", "parquet"):
             extra = "datasets"
             libraries.append("pyarrow")
         if any("://" in source for source in self.sources):

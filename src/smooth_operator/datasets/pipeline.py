@@ -258,14 +258,14 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
         refused = "; ".join(f"{each.name}: {each.reason}" for each in survey.refused[:3])
         raise RecordingError(f"nothing to retarget; {refused}")
     name = request.recipe.digest[:16]
-    on_gpu = request.recipe.device == "gpu" and not (request.merge or request.pack)
+    on_gpu = request.recipe.device == "gpu" and not request.merge
     if on_gpu and request.cluster is not None:
         raise ConfigError(
             "a GPU retargets on this machine and not on a cluster; for several GPUs start one run "
             "a GPU with --shard I/N, and --merge at the end"
         )
     gpu = GpuUse.of_this_machine() if on_gpu else None
-    work = request.output / WORK / (f"packed-{name}" if request.pack else name)
+    work = request.output / WORK / name
     own = work if request.shard is None else work / "shard-{:05d}-of-{:05d}".format(*request.shard)
     own.mkdir(parents=True, exist_ok=True)
     with claimed(own):
@@ -374,9 +374,9 @@ def _jobs(items: Sequence[Item], folder: Path, request: DatasetRequest) -> Itera
     size = 0
     for item in items:
         if now and (len(now) == count or size + item.size > _MOST_BYTES):
-            yield Job(tuple(now), request.recipe, folder, not request.pack)
+            yield Job(tuple(now), request.recipe, folder)
             now, size = [], 0
         now.append(item)
         size += item.size
     if now:
-        yield Job(tuple(now), request.recipe, folder, not request.pack)
+        yield Job(tuple(now), request.recipe, folder)

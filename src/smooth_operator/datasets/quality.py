@@ -363,9 +363,6 @@ class Dropped:
 
 def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
     """The episodes of a clip, in the order of time: kept, with their figures, or dropped."""
-    if not whole.commands:  # packed alone
-        yield whole
-        return
     whole = _confident(whole, limits.min_confidence)
     motion = _finger_motions(whole)
     if not limits.cut:

@@ -11,7 +11,7 @@ from multiprocessing import parent_process
 from pathlib import Path
 
 from smooth_operator.compilation.start import dispatch_here
-from smooth_operator.datasets.clip import Clip, RobotClip, clip_part, with_side
+from smooth_operator.datasets.clip import Clip, clip_part, with_side
 from smooth_operator.datasets.registry import DATASETS, ClipRef
 from smooth_operator.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
 from smooth_operator.datasets.sources import Item, fetched, find_reader
@@ -35,13 +35,11 @@ class Job:
         items: clips or fetched files.
         recipe: hand, method and frame.
         folder: folder of the pack.
-        retarget: False packs the human clips alone, without commands.
     """
 
     items: tuple[Item, ...]
     recipe: Recipe
     folder: Path
-    retarget: bool = True
 
 
 @dataclass(frozen=True)
@@ -140,16 +138,12 @@ def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
 def _retargeted(read: list[ReadClip], job: Job, reasons: dict[str, str]) -> list[Finished]:
     """The items whose every clip was retargeted; the reasons of the others go into ``reasons``."""
     read = [each for each in read if each.item.name not in reasons]
-    answers: Sequence[RobotClip | SmoothOperatorError]
-    if job.retarget:
-        answers = retarget_clips(
-            [each.clip for each in read],
-            job.recipe,
-            [each.files for each in read],
-            [each.key for each in read],
-        )
-    else:
-        answers = [RobotClip(each.clip, {}, {}, {}, {}, key=each.key) for each in read]
+    answers = retarget_clips(
+        [each.clip for each in read],
+        job.recipe,
+        [each.files for each in read],
+        [each.key for each in read],
+    )
     finished: dict[str, Finished] = {}
     for each, answer in zip(read, answers, strict=True):
         name = each.item.name

@@ -262,7 +262,6 @@ class DatasetRequest:
         shard: (i, n) for the i-th of n runs that share the work, from 1; it retargets its items and
             writes no data set.
         merge: retarget nothing; write the data set from what other runs have finished.
-        pack: retarget nothing; write the human clips as they are, a source for later runs.
         workers: as in ``run_tasks``.
         cluster: as there.
     """
@@ -276,7 +275,6 @@ class DatasetRequest:
     writing: WritingOptions = field(default_factory=WritingOptions)
     shard: tuple[int, int] | None = None
     merge: bool = False
-    pack: bool = False
     workers: int | None = None
     cluster: str | None = None
 

@@ -24,10 +24,10 @@ _TEXTS: Final = ("name", "layout", "task", "world", "video", "meta")
 
 
 class Packed:
-    """Files of the format ``parquet``, with or without commands of a robot hand.
+    """Files of the format ``parquet``.
 
     The human hands are read, so that a data set can be made for another hand from one that was
-    made for a first, and from clips that were packed alone. Workers read a row group at a time.
+    made for a first. Workers read a row group at a time.
     """
 
     what = "a Parquet file of packed clips"
