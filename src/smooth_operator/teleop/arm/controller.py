@@ -12,7 +12,7 @@ from typing import Final
 import mink
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
@@ -51,8 +51,11 @@ _FATTER: Final = 0.04
 _LEEWAY: Final = 0.02
 """Share of a step's effect on a distance that is left to other distances."""
 
-_TINY: Final = 1e-12
-_NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
+_DEEP: Final = 1.0
+"""Depth that no parts reach inside each other [m]."""
+
+_TINY: Final = 1e-9
+_WRIST, _TABLE, _WALL = "wrist", "table", "wall"
 
 
 @dataclass(frozen=True)
@@ -81,23 +84,21 @@ class ClearanceConfig:
         check_numbers(self, "arm: ", positive=("approach",), not_negative=distances)
 
 
-class Clearance(mink.Limit):
-    """Velocity limits that keep capsules of arm and hand apart, and away from table and wall.
+class Clearance(mink.CollisionAvoidanceLimit):
+    """Velocity limits that keep parts of arm and hand apart, and away from table and wall.
 
-    The time of a step does not depend on the pose: all distances follow from a few array
-    operations, and the nearest pairs become rows of the program.
+    mink gives the near pairs, their distances and derivatives. This class adds the distance that
+    each pair keeps, and speeds from which the joints can still stop.
 
     Args:
         arm: the arm; its base frame is the world.
-        model: model of the arm, with a body ``FLANGE``.
-        hand: capsules of the hand; None without a hand.
-        rest: (n,) pose without contacts [rad]; pairs that overlap in it are left out.
-        table: height of the table [m]; None without a table.
-        wall: y of a wall that the arm does not cross, in the base frame [m]; None without a wall.
+        model: model by ``_arm_model``.
+        fingers: (g,) mask of the model's geoms that the hand's joints move.
         config: the distances.
 
     Attributes:
-        nearest: smallest distance at the last step [m], except that of fingers and table.
+        nearest: smallest distance at the last step [m], except that of fingers and table; infinite
+            if nothing is within ``ClearanceConfig.horizon``.
         low: (n,) lowest velocity of the joints in the next step [rad/s].
         high: (n,) highest velocity of the joints in the next step [rad/s].
     """
@@ -106,205 +107,153 @@ class Clearance(mink.Limit):
         self,
         arm: ArmSpec,
         model: mujoco.MjModel,
-        hand: HandCapsules | None,
-        rest: Float[np.ndarray, " n"],
-        table: float | None,
-        wall: float | None,
+        fingers: Bool[np.ndarray, " g"],
         config: ClearanceConfig,
     ) -> None:
         self.config = config
         self.nearest = np.inf
         self.low = self.high = np.zeros(len(arm.links))
-        self._hand = hand
         self._arm = arm
-        self._joints = len(arm.links)
-        groups = [(arm.base, BASE), *((link.capsules, f"link{i}") for i, link in
-                                      enumerate(arm.links, start=1))]  # fmt: skip
-        shapes = [(capsule, level) for level, (own, _) in enumerate(groups) for capsule in own]
-        bodies = [model.body(name).id for _, name in groups]
-        starts = np.array([capsule.start for capsule, _ in shapes])
-        ends = np.array([capsule.end for capsule, _ in shapes])
-        self._middle = (starts + ends) / 2
-        half = (ends - starts) / 2
-        self._half = half
-        self._own = len(shapes)
-        self._body = np.array([bodies[level] for _, level in shapes])
-        self._flange = model.body(FLANGE).id
-        count = 0 if hand is None else len(hand)
-        self._level: Int[np.ndarray, " c"] = np.array(
-            [level for _, level in shapes] + [self._joints] * count
+        super().__init__(
+            model,
+            [([int(a)], [int(b)]) for a, b in _close_pairs(arm, model, config)],
+            gain=1.0,
+            # Far below every distance, so that a bound is a distance, also inside each other.
+            minimum_distance_from_collisions=-_DEEP,
+            collision_detection_distance=config.horizon,
         )
-        radii = np.array([capsule.radius for capsule, _ in shapes])
-        halves = np.linalg.norm(half, axis=1)
-        finger = np.zeros(self._own, bool)
-        if hand is not None:
-            radii, halves = np.concatenate([radii, hand.radii]), np.concatenate(
-                [halves, hand.halves]
-            )  # fmt: skip
-            finger = np.concatenate([finger, hand.fingers])
-        self._radius, self._length, self._finger = radii, halves, finger
-        self._placed = np.zeros((count, 2, 3))
-        # joint j moves a part of level l if j <= l
-        self._moves = np.arange(1, self._joints + 1) <= self._level[:, None]
-        self._joint_ids = [model.joint(name).id for name in arm.joint_names]
-        self._planes: list[tuple[np.ndarray, float]] = []
-        if table is not None:
-            self._planes.append((np.array([0.0, 0.0, 1.0]), table))
-        if wall is not None:
-            self._planes.append((np.array([0.0, -np.sign(wall), 0.0]), -abs(wall)))
-        self._table = table is not None
-        self._pairs = self._meeting(model, rest)
-        # the base and what turns on the spot above it stand on the table for good
-        high = self._level >= 3
-        self._free = [np.flatnonzero(high if axis[2] else self._level >= 1) for axis, _ in
-                      self._planes]  # fmt: skip
-
-    def place_hand(self, middles: Float[np.ndarray, "c 3"], axes: Float[np.ndarray, "c 3"]) -> None:
-        """Places the hand's capsules on the flange; see ``HandCapsules.at``."""
-        self._placed[:, 0], self._placed[:, 1] = middles, axes
-
-    def distances(self, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
-        """Near pairs, for a model whose kinematics are up to date.
-
-        Returns:
-            (k,) distance above the smallest allowed one [m], (k, n) its derivative with respect to
-            the joints [m/rad], and (k,) the distance itself [m].
-        """
-        middle, half = self._world(data)
-        first, second = self._pairs.T
-        reach = self._radius[first] + self._radius[second]
-        apart = np.linalg.norm(middle[first] - middle[second], axis=1)
-        near = apart - self._length[first] - self._length[second] - reach < self.config.horizon
-        first, second, reach = first[near], second[near], reach[near]
-        one, other = _nearest_points(middle[first], half[first], middle[second], half[second])
-        line = other - one
-        length = np.linalg.norm(line, axis=1)
-        parts, no = np.full(len(first), self.config.parts), np.zeros(len(first), bool)
-        parts_near = [(length - reach, parts, no, one, first, other, second,
-                  line / np.maximum(length, _TINY)[:, None])]  # fmt: skip
-        for (normal, offset), free in zip(self._planes, self._free, strict=True):
-            along = half[free] @ normal
-            point = middle[free] - np.sign(along)[:, None] * half[free]
-            gap = point @ normal - offset - self._radius[free]
-            least = np.full(len(free), self.config.wall)
-            touches = self._finger[free] & bool(normal[2])
-            if normal[2]:
-                least = np.where(touches, self.config.fingers, self.config.table)
-            none = np.zeros(len(free), int)  # the base, which nothing moves
-            normals = np.tile(normal, (len(free), 1))
-            parts_near.append((gap, least, touches, point, none, point, free, normals))
-        distance, least, may_touch, one, a, other, b, normal = (
-            np.concatenate(part) for part in zip(*parts_near, strict=True)
+        pairs = np.array(self.geom_id_pairs, int).reshape(-1, 2)
+        names = [model.geom(geom).name for geom in range(model.ngeom)]
+        table, wall = ([name in names and names.index(name) in pair for pair in pairs]
+                       for name in (_TABLE, _WALL))  # fmt: skip
+        self._touches = np.array(table, bool) & fingers[pairs].any(axis=1)
+        self._least = np.select(
+            [self._touches, table, wall], [config.fingers, config.table, config.wall], config.parts
         )
-        spare = distance - least
-        nearest = np.flatnonzero(spare < self.config.horizon)
-        if len(nearest) > _ROWS:
-            nearest = nearest[np.argpartition(spare[nearest], _ROWS)[:_ROWS]]
-        axis = data.xaxis[self._joint_ids]
-        anchor = data.xanchor[self._joint_ids]
-        normal = normal[nearest]
-
-        # n . (z x (p - o)) = z . (p x n) - n . (z x o), for joints with axes z through points o
-        fixed = normal @ _cross(axis, anchor).T
-
-        def speed(point: np.ndarray, part: np.ndarray) -> np.ndarray:
-            out: np.ndarray = (_cross(point, normal) @ axis.T - fixed) * self._moves[part]
-            return out
-
-        slope = speed(other[nearest], b[nearest]) - speed(one[nearest], a[nearest])
-        self.nearest = float(distance[~may_touch].min(initial=np.inf))
-        return spare[nearest], slope, distance[nearest]
 
     def compute_qp_inequalities(
         self, configuration: mink.Configuration, dt: float
     ) -> mink.limits.Constraint:
         """Rows G and bounds h of G dq <= h; see ``mink.Limit``."""
-        spare, slope, _ = self.distances(configuration.data)
-        if not len(spare):
+        rows, bounds = super().compute_qp_inequalities(configuration, dt)
+        assert rows is not None
+        assert bounds is not None
+        near = np.flatnonzero(np.isfinite(bounds))
+        distance = bounds[near] * dt - _DEEP
+        self.nearest = float(distance[~self._touches[near]].min(initial=np.inf))
+        if not len(near):
             return mink.limits.Constraint()
+        spare = distance - self._least[near]
+        if len(near) > _ROWS:
+            nearest = np.argpartition(spare, _ROWS)[:_ROWS]
+            near, spare = near[nearest], spare[nearest]
+        rows = rows[near]
         room = np.maximum(spare, 0.0)
-        braking = _BRAKING * (np.abs(slope) @ self._arm.acceleration)
+        braking = _BRAKING * (np.abs(rows) @ self._arm.acceleration)
         bound = dt * np.minimum(
             min(self.config.approach, 0.5 / dt) * room, np.sqrt(2.0 * braking * room)
         )
         # If no velocity within the joints' bounds keeps a distance, the arm brakes at its limits.
-        least = np.minimum(-slope * self.low, -slope * self.high).sum(axis=1) * dt
-        most = np.maximum(-slope * self.low, -slope * self.high).sum(axis=1) * dt
-        return mink.limits.Constraint(
-            G=-slope, h=np.maximum(bound, least + _LEEWAY * (most - least))
-        )
-
-    def _world(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-        """Middles and half segments of all capsules in the base frame [m]."""
-        turn = data.xmat.reshape(-1, 3, 3)
-        rotation = turn[self._body]
-        middle = np.einsum("cij,cj->ci", rotation, self._middle) + data.xpos[self._body]
-        half = np.einsum("cij,cj->ci", rotation, self._half)
-        if self._hand is None:
-            return middle, half
-        flange = turn[self._flange]
-        at = self._placed[:, 0] @ flange.T + data.xpos[self._flange]
-        along = self._placed[:, 1] @ flange.T * self._hand.halves[:, None]
-        return np.concatenate([middle, at]), np.concatenate([half, along])
-
-    def _meeting(self, model: mujoco.MjModel, rest: np.ndarray) -> Int[np.ndarray, "p 2"]:
-        """Pairs of capsules that can come near each other within the limits.
-
-        Pairs that touch at rest, and those of links that a joint connects, are left out."""
-        level = self._level
-        first, second = np.triu_indices(len(level), 1)
-        # what is on one link, or on the next, is shaped not to collide; a wrist's three axes meet
-        some = np.abs(level[first] - level[second]) >= 2
-        some &= ~((level[first] >= self._joints - 2) & (level[second] >= self._joints - 2))
-        first, second = first[some], second[some]
-        data = mujoco.MjData(model)
-        low, high = self._arm.limits.T
-        rng = np.random.default_rng(0)
-        reach = self._radius[first] + self._radius[second]
-        least = np.full(len(first), np.inf)
-        for number in range(_POSES + 1):
-            data.qpos[:] = rest if number == 0 else rng.uniform(low, high)
-            mujoco.mj_kinematics(model, data)
-            middle, half = self._world(data)
-            one, other = _nearest_points(middle[first], half[first], middle[second], half[second])
-            gap = np.linalg.norm(one - other, axis=1) - reach
-            if number == 0:
-                touching = gap < self.config.parts
-            least = np.minimum(least, gap)
-        meet = (least < 2 * self.config.parts) & ~touching
-        # The maker's joint limits keep links apart that are two joints from each other; where the
-        # capsules, which are fatter, overlap by little, that is no collision.
-        near = (np.abs(level[first] - level[second]) == 2) & (second < self._own)
-        meet &= ~(near & (least > -_FATTER))
-        return np.stack([first[meet], second[meet]], axis=1)
+        least = np.minimum(rows * self.low, rows * self.high).sum(axis=1) * dt
+        most = np.maximum(rows * self.low, rows * self.high).sum(axis=1) * dt
+        return mink.limits.Constraint(G=rows, h=np.maximum(bound, least + _LEEWAY * (most - least)))
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The cross product of rows; a fifth of the time that NumPy's takes."""
-    product: np.ndarray = a[:, _NEXT] * b[:, _AFTER] - a[:, _AFTER] * b[:, _NEXT]
-    return product
+def _close_pairs(
+    arm: ArmSpec, model: mujoco.MjModel, config: ClearanceConfig
+) -> Int[np.ndarray, "p 2"]:
+    """Pairs of geoms that can come near each other within the joints' limits.
 
-
-def _nearest_points(
-    a: np.ndarray, u: np.ndarray, b: np.ndarray, v: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest points of segments a + s u and b + t v, s and t from -1 to 1; (p, 3) each [m].
-
-    As in Ericson, Real-Time Collision Detection, 5.1.9, for all pairs in one go.
+    Pairs that touch at rest, and those of links that a joint connects, are left out. The base and
+    what turns on the spot above it stand on the table for good.
     """
-    r = a - b
-    uu, vv, uv = (u * u).sum(1), (v * v).sum(1), (u * v).sum(1)
-    ur, vr = (u * r).sum(1), (v * r).sum(1)
-    determinant = uu * vv - uv * uv
-    parallel = determinant < 1e-9 * uu * vv + _TINY**2
-    s = np.where(parallel, 0.0, (uv * vr - vv * ur) / np.where(parallel, 1.0, determinant))
-    s = np.clip(s, -1.0, 1.0)
-    t = np.clip((uv * s + vr) / np.maximum(vv, _TINY), -1.0, 1.0)
-    s = np.clip((uv * t - ur) / np.maximum(uu, _TINY), -1.0, 1.0)
-    return a + s[:, None] * u, b + t[:, None] * v
+    joints = len(arm.links)
+    levels = {0: 0, model.body(BASE).id: 0, model.body(FLANGE).id: joints} | {
+        model.body(f"link{i}").id: i for i in range(1, joints + 1)
+    }
+    level = np.array([levels[int(body)] for body in model.geom_bodyid])
+    planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    least = np.full((model.ngeom, model.ngeom), np.inf)
+    for number in range(_POSES + 1):
+        data.qpos[:] = arm.nominal if number == 0 else rng.uniform(*arm.limits.T)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        first, second = np.sort(data.contact.geom, axis=1).T
+        np.minimum.at(least, (first, second), data.contact.dist)
+        if number == 0:
+            touching = least < config.parts
+    first, second = np.triu_indices(model.ngeom, 1)
+    apart, plane = np.abs(level[first] - level[second]), planes[first] | planes[second]
+    meet = (least[first, second] < 2 * config.parts) & ~touching[first, second] & ~plane
+    # what is on one link, or on the next, is shaped not to collide; a wrist's three axes meet
+    meet &= (apart >= 2) & ~((level[first] >= joints - 2) & (level[second] >= joints - 2))
+    # The maker's joint limits keep links apart that are two joints from each other; where the
+    # capsules, which are fatter, overlap by little, that is no collision.
+    hand = model.geom_bodyid == model.body(FLANGE).id
+    meet &= (apart != 2) | hand[second] | (least[first, second] <= -_FATTER)
+    pairs = [np.stack([first[meet], second[meet]], axis=1)]
+    for name, lowest in ((_TABLE, 3), (_WALL, 1)):
+        for geom in np.flatnonzero(planes):
+            if model.geom(geom).name == name:
+                free = np.flatnonzero((level >= lowest) & ~planes)
+                pairs.append(np.stack([np.full(len(free), geom), free], axis=1))
+    return np.concatenate(pairs)
 
 
-_WRIST: Final = "wrist"
+def _arm_model(
+    arm: ArmSpec,
+    mount: HandMount,
+    capsules: HandCapsules,
+    table: float | None,
+    wall: float | None,
+    config: ClearanceConfig,
+) -> mujoco.MjModel:
+    """Model of an arm with the site ``_WRIST``, its hand's capsules, a table and a wall.
+
+    The hand's capsules are the last geoms of the model, since the flange is its last body.
+    """
+    spec = arm_spec(arm)
+    flange = spec.body(FLANGE)
+    pose = pose_of(mount.flange_to_wrist)
+    flange.add_site(name=_WRIST, pos=pose[:3], quat=pose[3:])
+    middles, axes = capsules.at(mount.hand.full_configuration(mount.hand.neutral))
+    turns = _quaternions(axes)
+    for k, (radius, half) in enumerate(zip(capsules.radii, capsules.halves, strict=True)):
+        flange.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(radius, max(half, _TINY), 0.0),
+            pos=middles[k], quat=turns[k], mass=0.0,
+        )  # fmt: skip
+    if table is not None:
+        _add_plane(spec, _TABLE, (0.0, 0.0, table), (0.0, 0.0, 1.0))
+    if wall is not None:
+        _add_plane(spec, _WALL, (0.0, wall, 0.0), (0.0, -np.sign(wall), 0.0))
+    for geom in spec.geoms:
+        geom.contype = geom.conaffinity = 1
+        geom.margin = 2 * config.parts
+    model = spec.compile()
+    model.geom_sameframe[model.ngeom - len(capsules) :] = 0  # they move in the flange's frame
+    return model
+
+
+def _add_plane(
+    spec: mujoco.MjSpec, name: str, position: tuple[float, ...], normal: tuple[float, ...]
+) -> None:
+    spec.worldbody.add_geom(
+        name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1.0, 1.0, 1.0), pos=position,
+        quat=_quaternions(np.array([normal]))[0],
+    )  # fmt: skip
+
+
+def _quaternions(axes: Float[np.ndarray, "c 3"]) -> Float[np.ndarray, "c 4"]:
+    """Rotations of the z axis onto unit vectors (w x y z), for all but its opposite."""
+    x, y, z = axes.T
+    turns = np.stack([1.0 + z, -y, x, np.zeros_like(x)], axis=1)
+    lengths = np.linalg.norm(turns, axis=1, keepdims=True)
+    return np.asarray(np.where(lengths > _TINY, turns / np.maximum(lengths, _TINY), (0, 1, 0, 0)))
+
 
 _SMOOTHING_S: Final = 0.03
 """Time constant of the estimate of the target's velocity [s]."""
@@ -403,17 +352,16 @@ class ArmController:
     ) -> None:
         self.arm, self.mount = arm, mount
         self.config = ArmControlConfig() if config is None else config
-        spec = arm_spec(arm)
-        pose = pose_of(mount.flange_to_wrist)
-        spec.body(FLANGE).add_site(name=_WRIST, pos=pose[:3], quat=pose[3:])
-        self.model = spec.compile()
+        self._capsules = HandCapsules(mount)
+        distances = self.config.clearance
+        self.model = _arm_model(arm, mount, self._capsules, table, wall, distances)
         nominal = np.array(arm.nominal)
         self._configuration = mink.Configuration(self.model, nominal)
         self._site = self.model.site(_WRIST).id
-        self._capsules = HandCapsules(mount)
-        self._clearance = Clearance(
-            arm, self.model, self._capsules, nominal, table, wall, self.config.clearance
-        )
+        self._hand_geoms = slice(self.model.ngeom - len(self._capsules), None)
+        fingers = np.zeros(self.model.ngeom, bool)
+        fingers[self._hand_geoms] = self._capsules.fingers
+        self._clearance = Clearance(arm, self.model, fingers, distances)
         self._task = mink.FrameTask(
             _WRIST, "site", position_cost=1.0, orientation_cost=self.config.orientation
         )
@@ -511,7 +459,10 @@ class ArmController:
 
     def _solve(self, goal: Matrix, dt: float) -> tuple[Float[np.ndarray, " n"] | None, str]:
         """Joint velocities [rad/s], None without a solution; and the reason of a limit."""
-        self._clearance.place_hand(*self._capsules.at(self._hand))
+        middles, axes = self._capsules.at(self._hand)
+        self.model.geom_pos[self._hand_geoms] = middles
+        self.model.geom_quat[self._hand_geoms] = _quaternions(axes)
+        self._configuration.update()
         now = self._wrist()
         step = self._governed(now, goal, dt)
         aim = now.copy()
