@@ -1,9 +1,10 @@
-"""Files of pickles, read as data: every class and function of a pickle is refused but a few.
+"""Pickles of a few known classes: MANO's model files and the files of several data sets of hands.
 
-MANO's model files, and the files of several data sets of hands, are pickles or hold pickles in
-``.npy`` and ``.npz``. ``load_restricted`` reads them with an ``Unpickler`` that imports nothing:
-the names of NumPy's arrays, of sparse matrices, of chumpy's arrays and of PyTorch's tensors stand
-for classes of this module, whose numbers ``numbers`` gives. Every other name is refused.
+``load_restricted`` reads them, also in ``.npy`` and ``.npz``, with an ``Unpickler`` that imports
+nothing: the names of NumPy's arrays, of sparse matrices, of chumpy's arrays and of PyTorch's
+tensors stand for classes of this module, whose numbers ``numbers`` gives. Every other name is
+refused. Files and what they unpack to are bounded by ``MOST_BYTES``; a file that is made to take
+more memory than that is not recognised.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from __future__ import annotations
 import io
 import math
 import pickle
-import pickletools
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,23 +28,14 @@ from smooth_operator.io.plain_files import check_plain_file
 __all__ = ("MOST_BYTES", "NotDataError", "array", "load_restricted", "numbers", "table", "text")
 
 MOST_BYTES: Final = 1 << 30
-"""Longest file that is read."""
-FREE_BYTES: Final = 64 << 20
-"""Bytes that the arrays of any pickle may take, however short it is."""
-RATIO: Final = 16
-"""Bytes that they may take in addition, as a multiple of its length."""
-MOST_STEPS: Final = 20_000_000
-"""Instructions of one pickle."""
+"""Longest file that is read, and most bytes of a pickle in a compressed one."""
 
 _NPY: Final = b"\x93NUMPY"
 _ZIP: Final = (b"PK\x03\x04", b"PK\x05\x06")
 _READ: Final = (
     "of a pickle only arrays, sparse matrices, tensors, tables, lists, texts and numbers are read"
 )
-_MOST_ROWS: Final = 10_000_000  # numbers in lists
 _NUMBERS: Final = re.compile(r"[<>=|]?(b1|i[1248]|u[1248]|f(2|4|8|16)|c8|c16|[SU]\d{0,6}|O8?)")
-_PUTS: Final = ("PUT", "BINPUT", "LONG_BINPUT")
-_ORDERS: Final = ("<", ">", "=", "|")
 
 
 class NotDataError(RecordingError):
@@ -148,10 +140,46 @@ def text(value: Any, most: int = 200) -> str | None:
     return value[:most] if isinstance(value, str) else None
 
 
+def numbers(value: Any) -> np.ndarray:
+    """The numbers of a value of a pickle, as float64 whatever held them.
+
+    Args:
+        value: an array, a stand-in, a number, or lists of numbers up to three levels.
+
+    Raises:
+        NotDataError: it holds something else.
+    """
+    if isinstance(value, _Stated):
+        return value.array()
+    if isinstance(value, list | tuple) and not _are_numbers(value, 2):
+        raise NotDataError("it has lists of other things where numbers should be")
+    if isinstance(value, list | tuple | bool | int | float):
+        try:
+            value = np.asarray(value, np.float64)
+        except (ValueError, OverflowError) as error:
+            raise NotDataError("it has rows of different lengths or huge numbers") from error
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
+        raise NotDataError(f"it has a {type(value).__name__} where numbers should be")
+    if isinstance(value, _Array) and value.objects is not None:
+        raise NotDataError("it has an array of objects where numbers should be")
+    return np.asarray(value, np.float64)
+
+
+def _are_numbers(rows: list[Any] | tuple[Any, ...], levels: int) -> bool:
+    """True for numbers in lists of at most so many further levels."""
+    return all(
+        isinstance(item, bool | int | float)
+        or (levels > 0 and isinstance(item, list | tuple) and _are_numbers(item, levels - 1))
+        for item in rows
+    )
+
+
 def _decoded(data: bytes, start: int, where: str, *, inner: bool = False) -> Any:
     """The value of a pickle; ``inner`` for that in a ``.npy``, which is an array of objects."""
     try:
-        value = _load(io.BytesIO(data), start)
+        stream = io.BytesIO(data)
+        stream.seek(start)
+        value = _load(stream)
         if not inner:
             return value
         if not isinstance(value, _Array) or value.objects is None:
@@ -166,23 +194,18 @@ def _stored(item: StoredArray, where: str) -> Any:
         return item.load()
     if item.dtype != np.dtype(object):
         raise RecordingError(f"{where}: it has fields of objects, which are not read; {_READ}")
-    # A zip of a few bytes may unpack to any number of them.
-    most = min(FREE_BYTES + RATIO * item.path.stat().st_size, MOST_BYTES)
     try:
         with item.open() as stream:
-            data = stream.read(most + 1)
+            data = stream.read(MOST_BYTES + 1)
     except Exception as error:  # zipfile and the decompressors promise no list
         raise RecordingError(f"{where}: it is damaged or cut off ({_reason(error)})") from error
-    if len(data) > most:
+    if len(data) > MOST_BYTES:
         raise RecordingError(
-            f"{where}: it unpacks to more than the {most} bytes that a file of this size may; if "
-            "the file is right, save it without compression"
+            f"{where}: it unpacks to more than the {MOST_BYTES} bytes that are read"
         )
     # The header has been read once, so its length is sound: two or four bytes after the version.
-    long = data[6:7] != b"\x01"
-    start = 12 if long else 10
-    start += int.from_bytes(data[8 : 12 if long else 10], "little")
-    return _decoded(data, start, where, inner=True)
+    start = 12 if data[6:7] != b"\x01" else 10
+    return _decoded(data, start + int.from_bytes(data[8:start], "little"), where, inner=True)
 
 
 def _reason(error: Exception) -> str:
@@ -191,80 +214,38 @@ def _reason(error: Exception) -> str:
     return " ".join(str(error).split())[:160] or type(error).__name__
 
 
-# --- the restricted unpickler --------------------------------------------------------------------
-
-
 class _Unpickler(pickle.Unpickler):
-    """Gives stand-ins for the names in a pickle, and imports nothing.
-
-    Args:
-        stream: the pickle, from its current place.
-    """
-
-    def __init__(self, stream: io.BytesIO) -> None:
-        super().__init__(stream, encoding="latin1")  # of texts that Python 2 wrote
-        self._left = FREE_BYTES + RATIO * len(stream.getbuffer())
+    """Gives stand-ins for the names of ``_ALLOWED``, chumpy and SciPy, and imports nothing."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """The stand-in of a global, which no other load shares.
+        """The stand-in of a class or function; that of chumpy and SciPy is of this load alone.
 
         Raises:
-            NotDataError: there is none, with its name.
+            NotDataError: it has none, with its name.
         """
         whole = f"{_OLD_MODULES.get(module, module)}.{name}"
-        if whole == "numpy.core.multiarray._reconstruct":
-            return _Function(whole, self._new_array)
-        if whole in _FUNCTIONS:
-            return _Function(whole, _FUNCTIONS[whole])
-        sparse = _SPARSE.fullmatch(whole)
-        if sparse:
-            return type("Sparse", (_Sparse,), {"name": sparse[2]})
-        if re.fullmatch(r"chumpy(\.\w+)+", whole):
-            return type("Chumpy", (_Chumpy,), {"name": whole})
+        if whole in _ALLOWED:
+            return _ALLOWED[whole]
+        if re.fullmatch(r"(chumpy|scipy\.sparse)(\.\w+)+", whole):
+            return type("Stated", (_Stated,), {"name": whole})
         raise NotDataError(f"it asks for {whole[:120]!r}, which is no data")
 
     def persistent_load(self, pid: Any) -> Any:
         """(element type, key, count) of a tensor's storage; nothing else is outside of a pickle."""
-        if not isinstance(pid, tuple) or len(pid) not in (5, 6) or pid[0] != "storage":
-            raise NotDataError("it refers to objects outside of it")
         _, kind, key, _, count, *view = pid
-        code = _TORCH_TYPES.get(kind.name) if isinstance(kind, _Function) else None
-        if code is None or not isinstance(key, str) or not isinstance(count, int) or any(view):
+        if pid[0] != "storage" or any(view):
             raise NotDataError("its tensor is damaged")
-        return code, key, count
-
-    def _new_array(self, kind: Any, *_: Any) -> _Array:
-        """An empty array, as ``numpy.core.multiarray._reconstruct`` makes it."""
-        if not isinstance(kind, _Function) or kind.name != "numpy.ndarray":
-            raise NotDataError("it has an array of a kind that is not read")
-        array = np.ndarray.__new__(_Array, (0,), np.int8)
-        array.counted = self._take
-        return array
-
-    def _take(self, count: int) -> None:
-        """Counts the bytes of an array before they are copied."""
-        self._left -= count
-        if self._left < 0:
-            raise NotDataError("it would take more memory than a file of this size may")
+        return _TORCH_TYPES[kind.name], key, count
 
 
-def _load(stream: io.BytesIO, start: int) -> Any:
-    """The value of the pickle at a place of a stream, which is behind it afterwards.
+def _load(stream: io.BytesIO) -> Any:
+    """The value of the pickle at the place of a stream, which is behind it afterwards.
 
     Raises:
-        NotDataError: it is damaged, too long, or asks for a class or function that is refused.
+        NotDataError: it is damaged, or asks for a class or function that is refused.
     """
     try:
-        stream.seek(start)
-        size = len(stream.getbuffer())
-        for step, (instruction, argument, _) in enumerate(pickletools.genops(stream)):
-            if step >= MOST_STEPS:
-                raise NotDataError(f"it has more than {MOST_STEPS:,} instructions")
-            # The unpickler makes room for as many entries as the index of one says.
-            if instruction.name in _PUTS and isinstance(argument, int) and argument > size:
-                raise NotDataError("it is damaged")
-        stream.seek(start)
-        return _Unpickler(stream).load()
+        return _Unpickler(stream, encoding="latin1").load()  # of texts that Python 2 wrote
     except NotDataError:
         raise
     except Exception as error:  # pickle promises no list
@@ -272,7 +253,7 @@ def _load(stream: io.BytesIO, start: int) -> Any:
 
 
 class _Function:
-    """Stands for a function, or a class that a pickle calls."""
+    """Stands for a function or class that a pickle calls, and can't be changed by a pickle."""
 
     def __init__(self, name: str, make: Callable[..., Any]) -> None:
         self.name, self._make = name, make
@@ -284,26 +265,19 @@ class _Function:
         raise TypeError("a function has no state")
 
 
-# --- stand-ins -----------------------------------------------------------------------------------
-
-
 class _Dtype:
-    """An element type."""
+    """An element type: NumPy's own takes flags from a pickle unchecked."""
 
-    def __init__(self, code: Any) -> None:
+    def __init__(self, code: Any, *_: Any) -> None:
         if not isinstance(code, str) or not _NUMBERS.fullmatch(code):
             raise NotDataError("it has an array of an element type that is not read")
         self.value: np.dtype[Any] = np.dtype(code)
 
     def __setstate__(self, state: Any) -> None:
         """Takes the order of bytes; fields and sub-arrays are not read."""
-        if not isinstance(state, tuple) or len(state) < 5 or any(state[2:5]):
+        if any(state[2:5]):
             raise NotDataError("it has an array of an element type that is not read")
-        order = state[1]
-        if order not in _ORDERS:
-            raise ValueError("order of bytes")
-        if order in "<>":
-            self.value = self.value.newbyteorder(order)
+        self.value = self.value.newbyteorder(state[1])
 
 
 class _Array(np.ndarray):
@@ -311,90 +285,53 @@ class _Array(np.ndarray):
 
     Attributes:
         objects: the objects of an array of them, which are not put into it.
-        counted: called with the bytes that it takes, before they are copied.
     """
 
-    counted: Callable[[int], None]
     objects: list[Any] | None = None
     objects_shape: tuple[int, ...] = ()
 
     def __setstate__(self, state: Any) -> None:
         """Takes shape, element type and bytes."""
-        if not isinstance(state, tuple) or len(state) not in (4, 5):
-            raise TypeError("state of an array")
         shape, dtype, fortran, raw = state[-4:]
-        if not isinstance(dtype, _Dtype):
-            raise TypeError("element type")
-        shape = _lengths(shape)
         if dtype.value.hasobject:
-            if not isinstance(raw, list) or len(raw) != math.prod(shape):
+            if len(raw) != math.prod(shape):
                 raise ValueError("objects")
-            self.objects, self.objects_shape = raw, shape
+            self.objects, self.objects_shape = list(raw), tuple(shape)
             return
-        raw = raw.encode("latin-1") if isinstance(raw, str) else raw
-        _check_bytes(raw, shape, dtype.value)
-        self.counted(len(raw))
-        checked: Any = (1, shape, dtype.value, bool(fortran), raw)
+        values = _from_buffer(raw, dtype, shape)
+        checked: Any = (1, values.shape, values.dtype, bool(fortran), values.tobytes())
         np.ndarray.__setstate__(self, checked)
-        _check_text(self)
+
+
+def _new_array(kind: Any, *_: Any) -> _Array:
+    """An empty array, as ``numpy.core.multiarray._reconstruct`` makes it."""
+    if kind is not _ALLOWED["numpy.ndarray"]:
+        raise NotDataError("it has an array of a kind that is not read")
+    return np.ndarray.__new__(_Array, (0,), np.int8)
+
+
+def _from_buffer(raw: Any, dtype: Any, shape: Any = (), order: Any = "C") -> np.ndarray:
+    """An array of bytes that stand in the pickle, which must have just its length."""
+    values = np.frombuffer(_bytearray(raw), dtype.value).reshape(_lengths(shape), order=order)
+    if values.dtype.kind == "U":
+        values.tolist()  # NumPy checks text only when it is read
+    return values
 
 
 def _lengths(shape: Any) -> tuple[int, ...]:
-    """A shape of plain numbers.
+    """A shape of plain numbers that are not negative.
 
     Raises:
         TypeError, ValueError: it is none.
     """
-    if isinstance(shape, int):
-        shape = (shape,)
-    if not isinstance(shape, tuple) or len(shape) > 16:
-        raise TypeError("shape")
-    if not all(isinstance(n, int) and 0 <= n < 1 << 40 for n in shape):
+    lengths = (shape,) if isinstance(shape, int) else tuple(shape)
+    if not all(isinstance(n, int) and 0 <= n < 1 << 40 for n in lengths):
         raise ValueError("shape")
-    return tuple(int(n) for n in shape)
-
-
-def _check_bytes(raw: Any, shape: Sequence[int], dtype: np.dtype[Any]) -> None:
-    if not isinstance(raw, bytes) or dtype.hasobject or not dtype.itemsize:
-        raise TypeError("bytes of an array")
-    if len(raw) != math.prod(shape) * dtype.itemsize:
-        raise ValueError("length of an array")
-
-
-def _check_text(array: np.ndarray) -> None:
-    """NumPy checks text only when it is read."""
-    if array.dtype.kind != "U":
-        return
-    native = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
-    codes = native.reshape(-1).view(np.uint32)
-    if ((codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))).any():
-        raise ValueError("text")
-
-
-def _scalar(dtype: Any, raw: Any = None) -> Any:
-    """One number or text of an element type."""
-    if not isinstance(dtype, _Dtype):
-        raise TypeError("element type")
-    raw = raw.encode("latin-1") if isinstance(raw, str) else raw
-    _check_bytes(raw, (), dtype.value)
-    value = np.frombuffer(raw, dtype.value)
-    _check_text(value)
-    return value[0].item()
-
-
-def _from_buffer(raw: Any, dtype: Any, shape: Any, order: Any) -> np.ndarray:
-    """An array of bytes that stand in the pickle, as protocol 5 has it."""
-    if not isinstance(dtype, _Dtype) or order not in ("C", "F"):
-        raise TypeError("element type")
-    shape, raw = _lengths(shape), bytes(raw) if isinstance(raw, bytearray) else raw
-    _check_bytes(raw, shape, dtype.value)
-    values = np.frombuffer(raw, dtype.value).reshape(shape, order=order)
-    _check_text(values)
-    return values
+    return lengths
 
 
 class _Stated:
-    """An object that is known by its class and attributes."""
+    """An object of chumpy or SciPy that is known by its class and attributes."""
 
     name = ""
 
@@ -408,26 +345,15 @@ class _Stated:
 
     def __setstate__(self, state: Any) -> None:
         """Takes the attributes; of a pair, as Python has it for slots, the first."""
-        if isinstance(state, tuple) and len(state) == 2 and not state[1]:
-            state = state[0]
-        if not isinstance(state, dict):
-            raise TypeError("attributes")
-        self.state = state
+        self.state = dict(state[0] if isinstance(state, tuple) else state)
 
     def array(self) -> np.ndarray:
-        """The numbers of the object.
+        """The numbers of the object: ``x`` of chumpy's ``Ch``, ``a.ravel()[idxs]`` in a shape of
+        its ``Select``, and a sparse matrix with its zeros.
 
         Raises:
             NotDataError: it is damaged, or its class is not known.
         """
-        raise NotDataError(f"it has an object of {self.name[:80]} where numbers should be")
-
-
-class _Chumpy(_Stated):
-    """An array of chumpy, which is an expression: those of published models are read."""
-
-    def array(self) -> np.ndarray:
-        """Its numbers: ``x`` of ``Ch``, ``a.ravel()[idxs]`` in a shape of ``Select``."""
         state = self.state
         try:
             if self.name == "chumpy.ch.Ch" and "x" in state:
@@ -436,77 +362,26 @@ class _Chumpy(_Stated):
                 values = numbers(state["a"]).ravel()[numbers(state["idxs"]).astype(np.int64)]
                 shape = state.get("preferred_shape")
                 return values if shape is None else values.reshape(_lengths(shape))
+            for form, kind in (("csc", csc_matrix), ("csr", csr_matrix)):
+                if re.fullmatch(rf"scipy\.sparse\._?{form}\.{form}_(matrix|array)", self.name):
+                    rows, columns = _lengths(state.get("_shape", state.get("shape")))
+                    if rows * columns > _MOST_CELLS:
+                        raise NotDataError("its sparse matrix is too large")
+                    data, *places = (numbers(state[key]) for key in ("data", "indices", "indptr"))
+                    parts = (data, *(place.astype(np.int64) for place in places))
+                    matrix = kind(parts, shape=(rows, columns))
+                    matrix.check_format(full_check=True)
+                    return np.asarray(matrix.toarray(), np.float64)
         except (LookupError, TypeError, ValueError) as error:
-            raise NotDataError(f"its array of {self.name} is damaged") from error
+            raise NotDataError(f"its array of {self.name[:80]} is damaged") from error
         raise NotDataError(
             f"it has an array of {self.name[:80]}, which is not read; convert the file once to "
             "plain arrays, as smplx does with tools/clean_ch.py"
         )
 
 
-class _Sparse(_Stated):
-    """A sparse matrix of SciPy; its name is ``csc`` or ``csr``."""
-
-    def array(self) -> np.ndarray:
-        """Its numbers, with the zeros."""
-        state = self.state
-        shape = state.get("_shape", state.get("shape"))
-        data, *places = (numbers(state.get(key)) for key in ("data", "indices", "indptr"))
-        parts = (data, *(place.astype(np.int64) for place in places))
-        if not isinstance(shape, tuple) or len(shape) != 2:
-            raise NotDataError("it has a sparse matrix of a kind that is not read")
-        rows, columns = (int(n) for n in _lengths(shape))
-        if rows * columns > 50_000_000:
-            raise NotDataError("its sparse matrix is too large")
-        kind = csc_matrix if self.name == "csc" else csr_matrix
-        try:
-            matrix = kind(parts, shape=(rows, columns))
-            matrix.check_format(full_check=True)
-            return np.asarray(matrix.toarray(), np.float64)
-        except (TypeError, ValueError, IndexError) as error:
-            raise NotDataError("its sparse matrix is damaged") from error
-
-
-def numbers(value: Any) -> np.ndarray:
-    """The numbers of a value of a pickle, as float64 whatever held them.
-
-    Args:
-        value: an array, a stand-in, a number, or lists of numbers up to three levels.
-
-    Raises:
-        NotDataError: it holds something else.
-    """
-    if isinstance(value, _Stated):
-        return np.asarray(value.array(), np.float64)
-    if isinstance(value, list | tuple):
-        _check_rows(value)
-        try:
-            value = np.asarray(value)
-        except ValueError as error:  # rows of different lengths
-            raise NotDataError("it has rows of different lengths") from error
-    if isinstance(value, bool | int | float):
-        value = np.asarray(float(value))
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
-        raise NotDataError(f"it has a {type(value).__name__} where numbers should be")
-    if isinstance(value, _Array) and value.objects is not None:
-        raise NotDataError("it has an array of objects where numbers should be")
-    return np.asarray(value, np.float64)
-
-
-def _check_rows(rows: Any) -> None:
-    """Refuses lists of other things than numbers, of too many, or of more than three levels."""
-    left, count = [(rows, 3)], 0
-    while left:
-        row, levels = left.pop()
-        count += len(row)
-        if not levels or count > _MOST_ROWS:
-            raise NotDataError("it has lists in lists where numbers should be")
-        for item in row:
-            if isinstance(item, list | tuple):
-                left.append((item, levels - 1))
-            elif not isinstance(item, bool | int | float) or abs(item) > 1e300:
-                raise NotDataError(f"it has a {type(item).__name__} where numbers should be")
-
+_MOST_CELLS: Final = 50_000_000
+"""Most numbers of a sparse matrix, zeros included."""
 
 _TORCH_MAGIC: Final = 0x1950A86A20F9469CFC6C
 _TORCH_TYPES: Final = {
@@ -518,94 +393,56 @@ _TORCH_TYPES: Final = {
 }  # fmt: skip
 
 
-def _storage(raw: Any) -> np.ndarray:
+def _storage(raw: bytes) -> np.ndarray:
     """(n,) numbers of tensors, from the bytes of ``torch.save`` in its old form: five pickles,
     their count, and the numbers."""
-    if not isinstance(raw, bytes):
-        raise TypeError("storage")
     stream = io.BytesIO(raw)
-    magic, version, system, (code, key, count), keys = (
-        _load(stream, stream.tell()) for _ in range(5)
-    )
-    if magic != _TORCH_MAGIC or version != 1001:
+    magic, version, system, (code, key, count), keys = (_load(stream) for _ in range(5))
+    if (magic, version) != (_TORCH_MAGIC, 1001) or system["little_endian"] is not True:
         raise NotDataError("it has a tensor in a form that is not read")
-    if system.get("little_endian") is not True or keys != [key]:
-        raise NotDataError("its tensor is damaged")
-    if count != int.from_bytes(stream.read(8), "little"):
+    if keys != [key] or count != int.from_bytes(stream.read(8), "little"):
         raise NotDataError("its tensor is damaged")
     return np.frombuffer(raw, code, count, stream.tell())
 
 
 def _tensor(values: Any, offset: Any, size: Any, stride: Any, *_: Any) -> np.ndarray:
     """A tensor of PyTorch, whose numbers are a view of its storage's."""
-    size, stride = _lengths(size), _lengths(stride)
-    if not isinstance(values, np.ndarray) or not isinstance(offset, int) or offset < 0:
-        raise TypeError("tensor")
-    spans = [(n - 1) * step for n, step in zip(size, stride, strict=True)]
+    (start,), size, stride = _lengths(offset), _lengths(size), _lengths(stride)
+    last = start + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
     # of numbers that count several times, which parameters of hands do not
-    if math.prod(size) > len(values) or (math.prod(size) and offset + sum(spans) >= len(values)):
+    if math.prod(size) > len(values) or (math.prod(size) and last >= len(values)):
         raise NotDataError("its tensor takes more than its numbers")
     steps = [step * values.itemsize for step in stride]
-    return np.lib.stride_tricks.as_strided(values[offset:], size, steps).copy()
-
-
-# --- names that a pickle may ask for -------------------------------------------------------------
-
-
-def _set(items: Any = ()) -> set[Any]:
-    if not isinstance(items, list | tuple) or not all(isinstance(i, str | int) for i in items):
-        raise TypeError("set")
-    return set(items)
-
-
-def _ordered(items: Any = ()) -> dict[Any, Any]:
-    if not isinstance(items, list | tuple) or items:
-        raise TypeError("table")
-    return {}
-
-
-def _encoded(text: Any, encoding: Any = "latin1") -> bytes:
-    if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
-        raise TypeError("bytes")
-    return text.encode("latin-1")
-
-
-def _bytearray(raw: Any = b"", *_: Any) -> bytes:
-    if isinstance(raw, str):  # as Python 2 has it, with the name of an encoding
-        raw = raw.encode("latin-1")
-    if not isinstance(raw, bytes | bytearray):
-        raise TypeError("bytes")
-    return bytes(raw)
-
-
-def _reconstructed(kind: Any, base: Any, state: Any = None) -> Any:
-    if not isinstance(kind, type) or not issubclass(kind, _Stated) or state is not None:
-        raise TypeError("class")
-    return kind()
+    return np.lib.stride_tricks.as_strided(values[start:], size, steps).copy()
 
 
 def _new_object(kind: Any, *_: Any) -> Any:
-    return _reconstructed(kind, None)
+    if not issubclass(kind, _Stated):
+        raise TypeError("class")
+    return kind()
 
 
 def _refused(*_: Any) -> Any:
     raise NotDataError("it has an array of a kind that is not read")
 
 
+def _bytearray(raw: Any = b"", *_: Any) -> bytes:
+    # Python 2 writes a text with the name of an encoding.
+    return raw.encode("latin-1") if isinstance(raw, str) else bytes(memoryview(raw))
+
+
 _FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {
-    "builtins.set": _set,
-    "builtins.frozenset": _set,
     "builtins.bytes": lambda: b"",
     "builtins.bytearray": _bytearray,
-    "builtins.complex": lambda real, imaginary: complex(float(real), float(imaginary)),
+    "builtins.complex": complex,
     "builtins.object": _refused,
-    "_codecs.encode": _encoded,
-    "collections.OrderedDict": _ordered,
+    "_codecs.encode": lambda text, *_: text.encode("latin-1"),
     "copyreg.__newobj__": _new_object,
-    "copyreg._reconstructor": _reconstructed,
-    "numpy.dtype": lambda code, *_: _Dtype(code),
+    "copyreg._reconstructor": _new_object,
+    "numpy.dtype": _Dtype,
     "numpy.ndarray": _refused,
-    "numpy.core.multiarray.scalar": _scalar,
+    "numpy.core.multiarray._reconstruct": _new_array,
+    "numpy.core.multiarray.scalar": lambda dtype, raw: _from_buffer(raw, dtype).item(),
     "numpy.core.numeric._frombuffer": _from_buffer,
     "torch.Size": lambda lengths: _lengths(tuple(lengths)),
     "torch._utils._rebuild_parameter": lambda tensor, *_: tensor,
@@ -614,6 +451,14 @@ _FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {
     "torch._load_from_bytes": _storage,
     **dict.fromkeys(_TORCH_TYPES, _refused),
 }
+_ALLOWED: Final[dict[str, Any]] = {
+    "builtins.set": set,
+    "builtins.frozenset": frozenset,
+    "collections.OrderedDict": OrderedDict,
+    **{name: _Function(name, make) for name, make in _FUNCTIONS.items()},
+}
+"""Names that a pickle may ask for -> what stands for them."""
+
 _OLD_MODULES: Final = {
     "__builtin__": "builtins",
     "copy_reg": "copyreg",
@@ -622,4 +467,3 @@ _OLD_MODULES: Final = {
     "torch.cuda": "torch",
     "torch.storage": "torch",
 }
-_SPARSE: Final = re.compile(r"scipy\.sparse\._?(csc|csr)\.(csc|csr)_(matrix|array)")

@@ -41,11 +41,6 @@ def test_plain_values_of_every_protocol(tmp_path, protocol):
     assert found["nested"]["a"][0] is found["nested"]["a"][1]
 
 
-def test_a_large_number_of_the_memo_takes_no_memory(tmp_path):
-    with pytest.raises(RecordingError, match="damaged"):
-        load(tmp_path, b"\x80\x02]r\xff\xff\xff\x7f.")
-
-
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_arrays_of_every_protocol(tmp_path, protocol):
     rng = np.random.default_rng(0)
@@ -169,7 +164,6 @@ def attacks(folder: Path) -> dict[str, bytes]:
         "no size": _array_state((1 << 39,), b"", "S0"),
         "stride": _tensor((1_000_000, 1_000_000), (0, 0)),
         "beyond": _tensor((5,), (1 << 38,)),
-        "arrays again": _again(),
         "sparse": _sparse((1 << 30, 1 << 30)),
     }  # fmt: skip
     # recursion
@@ -199,18 +193,6 @@ def _tensor(size: tuple[int, ...], stride: tuple[int, ...]) -> bytes:
     return data.replace(plain, Pickled(3).put(size).put(stride).out.getvalue()[2:])
 
 
-def _again() -> bytes:
-    """One array's state, built from the same bytes a thousand times."""
-    raw = bytes(1 << 20)
-    out = Pickled().put(raw).raw(b"q\x000")
-    out.raw(b"](")
-    for _ in range(1000):
-        out.glob("numpy.core.multiarray", "_reconstruct").raw(b"(").glob("numpy", "ndarray")
-        out.put((0,)).put(b"b").raw(b"tR(").put(1).put((1 << 17,)).dtype(np.dtype("f8"))
-        out.put(False).raw(b"h\x00tb")
-    return out.raw(b"e").done()
-
-
 def _sparse(shape: tuple[int, int]) -> bytes:
     made = mano_files.Csc(np.eye(2))
     data = Pickled().put({"a": made}).done()
@@ -236,8 +218,7 @@ NAMES = sorted(attacks(Path("x")))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_attack_is_refused(tmp_path, name, monkeypatch):
-    monkeypatch.setattr(unpickle, "FREE_BYTES", 1 << 20)  # the same refusals, sooner
+def test_an_attack_is_refused(tmp_path, name):
     data = attacks(tmp_path)[name]
     with pytest.raises(RecordingError) as caught:
         use(load(tmp_path, data))
@@ -300,8 +281,7 @@ def test_attacks_within_numpy_files(tmp_path):
 
 
 def test_a_zip_that_unpacks_to_too_much(tmp_path, monkeypatch):
-
-    monkeypatch.setattr(unpickle, "FREE_BYTES", 1 << 16)
+    monkeypatch.setattr(unpickle, "MOST_BYTES", 1 << 20)
     np.savez_compressed(tmp_path / "a.npz", a=np.array({"x": bytes(8 << 20)}, dtype=object))
     with pytest.raises(RecordingError, match="unpacks to more than"):
         load_restricted(tmp_path / "a.npz")
@@ -315,13 +295,6 @@ def test_files_that_are_none(tmp_path):
         load_restricted(tmp_path / "none.pkl")
     with pytest.raises(RecordingError, match="a folder, not a plain file"):
         load_restricted(tmp_path)
-
-
-def test_too_many_instructions(tmp_path, monkeypatch):
-    monkeypatch.setattr(unpickle, "MOST_STEPS", 1000)
-    assert load(tmp_path, pickle.dumps(list(range(200)))) == list(range(200))
-    with pytest.raises(RecordingError, match="instructions"):
-        load(tmp_path, pickle.dumps(list(range(2000))))
 
 
 def test_mutants_are_read_or_refused(tmp_path):
