@@ -10,6 +10,7 @@ from jax import Array
 from trees import float64, limited_poses
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
+from smooth_operator.baselines.ako import AkoObjectiveConfig
 from smooth_operator.geometry import AnyArray
 from smooth_operator.retargeting import LeastSquaresTerm, ObjectiveConfig
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
@@ -64,10 +65,10 @@ def test_terms_of_points_and_of_joints_add_to_eq_1_in_both_forms():
         np.testing.assert_allclose(hessian, [(a[1] - b[1]) / 2e-6 for a, b in ends], atol=1e-5)
 
 
-@pytest.mark.parametrize("loss", ["squared", "smooth_l1"])
-def test_a_velocity_weight_of_each_joint_is_that_joints_in_all_forms(loss):
+@pytest.mark.parametrize("kind", [ObjectiveConfig, AkoObjectiveConfig])
+def test_a_velocity_weight_of_each_joint_is_that_joints_in_all_forms(kind):
     hand = load_hand()
-    objective = SampledObjective(hand, ObjectiveConfig(velocity_loss=loss))
+    objective = SampledObjective(hand, kind())
     rng = np.random.default_rng(1)
     poses, count = limited_poses(rng, hand.limits, 3), len(objective.layout.vectors)
     weights = rng.uniform(0, 2, poses.shape[1])
@@ -80,7 +81,8 @@ def test_a_velocity_weight_of_each_joint_is_that_joints_in_all_forms(loss):
         np.testing.assert_allclose(many(poses, goal), few(poses, goal), rtol=1e-9)
         change = poses - poses[0]
         squares = (weights * change**2).sum(axis=1)
-        expected = squares if loss == "squared" else smooth_l1(weights * change, 0.02).sum(axis=1)
+        huber = smooth_l1(weights * change, 0.02).sum(axis=1)
+        expected = squares if kind is ObjectiveConfig else huber
         np.testing.assert_allclose(many(poses, goal) - many(poses, still), expected, atol=1e-9)
 
 

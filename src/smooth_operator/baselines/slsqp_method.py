@@ -5,8 +5,7 @@ steps in the compiled program come first: they have the objective's exact Hessia
 estimates again in every frame. SLSQP continues from their result, unless that is a minimum.
 
 DexPilot, AKO, the keyvector method and its hybrid with joint angles differ only in their targets,
-weights and starting point. AKO is "Analyzing Key Objectives" (Xin et al. 2025): the nearer a finger
-is to the thumb, the less its wrist vectors count, by a sigmoid instead of DexPilot's latch.
+penalties, weights and starting point.
 """
 
 from __future__ import annotations
@@ -22,22 +21,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
+from smooth_operator.baselines.ako import AkoObjectiveConfig, AkoTargets
 from smooth_operator.baselines.joint_angle import JointAngleMap, PublishedAngles
 from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
 from smooth_operator.compilation.compiled_program import compiled
-from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.landmarks import WRIST
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.host_method import HostMethod
-from smooth_operator.retargeting.keyvectors import VectorLayout, tips_of
 from smooth_operator.retargeting.method import Compiling, MethodOutput, ObjectiveMethodConfig
 from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
 from smooth_operator.retargeting.sbr.published import (
     DexPilotTargets,
     ObjectiveConfig,
     PlainTargets,
-    StatelessTargets,
 )
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.targets import Targets
@@ -234,93 +230,6 @@ class SlsqpMethod(HostMethod):
         return after, MethodOutput(q, np.float32(value - regular))
 
 
-@dataclass(frozen=True)
-class PinchLayout(VectorLayout):
-    """Vectors wrist to tip (F), thumb tip to other tip (F - 1), and last joint to tip (F).
-
-    Attributes:
-        fingers: human finger names, thumb first.
-    """
-
-    fingers: tuple[str, ...]
-
-    @cached_property
-    def vectors(self) -> tuple[tuple[int | None, int], ...]:
-        """(K,) (from, to) landmark indices."""
-        tips = tips_of(self.fingers)
-        return (
-            *((WRIST, tip) for tip in tips),
-            *((tips[0], tip) for tip in tips[1:]),
-            *((tip - 1, tip) for tip in tips),
-        )
-
-
-@dataclass(frozen=True)
-class AkoTargets(StatelessTargets[PinchLayout]):
-    """Targets and weights of AKO.
-
-    Attributes:
-        w_thumb_wrist: weight of wrist to thumb tip, before switching.
-        w_wrist: weight of wrist to each other tip, before switching.
-        w_pinch: weight of thumb tip to each other tip, before it fades with the distance from the
-            thumb.
-        w_distal: weight of last joint to tip, which determines the direction of the pad.
-        switch_distance: thumb-to-tip distance at which a switched vector has half its weight [m].
-            The finger nearest to the thumb switches all wrist vectors.
-        switch_scale: steepness of the switch [1/m].
-        contact: distance below which the target of a pinch is closed [m].
-        release: distance from which on the pinch vector is the human's own [m]; in between, the
-            target length rises from 0 at ``contact``.
-    """
-
-    w_thumb_wrist: float = 10.0
-    w_wrist: float = 1.0
-    w_pinch: float = 10.0
-    w_distal: float = 10.0
-    switch_distance: float = 0.02
-    switch_scale: float = 10.0
-    contact: float = 0.01
-    release: float = 0.02
-
-    def __post_init__(self) -> None:
-        lengths = ("switch_distance", "switch_scale", "release")
-        weights = ("w_thumb_wrist", "w_wrist", "w_pinch", "w_distal", "contact")
-        check_numbers(self, "targets.", positive=lengths, not_negative=weights)
-        if not self.contact < self.release:
-            raise ConfigError(
-                f"pinch distances must satisfy 0 <= contact < release, not contact={self.contact}, "
-                f"release={self.release} [m]"
-            )
-
-    def layout(self, fingers: tuple[str, ...]) -> PinchLayout:
-        """AKO's vectors."""
-        return PinchLayout(fingers)
-
-    def __call__(
-        self, state: tuple[()], layout: PinchLayout, human: Float[Array, "K 3"]
-    ) -> tuple[Targets, tuple[()]]:
-        """Targets of one frame."""
-        fingers = len(layout.fingers)
-        pinch = slice(fingers, 2 * fingers - 1)
-        distance = jnp.linalg.norm(human[pinch], axis=-1)
-        open_share = jax.nn.sigmoid(self.switch_scale * (distance - self.switch_distance))
-        wrist = jnp.full(fingers, self.w_wrist, human.dtype).at[0].set(self.w_thumb_wrist)
-        # 2 (d - contact) for the published 10 and 20 mm
-        slope = self.release / (self.release - self.contact)
-        length = jnp.where(
-            distance >= self.release, distance, slope * jnp.maximum(distance - self.contact, 0.0)
-        )
-        scaled = human[pinch] * (length / jnp.maximum(distance, 1e-9))[:, None]
-        weights = jnp.concatenate(
-            [
-                wrist * open_share.min(),
-                self.w_pinch * (1 - open_share),
-                jnp.full(fingers, self.w_distal, human.dtype),
-            ]
-        )
-        return Targets(human.at[pinch].set(scaled), weights), state
-
-
 def _published(
     objective: ObjectiveConfig,
     *,
@@ -361,13 +270,7 @@ DEXPILOT: Final = _published(
 """DexPilot (Handa et al. 2019) with the paper's numbers; the pose term pulls to zero angles."""
 
 AKO: Final = _published(
-    ObjectiveConfig(
-        targets=AkoTargets(),
-        loss="smooth_l1_norm",
-        pose_weight=0.0,
-        velocity_weight=0.1,
-        velocity_loss="smooth_l1",
-    ),
+    AkoObjectiveConfig(targets=AkoTargets(), pose_weight=0.0, velocity_weight=0.1),
     tolerance=1e-5,
 )
 """Analyzing Key Objectives (Yu et al. 2025)."""

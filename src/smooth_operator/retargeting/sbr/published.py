@@ -12,27 +12,22 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.geometry import AnyArray
 from smooth_operator.retargeting.keyvectors import KeyvectorLayout
 from smooth_operator.retargeting.objective import TermsConfig
 from smooth_operator.retargeting.targets import LayoutT, TargetPolicy, Targets
 from smooth_operator.retargeting.terms import (
-    TINY_AREA,
     TRANSITION,
     FrameGoal,
-    JointCost,
     JointTerm,
     Keyvectors,
     RobotVectors,
     VectorSlopes,
-    smooth_l1,
-    smooth_l1_slopes,
 )
 from smooth_operator.settings import check_choice, check_numbers
 
-Loss: TypeAlias = Literal["smooth_l1", "squared", "smooth_l1_norm"]
+Loss: TypeAlias = Literal["smooth_l1", "squared"]
 """``smooth_l1``: weight times smooth-L1 of each component; ``squared``: weight times the square of
-each; ``smooth_l1_norm``: smooth-L1 of the weight times the length of the error."""
+each."""
 
 
 def base_weights(
@@ -199,56 +194,11 @@ class SquaredKeyvectors(Keyvectors):
         return VectorSlopes(cost, double * errors, double * jnp.ones_like(errors))
 
 
-class NormKeyvectors(Keyvectors):
-    """The same with smooth-L1 of the weight times the length of the error, as in AKO."""
-
-    def price(self, error: Sequence[Array], weight: Array) -> Array:
-        """See ``Keyvectors``."""
-        x, y, z = error
-        length = jnp.sqrt(x * x + y * y + z * z + TINY_AREA)
-        return smooth_l1(weight * length, self.transition)
-
-    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
-        """See ``VectorTerm``; exact but on the kink of smooth-L1."""
-        weights = jnp.asarray(goal.weights)
-        length = jnp.sqrt((errors * errors).sum(axis=-1) + TINY_AREA)
-        unit = errors / length[:, None]
-        slope, second = smooth_l1_slopes(weights * length, self.transition)
-        along = unit[:, :, None] * unit[:, None, :]
-        radial, tangential = weights**2 * second, weights * slope / length
-        across = jnp.eye(3, dtype=errors.dtype) - along
-        return VectorSlopes(
-            smooth_l1(weights * length, self.transition).sum(),
-            (weights * slope)[:, None] * unit,
-            radial[:, None, None] * along + tangential[:, None, None] * across,
-        )
-
-
 KEYVECTORS: Final[dict[Loss, type[Keyvectors]]] = {
     "smooth_l1": Keyvectors,
     "squared": SquaredKeyvectors,
-    "smooth_l1_norm": NormKeyvectors,
 }
 """First term of Eq. (1), by its penalty."""
-
-
-@dataclass(frozen=True, eq=False)
-class SmoothL1Velocity(JointTerm):
-    """Smooth-L1 of the weight times the change of each joint, as in AKO.
-
-    Attributes:
-        transition: where smooth-L1 turns from quadratic to linear [rad].
-    """
-
-    transition: float
-
-    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
-        """See ``JointTerm``."""
-        weight: Any = goal.velocity_weight
-        change = weight * (q - goal.previous)
-        first, second = smooth_l1_slopes(change, self.transition)
-        cost = smooth_l1(change, self.transition).sum(axis=-1)
-        return JointCost(cost, weight * first, weight**2 * second)
 
 
 @dataclass(frozen=True)
@@ -261,13 +211,9 @@ class ObjectiveConfig(TermsConfig):
         terms: more terms, which are built for the hand.
         transition: where smooth-L1 turns from quadratic to linear [m].
         loss: ``smooth_l1`` per component, as in the authors' released code and in the figures of
-            the paper; ``squared``, as Eq. (1) is printed; or ``smooth_l1_norm``, smooth-L1 of the
-            weight times the length of the error, as in "Analyzing Key Objectives" (AKO).
+            the paper; or ``squared``, as Eq. (1) is printed.
         pose_centre: that pose: the hand's ``neutral`` pose, or ``zero`` angles.
-        velocity_weight: lambda_vel (w_v of the table), penalty on the change of the command.
-        velocity_loss: ``squared``, the weight times the squared change, as in Eq. (1); or
-            ``smooth_l1``, smooth-L1 of the weight times the change of each joint, as in AKO, with
-            the same ``transition`` [rad].
+        velocity_weight: lambda_vel (w_v of the table), weight of the squared change of the command.
     """
 
     targets: TargetPolicy[Any, Any] = field(default_factory=DexPilotTargets)
@@ -276,13 +222,11 @@ class ObjectiveConfig(TermsConfig):
     loss: Loss = "smooth_l1"
     pose_centre: Literal["neutral", "zero"] = "neutral"
     velocity_weight: float = 0.1
-    velocity_loss: Literal["squared", "smooth_l1"] = "squared"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_choice(self, "loss", get_args(Loss))
         check_choice(self, "pose_centre", ("neutral", "zero"))
-        check_choice(self, "velocity_loss", ("squared", "smooth_l1"))
         check_numbers(self, positive=("transition",), not_negative=("velocity_weight",))
 
     def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
@@ -292,7 +236,4 @@ class ObjectiveConfig(TermsConfig):
     def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
         """Second and third term of Eq. (1), of a hand's neutral pose [rad]."""
         centre = neutral if self.pose_centre == "neutral" else np.zeros_like(neutral)
-        pose, velocity = super().pulls(centre)
-        if self.velocity_loss == "smooth_l1":
-            velocity = SmoothL1Velocity(self.transition)
-        return pose, velocity
+        return super().pulls(centre)

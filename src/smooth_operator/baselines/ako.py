@@ -1,0 +1,180 @@
+"""AKO: "Analyzing Key Objectives" (Xin et al. 2025), its targets and penalties.
+
+The nearer a finger is to the thumb, the less its wrist vectors count, by a sigmoid in place of
+DexPilot's latch. The penalty is smooth-L1 of the weight times the length of an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.geometry import AnyArray
+from smooth_operator.landmarks import WRIST
+from smooth_operator.retargeting.keyvectors import VectorLayout, tips_of
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig, StatelessTargets
+from smooth_operator.retargeting.targets import Targets
+from smooth_operator.retargeting.terms import (
+    TINY_AREA,
+    FrameGoal,
+    JointCost,
+    JointTerm,
+    Keyvectors,
+    RobotVectors,
+    VectorSlopes,
+    smooth_l1,
+    smooth_l1_slopes,
+)
+from smooth_operator.settings import check_numbers
+
+
+@dataclass(frozen=True)
+class PinchLayout(VectorLayout):
+    """Vectors wrist to tip (F), thumb tip to other tip (F - 1), and last joint to tip (F).
+
+    Attributes:
+        fingers: human finger names, thumb first.
+    """
+
+    fingers: tuple[str, ...]
+
+    @cached_property
+    def vectors(self) -> tuple[tuple[int | None, int], ...]:
+        """(K,) (from, to) landmark indices."""
+        tips = tips_of(self.fingers)
+        return (
+            *((WRIST, tip) for tip in tips),
+            *((tips[0], tip) for tip in tips[1:]),
+            *((tip - 1, tip) for tip in tips),
+        )
+
+
+@dataclass(frozen=True)
+class AkoTargets(StatelessTargets[PinchLayout]):
+    """Targets and weights of AKO.
+
+    Attributes:
+        w_thumb_wrist: weight of wrist to thumb tip, before switching.
+        w_wrist: weight of wrist to each other tip, before switching.
+        w_pinch: weight of thumb tip to each other tip, before it fades with the distance from the
+            thumb.
+        w_distal: weight of last joint to tip, which determines the direction of the pad.
+        switch_distance: thumb-to-tip distance at which a switched vector has half its weight [m].
+            The finger nearest to the thumb switches all wrist vectors.
+        switch_scale: steepness of the switch [1/m].
+        contact: distance below which the target of a pinch is closed [m].
+        release: distance from which on the pinch vector is the human's own [m]; in between, the
+            target length rises from 0 at ``contact``.
+    """
+
+    w_thumb_wrist: float = 10.0
+    w_wrist: float = 1.0
+    w_pinch: float = 10.0
+    w_distal: float = 10.0
+    switch_distance: float = 0.02
+    switch_scale: float = 10.0
+    contact: float = 0.01
+    release: float = 0.02
+
+    def __post_init__(self) -> None:
+        lengths = ("switch_distance", "switch_scale", "release")
+        weights = ("w_thumb_wrist", "w_wrist", "w_pinch", "w_distal", "contact")
+        check_numbers(self, "targets.", positive=lengths, not_negative=weights)
+        if not self.contact < self.release:
+            raise ConfigError(
+                f"pinch distances must satisfy 0 <= contact < release, not contact={self.contact}, "
+                f"release={self.release} [m]"
+            )
+
+    def layout(self, fingers: tuple[str, ...]) -> PinchLayout:
+        """AKO's vectors."""
+        return PinchLayout(fingers)
+
+    def __call__(
+        self, state: tuple[()], layout: PinchLayout, human: Float[Array, "K 3"]
+    ) -> tuple[Targets, tuple[()]]:
+        """Targets of one frame."""
+        fingers = len(layout.fingers)
+        pinch = slice(fingers, 2 * fingers - 1)
+        distance = jnp.linalg.norm(human[pinch], axis=-1)
+        open_share = jax.nn.sigmoid(self.switch_scale * (distance - self.switch_distance))
+        wrist = jnp.full(fingers, self.w_wrist, human.dtype).at[0].set(self.w_thumb_wrist)
+        # 2 (d - contact) for the published 10 and 20 mm
+        slope = self.release / (self.release - self.contact)
+        length = jnp.where(
+            distance >= self.release, distance, slope * jnp.maximum(distance - self.contact, 0.0)
+        )
+        scaled = human[pinch] * (length / jnp.maximum(distance, 1e-9))[:, None]
+        weights = jnp.concatenate(
+            [
+                wrist * open_share.min(),
+                self.w_pinch * (1 - open_share),
+                jnp.full(fingers, self.w_distal, human.dtype),
+            ]
+        )
+        return Targets(human.at[pinch].set(scaled), weights), state
+
+
+class NormKeyvectors(Keyvectors):
+    """Smooth-L1 of the weight times the length of the error."""
+
+    def price(self, error: Sequence[Array], weight: Array) -> Array:
+        """See ``Keyvectors``."""
+        x, y, z = error
+        length = jnp.sqrt(x * x + y * y + z * z + TINY_AREA)
+        return smooth_l1(weight * length, self.transition)
+
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``; exact but on the kink of smooth-L1."""
+        weights = jnp.asarray(goal.weights)
+        length = jnp.sqrt((errors * errors).sum(axis=-1) + TINY_AREA)
+        unit = errors / length[:, None]
+        slope, second = smooth_l1_slopes(weights * length, self.transition)
+        along = unit[:, :, None] * unit[:, None, :]
+        radial, tangential = weights**2 * second, weights * slope / length
+        across = jnp.eye(3, dtype=errors.dtype) - along
+        return VectorSlopes(
+            smooth_l1(weights * length, self.transition).sum(),
+            (weights * slope)[:, None] * unit,
+            radial[:, None, None] * along + tangential[:, None, None] * across,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothL1Velocity(JointTerm):
+    """Smooth-L1 of the weight times the change of each joint.
+
+    Attributes:
+        transition: where smooth-L1 turns from quadratic to linear [rad].
+    """
+
+    transition: float
+
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+        """See ``JointTerm``."""
+        weight: Any = goal.velocity_weight
+        change = weight * (q - goal.previous)
+        first, second = smooth_l1_slopes(change, self.transition)
+        cost = smooth_l1(change, self.transition).sum(axis=-1)
+        return JointCost(cost, weight * first, weight**2 * second)
+
+
+@dataclass(frozen=True)
+class AkoObjectiveConfig(ObjectiveConfig):
+    """Weights of AKO's objective: its own penalties of vectors and of the change of joints."""
+
+    def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
+        """Smooth-L1 of the weight times the length of each error."""
+        return NormKeyvectors(vectors, self.transition)
+
+    def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
+        """Pull to a pose, and smooth-L1 of the weight times the change of each joint."""
+        return super().pulls(neutral)[0], SmoothL1Velocity(self.transition)
