@@ -61,7 +61,7 @@ def commands(path: Path) -> None:
 
 def scan(path: Path) -> None:
     """A folder that holds the file beside a good one: both are found."""
-    from smooth_operator.offline.folder import find_recordings
+    from smooth_operator.datasets.sources import find_items
 
     good = Path(__file__).with_name("test_architecture.py")
     folder = path.parent / "scanned"
@@ -69,16 +69,16 @@ def scan(path: Path) -> None:
     folder.mkdir()
     shutil.copy(path, folder / path.name)
     shutil.copy(good, folder / "other.npy")
-    found, passed_over = find_recordings(folder)
-    assert len(found) + passed_over == 2, found
+    found = find_items([str(folder)], layout="files")
+    assert len(found.items) + sum(found.passed_over.values()) == 2, found
 
 
 def overwrite(path: Path) -> None:
     """What is looked at before a file is replaced."""
-    from smooth_operator.offline.finished import foreign
+    from smooth_operator.datasets.writers.npz import taken
     from smooth_operator.teleop.recording.convert import check_target
 
-    foreign(path.with_suffix(".npz"))
+    taken(path.with_suffix(".npz"), path.parent)
     check_target(path, {".h5": "hdf5", ".mcap": "mcap"}.get(path.suffix, "npz"), [], True)
 
 

@@ -427,7 +427,7 @@ def test_a_stop_says_in_one_line_how_to_go_on(run, glove, tmp_path, monkeypatch)
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("smooth_operator.cli.retarget._watched", stop)
+    monkeypatch.setattr("smooth_operator.cli.dataset.make_dataset", stop)
     folder = tmp_path / "results"
     status, out, err = run("retarget", glove.parent, *TINY, "--output", folder)
     assert (status, out) == (130, "")

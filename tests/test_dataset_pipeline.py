@@ -277,7 +277,7 @@ def test_frames_are_counted_in_the_data_set(copy, capsys):
     report = (out / "report.json").read_bytes()
     make_dataset(slow)
     assert (out / "report.json").read_bytes() == report
-    _print(summary)
+    _print(summary, slow)
     said = " ".join(capsys.readouterr().out.split())
     assert f"({summary.episode_frames} frames, {summary.written_frames} in the data set)" in said
 
@@ -677,7 +677,7 @@ def test_the_command(folder, tmp_path, capsys, monkeypatch):
 
 
 def test_results_do_not_stand_among_the_sources(folder, tmp_path):
-    with pytest.raises(OutputError, match="it is a source"):
+    with pytest.raises(OutputError, match="the recordings are there"):
         make_dataset(request(folder, folder))
     (tmp_path / "dataset").mkdir()
     (tmp_path / "dataset" / "mine.txt").write_text("mine", encoding="utf-8")

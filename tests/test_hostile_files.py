@@ -20,14 +20,13 @@ import pytest
 from smooth_operator import method_config, read_recording
 from smooth_operator.atomic_files import output_error
 from smooth_operator.cli import main
+from smooth_operator.datasets.sources import find_items
 from smooth_operator.errors import ConfigError, DocumentError, OutputError, RecordingError
 from smooth_operator.formats import commands as results_module
 from smooth_operator.formats.arrays import ARRAYS_RATIO, FREE_BYTES, Allowance
 from smooth_operator.formats.commands import encode_commands, read_commands, write_encoded_commands
 from smooth_operator.io.documents import json_object, parse_json, read_text
 from smooth_operator.io.entries import parse_toml
-from smooth_operator.offline.finished import identity
-from smooth_operator.offline.folder import find_recordings
 from smooth_operator.teleop.control.rpc import _read
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.convert import read_episode, write_episode
@@ -169,11 +168,10 @@ def test_pipes_and_sockets_are_not_opened(tmp_path, capsys):
                 read_recording(tmp_path / name)
             with pytest.raises(DocumentError, match=kind):
                 read_text(tmp_path / name)
-            with pytest.raises(RecordingError, match=kind):
-                identity(tmp_path / name)
         good(tmp_path)
-        found, _ = find_recordings(tmp_path)
-    assert {item.name for item in found} == {"x.npz", "s.npz", "good.npz"}
+        found = find_items([str(tmp_path)], layout="files")
+    assert [item.name for item in found.items] == ["good"]
+    assert found.passed_over[".npz"] == 2
     assert main(["latency", str(tmp_path / "x.npz")]) == 2
     assert "plain file" in capsys.readouterr().err
 
@@ -185,8 +183,8 @@ def test_one_damaged_file_ends_no_search(tmp_path):
     with zipfile.ZipFile(tmp_path / "bad.npz", "w") as archive:
         header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (12, 21, 3 ".ljust(117) + b"\n"
         archive.writestr("landmarks.npy", b"\x93NUMPY\x01\x00v\x00" + header + bytes(6048))
-    found, _ = find_recordings(tmp_path)
-    assert {item.name for item in found} == {"bad.npz", "good.npz"}
+    found = find_items([str(tmp_path)], layout="files")
+    assert [item.name for item in found.items] == ["bad", "good"]
     with pytest.raises(RecordingError, match="damaged or cut off"):
         read_recording(tmp_path / "bad.npz")
 

@@ -24,6 +24,7 @@ from smooth_operator.benchmark.quality import measure_cell
 from smooth_operator.benchmark.ranking import columns
 from smooth_operator.benchmark.recordings import Request, Source
 from smooth_operator.cli.console import print_metrics
+from smooth_operator.datasets.sources import find_items
 from smooth_operator.errors import (
     ConfigError,
     HandModelError,
@@ -36,7 +37,6 @@ from smooth_operator.hands.registry import HANDS, MODELS, hand_names, known_hand
 from smooth_operator.metrics import METRICS, Metric, Trace, evaluate
 from smooth_operator.metrics.table import REGISTRY as METRIC_REGISTRY
 from smooth_operator.metrics.table import add_metrics, plugin_metrics
-from smooth_operator.offline.folder import find_recordings
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.retargeting.presets import (
     PRESETS,
@@ -219,7 +219,7 @@ def test_a_plugins_reader_recognises_its_files(broken, monkeypatch, tmp_path, ca
     read = read_recording(tmp_path / "a.rows", rate=50.0)
     np.testing.assert_allclose(read.landmarks, recording.landmarks)
     assert (read.rate_hz, read.side, read.meta["format"]) == (50.0, "right", "rows")
-    assert "a.rows" in [f.name for f in find_recordings(tmp_path)[0]]
+    assert "a.rows" in [i.ref.path.name for i in find_items([str(tmp_path)], layout="files").items]
     (tmp_path / "b.rows").write_text("1,2,three")
     with pytest.raises(RecordingError, match=r"b\.rows: can't be read as a \.rows file: could not"):
         read_recording(tmp_path / "b.rows")

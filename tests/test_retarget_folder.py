@@ -4,11 +4,10 @@ import functools
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,27 +15,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, load_hand, read_commands, read_recording
+from smooth_operator import Retargeter, read_commands, read_recording
 from smooth_operator.atomic_files import claimed
 from smooth_operator.compilation.batching import BLOCK
+from smooth_operator.datasets import pipeline
+from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.datasets.quality import NO_LIMITS
+from smooth_operator.datasets.registry import ReadingOptions
+from smooth_operator.datasets.retargeting import Recipe
+from smooth_operator.datasets.sources import Found, find_items
+from smooth_operator.datasets.work import Entry, Job
+from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
-from smooth_operator.offline import folder as pipeline
-from smooth_operator.offline.folder import (
-    Entry,
-    Job,
-    Survey,
-    checked,
-    find_recordings,
-    retarget_all,
-    survey,
-)
-from smooth_operator.planning import RetargetRequest, code_of_commands, make_request
+from smooth_operator.offline.execution import checked
+from smooth_operator.planning import RetargetRequest, make_request
 from smooth_operator.retargeting.presets import PRESETS
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.recording import LogWriter
-from smooth_operator.types import HandRecording, Side, Status
+from smooth_operator.types import HandRecording, Side
 
 # A small SBR, quick to compile.
 TINY = SbrConfig(sampling=SamplingConfig(samples=256, elites=8, cycles=2, draws="quasi"))
@@ -75,23 +73,41 @@ def folder(tmp_path_factory) -> Path:
     return at
 
 
-def do(folder: Path, output: Path, asked: RetargetRequest = ASKED) -> tuple[Survey, list[Entry]]:
-    """One after the other, in this process."""
-    todo = survey(folder, output, asked)
-    return todo, list(retarget_all(todo.jobs, workers=0))
+class Count(Progress):
+    """Number of recordings, and of those that were kept."""
+
+    items = kept = 0
+
+    def looked(self, found: Found, items: int, kept: int) -> None:
+        self.items, self.kept = items, kept
+
+
+def asked(folder: Path, output: Path, request: RetargetRequest = ASKED, **more: Any):
+    """As the command asks for it, in this process."""
+    recipe = Recipe(request, ReadingOptions(request.rate), side=request.side)
+    return DatasetRequest(
+        (str(folder),), output, recipe, "files", NO_LIMITS, "npz",
+        **{"workers": 0, "mirror": True} | more,
+    )  # fmt: skip
+
+
+def do(folder: Path, output: Path, request: RetargetRequest = ASKED, **more: Any) -> Summary:
+    return make_dataset(asked(folder, output, request, **more))
 
 
 def contents(output: Path) -> Bytes:
-    files = (path for path in output.rglob("*") if path.is_file() and path.name != "summary.json")
-    return {path.relative_to(output).as_posix(): path.read_bytes() for path in files}
+    """The results, without the report and the folder that later runs go on from."""
+    own = {".work", "report.json", "episodes.jsonl"}
+    files = (path.relative_to(output) for path in output.rglob("*") if path.is_file())
+    return {name.as_posix(): (output / name).read_bytes() for name in files
+            if name.parts[0] not in own}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def expected(folder, tmp_path_factory) -> Bytes:
     """What one process makes of the folder, undisturbed."""
     output = tmp_path_factory.mktemp("once") / "out"
-    _, entries = do(folder, output)
-    assert {entry.state for entry in entries} == {"done"}
+    assert do(folder, output).failed == {}
     found = contents(output)
     assert found.keys() == {f"{name}.{suffix}" for name in FRAMES for suffix in ("npz", "json")}
     return found
@@ -114,11 +130,12 @@ def test_a_result_is_that_of_the_library(folder, expected):
         np.testing.assert_array_equal(commands.status, live.status)
         np.testing.assert_array_equal(commands.stamps, recording.stamps)
         assert np.isnan(commands.latency_ms).all()
-        assert config["commands"]["tracking_loss"] == float(np.nanmean(loss))
-        assert config["commands"]["held"] == (3 if name == "b" else 0)
+        figures = config["figures"]
+        assert figures["right.tracking_loss"] == pytest.approx(float(np.nanmean(loss)), rel=1e-6)
+        assert config["held"] == (3 if name == "b" else 0)
         assert config["side"] == recording.side
         assert config["recording"]["frames"] == frames
-        assert config["source"]["path"] == str(folder / f"{name}.npz")
+        assert config["source"][0]["path"] == f"{name}.npz"
         assert "created" not in config
 
 
@@ -127,73 +144,61 @@ def test_with_the_default_method_too(tmp_path):
     """Of two recordings by one retargeter, neither leaves anything to the other."""
     for seed, frames in enumerate((BLOCK + 9, 30)):
         save(tmp_path / "in" / f"{seed}.npz", hand(frames, seed))
-    todo, entries = do(tmp_path / "in", tmp_path / "out", make_request(seed=3))
-    assert len(todo.jobs) == 2
-    assert {entry.state for entry in entries} == {"done"}
+    assert do(tmp_path / "in", tmp_path / "out", make_request(seed=3)).episodes == 2
     retargeter = Retargeter(seed=3)
     for seed in (0, 1):
         recording = read_recording(tmp_path / "in" / f"{seed}.npz")
         ((direct, _),) = retargeter.batch([recording])
         commands = read_commands(tmp_path / "out" / f"{seed}.npz")
         assert commands.joint_positions.tobytes() == direct.joint_positions.tobytes()
-        assert (commands.status == Status.OK).all()
+        assert (commands.status == 0).all()
 
 
-def test_the_longest_is_begun_first(folder, tmp_path):
-    names = [job.found.name for job in survey(folder, tmp_path / "out", ASKED).jobs]
-    assert names == ["b.npz", "deep/er/d.npz", "deep/c.npz", "a.npz", "e.npz"]
+def killed_once(job: Job) -> list[Entry]:
+    """``do_job``, but the process that first packs ``c`` is killed in the middle of it."""
+    mark = job.folder / "killed"
+    if any(item.name == "deep/c" for item in job.items) and not mark.exists():
+        job.folder.mkdir(parents=True, exist_ok=True)
+        (job.folder / ".pack-0.zip.00000000-7.abc12345.tmp").write_bytes(b"half")
+        mark.touch()
+        os.kill(os.getpid(), 9)
+    return REAL_JOB(job)
 
 
-def killed_once(group: Sequence[Job]) -> tuple[Entry, ...]:
-    """``retarget_group``, but the process that first writes ``c`` is killed in the middle of it."""
-    job = group[0]
-    mark = job.output.parent.parent / "killed"
-    if job.found.name == "deep/c.npz" and not mark.exists():
-
-        def half(path: Path, *_: object) -> None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.with_name(f".{path.name}.00000000-7.abc12345.tmp").write_bytes(b"half")
-            mark.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-
-        pipeline.write_encoded_commands = half
-    return pipeline.retarget_group(group)
+REAL_JOB = pipeline.do_job
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 def test_a_killed_worker_loses_nothing(folder, expected, tmp_path, monkeypatch):
-    monkeypatch.setattr(pipeline, "MOST", 1)  # each recording is a task
-    monkeypatch.setattr(pipeline, "retarget_group", killed_once)
-    todo = survey(folder, tmp_path / "out", ASKED)
-    entries = list(retarget_all(todo.jobs, workers=1))
-    assert {entry.state for entry in entries} == {"done"}
-    assert {entry.name: entry.attempts for entry in entries}["deep/c.npz"] == 2
-    assert sum(entry.attempts for entry in entries) > len(FRAMES)
-    (tmp_path / "out" / "killed").unlink()
+    monkeypatch.setattr(pipeline, "_FEW_ITEMS", 1)  # each recording is a task
+    monkeypatch.setattr(pipeline, "do_job", killed_once)
+    assert do(folder, tmp_path / "out", workers=1).failed == {}
+    assert list((tmp_path / "out").rglob("killed"))
     assert contents(tmp_path / "out") == expected
 
 
-def not_the_last(group: Sequence[Job]) -> tuple[Entry, ...]:
-    """``retarget_group``, but ``e`` does not end."""
-    if group[0].found.name == "e.npz":
+def not_the_last(job: Job) -> list[Entry]:
+    """``do_job``, but ``e`` does not end."""
+    if any(item.name == "e" for item in job.items):
         time.sleep(600)
-    return pipeline.retarget_group(group)
+    return REAL_JOB(job)
 
 
 RUN = """
 import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
-from smooth_operator.offline import folder
-from smooth_operator.offline.folder import retarget_all, survey
-from test_retarget_folder import ASKED, not_the_last
+from smooth_operator.datasets import pipeline
+from test_retarget_folder import asked, not_the_last
+
+class Say(pipeline.Progress):
+    def retargeted(self, entries):
+        print(len(entries), flush=True)
 
 if __name__ == "__main__":
-    folder.MOST = 2
-    folder.retarget_group = not_the_last
-    todo = survey(Path(sys.argv[2]), Path(sys.argv[3]), ASKED)
-    for entry in retarget_all(todo.jobs, workers=1):
-        print(entry.name, flush=True)
+    pipeline._FEW_ITEMS = 1
+    pipeline.do_job = not_the_last
+    pipeline.make_dataset(asked(Path(sys.argv[2]), Path(sys.argv[3]), workers=1), Say())
 """
 
 
@@ -207,62 +212,62 @@ def test_a_killed_run_is_resumed(folder, expected, tmp_path):
     ) as process:
         assert process.stdout.readline()  # one is done, and then
         process.kill()
-    before = -1
-    while len(contents(output)) != before:  # its worker sees it
-        before = len(contents(output))
-        time.sleep(0.5)
-    assert 0 < before < len(expected), "it was not in the middle"
-
+    packs = len(list((output / ".work").rglob("pack-*.zip")))
+    assert 0 < packs < len(FRAMES), "it was not in the middle"
     # What else a sudden end may leave: an unfinished file, half a result, one without the other.
-    done = next(name for name in expected if (output / name).exists() and name.endswith(".npz"))
-    (output / done).write_bytes(expected[done][:-100])
-    (output / f".{Path(done).name}.00000000-7.0123abcd.tmp").write_bytes(b"half")
-    missing = next(n for n in expected if n.endswith(".json") and not (output / n).exists())
-    (output / missing).parent.mkdir(parents=True, exist_ok=True)
-    (output / missing).write_bytes(expected[missing])
-    todo, _ = do(folder, output)  # the rest in this process
-    assert todo.leftovers >= 1
-    assert todo.remade >= 1
+    (output / "deep").mkdir()
+    (output / "a.npz").write_bytes(expected["a.npz"][:-100])
+    (output / "a.json").write_bytes(expected["a.json"])
+    (output / "deep" / "c.json").write_bytes(expected["deep/c.json"])
+    (output / "deep" / ".c.npz.00000000-7.0123abcd.tmp").write_bytes(b"half")
+    count = Count()
+    make_dataset(asked(folder, output), count)
+    assert count.kept >= packs
     assert contents(output) == expected
 
 
 @pytest.mark.weekly
 def test_ray_makes_the_same_bytes(folder, expected, tmp_path):
     pytest.importorskip("ray", reason="needs ray: in the clone, pip install '.[cluster]'")
-    todo = survey(folder, tmp_path / "out", ASKED)
-    entries = list(retarget_all(todo.jobs, workers=1, cluster="local"))
-    assert [entry.reason for entry in entries] == [None] * len(FRAMES)
+    assert do(folder, tmp_path / "out", workers=1, cluster="local").failed == {}
     assert contents(tmp_path / "out") == expected
 
 
+@pytest.fixture(scope="module")
+def whole(folder, tmp_path_factory) -> Path:
+    """A folder of results with all that later runs go on from."""
+    output = tmp_path_factory.mktemp("whole") / "out"
+    do(folder, output)
+    return output
+
+
 @pytest.fixture
-def copy(folder, expected, tmp_path) -> tuple[Path, Path]:
+def copy(folder, whole, tmp_path) -> tuple[Path, Path]:
     """Folders of recordings and of finished results, to be changed."""
-    recordings, output = tmp_path / "in", tmp_path / "out"
-    shutil.copytree(folder, recordings)  # with the dates
-    for name, data in expected.items():
-        (output / name).parent.mkdir(parents=True, exist_ok=True)
-        (output / name).write_bytes(data)
-    return recordings, output
+    shutil.copytree(folder, tmp_path / "in")  # with the dates
+    shutil.copytree(whole, tmp_path / "out")
+    return tmp_path / "in", tmp_path / "out"
 
 
-def left(recordings: Path, output: Path, asked: RetargetRequest = ASKED, **more: Any) -> set[str]:
-    return {job.found.name for job in survey(recordings, output, asked, **more).jobs}
+def kept(recordings: Path, output: Path, request: RetargetRequest = ASKED, **more: Any) -> int:
+    """Number of recordings that a run keeps."""
+    count = Count()
+    make_dataset(asked(recordings, output, request, **more), count)
+    return count.kept
 
 
-def test_what_is_finished_is_kept(copy):
+def test_what_is_finished_is_kept(copy, expected):
     recordings, output = copy
-    todo = survey(recordings, output, ASKED)
-    assert todo.jobs == []
-    assert {(entry.name, entry.state, entry.frames) for entry in todo.settled} == {
-        (f"{name}.npz", "kept", frames) for name, frames in FRAMES.items()
-    }
-    assert sum(entry.held for entry in todo.settled) == 3
+    before = {path: path.stat().st_mtime_ns for path in output.rglob("*.npz")}
     os.utime(recordings / "a.npz")  # another date, the same content
-    assert left(recordings, output) == set()
-    assert left(recordings, output, overwrite=True) == {f"{name}.npz" for name in FRAMES}
+    assert kept(recordings, output) == len(FRAMES)
     # A rate is for recordings without stamps, and these have theirs.
-    assert left(recordings, output, replace(ASKED, rate=50.0)) == set()
+    assert kept(recordings, output, replace(ASKED, rate=50.0)) == len(FRAMES)
+    assert {path: path.stat().st_mtime_ns for path in output.rglob("*.npz")} == before
+    report = json.loads((output / "report.json").read_text(encoding="utf-8"))
+    assert report["notes"] == [f"3 of {sum(FRAMES.values())} frames had no usable hand"]
+    assert kept(recordings, output, again=True) == 0
+    assert contents(output) == expected
 
 
 @pytest.mark.parametrize(
@@ -271,13 +276,17 @@ def test_what_is_finished_is_kept(copy):
         {"seed": 4},
         {"frames": ":20"},
         {"scale": 0.8},
-        {"side": "left"},
         {"config": replace(TINY, settle_rounds=2)},
     ],
 )
-def test_another_request_is_another_result(copy, change):
-    todo = survey(*copy, replace(ASKED, **change))
-    assert len(todo.jobs) == todo.remade == len(FRAMES)
+def test_another_request_is_another_result(copy, change, expected):
+    recordings, output = copy
+    for name in FRAMES:
+        if name not in ("a", "e"):
+            (recordings / f"{name}.npz").unlink()
+    assert kept(recordings, output, replace(ASKED, **change)) == 0
+    assert (output / "a.json").read_bytes() != expected["a.json"]
+    assert (output / "b.npz").read_bytes() == expected["b.npz"]  # of no recording that is there
 
 
 def damage(path: Path) -> None:
@@ -289,30 +298,30 @@ def damage(path: Path) -> None:
 @pytest.mark.parametrize(
     "spoil",
     [
-        lambda recordings, output: save(recordings / "a.npz", hand(30, 9)),
-        lambda recordings, output: damage(output / "a.npz"),
-        lambda recordings, output: (output / "a.npz").unlink(),
-        lambda recordings, output: (output / "a.json").unlink(),
-        lambda recordings, output: (output / "a.npz").write_bytes(b""),
-        lambda recordings, output: shutil.copy(output / "e.npz", output / "a.npz"),
-        lambda recordings, output: of_other_code(output / "a.json"),
+        lambda output: damage(output / "a.npz"),
+        lambda output: (output / "a.npz").unlink(),
+        lambda output: (output / "a.json").unlink(),
+        lambda output: (output / "a.npz").write_bytes(b""),
+        lambda output: shutil.copy(output / "e.npz", output / "a.npz"),
     ],
-    ids=["new recording", "a bit", "no result", "no json", "empty", "another's", "code"],
+    ids=["a bit", "no result", "no json", "empty", "another's"],
 )
-def test_only_what_is_whole_and_its_own_is_kept(copy, spoil, expected):
+def test_a_damaged_result_is_written_again(copy, spoil, expected):
     recordings, output = copy
-    spoil(recordings, output)
-    assert left(recordings, output) == {"a.npz"}
+    spoil(output)
+    assert kept(recordings, output) == len(FRAMES)
+    assert contents(output) == expected
 
 
-def of_other_code(path: Path) -> None:
-    config = json.loads(path.read_text(encoding="utf-8"))
-    config["made_by"] = config["made_by"][::-1]
-    path.write_text(json.dumps(config), encoding="utf-8")
+def test_a_recording_with_another_content_is_retargeted(copy, expected):
+    recordings, output = copy
+    save(recordings / "a.npz", hand(30, 9))
+    assert kept(recordings, output) == len(FRAMES) - 1
+    assert (output / "a.npz").read_bytes() != expected["a.npz"]
 
 
 def test_after_a_change_of_the_code_all_is_made_again(copy, monkeypatch):
-    assert not left(*copy)
+    recordings, output = copy
     names: list[str] = []
 
     def digest_of(*parts: str) -> str:
@@ -320,19 +329,10 @@ def test_after_a_change_of_the_code_all_is_made_again(copy, monkeypatch):
         return "another"
 
     monkeypatch.setattr("smooth_operator.planning.code_digest", digest_of)
-    assert left(*copy) == {f"{name}.npz" for name in FRAMES}
+    assert kept(recordings, output) == 0
+    assert kept(recordings, output) == len(FRAMES)
     for name in ("retargeting", "hands", "formats", "io", "offline"):
         assert name in names
-
-
-def test_after_a_change_of_the_robot_hand_all_is_made_again(copy, monkeypatch, tmp_path):
-    hand = load_hand(ASKED.hand_name, "right")
-    model = Path(shutil.copy(hand.spec.model, tmp_path))
-    same = replace(hand, spec=replace(hand.spec, model=model))
-    monkeypatch.setattr(RetargetRequest, "load_hand", lambda self, side: same)
-    before = code_of_commands(ASKED)
-    model.write_bytes(model.read_bytes() + b"\n")
-    assert code_of_commands(ASKED) != before
 
 
 def test_two_runs_do_not_meet(tmp_path):
@@ -361,36 +361,39 @@ def test_what_is_found(tmp_path, expected):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04")
     (tmp_path / "again").symlink_to(tmp_path, target_is_directory=True)
-    found, commands = find_recordings(tmp_path, leave_out=tmp_path / "results")
-    counted = {item.name: item.frames for item in found}
-    assert counted.keys() == {"plain.npy", "run.mcap", "glove.npz", "broken.npz"}
-    assert (counted["plain.npy"], counted["glove.npz"], counted["broken.npz"]) == (7, 5, 0)
-    assert commands == 1
+    found = find_items([str(tmp_path)], layout="files", leave_out=tmp_path / "results")
+    assert [item.name for item in found.items] == ["broken", "glove", "plain", "run"]
+    assert found.passed_over == {".npz": 1, ".txt": 1}
 
 
 def test_refused_before_any_work(tmp_path):
     recordings, output = tmp_path / "in", tmp_path / "out"
     one = save(recordings / "one.npz", hand(3))
     shutil.copy(one, recordings / "one.npy")
-    save(recordings / "summary.npz", hand(3))
+    save(recordings / "report.npz", hand(3))
     save(recordings / "taken.npz", hand(3))
     save(recordings / "beside.npz", hand(3))
+    save(recordings / "deep" / "under.npz", hand(3))
     save(recordings / "fine.npz", hand(3))
     output.mkdir()
     (output / "taken.npz").write_text("my thesis", encoding="utf-8")
     (output / "beside.json").write_text("{}", encoding="utf-8")
-    todo = survey(recordings, output, ASKED)
-    assert [job.found.name for job in todo.jobs] == ["fine.npz"]
-    reasons = {entry.name: entry.reason or "" for entry in todo.settled}
-    assert "one.npy and one.npz would both become one.npz" in reasons["one.npz"]
-    assert reasons["one.npz"] == reasons["one.npy"]
-    assert "rename it" in reasons["summary.npz"]
-    assert "something other than commands" in reasons["taken.npz"]
-    assert "beside.json" in reasons["beside.npz"]
+    (output / "deep").write_text("mine", encoding="utf-8")
+    count = Count()
+    summary = make_dataset(asked(recordings, output), count)
+    assert count.items == summary.episodes == 1
+    reasons = summary.failed
+    assert "one.npy and one.npz would both become one.npz" in reasons["one"]
+    assert reasons["one"] == reasons["one~2"]
+    assert "rename it" in reasons["report"]
+    assert "something other than commands" in reasons["taken"]
+    assert "beside.json" in reasons["beside"]
+    assert "deep is not a folder" in reasons["deep/under"]
     assert (output / "taken.npz").read_text(encoding="utf-8") == "my thesis"
+    assert len(read_commands(output / "fine.npz")) == 3
     for there in (recordings, tmp_path):
         with pytest.raises(OutputError, match="the recordings are there"):
-            survey(recordings, there, ASKED)
+            do(recordings, there)
 
 
 def test_a_request_is_checked_once_and_not_per_recording():
@@ -418,39 +421,38 @@ def test_the_command_retargets_a_folder_and_says_what_failed(run, folder, expect
     options = (recordings, "--output", output, *TINY_SBR, "--seed", 3)
     status, out, err = run(*options, "--workers", 2)
     assert status == 1, err
-    assert "7/7 recordings" in err
-    assert "5 recordings done (" in out
-    assert "0 kept, 2 failed" in out
-    assert "deep/[bold]empty.npz" in out
+    assert "7/7 clips" in err
+    assert "5 clips (" in out
+    assert "2 failed" in out
+    assert "deep/[bold]empty" in out
     assert "the file is empty" in out
     assert "--rate" in out
-    npz = {name: data for name, data in contents(output).items() if name.endswith(".npz")}
-    assert npz == {name: data for name, data in expected.items() if name.endswith(".npz")}
+    assert f"3 of {sum(FRAMES.values())} frames had no usable hand" in out
+    assert str(output / "report.json") in " ".join(out.split())
+    assert contents(output) == expected
 
-    summary = json.loads((output / "summary.json").read_text(encoding="utf-8"))
-    assert (summary["done"], summary["kept"], summary["failed"]) == (5, 0, 2)
-    assert summary["frames"] == sum(FRAMES.values())
-    assert summary["held"] == 3
-    assert summary["created"]
-    entries = {entry["name"]: entry for entry in summary["recordings"]}
-    assert list(entries) == sorted(entries)
-    assert entries["deep/c.npz"]["output"] == "deep/c.npz"
-    assert entries["deep/[bold]empty.npz"]["state"] == "failed"
+    report = json.loads((output / "report.json").read_text(encoding="utf-8"))
+    assert (report["episodes"], report["frames"]) == (5, sum(FRAMES.values()))
+    assert list(report["failed"]) == ["deep/[bold]empty", "norate"]
+    lines = (output / "episodes.jsonl").read_text(encoding="utf-8").splitlines()
+    assert [json.loads(line)["clip"] for line in lines] == sorted(FRAMES)
 
     # Mended, the rest is done, and what was done is kept.
     save(recordings / "deep" / "[bold]empty.npz", hand(6, side="left"))
     status, out, err = run(*options, "--rate", 100, "--workers", 0, "--json", "--quiet")
     assert (status, err) == (0, "")
-    summary = json.loads(out)
-    assert (summary["done"], summary["kept"], summary["failed"]) == (2, 5, 0)
-    entry = next(entry for entry in summary["recordings"] if entry["name"] == "norate.npy")
-    assert (entry["side"], entry["side_assumed"]) == ("right", True)
-    entry = next(entry for entry in summary["recordings"] if "empty" in entry["name"])
-    assert (entry["side"], entry["side_assumed"]) == ("left", False)
+    report = json.loads(out)
+    assert (report["episodes"], report["failed"]) == (7, {})
+    assert "1 clip: the side is not stated; assuming right" in report["notes"][0]
+    sides = {}
+    for name in ("norate", "deep/[bold]empty"):
+        config = json.loads((output / f"{name}.json").read_text(encoding="utf-8"))
+        sides[name] = (config["side"], config["rate"])
+    assert sides == {"norate": ("right", 100.0), "deep/[bold]empty": ("left", None)}
     assert len(read_commands(output / "norate.npz")) == 8
     status, out, err = run(*options, "--rate", 100)
     assert status == 0
-    assert "0 recordings to retarget, 7 done already" in err
+    assert "0 to retarget, 7 done already" in err
 
 
 def test_notes_on_the_reading_are_told_by_the_run_that_made_a_result_and_later_ones(run, tmp_path):
@@ -464,7 +466,7 @@ def test_notes_on_the_reading_are_told_by_the_run_that_made_a_result_and_later_o
     for _ in range(2):
         status, out, err = run(*options)
         assert status == 0, err
-        assert "a.npz: not read: is_tracked" in out
+        assert "1 clip: not read: is_tracked" in out
 
 
 def test_what_the_command_refuses(run, folder, tmp_path):
@@ -473,13 +475,13 @@ def test_what_the_command_refuses(run, folder, tmp_path):
     output = tmp_path / "out"
     other = tmp_path / "other"
     other.mkdir()
-    (other / "summary.json").write_text("{}", encoding="utf-8")
+    (other / "report.json").write_text("{}", encoding="utf-8")
     one = folder / "a.npz"
     for arguments, reason in (
-        ((empty, "--output", output), "no recordings in it"),
+        ((empty, "--output", output), "nothing to retarget in"),
         ((folder, "--output", folder), "the recordings are there"),
         ((folder, "--output", tmp_path / "out.npz"), "name a folder"),
-        ((folder, "--output", other), "summary.json"),
+        ((folder, "--output", other), "report.json"),
         ((folder, "--output", output, "--preset", "no"), "unknown preset"),
         ((folder, "--output", output, "--workers", -1), "workers must be 0 or more"),
         ((one, "--output", tmp_path / "one.npz", "--workers", 2), "--workers is for a folder"),
@@ -497,12 +499,10 @@ def test_real_recordings(run, shared, tmp_path):
         *(shared / "recordings", "--output", tmp_path / "out", *TINY_SBR),
         *("--rate", 30, "--frames", ":200", "--workers", 0, "--json"),
     )
-    summary = json.loads(out)
-    states = {entry["name"]: entry["state"] for entry in summary["recordings"]}
-    assert states["manus_right_subject-000_run-010.npz"] == "done"
-    assert states["wilor_test_long_21x3.npz"] == "done"
-    assert states["human_alex_21x3.npy"] == "done"
+    failed = json.loads(out)["failed"]
+    for name in ("manus_right_subject-000_run-010", "wilor_test_long_21x3", "human_alex_21x3"):
+        assert len(read_commands(tmp_path / "out" / f"{name}.npz")) == 200
     # One that holds several poses, and not a recording, says so.
-    assert status == (1 if "failed" in states.values() else 0), err
+    assert status == (1 if failed else 0), err
     with pytest.raises(RecordingError):
         read_recording(shared / "recordings" / "pinch_poses_wilor_21x3.npz", rate=30)

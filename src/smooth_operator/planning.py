@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
 from smooth_operator.calibration.operator_file import OperatorProfile, read_operator
-from smooth_operator.errors import ConfigError, HandModelError, RecordingError
+from smooth_operator.errors import ConfigError, HandModelError
 from smooth_operator.formats.environment import environment, versions
-from smooth_operator.formats.readers import read_recording
+from smooth_operator.formats.readers import read_assumed
 from smooth_operator.formats.registry import READERS
 from smooth_operator.hands.finger_choice import parse_fingers
 from smooth_operator.hands.hand import Hand
@@ -111,10 +111,9 @@ class RetargetRequest:
         Raises:
             RecordingError: it can't be read, or is of the other side by its shape.
         """
-        if self.side is None and default_side(self.hand) == "left":
-            with suppress(RecordingError):  # it is a right hand, by its side or by its shape
-                return read_recording(path, rate=rate, side="left", layout=self.layout)
-        return read_recording(path, rate=rate, side=self.side, layout=self.layout)
+        return read_assumed(
+            path, default_side(self.hand), rate=rate, side=self.side, layout=self.layout
+        )
 
     def load_hand(self, side: Side) -> Hand:
         """The robot hand of one side, with the requested fingers.

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -21,10 +21,10 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.formats.checks import frame_slice
+from smooth_operator.formats.commands import only_commands
 from smooth_operator.formats.readers import rated_if_unstamped, read_recording
-from smooth_operator.formats.registry import recording_suffixes
+from smooth_operator.formats.registry import is_dataset, recording_suffixes
 from smooth_operator.landmarks import LAYOUTS
-from smooth_operator.offline.folder import find_recordings
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, known_gaps
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import TRACKERS, tracker_model
@@ -283,11 +283,31 @@ def _ranged(name: str, source: Source) -> str:
 
 
 def _expanded(request: Request) -> list[Request]:
-    if request.path is None or not request.path.is_dir():
+    if request.path is None or not request.path.is_dir() or is_dataset(request.path):
         return [request]
-    recordings, _ = find_recordings(request.path)
-    paths = sorted((item.path for item in recordings), key=lambda path: path.as_posix())
+    paths = sorted(_recordings_in(request.path, set()), key=lambda path: path.as_posix())
     return [replace(request, path=path) for path in paths] or [request]
+
+
+def _recordings_in(folder: Path, seen: set[Path]) -> Iterator[Path]:
+    """Files that are taken for recordings, and data sets, whose reader says what they are.
+
+    Hidden ones, and files that hold commands and no hand, are passed over; links are followed once.
+    """
+    if folder.resolve() in seen:
+        return
+    seen.add(folder.resolve())
+    try:
+        entries = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    except OSError as error:
+        raise RecordingError(f"{folder}: can't be read: {error.strerror}") from error
+    for path in entries:
+        if is_dataset(path):
+            yield path
+        elif path.is_dir():
+            yield from _recordings_in(path, seen)
+        elif path.suffix.lower() in recording_suffixes() and not only_commands(path):
+            yield path
 
 
 def _load(request: Request) -> Source:
@@ -315,7 +335,7 @@ def _read(request: Request) -> HandRecording:
     if request.path is None:
         recording = request.operator().record(SYNTHETIC_SECONDS)
         return replace(recording, name=recording.name + _suffix(request))
-    if request.path.is_dir():
+    if request.path.is_dir() and not is_dataset(request.path):
         raise RecordingError(
             f"{request.path}: no recordings in it or in its folders; expected names that end in "
             f"{', '.join(recording_suffixes())}"

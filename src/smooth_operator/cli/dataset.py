@@ -21,6 +21,7 @@ from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, counted
 from smooth_operator.io.jsonable import to_json
+from smooth_operator.offline.execution import checked, request_notes
 from smooth_operator.terminal import printable
 
 _SHOWN_FAILURES = 20
@@ -28,18 +29,28 @@ _SHOWN_FAILURES = 20
 
 def dataset(options: Dataset) -> None:
     """Makes the data set, and reports what was kept and dropped."""
-    request = request_of(options)
-    progress = Progressing(options.quiet)
+    make_shown(request_of(options), quiet=options.quiet, json=options.json)
+
+
+def make_shown(request: DatasetRequest, *, quiet: bool, json: bool) -> None:
+    """Makes a data set with progress on standard error, and prints the report.
+
+    Raises:
+        SystemExit: 1, if a clip failed, or nothing is in the data set.
+    """
+    progress = Progressing(quiet)
+    for note in request_notes(checked(request.recipe.request)):
+        progress.note(note, matters=True)
     shown = _Shown(progress)
     try:
-        with folder_for(options.output), shown:
+        with folder_for(request.output), shown:
             summary = make_dataset(request, shown)
     except KeyboardInterrupt:
-        raise stopped(options.output) from None
-    if options.json:
+        raise stopped(request.output) from None
+    if json:
         print(printable(to_json(summary.as_json(), indent=2)))
     else:
-        _print(summary)
+        _print(summary, request)
     if summary.failed or (summary.shard is None and summary.episodes == 0):
         raise SystemExit(1)
 
@@ -146,7 +157,7 @@ class _Shown(Progress):
             self._task = bar.add_task("", total=total, frames=0, failed=0)
 
 
-def _print(summary: Summary) -> None:
+def _print(summary: Summary, request: DatasetRequest) -> None:
     console = output_console(160)
 
     def say(text: str) -> None:
@@ -180,5 +191,5 @@ def _print(summary: Summary) -> None:
         f"{counted(summary.dropped, 'part')} ({counted(summary.dropped_frames, 'frame')}) "
         f"dropped, {len(summary.failed)} failed"
     )
-    written = f"data set: {summary.output / 'dataset'}; " if summary.episodes else ""
-    say(f"{written}why: {summary.output / 'report.html'}")
+    written = f"data set: {request.data}; " if summary.episodes else ""
+    say(f"{written}why: {request.output / ('report.json' if request.mirror else 'report.html')}")

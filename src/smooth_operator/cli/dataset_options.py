@@ -34,6 +34,7 @@ Formats:
   lerobot      a LeRobot data set, v3.0: state and action of the robot, wrists, videos
   webdataset   tar files, a sample a clip
   parquet      Parquet files, a row a clip
+  npz          files of commands as retarget writes them, one a hand
   spider, flashdex (after: pip install ./packages/smooth_hand_datasets)
 
 Examples:
@@ -62,7 +63,7 @@ request is invalid, 130 stopped."""
     """Folder of the results; created if missing."""
 
     format: Annotated[str, arg(metavar="NAME")] = "lerobot"
-    """Output format: lerobot, webdataset, parquet, spider, flashdex, or one of a plugin."""
+    """Output format: lerobot, webdataset, parquet, npz, spider, flashdex, or one of a plugin."""
 
     frame: Literal["world", "camera"] | None = None
     """Frame of wrists and objects. A clip that has no poses in it fails. Default: each

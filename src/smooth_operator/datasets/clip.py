@@ -22,6 +22,12 @@ down, z into the picture [m]."""
 NOTES: Final = "notes"
 """Entry of ``Clip.meta`` with a reader's notes for a person: a list of texts without the file."""
 
+RATE: Final = "rate_hz"
+"""Entry of ``Clip.meta`` of a file without stamps: the frames a second that were asked for [Hz]."""
+
+ORDER: Final = "order"
+"""Entry of ``Clip.meta`` of a plain array: the order of the landmarks that was asked for."""
+
 SIDES: Final[tuple[Side, Side]] = ("right", "left")
 
 

@@ -27,7 +27,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.atomic_files import claimed
+from smooth_operator.atomic_files import claimed, remove_leftovers
 from smooth_operator.datasets.retargeting import SourceFile
 from smooth_operator.datasets.sources import Found, Item, find_items, in_shard
 from smooth_operator.datasets.store import Kept, Store, clear_unfinished
@@ -40,12 +40,15 @@ from smooth_operator.datasets.work import (
     read_job,
     unchanged,
 )
+from smooth_operator.datasets.writers.npz import refused
+from smooth_operator.datasets.writers.registry import WRITERS
+from smooth_operator.datasets.writing import REPORT, Order, Summary, hand_in, write_episodes
 from smooth_operator.datasets.writing import DatasetRequest as DatasetRequest
-from smooth_operator.datasets.writing import Order, Summary, hand_in, write_episodes
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.foreign import foreign_suffix
-from smooth_operator.offline.folder import checked
+from smooth_operator.offline.execution import checked
 from smooth_operator.parallel import run_groups, usable_cores
+from smooth_operator.planning import read_configuration
 
 BATCH: Final = 2048
 """Hands that are retargeted together: two for each lane, so that short and long ones balance."""
@@ -199,9 +202,6 @@ def entries_of_gpu(
             yield batch.result()
 
 
-WORK: Final = "work"
-"""Folder with the retargeted clips, in the folder of results."""
-
 _MOST_ITEMS: Final = 64  # in a pack
 _FEW_ITEMS: Final = 8
 _MOST_BYTES: Final = 256_000_000  # read for a pack, unless one file has more
@@ -255,8 +255,8 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
             + "".join(ways[:3])
         )
     if not survey.items:
-        refused = "; ".join(f"{each.name}: {each.reason}" for each in survey.refused[:3])
-        raise RecordingError(f"nothing to retarget; {refused}")
+        failures = "; ".join(f"{each.name}: {each.reason}" for each in survey.refused[:3])
+        raise RecordingError(f"nothing to retarget; {failures}")
     name = request.recipe.digest[:16]
     on_gpu = request.recipe.device == "gpu" and not request.merge
     if on_gpu and request.cluster is not None:
@@ -265,16 +265,25 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
             "a GPU with --shard I/N, and --merge at the end"
         )
     gpu = GpuUse.of_this_machine() if on_gpu else None
-    work = request.output / WORK / name
+    work = request.work / name
     own = work if request.shard is None else work / "shard-{:05d}-of-{:05d}".format(*request.shard)
     own.mkdir(parents=True, exist_ok=True)
-    with claimed(own):
+    with claimed(request.output if request.mirror else own):
         clear_unfinished(own)
-        items = [item for item in survey.items if in_shard(item, request.shard)]
-        finished = _finished(Store(work), items)
+        frames = request.recipe.request.frames or ""
+        items = [
+            replace(item, frames=item.frames or frames)
+            for item in survey.items
+            if in_shard(item, request.shard)
+        ]
+        reasons: dict[str, str] = {each.name: each.reason for each in survey.refused}
+        if request.mirror:
+            remove_leftovers({(request.output / item.name).parent for item in items})
+            reasons |= refused(items, request.output, REPORT)
+            items = [item for item in items if item.name not in reasons]
+        finished = {} if request.again else _finished(Store(work), items, request)
         progress.looked(survey, len(items), len(finished))
         left = [item for item in items if item.name not in finished]
-        reasons: dict[str, str] = {refused.name: refused.reason for refused in survey.refused}
         if request.merge:
             missing = "no run has finished it yet; leave out --merge to retarget it now"
             reasons |= {item.name: missing for item in left}
@@ -292,14 +301,24 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
             return Summary.of_shard(request.output, request.shard, finished, reasons)
         if not request.merge:
             Store(work).remove_superseded(finished)
+        shortest = getattr(WRITERS.load(request.format), "shortest", 2)
+        for item, kept in [*finished.items()]:
+            if kept.frames < shortest:
+                reasons[item] = f"{item}: it has {kept.frames} frames; {shortest} are needed"
+                del finished[item]
         names = [item.name for item in items if item.name in finished]
-        return write_episodes(
+        summary = write_episodes(
             Order(request, [(name, finished[name]) for name in names], work),
             reasons,
             survey.passed_over,
             progress.written,
             [] if gpu is None or gpu.frames == 0 else [gpu.sentence()],
         )
+        if request.mirror:  # the results of other settings and other code are replaced
+            for other in request.work.iterdir():
+                if other.is_dir() and other != work:
+                    shutil.rmtree(other, ignore_errors=True)
+        return summary
 
 
 def check_output(request: DatasetRequest) -> None:
@@ -314,11 +333,18 @@ def check_output(request: DatasetRequest) -> None:
         )
     real = request.output.resolve()
     for source in request.sources:
-        path = Path(source).expanduser()
-        if path.is_dir() and path.resolve() == real:
+        path = Path(source).expanduser().resolve()
+        if path.is_dir() and (path == real or (request.mirror and path.is_relative_to(real))):
             raise OutputError(
-                f"can't write into {str(request.output)!r}: it is a source; give a separate folder"
+                f"can't write into {str(request.output)!r}: the recordings are there; give a "
+                "separate folder to the results"
             )
+    report = request.output / REPORT
+    if report.exists() and read_configuration(report) is None:
+        raise OutputError(
+            f"can't write {str(report)!r}, the report of the run: it holds something else; give "
+            "another folder, or remove it first"
+        )
     hand, earlier = request.recipe.request.hand_name, hand_in(request.output)
     if earlier not in (None, hand):
         raise OutputError(
@@ -327,13 +353,16 @@ def check_output(request: DatasetRequest) -> None:
         )
 
 
-def _finished(store: Store, items: Sequence[Item]) -> dict[str, Kept]:
+def _finished(store: Store, items: Sequence[Item], request: DatasetRequest) -> dict[str, Kept]:
     """Items that earlier runs have done, with the places of their clips."""
     by_name = {item.name: item for item in items}
+    usual = request.recipe.reading.rate
 
-    def accept(name: str, digest: str, files: tuple[SourceFile, ...]) -> bool:
+    def accept(name: str, asked: str, files: tuple[SourceFile, ...], rate: float | None) -> bool:
         item = by_name.get(name)
-        return item is not None and item.asked == digest and unchanged(item, files)
+        if item is None or item.asked != asked or rate not in (None, item.rate or usual):
+            return False
+        return unchanged(item, files)
 
     return store.find(accept)
 
@@ -352,6 +381,7 @@ def _retargeted(
 
     options: dict[str, Any] = {"workers": request.workers, "cluster": request.cluster, "retries": 1}
     jobs = list(_jobs(items, folder, request))
+    jobs.sort(key=lambda job: -sum(item.size for item in job.items))  # the longest first
     if gpu is not None:
         for entries in entries_of_gpu(jobs, split, gpu, **options):
             progress.retargeted(entries)

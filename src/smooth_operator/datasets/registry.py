@@ -35,12 +35,16 @@ class ReadingOptions:
         side: side of the hand, where the files hold one and do not say; None for the layout's own.
         mano: folder with the user's MANO model files, ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl``.
         objects: folder with the meshes of objects; None for the layout's own place.
+        order: order of the landmarks in plain arrays; None for the project's own.
+        assumed: side of the hand in a recording that does not state it.
     """
 
     rate: float | None = None
     side: Side | None = None
     mano: Path | None = None
     objects: Path | None = None
+    order: str | None = None
+    assumed: Side = "right"
 
 
 @dataclass(frozen=True, order=True)

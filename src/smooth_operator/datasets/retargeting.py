@@ -15,6 +15,7 @@ from smooth_operator.datasets.clip import SIDES, Clip, Frame, RobotClip, in_fram
 from smooth_operator.datasets.quality import Tracks, quality_tracks
 from smooth_operator.datasets.registry import DATASETS, RESEARCH_PACKAGE, ReadingOptions
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.hands.registry import default_side
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.offline.execution import answers
 from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, code_of_commands, plan
@@ -37,9 +38,6 @@ _CODE: Final = tuple(
     for name in ("clip.py", "quality.py", "readers", "registry.py", "retargeting.py", "store.py")
 )
 """Files and folders of this package that a retargeted clip depends on, beside those of commands."""
-
-SHORTEST: Final = 2
-"""Fewest frames of a clip: with one there is no rate."""
 
 
 def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
@@ -120,17 +118,27 @@ class Recipe:
         models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
         readers = [entry.target for entry in DATASETS.plugins.values()]
         code = code_of_commands(self.request, *_CODE, *readers)
-        parts = [code, self.request, self.frame, self.side]
+        # Frames are of an item, and a rate is for the items that need it.
+        request = replace(self.request, frames=None, rate=None)
+        parts = [code, request, self.frame, self.side]
         parts += ["with objects"] if self.with_objects else []
         parts += ["gpu"] if self.device == "gpu" else []
-        return key_digest(
-            [*parts, self.reading.rate, [(m.name, content_digest(m)) for m in models]]
-        )
+        return key_digest([*parts, [(m.name, content_digest(m)) for m in models]])
+
+    @functools.cached_property
+    def _assumed(self) -> Side:
+        return default_side(self.request.hand)
 
     def of_item(self, side: Side | None, rate: float | None) -> Recipe:
         """The recipe of one item, for which a list may say the hand and the rate."""
         side = side or self.side
-        reading = replace(self.reading, side=side, rate=rate or self.reading.rate)
+        reading = replace(
+            self.reading,
+            side=side,
+            rate=rate or self.reading.rate,
+            order=self.request.layout,
+            assumed=self._assumed,
+        )
         return replace(self, reading=reading, side=side)
 
 
@@ -178,16 +186,22 @@ def retarget_clips(
 
 
 def clip_key(
-    recipe: Recipe, layout: str, part: str, selection: str, files: Sequence[SourceFile]
+    recipe: Recipe,
+    layout: str,
+    part: str,
+    selection: str,
+    files: Sequence[SourceFile],
+    rate: float | None,
 ) -> str:
     """Digest of all that a clip's commands depend on: files, reader, hand, method and settings.
 
     Args:
         part: name of the clip in its file.
         files: source files.
+        rate: frames a second that the reader was given and needed [Hz].
     """
     content = [(file.bytes, file.sha256) for file in files]
-    return key_digest([recipe.digest, layout, part, selection, content])
+    return key_digest([recipe.digest, layout, part, selection, content, rate])
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,8 +213,6 @@ class _Prepared:
 def _prepared(clip: Clip, recipe: Recipe) -> _Prepared | SmoothOperatorError:
     try:
         clip = in_frame(with_side(clip, recipe.side), recipe.frame)
-        if len(clip) < SHORTEST:
-            raise RecordingError(f"{clip.name}: it has {len(clip)} frames; {SHORTEST} are needed")
         plans = {
             side: plan(clip.hands[side], recipe.request)
             for side in SIDES

@@ -49,12 +49,14 @@ class Finished:
         asked: ``Item.asked`` of the item.
         files: files that were read.
         clips: results, by name.
+        rate: frames a second that the reader was given and needed [Hz].
     """
 
     item: str
     asked: str
     files: tuple[SourceFile, ...]
     clips: tuple[RobotClip, ...]
+    rate: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +82,8 @@ class Kept:
     objects: int
 
 
-Accept: TypeAlias = Callable[[str, str, tuple[SourceFile, ...]], bool]
-"""True if an item, by its name, ``asked`` and the files that were read, is done."""
+Accept: TypeAlias = Callable[[str, str, tuple[SourceFile, ...], float | None], bool]
+"""True if an item, by its name, ``asked``, the files that were read and the rate, is done."""
 
 
 @dataclass(eq=False)
@@ -103,7 +105,8 @@ class Store:
                 with _Pack(path) as pack:
                     for position, item in enumerate(pack.index["items"]):
                         files = tuple(SourceFile(**file) for file in item["files"])
-                        if accept(item["item"], item["asked"], files) and _shown(item["clips"]):
+                        done = accept(item["item"], item["asked"], files, item["rate"])
+                        if done and _shown(item["clips"]):
                             packs[item["item"]] = _pack_entry(path, position, item["clips"])
             except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
                 with contextlib.suppress(OSError):
@@ -198,9 +201,8 @@ def write_pack(folder: Path, items: Sequence[Finished]) -> dict[str, Kept]:
                     with pack.open(zipfile.ZipInfo(f"{number}/{name}.npy", _DATE), "w") as member:
                         np.lib.format.write_array(member, values, allow_pickle=False)
                 number += 1
-            index.append(
-                {"item": item.item, "asked": item.asked, "files": item.files, "clips": clips}
-            )
+            facts = {"asked": item.asked, "files": item.files, "rate": item.rate}
+            index.append({"item": item.item, **facts, "clips": clips})
         content = to_json({"items": index, "configs": [*configs]})
         pack.writestr(zipfile.ZipInfo(INDEX, _DATE), content)
     return {each["item"]: _pack_entry(path, at, each["clips"]) for at, each in enumerate(index)}

@@ -11,7 +11,7 @@ from multiprocessing import parent_process
 from pathlib import Path
 
 from smooth_operator.compilation.start import dispatch_here
-from smooth_operator.datasets.clip import Clip, clip_part, with_side
+from smooth_operator.datasets.clip import RATE, Clip, clip_part, with_side
 from smooth_operator.datasets.registry import DATASETS, ClipRef
 from smooth_operator.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
 from smooth_operator.datasets.sources import Item, fetched, find_reader
@@ -66,12 +66,14 @@ class ReadClip:
         clip: hands and scene.
         files: files that were read.
         key: digest of all that its commands depend on.
+        rate: frames a second that the reader was given and needed [Hz].
     """
 
     item: Item
     clip: Clip
     files: tuple[SourceFile, ...]
     key: str
+    rate: float | None = None
 
 
 def do_job(job: Job) -> list[Entry]:
@@ -152,7 +154,7 @@ def _retargeted(read: list[ReadClip], job: Job, reasons: dict[str, str]) -> list
             continue
         before = finished.get(name)
         clips = (answer,) if before is None else (*before.clips, answer)
-        finished[name] = Finished(name, each.item.asked, each.files, clips)
+        finished[name] = Finished(name, each.item.asked, each.files, clips, each.rate)
     return [one for name, one in finished.items() if name not in reasons]
 
 
@@ -211,13 +213,15 @@ def _read_clip(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) 
         files = tuple(SourceFile(item.address, size, _file(p).sha256, changed) for p in paths[:1])
     else:
         files = tuple(replace(_file(path), path=_shown(path, item.root)) for path in paths)
-    key = clip_key(recipe, ref.layout, ref.key or name, item.asked, files)
+    # The reader of plain recordings says whether it needed the rate.
+    rate = clip.meta.get(RATE) if ref.layout == "files" else item.rate or recipe.reading.rate
+    key = clip_key(recipe, ref.layout, ref.key or name, item.asked, files, rate)
     task = clip.task if item.task is None else item.task
     clip = with_side(clip, item.side)
     clip = replace(clip, name=name, task=task, source=tuple(Path(file.path) for file in files))
     if item.ref is None:  # what it was read from is gone when the block ends
         clip = replace(clip, source=(), video=None)
-    return ReadClip(item, clip, files, key)
+    return ReadClip(item, clip, files, key, rate)
 
 
 def _shown(path: Path, root: Path | None) -> str:

@@ -20,7 +20,7 @@ from smooth_operator.datasets.quality import FIGURES, Dropped, Limits, select, w
 from smooth_operator.datasets.retargeting import Recipe
 from smooth_operator.datasets.store import Kept, Store
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
-from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.parallel import run_tasks
@@ -264,6 +264,12 @@ class DatasetRequest:
         merge: retarget nothing; write the data set from what other runs have finished.
         workers: as in ``run_tasks``.
         cluster: as there.
+        mirror: with the format ``npz``, the files stand in ``output`` itself, at the paths that the
+            recordings have in their source; there is no page.
+        again: retarget also what is finished.
+
+    Raises:
+        ConfigError: ``workers`` is negative; only the format ``npz`` mirrors its sources.
     """
 
     sources: tuple[str, ...]
@@ -277,6 +283,24 @@ class DatasetRequest:
     merge: bool = False
     workers: int | None = None
     cluster: str | None = None
+    mirror: bool = False
+    again: bool = False
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 0:
+            raise ConfigError(f"workers must be 0 or more, not {self.workers}")
+        if self.mirror and self.format != "npz":
+            raise ConfigError(f"only the format npz mirrors its sources, not {self.format}")
+
+    @property
+    def data(self) -> Path:
+        """Folder of the data set."""
+        return self.output if self.mirror else self.output / DATASET
+
+    @property
+    def work(self) -> Path:
+        """Folder with the retargeted clips; hidden where results stand beside it."""
+        return self.output / (".work" if self.mirror else "work")
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,8 +401,8 @@ def write_episodes(
             summary.add(part.summary)
             figures.extend(part.figures)
             lines.write(b"".join(part.lines))
-    if summary.episodes == 0:  # an empty data set would be taken for one
-        shutil.rmtree(order.request.output / DATASET, ignore_errors=True)
+    if summary.episodes == 0 and not order.request.mirror:  # it would be taken for a data set
+        shutil.rmtree(order.request.data, ignore_errors=True)
         summary.notes += _nothing_kept(summary, figures, order.request.limits)
     _mark(order, whole=True)
     _account(order, summary, figures)
@@ -448,9 +472,7 @@ def write_part(order: Order, written: Callable[[int], None] = lambda done: None)
     notes: Counter[str] = Counter()
     with (
         contextlib.closing(Store(order.store)) as store,
-        WRITERS.load(order.request.format).open(
-            order.request.output / DATASET, order.request.writing
-        ) as writer,
+        WRITERS.load(request.format).open(request.data, request.writing) as writer,
     ):
         for done, (_, pack) in enumerate(order.items, 1):
             for clip in store.read(pack):
@@ -541,9 +563,11 @@ def _prepare(order: Order) -> None:
     Raises:
         OutputError: something stands there that no run has left.
     """
-    target = order.request.output / DATASET
+    target = order.request.data
     state = _state(order)
-    if target.exists() and state is None and any(target.iterdir()):
+    if order.request.mirror:
+        state = None  # what stands there stays until its own place is written
+    elif target.exists() and state is None and any(target.iterdir()):
         raise OutputError(
             f"can't write {str(target)!r}: it holds something that this command has not written; "
             "give another folder to --output, or remove it first"
@@ -566,7 +590,7 @@ def hand_in(output: Path) -> str | None:
 
 def _state(order: Order) -> dict[str, Any] | None:
     try:
-        state = read_json(order.request.output / "work" / _STATE)
+        state = read_json(order.request.work / _STATE)
     except (OSError, ValueError):
         return None
     return state if isinstance(state, dict) and state.get("program") == PROGRAM else None
@@ -574,8 +598,8 @@ def _state(order: Order) -> dict[str, Any] | None:
 
 def _mark(order: Order, *, whole: bool) -> None:
     content = {"program": PROGRAM, "identity": order.identity, "whole": whole}
-    (order.request.output / "work").mkdir(parents=True, exist_ok=True)
-    write_json(order.request.output / "work" / _STATE, content)
+    order.request.work.mkdir(parents=True, exist_ok=True)
+    write_json(order.request.work / _STATE, content)
 
 
 def _account(order: Order, summary: Summary, figures: FigureTable) -> None:
@@ -593,4 +617,5 @@ def _account(order: Order, summary: Summary, figures: FigureTable) -> None:
         "figures": figures.percentiles(),
     }
     write_json(order.request.output / REPORT, content, indent=2)
-    write_report(order.request.output, json.loads(to_json(content)), figures)
+    if not order.request.mirror:
+        write_report(order.request.output, json.loads(to_json(content)), figures)

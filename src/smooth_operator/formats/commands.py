@@ -20,6 +20,7 @@ from smooth_operator.formats.registry import file_kind
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import CommandTrajectory, Status
 
+_HANDS = ("landmarks", "joints", "data")
 _KEYS = ("joint_positions", "joint_names", "timestamps", "latency_ms", "status")
 
 
@@ -157,6 +158,17 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
     )
     check_commands(commands, str(path))
     return commands
+
+
+def only_commands(path: Path) -> bool:
+    """True if a file holds commands and no hand; False for one that can't be read."""
+    try:
+        if file_kind(path) not in ("npy", "npz"):
+            return False
+        arrays = open_arrays(path)
+    except (RecordingError, OSError):
+        return False
+    return all(name in arrays for name in _KEYS[:2]) and not any(n in arrays for n in _HANDS)
 
 
 def _check_shapes(shapes: Mapping[str, tuple[int, ...]], where: str) -> None:

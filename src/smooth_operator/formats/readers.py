@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -113,6 +114,20 @@ def read_recording(
     check_recording(recording, str(path))
     check_rate(recording.stamps, rate, str(path))
     return without_outliers(recording)
+
+
+def read_assumed(
+    path: Path, assumed: Side, *, rate: float | None, side: Side | None, layout: str | None
+) -> HandRecording:
+    """Read a recording as ``read_recording``, with ``assumed`` as the side of one that states none.
+
+    Raises:
+        RecordingError: as ``read_recording``.
+    """
+    if side is None and assumed == "left":
+        with suppress(RecordingError):  # it is a right hand, by its side or by its shape
+            return read_recording(path, rate=rate, side="left", layout=layout)
+    return read_recording(path, rate=rate, side=side, layout=layout)
 
 
 def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -14,12 +14,16 @@ from jaxtyping import Float
 from smooth_operator.compilation.cache import jax_cache
 from smooth_operator.compilation.start import build_retargeter as build_retargeter
 from smooth_operator.compilation.start import dispatch_here
+from smooth_operator.errors import ConfigError
+from smooth_operator.formats.checks import frame_slice, stamps_from_rate
+from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.registry import default_side
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.metrics import Trace, evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.metrics.table import Definition
-from smooth_operator.offline.trajectory_retargeter import TrajectoryRetargeter
-from smooth_operator.planning import Plan
+from smooth_operator.offline.trajectory_retargeter import TrajectoryRetargeter, check_method
+from smooth_operator.planning import Plan, RetargetRequest
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.types import CommandTrajectory
@@ -101,6 +105,48 @@ def measure(
         "first_command_s": outcome.first_command_s,
     }
     return trace, dict(evaluate(trace, definition, extra))
+
+
+def checked(request: RetargetRequest) -> RetargetRequest:
+    """A request whose every part is possible, so that it does not fail once per recording.
+
+    As ``build``, it lets JAX run on the calling thread.
+
+    Raises:
+        UnknownNameError: there is no such hand or finger.
+        SmoothOperatorError: the method can't serve the hand.
+        ConfigError: scale, rate, frames or operator can't be.
+    """
+    dispatch_here()
+    hand = _hand(request)
+    if request.operator is not None:
+        request.operator.check(hand.spec.side)
+    config = request.config
+    check_method(config, hand)
+    if isinstance(request.scale, float | int):
+        replace(config.alignment, scale=float(request.scale))  # refuses what is none
+    stamps_from_rate(0, request.rate, "--rate")  # refuses one that can't be
+    if request.frames is not None:
+        try:
+            frame_slice(request.frames, None)
+        except ConfigError as error:
+            raise ConfigError(
+                f"frames must be a range A:B with something in it, such as ':500', '2600:3100' or "
+                f"'-500:', not {request.frames!r}"
+            ) from error
+    return request
+
+
+def request_notes(request: RetargetRequest) -> tuple[str, ...]:
+    """Notes for a person on what the method of a checked request lacks on its hand."""
+    return request.config.notes(_hand(request))
+
+
+def _hand(request: RetargetRequest) -> Hand:
+    """The robot hand of a request, of the side that it names, or its operator is of."""
+    operator = request.operator
+    side = request.side or (default_side(request.hand) if operator is None else operator.side)
+    return request.load_hand(side)
 
 
 Answer: TypeAlias = tuple[CommandTrajectory, Float[np.ndarray, " T"]]

@@ -30,7 +30,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.datasets.clip import CAMERA, NOTES, SIDES, Clip, ObjectTrack
+from smooth_operator.datasets.clip import (
+    CAMERA,
+    NOTES,
+    ORDER,
+    RATE,
+    SIDES,
+    Clip,
+    ObjectTrack,
+)
 from smooth_operator.datasets.readers.both_hands import (
     checked_hands,
     first_video,
@@ -49,6 +57,7 @@ from smooth_operator.episode_files.hdf5_tree import (
 from smooth_operator.errors import MissingExtraError, RecordingError, listed
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.formats.checks import check_rate, check_stamps, stamps_from_rate
+from smooth_operator.formats.commands import only_commands
 from smooth_operator.formats.hand_arrays import (
     own_stamps,
     pose_rows,
@@ -56,7 +65,7 @@ from smooth_operator.formats.hand_arrays import (
     shares,
     validity,
 )
-from smooth_operator.formats.readers import rated_if_unstamped, read_recording
+from smooth_operator.formats.readers import rated_if_unstamped, read_assumed
 from smooth_operator.formats.registry import AVP, HTS, Reader, recording_suffixes
 from smooth_operator.headsets.recordings import read_both_hands
 from smooth_operator.landmarks import NODE_LAYOUTS
@@ -70,8 +79,9 @@ class Files:
     expects = "a file that 'smooth-operator retarget' reads"
 
     def matches(self, path: Path) -> bool:
-        """True if it is a file whose name ends as those of recordings do."""
-        return path.suffix.lower() in recording_suffixes() and path.is_file()
+        """True if its name ends as those of recordings do, and it holds more than commands."""
+        ending = path.suffix.lower() in recording_suffixes()
+        return ending and path.is_file() and not only_commands(path)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
         """The file."""
@@ -83,15 +93,19 @@ class Files:
         Raises:
             RecordingError: as ``read_recording``.
         """
-        recording, _ = rated_if_unstamped(
-            lambda rate: read_recording(ref.path, rate=rate, side=options.side), options.rate
+        recording, rate = rated_if_unstamped(
+            lambda rate: read_assumed(
+                ref.path, options.assumed, rate=rate, side=options.side, layout=options.order
+            ),
+            options.rate,
         )
         notes = []
         if recording.meta.get("side_assumed"):
             notes.append("the side is not stated; assuming right. Use --side left otherwise")
         if ignored := recording.meta.get("ignored"):
             notes.append(f"not read: {listed(ignored)}")
-        meta = {NOTES: notes} if notes else {}
+        facts = {NOTES: notes, RATE: rate, ORDER: options.order}
+        meta = {name: value for name, value in facts.items() if value}
         return Clip(ref.name, {recording.side: recording}, "files", (ref.path,), meta=meta)
 
 

@@ -77,11 +77,13 @@ class DatasetFormat:
             else stands there, or it can't be written).
         parallel: parts that several writers write at a time (``part``, ``parts`` of the options)
             are one data set.
+        shortest: fewest frames of a clip; one alone has no rate.
     """
 
     what: str
     open: Callable[[Path, WritingOptions], Any]
     parallel: bool = False
+    shortest: int = 2
 
 
 WRITERS: Final = Registry(
@@ -92,6 +94,7 @@ WRITERS: Final = Registry(
             ("lerobot", "lerobot:LEROBOT", "LeRobot v3: state and action of the robot, videos"),
             ("webdataset", "shards:WEBDATASET", "tar shards, a sample a clip"),
             ("parquet", "parquet:PARQUET", "Parquet files, a row a clip"),
+            ("npz", "npz:NPZ", "files of commands as retarget writes them"),
         )
     },
     needs=("what", "open"),
