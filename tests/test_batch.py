@@ -13,9 +13,8 @@ from smooth_operator import Hand, Retargeter, method_config
 from smooth_operator.compilation.batching import LaneProgram, Tracks
 from smooth_operator.errors import ConfigError
 from smooth_operator.offline.trajectory_retargeter import TrajectoryRetargeter
-from smooth_operator.retargeting.frame import FrameState, RetargetState
 from smooth_operator.retargeting.method import Method, MethodOutput
-from smooth_operator.retargeting.program import ticks_of
+from smooth_operator.retargeting.program import FrameState, RetargetState, ticks_of
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.retargeting.smooth import SmoothConfig

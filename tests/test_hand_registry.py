@@ -25,7 +25,7 @@ from smooth_operator.hands.spec import JointMap
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.retargeting.alignment import MIN_CONDITION, palm_alignment
 from smooth_operator.retargeting.flat_hand import palm_tilt_deg
-from smooth_operator.retargeting.keyvectors import KeyvectorLayout
+from smooth_operator.retargeting.targets import KeyvectorLayout
 from smooth_operator.synthetic.gestures import RELAXED
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, mirror, pose_hand
 

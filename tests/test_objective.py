@@ -13,7 +13,6 @@ from trees import float64, limited_poses
 from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.landmarks import FINGERS, LANDMARKS
-from smooth_operator.retargeting.keyvectors import KeyvectorLayout
 from smooth_operator.retargeting.sbr.published import (
     DexPilotTargets,
     LatchState,
@@ -21,7 +20,7 @@ from smooth_operator.retargeting.sbr.published import (
     PlainTargets,
 )
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
-from smooth_operator.retargeting.targets import Targets
+from smooth_operator.retargeting.targets import KeyvectorLayout, Targets
 from smooth_operator.retargeting.terms import FrameGoal
 
 FIVE = KeyvectorLayout(FINGERS)

@@ -17,7 +17,7 @@ from smooth_operator.hands.registry import hand_names, load_hand
 from smooth_operator.io.anatomy import implausible
 from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
 from smooth_operator.planning import make_request
-from smooth_operator.retargeting import frame as frame_module
+from smooth_operator.retargeting import program as frame_module
 from smooth_operator.retargeting.aligned_recording import align_recording, calibrate_scale
 from smooth_operator.retargeting.alignment import (
     MIN_CONDITION,
@@ -26,8 +26,8 @@ from smooth_operator.retargeting.alignment import (
     palm_range,
     reference_landmarks,
 )
-from smooth_operator.retargeting.frame import RetargetState
 from smooth_operator.retargeting.presets import PRESETS, method_config, method_names
+from smooth_operator.retargeting.program import RetargetState
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.retargeting.sbr.method import SbrConfig

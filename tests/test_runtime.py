@@ -22,7 +22,7 @@ from smooth_operator import (
 from smooth_operator.errors import ConfigError
 from smooth_operator.io.anatomy import FEWEST_FRAMES, HandCheck
 from smooth_operator.landmarks import FINGERS, LAYOUTS, TIPS
-from smooth_operator.retargeting.frame import RetargetState
+from smooth_operator.retargeting.program import RetargetState
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import SINKS, SOURCES, build_component
 from smooth_operator.teleop.hardware.guard import GuardSettings

@@ -5,7 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from smooth_operator.retargeting.frame import FrameState, RetargetState, StateLayout
+from smooth_operator.retargeting.program import FrameState, RetargetState, StateLayout
 
 TREE = {
     "positions": np.linspace(-1, 1, 6, dtype=np.float32).reshape(2, 3),

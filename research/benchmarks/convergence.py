@@ -19,13 +19,11 @@ import numpy as np
 
 from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.retargeting.frame import align_frame
 from smooth_operator.retargeting.levenberg import STILL, damped_newton
 from smooth_operator.retargeting.presets import method_config
-from smooth_operator.retargeting.program import ticks_of
+from smooth_operator.retargeting.program import align_frame, ticks_of
 from smooth_operator.retargeting.retargeter import Retargeter
-from smooth_operator.retargeting.smooth import Smooth, SmoothConfig
-from smooth_operator.retargeting.straight_fingers import frame_limits
+from smooth_operator.retargeting.smooth import Smooth, SmoothConfig, frame_limits
 
 SETTINGS: Final = ((6, STILL), (SmoothConfig().iterations, STILL), (500, 1e-5))
 """Iterations, and the step that ends a descent [rad]."""

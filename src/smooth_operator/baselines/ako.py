@@ -19,9 +19,8 @@ from jaxtyping import Array, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyArray
 from smooth_operator.landmarks import WRIST
-from smooth_operator.retargeting.keyvectors import VectorLayout, tips_of
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig, StatelessTargets
-from smooth_operator.retargeting.targets import Targets
+from smooth_operator.retargeting.targets import Targets, VectorLayout, tips_of
 from smooth_operator.retargeting.terms import (
     TINY_AREA,
     FrameGoal,

@@ -34,9 +34,8 @@ from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.retargeting.frame import FrameState, RetargetState, align_frame
 from smooth_operator.retargeting.method import Method, MethodConfig
-from smooth_operator.retargeting.program import ticks_of
+from smooth_operator.retargeting.program import FrameState, RetargetState, align_frame, ticks_of
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 LANES: Final = 8

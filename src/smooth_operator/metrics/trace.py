@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from smooth_operator.errors import RecordingError, UnknownNameError
 from smooth_operator.landmarks import BASES, FINGERS, NUM_LANDMARKS, TIPS, WRIST
-from smooth_operator.retargeting.keyvectors import KeyvectorLayout
+from smooth_operator.retargeting.targets import KeyvectorLayout
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,11 +33,11 @@ from smooth_operator.offline.trajectory_solver import (
     Led,
     smooth_trajectory,
 )
-from smooth_operator.retargeting.frame import align_frame
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.retargeting.objective import Objective
 from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
+from smooth_operator.retargeting.program import align_frame
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig

@@ -1,11 +1,10 @@
 """Retargeting: from the landmarks of a frame to a command, in one compiled program.
 
-A frame passes these modules, in this order: ``retargeter`` takes it, ``frame`` and ``program``
-check it and hold the state, ``alignment`` aligns it to the palm, ``pinch_gaps``,
-``fingertip_filter`` and ``correspondence`` place the robot's fingertips, ``targets`` and
-``keyvectors`` state the goal, ``objective`` sums the cost terms of ``terms`` and ``smooth_terms``,
-and ``levenberg`` descends. ``smooth`` puts these together; ``sbr`` is the paper's method, with its
-sampler.
+A frame passes these modules, in this order: ``retargeter`` takes it, ``program`` checks it and
+holds the state, ``alignment`` aligns it to the palm, ``pinch_gaps``, ``fingertip_filter`` and
+``correspondence`` place the robot's fingertips, ``targets`` states the goal, ``objective`` sums the
+cost terms of ``terms`` and ``smooth_terms``, and ``levenberg`` descends. ``smooth`` puts these
+together; ``sbr`` is the paper's method, with its sampler.
 """
 
 from smooth_operator.lazy_names import public_names

@@ -1,4 +1,3 @@
-from smooth_operator.retargeting.least_squares import LeastSquaresTerm as LeastSquaresTerm
 from smooth_operator.retargeting.method import Method as Method
 from smooth_operator.retargeting.method import MethodConfig as MethodConfig
 from smooth_operator.retargeting.method import MethodOutput as MethodOutput
@@ -14,3 +13,4 @@ from smooth_operator.retargeting.sbr.sampled import SampledObjective as SampledO
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig as SamplingConfig
 from smooth_operator.retargeting.sbr.sampling import sample_minimise as sample_minimise
 from smooth_operator.retargeting.terms import FrameGoal as FrameGoal
+from smooth_operator.retargeting.terms import LeastSquaresTerm as LeastSquaresTerm

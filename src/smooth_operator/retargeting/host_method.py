@@ -11,7 +11,8 @@ from jaxtyping import Array, Float, UInt32
 from smooth_operator.retargeting.alignment import (
     AlignmentConfig,
 )
-from smooth_operator.retargeting.frame import (
+from smooth_operator.retargeting.method import Compiling, Method, MethodOutput
+from smooth_operator.retargeting.program import (
     FrameResult,
     FrameState,
     Program,
@@ -19,7 +20,6 @@ from smooth_operator.retargeting.frame import (
     align_frame,
     packed_result,
 )
-from smooth_operator.retargeting.method import Compiling, Method, MethodOutput
 from smooth_operator.types import Status
 
 
@@ -47,29 +47,30 @@ class HostMethod(Method):
         """Takes the compiler of the functions that ``solve`` calls, before the first frame."""
         del compiling
 
+    def program(self, alignment: AlignmentConfig, compiling: Compiling) -> Program:
+        """The program of one frame, compiled up to the method's solver."""
 
-def host_program(method: HostMethod, alignment: AlignmentConfig, compiling: Compiling) -> Program:
-    """The program of one frame, compiled up to the method's solver."""
+        def prepare(state: Any, landmarks: Array, valid: Array, ticks: Array) -> tuple[Any, Array]:
+            frame = align_frame(self, alignment, landmarks, valid)
+            return self.prepare(state, frame.aligned, ticks), packed_result(
+                frame.status, frame.scale
+            )
 
-    def prepare(state: Any, landmarks: Array, valid: Array, ticks: Array) -> tuple[Any, Array]:
-        frame = align_frame(method, alignment, landmarks, valid)
-        return method.prepare(state, frame.aligned, ticks), packed_result(frame.status, frame.scale)
+        before = compiling(prepare, "frame")
+        self.compile_with(compiling)
 
-    before = compiling(prepare, "frame")
-    method.compile_with(compiling)
+        def run(
+            state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
+        ) -> tuple[RetargetState, FrameResult]:
+            problem, flat = before(state.method, landmarks, valid, ticks)
+            code, scale = np.asarray(flat).tolist()
+            if code != Status.OK:
+                return state, FrameResult(state.q, int(code), np.nan, scale)
+            after, output = self.solve(state.method, problem)
+            loss = float(output.tracking_loss)
+            if not np.isfinite(output.q).all():
+                return state, FrameResult(state.q, Status.SOLVER_FAILED, loss, scale)
+            state = RetargetState.of(FrameState(after, np.asarray(output.q)), joined=False)
+            return state, FrameResult(output.q, int(code), loss, scale)
 
-    def program(
-        state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
-    ) -> tuple[RetargetState, FrameResult]:
-        problem, flat = before(state.method, landmarks, valid, ticks)
-        code, scale = np.asarray(flat).tolist()
-        if code != Status.OK:
-            return state, FrameResult(state.q, int(code), np.nan, scale)
-        after, output = method.solve(state.method, problem)
-        loss = float(output.tracking_loss)
-        if not np.isfinite(output.q).all():
-            return state, FrameResult(state.q, Status.SOLVER_FAILED, loss, scale)
-        state = RetargetState.of(FrameState(after, np.asarray(output.q)), joined=False)
-        return state, FrameResult(output.q, int(code), loss, scale)
-
-    return program
+        return run

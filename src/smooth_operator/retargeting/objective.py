@@ -25,8 +25,7 @@ from smooth_operator.hands.differential import PointKinematics, PointMotion, all
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.retargeting.keyvectors import VectorLayout
-from smooth_operator.retargeting.targets import CloseTargets, TargetPolicy
+from smooth_operator.retargeting.targets import CloseTargets, TargetPolicy, VectorLayout
 from smooth_operator.retargeting.terms import (
     TRANSITION,
     FrameGoal,

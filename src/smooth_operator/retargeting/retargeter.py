@@ -18,11 +18,15 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.landmarks import NUM_LANDMARKS
-from smooth_operator.retargeting.frame import FrameState, RetargetState
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.retargeting.presets import default_preset, method_config
-from smooth_operator.retargeting.program import shared_program, tick_after
+from smooth_operator.retargeting.program import (
+    FrameState,
+    RetargetState,
+    shared_program,
+    tick_after,
+)
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.settings import check_frame_rate
 from smooth_operator.types import (

@@ -23,6 +23,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.hands.finger_circles import SHORTER, bends_past_straight
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.pose_table import PoseTable
 from smooth_operator.landmarks import TIPS
@@ -37,7 +38,6 @@ from smooth_operator.retargeting.fingertip_filter import (
     FingertipFilterConfig,
     filter_fingertips,
 )
-from smooth_operator.retargeting.keyvectors import KeyvectorLayout
 from smooth_operator.retargeting.levenberg import damped_newton
 from smooth_operator.retargeting.method import (
     FrameClock,
@@ -58,8 +58,7 @@ from smooth_operator.retargeting.smooth_terms import (
     SelfCollision,
     SelfCollisionConfig,
 )
-from smooth_operator.retargeting.straight_fingers import frame_limits
-from smooth_operator.retargeting.targets import CloseTargets
+from smooth_operator.retargeting.targets import CloseTargets, KeyvectorLayout
 from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.retargeting.trajectory import FUTURE, TrajectoryMethodConfig
 from smooth_operator.settings import check_numbers, is_off
@@ -420,6 +419,33 @@ class Smooth(Method):
         tips = self.motion.tips(pose)
         astray = (frame.beyond(tips) > ASTRAY).any() & ~search & bool(state.operator)
         return pose, tips, jnp.where(astray, state.astray + frame.clock.dt, 0.0)
+
+
+def frame_limits(
+    hand: Hand, tips: Float[Array, "F 3"] | Float[np.ndarray, "F 3"]
+) -> Float[Array, "m 2"] | Float[np.ndarray, "m 2"]:
+    """(m, 2) joint limits of a frame [rad]; traceable.
+
+    Many robot fingers are longest some degrees before the limit of a joint beyond the knuckle: it
+    bends them past straight. Between limit and that joint position a finger can't get shorter than
+    at the limit: an optimiser that ends there holds it straight or bent backwards, though the
+    human's is bent. Where the human's fingertip is nearer to the finger's base than that, the joint
+    is kept on the other side.
+
+    Args:
+        hand: the robot hand.
+        tips: (F, 3) where the human's fingertips are, from the robot's wrist [m].
+    """
+    limits, bends = hand.limits, bends_past_straight(hand)
+    if not bends:
+        return limits
+    fingers, joints, longest, length, centres = map(np.array, zip(*bends, strict=True))
+    tips = jnp.asarray(tips)
+    away = tips[fingers] - jnp.asarray(centres, tips.dtype)
+    bent = (away * away).sum(-1) < jnp.asarray(length - SHORTER, tips.dtype) ** 2
+    low, high = (jnp.asarray(side, tips.dtype) for side in limits.T)
+    low = low.at[joints].set(jnp.where(bent, jnp.asarray(longest, tips.dtype), low[joints]))
+    return jnp.stack([low, high], axis=1)
 
 
 SMOOTH_TELEOP: Final = SmoothConfig()

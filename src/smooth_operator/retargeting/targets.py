@@ -1,10 +1,15 @@
-"""Targets of keyvectors: the base class of policies, and the policy of ``smooth``."""
+"""Keyvectors, and the targets and weights that a policy sets for them: the base class of
+policies, and the policy of ``smooth``.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from functools import cached_property
+from itertools import combinations
+from typing import Generic, NamedTuple, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +17,94 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.retargeting.keyvectors import KeyvectorLayout, VectorLayout
+from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
+from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.settings import check_numbers
+
+
+class VectorLayout(ABC):
+    """Vectors between landmarks for which a target policy sets targets.
+
+    Subclasses say ``vectors``; a robot's counterparts of the landmarks have the same names.
+    """
+
+    @property
+    @abstractmethod
+    def vectors(self) -> tuple[tuple[int | None, int], ...]:
+        """(K,) (from, to) landmark indices; None is the origin of the palm frame."""
+
+    @cached_property
+    def landmarks(self) -> tuple[int, ...]:
+        """The landmarks that the vectors join, in the order in which they first appear."""
+        return tuple(dict.fromkeys(i for pair in self.vectors for i in pair if i is not None))
+
+    def human(self, landmarks: AnyKind) -> AnyKind:
+        """(..., K, 3) the human's vectors [m], of (..., 21, 3) aligned landmarks [m]."""
+        return self.among([landmarks[..., i, :] for i in self.landmarks])
+
+    def among(self, points: Sequence[AnyKind]) -> AnyKind:
+        """(..., K, 3) the vectors among points [m], an array (..., 3) for each of ``landmarks``."""
+        xp = array_namespace(points[0])
+        stacked = xp.stack([*points, xp.zeros_like(points[0])], axis=-2)  # the last: the origin
+        at = {landmark: i for i, landmark in enumerate(self.landmarks)}
+        start = [len(points) if i is None else at[i] for i, _ in self.vectors]
+        end = [at[j] for _, j in self.vectors]
+        vectors: AnyKind = stacked[..., end, :] - stacked[..., start, :]
+        return vectors
+
+
+@dataclass(frozen=True)
+class KeyvectorLayout(VectorLayout):
+    """The paper's keyvectors; built from a hand's fingers, not listed.
+
+    Order: wrist to each tip (F), thumb tip to each other tip (F - 1), then tip to tip among the
+    other fingers; 15 for five fingers, 6 for three. Point 0 is the wrist, point i the i-th tip.
+
+    Attributes:
+        fingers: human finger names, thumb first.
+        between_fingers: False leaves out the vectors between fingers other than the thumb.
+    """
+
+    fingers: tuple[str, ...]
+    between_fingers: bool = True
+
+    @cached_property
+    def vectors(self) -> tuple[tuple[int | None, int], ...]:
+        """(K,) (from, to) landmark indices."""
+        points = (WRIST, *tips_of(self.fingers))
+        return tuple((points[i], points[j]) for i, j in self.pairs)
+
+    @cached_property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """(K,) (from, to) over the points wrist, tip 1 .. tip F."""
+        count = len(self.fingers)
+        every = tuple(combinations(range(count + 1), 2))  # those of the wrist first, then the thumb
+        return every if self.between_fingers else every[: 2 * count - 1]
+
+    @property
+    def thumb(self) -> slice:
+        """The thumb-to-finger keyvectors."""
+        count = len(self.fingers)
+        return slice(count, 2 * count - 1)
+
+    @cached_property
+    def between(self) -> tuple[tuple[int, int, int], ...]:
+        """(keyvector, finger, finger) of the finger-to-finger ones; fingers count from 0 = index
+        side, as in the thumb slice."""
+        return tuple((k, i - 2, j - 2) for k, (i, j) in enumerate(self.pairs) if i >= 2)
+
+    def of_tips(self, tips: AnyKind, wrist: AnyArray) -> AnyKind:
+        """(..., K, 3) keyvectors [m], of (..., F, 3) fingertips and the (3,) wrist [m]."""
+        xp = array_namespace(tips)
+        base = xp.broadcast_to(wrist, (*tips.shape[:-2], 3))
+        points = [base, *(tips[..., i, :] for i in range(len(self.fingers)))]
+        vectors: AnyKind = self.among(cast(list[AnyKind], points))
+        return vectors
+
+
+def tips_of(fingers: Sequence[str]) -> tuple[int, ...]:
+    """Landmark indices of fingertips."""
+    return tuple(TIPS[FINGERS.index(finger)] for finger in fingers)
 
 
 class Targets(NamedTuple):

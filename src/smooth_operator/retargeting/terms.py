@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -23,7 +24,7 @@ from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.hands.differential import PointMotion
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.retargeting.keyvectors import KeyvectorLayout, VectorLayout
+from smooth_operator.retargeting.targets import KeyvectorLayout, VectorLayout
 
 T = TypeVar("T", bound="Term")
 
@@ -318,3 +319,28 @@ def smooth_l1_slopes(x: AnyKind, transition: float) -> tuple[AnyKind, AnyKind]:
     """First and second derivative of ``smooth_l1``."""
     slope = (x / transition).clip(-1, 1)
     return slope, (abs(slope) < 1) / transition
+
+
+class LeastSquaresTerm(PointTerm):
+    """Half the sum of squared residuals of some points; the simplest term to write."""
+
+    @abstractmethod
+    def residuals(self, points: Float[Array, "P 3"], goal: FrameGoal) -> Float[Array, " R"]:
+        """(R,) residuals at one pose, each times the root of its weight; differentiable."""
+
+    def expand(
+        self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``; the derivatives of the residuals come from JAX."""
+        residuals, pull = jax.vjp(lambda p: self.residuals(p, goal), points)
+
+        def along(speeds: Array) -> Array:
+            _, rates = jax.jvp(lambda p: self.residuals(p, goal), (points,), (speeds,))
+            return jnp.asarray(rates)
+
+        return Quadratic(
+            0.5 * (residuals * residuals).sum(),
+            pull(residuals)[0],
+            jax.vmap(along, in_axes=1, out_axes=1)(jacobian),
+            jnp.ones_like(residuals),
+        )

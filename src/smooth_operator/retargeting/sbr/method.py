@@ -20,7 +20,6 @@ from smooth_operator.retargeting.correspondence import (
     CorrespondenceConfig,
     CorrespondenceState,
 )
-from smooth_operator.retargeting.keyvectors import tips_of
 from smooth_operator.retargeting.method import (
     FrameClock,
     Method,
@@ -33,6 +32,7 @@ from smooth_operator.retargeting.sbr.published import DexPilotTargets, Objective
 from smooth_operator.retargeting.sbr.random_words import frame_key, seed_words
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_minimise
+from smooth_operator.retargeting.targets import tips_of
 from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.retargeting.trajectory import FUTURE, TrajectoryMethodConfig
 from smooth_operator.settings import check_numbers, is_off

@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.retargeting.keyvectors import KeyvectorLayout
 from smooth_operator.retargeting.objective import TermsConfig
-from smooth_operator.retargeting.targets import LayoutT, TargetPolicy, Targets
+from smooth_operator.retargeting.targets import KeyvectorLayout, LayoutT, TargetPolicy, Targets
 from smooth_operator.retargeting.terms import (
     TRANSITION,
     FrameGoal,

@@ -16,7 +16,7 @@ import numpy as np
 
 from smooth_operator.io.anatomy import PALM_RANGE_M, Doubt, HandCheck
 from smooth_operator.landmarks import BASES, WRIST
-from smooth_operator.retargeting.frame import RetargetState
+from smooth_operator.retargeting.program import RetargetState
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.teleop.runtime.limiter import Clutch, Limiter
 from smooth_operator.teleop.runtime.missing_tips import MissingTips

@@ -7,7 +7,7 @@ from smooth_operator import HandRecording, Retargeter, load_hand
 from smooth_operator.hands.finger_circles import bends_past_straight
 from smooth_operator.landmarks import TIPS
 from smooth_operator.retargeting.aligned_recording import align_recording
-from smooth_operator.retargeting.straight_fingers import frame_limits
+from smooth_operator.retargeting.smooth import frame_limits
 from smooth_operator_research.demonstrations.demonstration import (
     DemonstrationLandmarks,
     load_demonstration,
