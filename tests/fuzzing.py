@@ -1,9 +1,10 @@
-"""Hostile files: mutants of good ones, and a process of their own that reads them under limits.
+"""Hostile files: Hypothesis strategies that damage good ones, and a process that reads them.
 
-``mutate_bytes``, ``mutate_text``, ``mutate_json``, ``mutate_table`` (TOML, CSV and XML, by lines),
-``mutate_xml`` and ``mutate_npz`` each take a random generator and the bytes of a good file and give
-those of a damaged one; the same seed gives the same mutant. ``ReaderProcess`` calls a reader, named
-as ``module:function``, on a file in another process and says what came of it::
+``damaged_bytes``, ``damaged_text``, ``damaged_json``, ``damaged_table`` (TOML, CSV and XML, by
+lines), ``damaged_xml``, ``damaged_npy`` and ``damaged_npz`` take the bytes of a good file and give
+a strategy of damaged ones. ``each`` calls a function with some of them, always the same, and
+shrinks one that fails. ``ReaderProcess`` calls a reader, named as ``module:function``, on a file in
+another process with limits and says what came of it::
 
     with ReaderProcess() as reader:
         verdict = reader.read("smooth_operator.hands.spec_file:read_hand_spec", path)
@@ -17,7 +18,6 @@ import importlib
 import io
 import json
 import os
-import random
 import re
 import select
 import struct
@@ -25,13 +25,19 @@ import subprocess
 import sys
 import time
 import traceback
+import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-Mutate = Callable[[random.Random, bytes], bytes]
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from hypothesis.strategies import DrawFn, SearchStrategy
+
+Damaged = Callable[[bytes], SearchStrategy[bytes]]
+"""A good file to a strategy of damaged ones."""
 
 CPU_S = 5.0
 """What a reader may take [s of the processor], so that other work on the machine does not count."""
@@ -53,222 +59,160 @@ EXTREMES: tuple[str, ...] = (
 )  # fmt: skip
 """Words that stand where a number or a text did, in JSON, TOML, CSV, XML."""
 
-_ATTRIBUTE = re.compile(rb'(\w+)="([^"]*)"')
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
-
-
-def deep(rng: random.Random) -> str:
-    """Brackets within brackets, a few or too many."""
-    depth = rng.choice((20, 100, 900, 5_000, 100_000))
-    return rng.choice(("[" * depth + "]" * depth, "[" * depth, '{"a":' * depth + "1" + "}" * depth))
-
-
-def mutate_bytes(rng: random.Random, data: bytes) -> bytes:
-    """One to four damages that know nothing of the format."""
-    for _ in range(rng.choice((1, 1, 1, 2, 4))):
-        data = rng.choice(_DAMAGES)(rng, data)
-    return data
-
-
-def _flip(rng: random.Random, data: bytes) -> bytes:
-    found = bytearray(data)
-    for _ in range(rng.choice((1, 1, 2, 8, 64)) if found else 0):
-        found[_place(rng, len(found))] ^= 1 << rng.randrange(8)
-    return bytes(found)
-
-
-def _overwrite(rng: random.Random, data: bytes) -> bytes:
-    at = _place(rng, len(data) + 1)
-    new = rng.randbytes(rng.choice((1, 2, 4, 16, 300)))
-    return data[:at] + new + data[at + len(new) :]
-
-
-def _integer(rng: random.Random, data: bytes) -> bytes:
-    form = rng.choice(("<H", "<I", "<Q", ">I", ">Q", "B"))
-    bits = 8 * struct.calcsize(form)
-    value = rng.choice((0, 1, 2, (1 << bits) - 1, 1 << (bits - 1), (1 << (bits - 1)) - 1, 1 << 20))
-    at = _place(rng, len(data) + 1)
-    new = struct.pack(form, value % (1 << bits))
-    return data[:at] + new + data[at + len(new) :]
-
-
-def _cut(rng: random.Random, data: bytes) -> bytes:
-    return data[: _place(rng, len(data) + 1)]
-
-
-def _drop(rng: random.Random, data: bytes) -> bytes:
-    at = _place(rng, len(data) + 1)
-    return data[:at] + data[at + rng.choice((1, 2, 8, 100, 5000)) :]
-
-
-def _double(rng: random.Random, data: bytes) -> bytes:
-    at = _place(rng, len(data) + 1)
-    return data[:at] + data[at : at + rng.choice((1, 8, 100, 5000))] + data[at:]
-
-
-def _insert(rng: random.Random, data: bytes) -> bytes:
-    at = _place(rng, len(data) + 1)
-    junk = rng.choice((b"\0", b"\xff", b"\n", b"\r\n", b"\xef\xbb\xbf", rng.randbytes(7)))
-    return data[:at] + junk * rng.choice((1, 1, 50)) + data[at:]
-
-
-def _blank(rng: random.Random, data: bytes) -> bytes:
-    at, size = _place(rng, len(data) + 1), rng.choice((1, 8, 64, 4096))
-    return data[:at] + rng.choice((b"\0", b"\xff")) * len(data[at : at + size]) + data[at + size :]
-
-
-def _swap(rng: random.Random, data: bytes) -> bytes:
-    size = rng.choice((1, 4, 64, 512))
-    a, b = sorted((_place(rng, len(data) + 1), _place(rng, len(data) + 1)))
-    if b < a + size:
-        return data
-    return (
-        data[:a] + data[b : b + size] + data[a + size : b] + data[a : a + size] + data[b + size :]
-    )
-
-
-_DAMAGES: tuple[Mutate, ...] = (
-    _flip, _flip, _flip, _overwrite, _integer, _integer, _cut, _drop, _double, _insert, _blank,
-    _swap,
+_INTEGERS = [
+    (value % (1 << 8 * size)).to_bytes(size, order)
+    for size in (1, 2, 4, 8)
+    for order in ("little", "big")
+    for value in (0, 1, 2, -1, 1 << (8 * size - 1), (1 << (8 * size - 1)) - 1, 1 << 20)
+]
+_NAMES = ("x", "", "format", "__class__", "é", "z" * 3000)
+DEEP = st.builds(
+    lambda depth, form: form(depth),
+    st.sampled_from((20, 100, 900, 5_000, 100_000)),
+    st.sampled_from((
+        lambda n: "[" * n + "]" * n, lambda n: "[" * n, lambda n: '{"a":' * n + "1" + "}" * n,
+    )),
 )  # fmt: skip
+"""Brackets within brackets, a few or too many."""
+STRANGE = st.sampled_from(EXTREMES) | st.sampled_from(EXTREMES) | DEEP
 
 
-def _place(rng: random.Random, size: int) -> int:
+def each(mutants: SearchStrategy[Any], count: int, use: Callable[[Any], None]) -> None:
+    """Calls a function with ``count`` mutants, the same in every run; shrinks one that fails."""
+
+    @settings(
+        max_examples=count, derandomize=True, database=None, deadline=None,
+        suppress_health_check=[*HealthCheck], phases=[Phase.generate, Phase.shrink],
+    )  # fmt: skip
+    @given(mutants)
+    def test(mutant: Any) -> None:
+        use(mutant)
+
+    test()
+
+
+def _places(size: int) -> SearchStrategy[int]:
     """Anywhere; often near the start or the end, where headers and indices are."""
-    near = min(size, rng.choice((size, size, 64, 400, 2000))) or 1
-    at = rng.randrange(near)
-    return at if rng.random() < 0.7 else max(size - 1 - at, 0)
+    near = st.integers(0, min(size, 400))
+    return st.integers(0, size) | near | near.map(lambda n: size - n)
 
 
-def mutate_text(rng: random.Random, data: bytes) -> bytes:
-    """A number of a text becomes an extreme one; or bytes are damaged."""
-    numbers = list(_NUMBER.finditer(data))
-    if not numbers or rng.random() < 0.3:
-        return mutate_bytes(rng, data)
-    for match in sorted(rng.sample(numbers, min(len(numbers), rng.choice((1, 1, 3)))), key=_start)[
-        ::-1
-    ]:
-        new = rng.choice(EXTREMES).encode()
-        data = data[: match.start()] + new + data[match.end() :]
+@st.composite
+def damaged_bytes(draw: DrawFn, data: bytes) -> bytes:
+    """One to four damages that know nothing of the format."""
+    for _ in range(draw(st.sampled_from((1, 1, 2, 4)))):
+        at, other = draw(_places(len(data))), draw(_places(len(data)))
+        size = draw(st.sampled_from((1, 2, 8, 64, 4096)))
+        piece = data[at : at + size]
+        bit = 1 << draw(st.integers(0, 7))
+        new = draw(
+            st.just(bytes(byte ^ bit for byte in piece[:1]) + piece[1:])
+            | st.sampled_from((
+                b"", 2 * piece, bytes(len(piece)), b"\xff" * len(piece), data[other : other + size],
+                b"\r\n", b"\xef\xbb\xbf", 50 * b"\n",
+            )) | st.sampled_from(_INTEGERS) | st.binary(max_size=300)
+        )  # fmt: skip
+        gone = draw(st.sampled_from((len(piece), len(new), len(new), 0, len(data))))
+        data = data[:at] + new + data[at + gone :]
     return data
 
 
-def _start(match: re.Match[bytes]) -> int:
-    return match.start()
+@st.composite
+def damaged_text(draw: DrawFn, data: bytes) -> bytes:
+    """Numbers of a text become extreme ones; or bytes are damaged."""
+    numbers = [match.span() for match in _NUMBER.finditer(data)]
+    if not numbers or draw(st.integers(0, 9)) > 6:
+        return draw(damaged_bytes(data))
+    spans = draw(st.lists(st.sampled_from(numbers), min_size=1, max_size=3, unique=True))
+    for start, end in sorted(spans)[::-1]:
+        data = data[:start] + draw(st.sampled_from(EXTREMES)).encode() + data[end:]
+    return data
 
 
-def mutate_table(rng: random.Random, data: bytes) -> bytes:
+@st.composite
+def damaged_table(draw: DrawFn, data: bytes) -> bytes:
     """Lines of TOML, CSV or XML: one is dropped, doubled, moved, or a value in it replaced."""
-    if rng.random() < 0.25:
-        return mutate_text(rng, data)
     lines = data.decode("utf-8", "replace").split("\n")
-    for _ in range(rng.choice((1, 1, 2))):
-        at = rng.randrange(len(lines))
-        kind = rng.randrange(8)
-        if kind == 0:
-            del lines[at]
-            lines = lines or [""]
-        elif kind == 1:
-            lines.insert(rng.randrange(len(lines)), lines[at])
-        elif kind == 2:
-            other = rng.randrange(len(lines))
-            lines[at], lines[other] = lines[other], lines[at]
-        elif kind == 3 and "=" in lines[at]:
-            key = lines[at].split("=", 1)[0]
-            lines[at] = f"{key}= {rng.choice((*EXTREMES, deep(rng)))}"
-        elif kind == 4:
-            dots = rng.choice((3, 40, 300, 20_000, 100_000))
-            lines.insert(at, rng.choice((f"{'a.' * dots}a = 1", f"[{'a.' * dots}a]")))
-        elif kind == 5 and "," in lines[at]:
-            cells = lines[at].split(",")
-            cells[rng.randrange(len(cells))] = rng.choice((*EXTREMES, "", '"', "=1+1", "\0"))
-            lines[at] = ",".join(cells)
-        elif kind == 6:
-            lines[at] = lines[at].replace('"', rng.choice(("", "'", '""')), 1)
-        else:
-            words = re.findall(r"[A-Za-z_]{2,}", lines[at]) or [" "]
-            new = rng.choice(("", "x", "format", "__class__", "é", "z" * 3000))
-            lines[at] = lines[at].replace(rng.choice(words), new, 1)
+    for _ in range(draw(st.sampled_from((1, 1, 2)))):
+        at, other = (draw(st.integers(0, len(lines) - 1)) for _ in range(2))
+        line, strange = lines[at], draw(STRANGE)
+        dots = "a." * draw(st.sampled_from((3, 40, 300, 20_000, 100_000)))
+        cell = draw(st.sampled_from(line.split(",")))
+        word = draw(st.sampled_from(re.findall(r"[A-Za-z_]{2,}", line) or [" "]))
+        cells = draw(st.sampled_from((*EXTREMES, "", '"', "=1+1", "\0")))
+        lines[at : at + 1] = draw(
+            st.sampled_from((
+                [], [line, line], [lines[other]], [f"{line.split('=')[0]}= {strange}"],
+                [f"{dots}a = 1", line], [f"[{dots}a]", line], [line.replace(cell, cells, 1)],
+                [line.replace('"', "", 1)], [line.replace('"', "'", 1)],
+                [line.replace(word, draw(st.sampled_from(_NAMES)), 1)],
+            ))
+        ) or ([""] if len(lines) == 1 else [])  # fmt: skip
     return "\n".join(lines).encode("utf-8", "replace")
 
 
-def swap_attributes(rng: random.Random, data: bytes) -> bytes:
+@st.composite
+def _exchanged_attributes(draw: DrawFn, data: bytes) -> bytes:
     """Values of attributes become those of others, or extreme ones."""
-    for _ in range(rng.choice((1, 1, 2, 5))):
-        found = list(_ATTRIBUTE.finditer(data))
-        if not found:
+    for _ in range(draw(st.sampled_from((1, 1, 2, 5)))):
+        spans = [match.span(1) for match in re.finditer(rb'\w="([^"]*)"', data)]
+        if not spans:
             break
-        at = rng.choice(found)
-        words = [match[2] for match in found]
-        words += [word.encode(errors="replace").replace(b'"', b"") for word in EXTREMES]
-        data = data[: at.start(2)] + rng.choice(words) + data[at.end(2) :]
+        start, end = draw(st.sampled_from(spans))
+        first, last = draw(st.sampled_from(spans))
+        word = draw(st.sampled_from(EXTREMES)).encode(errors="replace").replace(b'"', b"")
+        data = data[:start] + draw(st.sampled_from((data[first:last], word))) + data[end:]
     return data
 
 
-def mutate_xml(rng: random.Random, data: bytes) -> bytes:
+def damaged_xml(data: bytes) -> SearchStrategy[bytes]:
     """A model of a robot hand: its attributes, numbers, lines or bytes are damaged."""
-    damage = rng.choice((mutate_bytes, mutate_table, mutate_text, swap_attributes))
-    return damage(rng, data)
+    damages = (_exchanged_attributes, damaged_table, damaged_text, damaged_bytes)
+    return st.one_of(*(damage(data) for damage in damages))
 
 
-def mutate_json(rng: random.Random, data: bytes) -> bytes:
+@st.composite
+def damaged_json(draw: DrawFn, data: bytes) -> bytes:
     """A value of the tree is replaced, dropped, doubled or renamed; or the text is damaged."""
-    if rng.random() < 0.25:
-        return mutate_text(rng, data)
-    try:
+    tree: Any = None
+    with contextlib.suppress(ValueError, RecursionError):  # it is a mutant already
         tree = json.loads(data)
-    except (ValueError, RecursionError):  # it was a mutant already
-        return mutate_text(rng, data)
-    raw: list[str] = []
-    for _ in range(rng.choice((1, 1, 2, 4))):
-        tree = _mutated(rng, tree, raw)
+    if not isinstance(tree, dict | list) or draw(st.integers(0, 9)) > 7:
+        return draw(damaged_text(data))
+    tokens: list[str] = []
+    for _ in range(draw(st.sampled_from((1, 1, 2, 4)))):
+        found = holders(tree)
+        if not found:
+            break
+        holder = draw(st.sampled_from(found))
+        key = draw(
+            st.sampled_from(list(holder) if isinstance(holder, dict) else range(len(holder)))
+        )
+        kind = draw(st.integers(0, 5))
+        if kind == 0:
+            del holder[key]
+        elif kind == 1 and isinstance(holder, dict):
+            holder[draw(st.sampled_from((*_NAMES, f"{key}\0")))] = holder.pop(key)
+        elif kind == 1:
+            holder *= draw(st.sampled_from((2, 50)))
+        elif kind == 2:
+            holder[key] = [holder[key]]
+        else:
+            tokens.append(draw(STRANGE))
+            holder[key] = f"@{len(tokens) - 1}@"
     text = json.dumps(tree)
-    for number, word in enumerate(raw):
-        text = text.replace(f'"@raw{number}@"', word)
+    for number, token in enumerate(tokens):
+        text = text.replace(f'"@{number}@"', token)
     return text.encode("utf-8", "surrogatepass")
 
 
-def _mutated(rng: random.Random, tree: Any, raw: list[str]) -> Any:
-    holders = [node for node in _nodes(tree) if node and isinstance(node, dict | list)]
-
-    def strange() -> str:
-        raw.append(deep(rng) if rng.random() < 0.1 else rng.choice(EXTREMES))
-        return f"@raw{len(raw) - 1}@"
-
-    if not holders or rng.random() < 0.03:
-        return strange()
-    holder = rng.choice(holders)
-    if isinstance(holder, list):
-        at = rng.randrange(len(holder))
-        kind = rng.randrange(5)
-        if kind == 0:
-            del holder[at]
-        elif kind == 1:
-            holder.insert(at, holder[at])
-        elif kind == 2:
-            holder[:] = holder * rng.choice((2, 50))
-        else:
-            holder[at] = strange()
-        return tree
-    key = rng.choice(list(holder))
-    kind = rng.randrange(6)
-    if kind == 0:
-        del holder[key]
-    elif kind == 1:
-        holder[rng.choice(("x", "", "format", "__init__", key + "\0"))] = holder.pop(key)
-    elif kind == 2:
-        holder[key] = [holder[key]]
-    else:
-        holder[key] = strange()
-    return tree
-
-
-def _nodes(tree: Any) -> Iterator[Any]:
-    yield tree
-    for child in (
-        tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list) else ()
-    ):
-        yield from _nodes(child)
+def holders(tree: Any) -> list[Any]:
+    """Tables and lists of a tree that hold something."""
+    children = tree.values() if isinstance(tree, dict) else tree
+    if not isinstance(tree, dict | list) or not tree:
+        return []
+    return [tree, *(holder for child in children for holder in holders(child))]
 
 
 _SHAPES = ("()", "(0,)", "(1,)", "(1000000000,)", "(99999999999999999999,)", "(-1,)", "(0, 21, 3)",
@@ -279,42 +223,30 @@ _TYPES = ("'<f8'", "'>f8'", "'<f4'", "'<f2'", "'|b1'", "'|i1'", "'<u8'", "'|O'",
           "[('a', '<f8')]", "'f8,' * 9", "'<g16'", "'nonsense'", "None")  # fmt: skip
 
 
-def mutate_npz(rng: random.Random, data: bytes) -> bytes:
-    """Members of a zip of arrays: header, data, name, order, compression; or the zip itself."""
-    if rng.random() < 0.3:
-        return mutate_bytes(rng, data)
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = [(item.filename, archive.read(item)) for item in archive.infolist()]
-    except Exception:  # it was a mutant already
-        return mutate_bytes(rng, data)
-    for _ in range(rng.choice((1, 1, 2, 3))):
-        if not members:
-            break
-        at = rng.randrange(len(members))
-        name, content = members[at]
-        kind = rng.randrange(10)
-        if kind <= 2:
-            members[at] = (name, mutate_npy(rng, content))
-        elif kind == 3:
-            members[at] = (name, mutate_bytes(rng, content))
-        elif kind == 4:
-            members[at] = (name, members[rng.randrange(len(members))][1])
-        elif kind == 5:
-            new = rng.choice(("landmarks.npy", "x.npy", "a\0b.npy", "../x.npy", "x.pkl", "é.npy"))
-            members[at] = (new, content)
-        elif kind == 6:
-            del members[at]
-        elif kind == 7:
-            members.append((name, content))
-        elif kind == 8:
-            members[at] = (name, _values(rng, content))
-        else:
-            members[at] = (name, _json_inside(rng, content))
-    stream = io.BytesIO()
-    method = rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2))
-    import warnings
+_TITLES = ("landmarks.npy", "x.npy", "a\0b.npy", "../x.npy", "x.pkl", "é.npy")
 
+
+@st.composite
+def damaged_npz(draw: DrawFn, data: bytes) -> bytes:
+    """Members of a zip of arrays: header, data, name, order, compression; or the zip itself."""
+    if draw(st.integers(0, 9)) > 6:
+        return draw(damaged_bytes(data))
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = [(item.filename, archive.read(item)) for item in archive.infolist()]
+    for _ in range(draw(st.sampled_from((1, 1, 2, 3)))):
+        at, other = (draw(st.integers(0, len(members) - 1)) for _ in range(2))
+        name, content = members[at]
+        damages = (damaged_npy, damaged_npy, _damaged_values, damaged_bytes)
+        new = draw(st.one_of(*(damage(content) for damage in damages)))
+        title = draw(st.sampled_from(_TITLES))
+        members[at : at + 1] = draw(
+            st.sampled_from((
+                *([(name, new)],) * 4, [(name, members[other][1])], [(title, content)],
+                [(name, content)] * 2, [] if len(members) > 1 else [(name, b"")],
+            ))
+        )  # fmt: skip
+    stream = io.BytesIO()
+    method = draw(st.sampled_from((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)))
     with warnings.catch_warnings(), zipfile.ZipFile(stream, "w", method) as archive:
         warnings.simplefilter("ignore")  # of names that come twice
         for name, content in members:
@@ -322,55 +254,56 @@ def mutate_npz(rng: random.Random, data: bytes) -> bytes:
     return stream.getvalue()
 
 
-def mutate_npy(rng: random.Random, content: bytes) -> bytes:
-    """The header of an array: its shape, its type, or its text."""
+def _header(content: bytes) -> tuple[str, bytes]:
+    """The text of the header of an array, and its data."""
     if content[:6] != b"\x93NUMPY" or len(content) < 12:
-        return mutate_bytes(rng, content)
+        return "", content
     size = struct.unpack_from("<H", content, 8)[0]
-    header, body = content[10 : 10 + size].decode("latin-1"), content[10 + size :]
-    kind = rng.randrange(5)
-    if kind <= 1:
-        header = re.sub(r"'shape': \([^)]*\)", f"'shape': {rng.choice(_SHAPES)}", header)
-    elif kind == 2:
-        header = re.sub(r"'descr': '[^']*'", f"'descr': {rng.choice(_TYPES)}", header)
-    elif kind == 3:
-        header = header.replace("False", rng.choice(("True", "None", "7", "'")))
-    else:
-        header = mutate_text(rng, header.encode("latin-1")).decode("latin-1")
-    text = header.rstrip("\n").encode("latin-1")
-    version = rng.choice((1, 1, 1, 2, 3, 9))
+    return content[10 : 10 + size].decode("latin-1").rstrip("\n"), content[10 + size :]
+
+
+def _npy(header: str, body: bytes, version: int = 1) -> bytes:
+    text = header.encode("latin-1", "replace")
     text += b" " * (-(len(text) + 11) % 64) + b"\n"
-    length = struct.pack(
-        "<H" if version == 1 else "<I", len(text) % (65536 if version == 1 else 1 << 32)
-    )
-    return content[:6] + bytes((version, 0)) + length + text + body
+    size = 2 if version == 1 else 4
+    length = (len(text) % (1 << 8 * size)).to_bytes(size, "little")
+    return b"\x93NUMPY" + bytes((version, 0)) + length + text + body
 
 
-def _values(rng: random.Random, content: bytes) -> bytes:
-    """Numbers of an array become extreme ones."""
-    size = struct.unpack_from("<H", content, 8)[0] if len(content) > 10 else 0
-    body = bytearray(content[10 + size :])
-    for _ in range(rng.choice((1, 5, 1000))):
-        if len(body) < 8:
-            break
-        value = rng.choice((0.0, -1.0, float("nan"), float("inf"), 1e308, 1e30, 1e-320, 1000.0))
-        struct.pack_into("<d", body, 8 * rng.randrange(len(body) // 8), value)
-    return content[: 10 + size] + bytes(body)
+@st.composite
+def damaged_npy(draw: DrawFn, content: bytes) -> bytes:
+    """The header of an array: its shape, its type, or its text."""
+    header, body = _header(content)
+    if not header:
+        return draw(damaged_bytes(content))
+    text = damaged_text(header.encode("latin-1")).map(lambda new: new.decode("latin-1"))
+    header = draw(st.one_of(
+        st.sampled_from(_SHAPES).map(
+            lambda new: re.sub(r"'shape': \([^)]*\)", f"'shape': {new}", header)),
+        st.sampled_from(_TYPES).map(
+            lambda new: re.sub(r"'descr': '[^']*'", f"'descr': {new}", header)),
+        st.sampled_from(("True", "None", "7", "'")).map(lambda new: header.replace("False", new)),
+        text,
+    ))  # fmt: skip
+    return _npy(header, body, draw(st.sampled_from((1, 1, 1, 2, 3, 9))))
 
 
-def _json_inside(rng: random.Random, content: bytes) -> bytes:
-    """JSON that stands in an array of text is mutated as JSON."""
-    size = struct.unpack_from("<H", content, 8)[0] if len(content) > 10 else 0
-    header, body = content[10 : 10 + size], content[10 + size :]
-    if b"<U" not in header:
-        return _values(rng, content)
-    with contextlib.suppress(UnicodeDecodeError):
-        text = body.decode("utf-32-le").encode()
-        new = mutate_json(rng, text).decode("utf-8", "replace").encode("utf-32-le", "replace")
-        title = re.sub(rb"<U\d+", b"<U%d" % (len(new) // 4), header.rstrip())
-        title += b" " * (-(len(title) + 11) % 64) + b"\n"
-        return content[:8] + struct.pack("<H", len(title)) + title + new
-    return content
+@st.composite
+def _damaged_values(draw: DrawFn, content: bytes) -> bytes:
+    """Numbers of an array become extreme ones; JSON in an array of text is damaged as JSON."""
+    header, body = _header(content)
+    if "<U" in header:
+        with contextlib.suppress(UnicodeDecodeError):
+            text = draw(damaged_json(body.decode("utf-32-le").encode())).decode("utf-8", "replace")
+            new = text.encode("utf-32-le", "replace")
+            return _npy(re.sub(r"<U\d+", f"<U{len(new) // 4}", header), new)
+    values = bytearray(body)
+    for _ in range(draw(st.sampled_from((1, 5, 50))) if len(body) >= 8 else 0):
+        value = draw(
+            st.sampled_from((0.0, -1.0, float("nan"), float("inf"), 1e308, 1e30, 1e-320, 1000.0))
+        )
+        struct.pack_into("<d", values, 8 * draw(st.integers(0, len(body) // 8 - 1)), value)
+    return content[: len(content) - len(body)] + bytes(values)
 
 
 @dataclass(frozen=True)

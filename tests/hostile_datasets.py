@@ -6,7 +6,7 @@ the other one in most of its frames.
 
 import io
 import json
-import random
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,11 @@ from typing import Any
 import dataset_files as files
 import fuzzing
 import numpy as np
-from hostile_files import Mutate, mutate_hdf5
+from hostile_files import damaged_hdf5
+from hypothesis import strategies as st
+from hypothesis.strategies import DrawFn
+
+from smooth_operator.errors import SmoothOperatorError
 
 FEWEST = 5
 """Whole frames without which a side is not judged."""
@@ -43,123 +47,148 @@ def read_soundly(layout: str, path: Path) -> None:
         json.dumps(clip.meta, allow_nan=False)
 
 
-def mutate_values(rng: random.Random, data: bytes) -> bytes:
+@st.composite
+def damaged_values(draw: DrawFn, data: bytes) -> bytes:
     """An HDF5 file's arrays get extreme numbers or exchange their places; or as others are."""
     import h5py
 
-    if rng.random() < 0.5:
-        return mutate_hdf5(rng, data)
+    if draw(st.booleans()):
+        return draw(damaged_hdf5(data))
     stream = io.BytesIO(data)
     with h5py.File(stream, "r+") as file, np.errstate(all="ignore"):
         names: list[str] = []
         file["transforms"].visit(names.append)
-        for _ in range(rng.choice((1, 3, 20))):
-            one, other = (f"transforms/{rng.choice(names)}" for _ in range(2))
-            kind = rng.randrange(4)
+        for _ in range(draw(st.sampled_from((1, 3, 20)))):
+            one, other = (f"transforms/{draw(st.sampled_from(names))}" for _ in range(2))
+            kind = draw(st.integers(0, 3))
             if not len(file[one]):
                 continue
             if kind == 0:
-                value = rng.choice((0.0, -1.0, np.nan, np.inf, 1e308, 1e30, 1000.0))
-                file[one][rng.randrange(len(file[one]))] = value
+                value = draw(st.sampled_from((0.0, -1.0, np.nan, np.inf, 1e308, 1e30, 1000.0)))
+                file[one][draw(st.integers(0, len(file[one]) - 1))] = value
             elif kind == 1:
                 content = file[one][()]
                 del file[one]
-                file[one] = content[: rng.randrange(len(content))]
+                file[one] = content[: draw(st.integers(0, len(content) - 1))]
             elif kind == 2 and one != other:
                 file.move(one, "transforms/x")
                 file.move(other, one)
                 file.move("transforms/x", other)
             else:
-                file[one][...] = file[one][...] * rng.choice((-1.0, 0.0, 1000.0))
+                file[one][...] = file[one][...] * draw(st.sampled_from((-1.0, 0.0, 1000.0)))
     return stream.getvalue()
 
 
-def mutate_parquet(rng: random.Random, data: bytes) -> bytes:
+@st.composite
+def damaged_parquet(draw: DrawFn, data: bytes) -> bytes:
     """A column of another type, of extreme numbers or dropped; metadata; or bytes."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    if rng.random() < 0.5:
-        return fuzzing.mutate_bytes(rng, data)
+    if draw(st.booleans()):
+        return draw(fuzzing.damaged_bytes(data))
     table = pq.read_table(io.BytesIO(data))
     rows = table.num_rows
-    for _ in range(rng.choice((1, 1, 3))):
-        at = rng.randrange(table.num_columns)
+    columns = [
+        pa.nulls(rows), pa.array([[1]] * rows), pa.array(["x" * 3000] * rows),
+        pa.array([-1] * rows), pa.array([2**62] * rows), pa.array([1e308] * rows),
+        pa.array([float("nan")] * rows), pa.array([{"a": 1}] * rows),
+        pa.array([[[1e308] * 3] * 21] * rows), pa.array([[[0.0] * 3] * 20] * rows),
+    ]  # fmt: skip
+    for _ in range(draw(st.sampled_from((1, 1, 3)))):
+        at, other = (draw(st.integers(0, table.num_columns - 1)) for _ in range(2))
         name = table.column_names[at]
-        kind = rng.randrange(5)
-        if kind == 0:
-            table = table.drop_columns([name]) if table.num_columns > 1 else table
+        kind = draw(st.integers(0, 4))
+        if kind == 0 and table.num_columns > 1:
+            table = table.drop_columns([name])
         elif kind == 1:
-            new = rng.choice((
-                pa.nulls(rows), pa.array([[1]] * rows), pa.array(["x" * 3000] * rows),
-                pa.array([-1] * rows), pa.array([2**62] * rows), pa.array([1e308] * rows),
-                pa.array([float("nan")] * rows), pa.array([{"a": 1}] * rows),
-                pa.array([[[1e308] * 3] * 21] * rows), pa.array([[[0.0] * 3] * 20] * rows),
-            ))  # fmt: skip
-            table = table.set_column(at, name, new)
+            table = table.set_column(at, name, draw(st.sampled_from(columns)))
         elif kind == 2:
-            other = rng.randrange(table.num_columns)
             table = table.set_column(at, name, table.column(other))
         elif kind == 3:
-            table = table.take(pa.array([rng.randrange(rows) for _ in range(rows)]))
+            order = draw(st.lists(st.integers(0, rows - 1), min_size=rows, max_size=rows))
+            table = table.take(pa.array(order))
         else:
-            key = rng.choice((b"coordinate_system", b"joint_order"))
-            table = table.replace_schema_metadata({key: rng.choice((b"\xff", b"opengl", b""))})
+            key = draw(st.sampled_from((b"coordinate_system", b"joint_order")))
+            value = draw(st.sampled_from((b"\xff", b"opengl", b"")))
+            table = table.replace_schema_metadata({key: value})
     stream = io.BytesIO()
     pq.write_table(table, stream)
     return stream.getvalue()
 
 
-def mutate_lines(rng: random.Random, data: bytes) -> bytes:
+@st.composite
+def damaged_lines(draw: DrawFn, data: bytes) -> bytes:
     """Lines of JSON: values of one, or whole lines."""
     lines = data.split(b"\n")
-    if rng.random() < 0.3:
-        return fuzzing.mutate_bytes(rng, data)
-    for _ in range(rng.choice((1, 1, 4))):
-        at = rng.randrange(len(lines))
-        kind = rng.randrange(6)
-        if kind == 0:
-            del lines[at]
-            lines = lines or [b""]
-        elif kind == 1:
-            lines.insert(rng.randrange(len(lines)), lines[at])
-        else:
-            lines[at] = fuzzing.mutate_json(rng, lines[at])
+    if draw(st.integers(0, 9)) > 6:
+        return draw(fuzzing.damaged_bytes(data))
+    for _ in range(draw(st.sampled_from((1, 1, 4)))):
+        at = draw(st.integers(0, len(lines) - 1))
+        changed = [draw(fuzzing.damaged_json(lines[at]))]
+        gone = [] if len(lines) > 1 else [b""]
+        lines[at : at + 1] = draw(st.sampled_from((changed, changed, 2 * lines[at : at + 1], gone)))
     return b"\n".join(lines)
 
 
-def mutate_pickle(rng: random.Random, data: bytes) -> bytes:
+@st.composite
+def damaged_pickle(draw: DrawFn, data: bytes) -> bytes:
     """Values of a pickle's lists and tables are replaced, dropped or doubled; or bytes."""
     import pickle
 
-    if rng.random() < 0.4:
-        return fuzzing.mutate_bytes(rng, data)
+    if draw(st.integers(0, 9)) > 5:
+        return draw(fuzzing.damaged_bytes(data))
     value = pickle.loads(data)
     strange = (None, 0, 1, -1, 1e308, float("nan"), 10**30, "", "right", [], {}, [[]], b"x", (),
                np.zeros(0), np.zeros((21, 3)), np.full((1, 21, 3), 1e30), np.array("x"),
                np.zeros((21, 3), np.float16), True, 10**6, 999_999)  # fmt: skip
-    for _ in range(rng.choice((1, 1, 3, 20))):
-        holder, key = value, None
-        while isinstance(holder, list | dict) and holder:
-            key = rng.choice(list(holder) if isinstance(holder, dict) else range(len(holder)))
-            if not isinstance(holder[key], list | dict) or rng.random() < 0.15:
-                break
-            holder = holder[key]
-        if key is None or not isinstance(holder, list | dict) or not holder:
+    for _ in range(draw(st.sampled_from((1, 1, 3, 20)))):
+        holders = fuzzing.holders(value)
+        if not holders:
             break
-        kind = rng.randrange(4)
+        holder = draw(st.sampled_from(holders))
+        key = draw(
+            st.sampled_from(list(holder) if isinstance(holder, dict) else range(len(holder)))
+        )
+        kind = draw(st.integers(0, 3))
         if kind == 0:
             del holder[key]
         elif kind == 1 and isinstance(holder, list):
-            holder.insert(rng.randrange(len(holder)), holder[key])
-        elif kind == 1 and isinstance(holder, dict):
-            holder[rng.choice(("x", "is_right", "joints_cam", 7))] = holder.pop(key)
+            holder.insert(0, holder[key])
+        elif kind == 1:
+            names = ("x", "is_right", "joints_cam", 7)
+            holder[draw(st.sampled_from(names))] = holder.pop(key)
         else:
-            holder[key] = rng.choice(strange)
+            holder[key] = draw(st.sampled_from(strange))
     return pickle.dumps(value)
 
 
-def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
+def outcomes(
+    layout: str, files: list[tuple[str, bytes, fuzzing.Damaged]], folder: Path, tries: int
+) -> set[str]:
+    """What came of mutants of the good files of a layout: ``read``, ``refused``."""
+    found = set()
+    folder.mkdir()
+
+    def read(mutant: tuple[Path, bytes]) -> None:
+        mutant[0].write_bytes(mutant[1])
+        try:
+            read_soundly(layout, mutant[0])
+        except SmoothOperatorError as error:
+            found.add("refused")
+            assert 20 < len(str(error)) < 1500  # noqa: PT017
+        else:
+            found.add("read")
+
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for name, content, damaged in files:
+            mutants = st.tuples(st.just(folder / name), damaged(content))
+            fuzzing.each(mutants, tries, read)
+    return found
+
+
+def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, fuzzing.Damaged]]]:
     """Layout -> (name, content, how it is damaged) of its good files."""
 
     def made(name: str, write: Callable[[Path], Any]) -> tuple[str, bytes]:
@@ -168,22 +197,26 @@ def seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
 
     about = {"llm_description": "x", "llm_type": "reversible", "which_llm_description": "2"}
     return {
-        "egodex": [(*made("0.hdf5", lambda p: files.egodex_file(p, about=about)), mutate_values)],
-        "avp": [(*made("t.jsonl", files.avp_file), mutate_lines)],
+        "egodex": [(*made("0.hdf5", lambda p: files.egodex_file(p, about=about)), damaged_values)],
+        "avp": [(*made("t.jsonl", files.avp_file), damaged_lines)],
         "hts": [
-            (*made("t.hts", files.hts_file), fuzzing.mutate_bytes),
-            (*made("t.hts", lambda p: files.hts_file(p, stamped=False)), fuzzing.mutate_text),
+            (*made("t.hts", files.hts_file), fuzzing.damaged_bytes),
+            (*made("t.hts", lambda p: files.hts_file(p, stamped=False)), fuzzing.damaged_text),
         ],
-        "landmarks": [(*made("a.npz", files.landmarks_file), fuzzing.mutate_npz)],
-        "egohandkit": [(*made("a.parquet", files.egohandkit_file), mutate_parquet)],
-        "parquet": [("p.parquet", _packed(folder), mutate_parquet)],
+        "landmarks": [(*made("a.npz", files.landmarks_file), fuzzing.damaged_npz)],
+        "egohandkit": [(*made("a.parquet", files.egohandkit_file), damaged_parquet)],
+        "parquet": [("p.parquet", _packed(folder), damaged_parquet)],
         "predictions": [
-            ("a.pkl", files.pickled(files.wilor_frames()), mutate_pickle),
-            ("a.json", json.dumps(files.plain(files.wilor_frames())).encode(), fuzzing.mutate_json),
-            ("wilor_hands.json", files.egotouch_lines().encode(), mutate_lines),
-            ("b.json", json.dumps(files.hawor_tags()).encode(), fuzzing.mutate_json),
-            ("c.pkl", files.pickled(files.hamer_arrays()), mutate_pickle),
-            ("a.npz", files.detections_npz(), fuzzing.mutate_npz),
+            ("a.pkl", files.pickled(files.wilor_frames()), damaged_pickle),
+            (
+                "a.json",
+                json.dumps(files.plain(files.wilor_frames())).encode(),
+                fuzzing.damaged_json,
+            ),
+            ("wilor_hands.json", files.egotouch_lines().encode(), damaged_lines),
+            ("b.json", json.dumps(files.hawor_tags()).encode(), fuzzing.damaged_json),
+            ("c.pkl", files.pickled(files.hamer_arrays()), damaged_pickle),
+            ("a.npz", files.detections_npz(), fuzzing.damaged_npz),
         ],
     }
 
@@ -203,7 +236,7 @@ def _packed(folder: Path) -> bytes:
     return path.read_bytes()
 
 
-def reconstruction_seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutate]]]:
+def reconstruction_seeds(folder: Path) -> dict[str, list[tuple[str, bytes, fuzzing.Damaged]]]:
     """The same of the layouts in MANO's parameters; the model files are in ``folder/mano``."""
     import mano_files
     import test_dataset_reconstructions as made
@@ -213,6 +246,6 @@ def reconstruction_seeds(folder: Path) -> dict[str, list[tuple[str, bytes, Mutat
     stream = io.BytesIO()
     np.savez(stream, **made.dyn_hamr_arrays())
     return {
-        "hawor": [(path.name, path.read_bytes(), fuzzing.mutate_bytes)],
-        "dynhamr": [("a.npz", stream.getvalue(), fuzzing.mutate_npz)],
+        "hawor": [(path.name, path.read_bytes(), fuzzing.damaged_bytes)],
+        "dynhamr": [("a.npz", stream.getvalue(), fuzzing.damaged_npz)],
     }

@@ -1,22 +1,16 @@
-"""Good files of every format that is read, how each is damaged, and what reads it; run as a script.
-
-``python tests/hostile_files.py TRIES [SEED] [READER ...]`` has so many mutants of each reader's
-files read and prints what came of them, and the most time and memory that one took.
-``test_hostile_files.py`` does the same with few.
-"""
+"""Good files of every format that is read, how each is damaged, and what reads it."""
 
 import io
 import json
-import random
 import shutil
-import tempfile
-from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import fuzzing
 import numpy as np
+from hypothesis import strategies as st
+from hypothesis.strategies import DrawFn
 from made_hands import hand_points
 
 from smooth_operator.formats.episode import Episode
@@ -215,119 +209,119 @@ on = ["a.npz", "b.npz"]
 """
 
 
-def mutate_log(rng: random.Random, data: bytes) -> bytes:
-    """Messages of a log are mutated, as JSON where they are that, and framed as before."""
+@st.composite
+def damaged_log(draw: DrawFn, data: bytes) -> bytes:
+    """Messages of a log are damaged, as JSON where they are that, and framed as before."""
     from mcap.reader import make_reader
     from mcap.writer import CompressionType, Writer
 
-    if rng.random() < 0.4:
-        return fuzzing.mutate_bytes(rng, data)
-    try:
-        found = list(make_reader(io.BytesIO(data)).iter_messages(log_time_order=False))
-        notes = list(make_reader(io.BytesIO(data)).iter_metadata())
-    except Exception:  # it was a mutant already
-        return fuzzing.mutate_bytes(rng, data)
+    if draw(st.integers(0, 9)) > 5:
+        return draw(fuzzing.damaged_bytes(data))
+    messages = list(make_reader(io.BytesIO(data)).iter_messages(log_time_order=False))
+    notes = list(make_reader(io.BytesIO(data)).iter_metadata())
     stream = io.BytesIO()
-    kind = rng.choice((CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4))
-    writer = Writer(stream, compression=kind)
+    kinds = (CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4)
+    writer = Writer(stream, compression=draw(st.sampled_from(kinds)))
     writer.start()
-    hit = set(rng.sample(range(len(found)), rng.choice((0, 1, 1, 3))))
+    hit = draw(st.sets(st.integers(0, len(messages) - 1), max_size=3))
+    renamed = draw(st.sampled_from((None, None, None, "/hand", "/x", "")))
     numbers: dict[int, int] = {}
-    for i, (schema, channel, message) in enumerate(found):
+    for i, (schema, channel, message) in enumerate(messages):
         if channel.id not in numbers:
             about = writer.register_schema(schema.name, schema.encoding, schema.data)
-            topic = channel.topic if rng.random() > 0.01 else rng.choice(("/hand", "/x", ""))
+            topic = channel.topic if renamed is None or i not in hit else renamed
             numbers[channel.id] = writer.register_channel(
                 topic, channel.message_encoding, about, channel.metadata
             )
-        mutate = fuzzing.mutate_json if channel.message_encoding == "json" else fuzzing.mutate_bytes
-        content = mutate(rng, message.data) if i in hit else message.data
-        for _ in range(rng.choice((0, 2)) if i in hit and rng.random() < 0.2 else 1):
+        json_text = channel.message_encoding == "json"
+        damaged = fuzzing.damaged_json if json_text else fuzzing.damaged_bytes
+        content = draw(damaged(message.data)) if i in hit else message.data
+        sequence = draw(st.sampled_from((0, 2**32 - 1))) if i in hit else message.sequence
+        for _ in range(draw(st.sampled_from((1, 1, 1, 0, 2))) if i in hit else 1):
             writer.add_message(
-                numbers[channel.id], message.log_time, content, message.publish_time,
-                message.sequence if rng.random() > 0.01 else rng.choice((0, 2**32 - 1)),
-            )  # fmt: skip
+                numbers[channel.id], message.log_time, content, message.publish_time, sequence
+            )
     for note in notes:
         texts = dict(note.metadata)
-        for key in texts:
-            if rng.random() < 0.2:
-                new = fuzzing.mutate_json(rng, texts[key].encode())
-                texts[key] = new.decode("utf-8", "replace")
+        for key in draw(st.sets(st.sampled_from(sorted(texts)), max_size=1)) if texts else ():
+            texts[key] = draw(fuzzing.damaged_json(texts[key].encode())).decode("utf-8", "replace")
         writer.add_metadata(note.name, texts)
     writer.finish()
     return stream.getvalue()
 
 
-def mutate_hdf5(rng: random.Random, data: bytes) -> bytes:
+@st.composite
+def damaged_hdf5(draw: DrawFn, data: bytes) -> bytes:
     """Arrays and attributes are replaced, removed or linked elsewhere; or bytes are damaged."""
     import h5py
 
-    if rng.random() < 0.6:
-        return fuzzing.mutate_bytes(rng, data)
+    if draw(st.integers(0, 9)) > 4:
+        return draw(fuzzing.damaged_bytes(data))
     stream = io.BytesIO(data)
     with h5py.File(stream, "r+") as file:
         names: list[str] = []
         file.visit(names.append)
-        name = rng.choice(names)
-        kind = rng.randrange(7)
-        if kind == 0:
+        name = draw(st.sampled_from(names))
+        kind = draw(st.integers(0, 5))
+        if kind < 3:
             del file[name]
-        elif kind == 1:
-            del file[name]
-            file[name] = rng.choice((
+        if kind == 1:
+            file[name] = draw(st.sampled_from((
                 h5py.ExternalLink("other.h5", "/x"), h5py.SoftLink("/hand"), np.zeros(3), "text",
                 np.zeros((2, 21, 3), complex), np.array(b"x"), h5py.Empty("f8"), [b"a", b"b"],
                 np.zeros(3, [("a", "f8")]), 7,
-            ))  # fmt: skip
+            )))  # fmt: skip
         elif kind == 2:
-            del file[name]
-            shape = rng.choice(((10**9,), (10**6, 21, 3), (10**12, 2), (0, 21, 3), (5, 21, 3)))
-            file.create_dataset(name, shape, "f8", chunks=True)
-        else:
-            item = rng.choice((file, file[name]))
-            keys = ["format", "version", "name", "task", "side", "meta", "status_names", "stage"]
-            item.attrs[rng.choice(keys)] = rng.choice((
+            shapes = ((10**9,), (10**6, 21, 3), (10**12, 2), (0, 21, 3), (5, 21, 3))
+            file.create_dataset(name, draw(st.sampled_from(shapes)), "f8", chunks=True)
+        elif kind > 2:
+            keys = ("format", "version", "name", "task", "side", "meta", "status_names", "stage")
+            attributes = draw(st.sampled_from((file, file[name]))).attrs
+            attributes[draw(st.sampled_from(keys))] = draw(st.sampled_from((
                 "{", "[" * 5000, "é" * 9000, 1, 1e300, b"\xff", [1, 2], ["a", "b"], np.nan,
                 "smooth-operator", '{"a": ' * 90 + "1" + "}" * 90, h5py.Empty("S4"),
-            ))  # fmt: skip
+            )))  # fmt: skip
     return stream.getvalue()
 
 
-def mutate_dataset(rng: random.Random, folder: Path) -> None:
-    """A file of a LeRobot dataset is damaged, or a column is of another type."""
+@st.composite
+def damaged_dataset(draw: DrawFn, good: Path, folder: Path) -> Path:
+    """A copy of a LeRobot data set in which a file is damaged, or a column is of another type."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    path = rng.choice([f for f in files if f.suffix in (".json", ".parquet")])
-    if path.suffix == ".json":
-        path = folder / "meta" / "info.json"
-        if rng.random() < 0.2:
-            info = json.loads(path.read_bytes())
-            info["data_path"] = rng.choice((
-                "{chunk_index.foo}", "{chunk_index:2000000000}", "a\0b", "../{file_index}", "{",
-                "{chunk_index.__class__}", "{0}", "x" * 5000, "{chunk_index!r:>{file_index}}",
-            ))  # fmt: skip
-            path.write_text(json.dumps(info))
-            return
-        path.write_bytes(fuzzing.mutate_json(rng, path.read_bytes()))
-    elif rng.random() < 0.5:
-        path.write_bytes(fuzzing.mutate_bytes(rng, path.read_bytes()))
-    else:
-        table = pq.read_table(path, partitioning=None)
-        at = rng.randrange(table.num_columns)
-        rows = table.num_rows
-        new = rng.choice((
-            pa.nulls(rows), pa.array([[1]] * rows), pa.array(["[" * 3000] * rows),
-            pa.array([-1] * rows), pa.array([2**62] * rows), pa.array([float("nan")] * rows),
-            pa.array([{"a": 1}] * rows),
-        ))  # fmt: skip
-        name = table.column_names[at]
-        pq.write_table(table.set_column(at, name, new), path)
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(good, folder)
+    info = folder / "meta" / "info.json"
+    kind = draw(st.integers(0, 3))
+    if kind == 0:
+        content = json.loads(info.read_bytes())
+        content["data_path"] = draw(st.sampled_from((
+            "{chunk_index.foo}", "{chunk_index:2000000000}", "a\0b", "../{file_index}", "{",
+            "{chunk_index.__class__}", "{0}", "x" * 5000, "{chunk_index!r:>{file_index}}",
+        )))  # fmt: skip
+        info.write_text(json.dumps(content))
+        return folder
+    if kind == 1:
+        info.write_bytes(draw(fuzzing.damaged_json(info.read_bytes())))
+        return folder
+    path = draw(st.sampled_from(sorted(folder.rglob("*.parquet"))))
+    if kind == 2:
+        path.write_bytes(draw(fuzzing.damaged_bytes(path.read_bytes())))
+        return folder
+    table = pq.read_table(path, partitioning=None)
+    rows = table.num_rows
+    name = draw(st.sampled_from(table.column_names))
+    new = draw(st.sampled_from((
+        pa.nulls(rows), pa.array([[1]] * rows), pa.array(["[" * 3000] * rows),
+        pa.array([-1] * rows), pa.array([2**62] * rows), pa.array([float("nan")] * rows),
+        pa.array([{"a": 1}] * rows),
+    )))  # fmt: skip
+    pq.write_table(table.set_column(table.column_names.index(name), name, new), path)
+    return folder
 
 
-Mutate = Callable[[random.Random, bytes], bytes]
-Seeds = dict[str, list[tuple[str, bytes, Mutate]]]
+Seeds = dict[str, list[tuple[str, bytes, fuzzing.Damaged]]]
 """Reader -> (name, content, how it is damaged) of its good files."""
 
 
@@ -342,11 +336,11 @@ def seeds(folder: Path) -> Seeds:
     marks = _npz(landmarks=one.recording.landmarks, timestamps=one.recording.stamps, side="right")
     stream = io.BytesIO()
     np.save(stream, one.recording.landmarks[:1])
-    arrays = [("a.npz", marks, fuzzing.mutate_npz), ("m.npz", _manus(), fuzzing.mutate_npz),
-              ("a.npy", stream.getvalue(), fuzzing.mutate_npy),
-              ("b.npy", stream.getvalue(), fuzzing.mutate_bytes)]  # fmt: skip
-    own = [("e.npz", npz, fuzzing.mutate_npz), ("e.mcap", log, mutate_log),
-           ("e.h5", h5, mutate_hdf5)]  # fmt: skip
+    arrays = [("a.npz", marks, fuzzing.damaged_npz), ("m.npz", _manus(), fuzzing.damaged_npz),
+              ("a.npy", stream.getvalue(), fuzzing.damaged_npy),
+              ("b.npy", stream.getvalue(), fuzzing.damaged_bytes)]  # fmt: skip
+    own = [("e.npz", npz, fuzzing.damaged_npz), ("e.mcap", log, damaged_log),
+           ("e.h5", h5, damaged_hdf5)]  # fmt: skip
     return {
         "recording": [*arrays, *own],
         "episode": own,
@@ -354,73 +348,67 @@ def seeds(folder: Path) -> Seeds:
         "scan": [*arrays, *own],
         "overwrite": own,
         "latency": own[1::2],
-        "operator": [("o.json", _operator(folder), fuzzing.mutate_json)],
-        "preset": [("p.toml", _PRESET, fuzzing.mutate_table)],
-        "geort": [("model.npz", _geort(), fuzzing.mutate_npz)],
-        "trial": [("t.npz", _trial(folder), fuzzing.mutate_npz)],
+        "operator": [("o.json", _operator(folder), fuzzing.damaged_json)],
+        "preset": [("p.toml", _PRESET, fuzzing.damaged_table)],
+        "geort": [("model.npz", _geort(), fuzzing.damaged_npz)],
+        "trial": [("t.npz", _trial(folder), fuzzing.damaged_npz)],
     }  # fmt: skip
 
 
-class Campaign:
-    """Has mutants read in a process with limits, and counts what comes of them.
-
-    Attributes:
-        tally: reader -> how often each outcome came.
-        faults: a line for each fault.
-    """
-
-    def __init__(self, process: fuzzing.ReaderProcess, seed: int) -> None:
-        self.tally: defaultdict[str, Counter[str]] = defaultdict(Counter)
-        self.faults: list[str] = []
-        self._process, self._seed = process, seed
-
-    def read(self, reader: str, function: str, path: Path, number: int) -> None:
-        """Has a file read by ``module:function``; a negative number stands for a good file."""
-        verdict = self._process.read(function, path)
-        if number < 0:  # an import may be slow
-            assert verdict.outcome in ("read", "slow"), (reader, path, verdict)
-            return
-        self.tally[reader][verdict.outcome] += 1
-        if not verdict.sound:
-            self.faults.append(f"{reader} {path.name} seed {self._seed} try {number}: {verdict}")
-
-    def damage(self, module: str, seeds: Seeds, folder: Path, tries: int) -> None:
-        """Has the good files read, and ``tries`` mutants, by the functions of a module."""
-        for reader, files in seeds.items():
-            for i in range(-len(files), tries):
-                file, content, mutate = files[i % len(files)]
-                path = folder / "mutant" / file
-                path.parent.mkdir(exist_ok=True)
-                rng = random.Random(f"{reader} {self._seed} {i}")
-                path.write_bytes(mutate(rng, content) if i >= 0 else content)
-                self.read(reader, f"{module}:{reader}", path, i)
-
-
-def campaign(tries: int, seed: int) -> tuple[dict[str, Counter[str]], list[str]]:
-    """Has mutants read.
-
-    Args:
-        tries: mutants for each reader.
-        seed: the same one gives the same mutants.
+def read_mutants(
+    process: fuzzing.ReaderProcess, module: str, seeds: Seeds, folder: Path, tries: int
+) -> dict[str, Counter[str]]:
+    """Has the good files read, and ``tries`` mutants of them, by the functions of a module.
 
     Returns:
-        Reader -> how often each outcome came; and a line for each fault.
-    """
-    with (
-        tempfile.TemporaryDirectory() as name,
-        fuzzing.ReaderProcess([str(Path(__file__).parent)]) as process,
-    ):
-        folder = Path(name)
-        run = Campaign(process, seed)
-        run.damage("hostile_files", seeds(folder), folder, tries)
-        from smooth_operator.episode_files.lerobot import write_dataset
+        Reader -> how often each outcome came.
 
+    Raises:
+        AssertionError: a mutant is neither read soundly nor refused; it is shrunk first.
+    """
+    tally: dict[str, Counter[str]] = {}
+    for reader, files in seeds.items():
+        for name, content, _ in files:
+            (folder / name).write_bytes(content)
+            assert _read(process, f"{module}:{reader}", folder / name).outcome != "refused", name
+        mutants = st.one_of(
+            *(
+                st.tuples(st.just(folder / name), damaged(content))
+                for name, content, damaged in files
+            )
+        )
+        counts = tally[reader] = Counter[str]()
+
+        def read(
+            mutant: tuple[Path, bytes],
+            target: str = f"{module}:{reader}",
+            counts: Counter[str] = counts,
+        ) -> None:
+            mutant[0].write_bytes(mutant[1])
+            counts[_read(process, target, mutant[0]).outcome] += 1
+
+        fuzzing.each(mutants, tries, read)
+    return tally
+
+
+def _read(process: fuzzing.ReaderProcess, target: str, path: Path) -> fuzzing.Verdict:
+    verdict = process.read(target, path)
+    assert verdict.sound, (target, verdict)
+    return verdict
+
+
+def campaign(folder: Path, tries: int) -> dict[str, Counter[str]]:
+    """Has mutants of all formats read; see ``read_mutants``."""
+    from smooth_operator.episode_files.lerobot import write_dataset
+
+    with fuzzing.ReaderProcess([str(Path(__file__).parent)]) as process:
+        tally = read_mutants(process, "hostile_files", seeds(folder), folder, tries)
         write_dataset(folder / "set", [good_episode])
-        path = folder / "mutant-set"
-        for i in range(-1, tries):
-            shutil.rmtree(path, ignore_errors=True)
-            shutil.copytree(folder / "set", path)
-            if i >= 0:
-                mutate_dataset(random.Random(f"lerobot {seed} {i}"), path)
-            run.read("lerobot", "hostile_files:episode", path, i)
-    return run.tally, run.faults
+        _read(process, "hostile_files:episode", folder / "set")
+        counts = tally["lerobot"] = Counter[str]()
+
+        def read(path: Path) -> None:
+            counts[_read(process, "hostile_files:episode", path).outcome] += 1
+
+        fuzzing.each(damaged_dataset(folder / "set", folder / "mutant-set"), tries, read)
+    return tally

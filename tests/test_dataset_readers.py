@@ -1,9 +1,7 @@
 """Clips of both hands from data sets, whose files ``dataset_files`` writes by another way."""
 
 import json
-import random
 import re
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,7 +21,7 @@ from smooth_operator.datasets.registry import (
 )
 from smooth_operator.datasets.sources import find_items
 from smooth_operator.datasets.writers.registry import WRITERS
-from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid, matrices, separation, wrist_from_landmarks
 
@@ -367,20 +365,5 @@ def test_damaged_files_are_read_soundly_or_refused(tmp_path, layout):
         pytest.importorskip(library, reason="needs extras")
     import hostile_datasets
 
-    (tmp_path / "mutant").mkdir()
-    good = hostile_datasets.seeds(tmp_path)[layout]
-    outcomes = set()
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for i in range(10):
-            name, content, mutate = good[i % len(good)]
-            path = tmp_path / "mutant" / name
-            path.write_bytes(mutate(random.Random(f"{layout} {i}"), content))
-            try:
-                hostile_datasets.read_soundly(layout, path)
-            except SmoothOperatorError as error:
-                outcomes.add("refused")
-                assert 20 < len(str(error)) < 1500  # noqa: PT017
-            else:
-                outcomes.add("read")
-    assert outcomes  # any other error, and unsound hands, have ended the test
+    files = hostile_datasets.seeds(tmp_path)[layout]
+    assert hostile_datasets.outcomes(layout, files, tmp_path / "mutant", 12)

@@ -69,11 +69,8 @@ def test_no_message_holds_what_breaks_an_answer():
 
 
 @limited
-def test_mutants_are_read_soundly_or_refused():
-    tally, faults = hostile_files.campaign(tries=24, seed=20261122)
-    assert not faults, "\n".join(faults)
-    for name, counts in tally.items():
-        assert counts.total() == 24, name
+def test_mutants_are_read_soundly_or_refused(tmp_path):
+    for name, counts in hostile_files.campaign(tmp_path, tries=32).items():
         assert counts["refused"] or name in ("scan", "overwrite"), (name, counts)
 
 

@@ -1,6 +1,5 @@
 """The Quest app Hand Tracking Streamer: its lines, its sockets, what goes wrong with them."""
 
-import random
 import socket
 from typing import Any
 
@@ -8,6 +7,7 @@ import fuzzing
 import headset_apps as app
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 from live_time import PATIENCE_S, Kept, until
 
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError, SourceError
@@ -141,21 +141,25 @@ def test_a_damaged_line_says_what_is_wrong(line, words):
 
 
 def test_no_line_is_a_crash():
-    rng = random.Random(18)
     good = app.hts_packet("left", POSE, LEFT, " | f = 3 | t = 99").split(b"\n")
-    hands, refused, taken = HtsHands(), [], 0
-    with np.errstate(all="ignore"):
-        for k in range(400):
+    hands, refused, taken = HtsHands(), [], []
+
+    def read(mutants: tuple[bytes, ...]) -> None:
+        for mutant in mutants:
             try:
-                frame = hands.add(parse_line(fuzzing.mutate_bytes(rng, good[k % 2])), k / 70)
+                frame = hands.add(parse_line(mutant), (len(taken) + len(refused)) / 70)
             except SmoothOperatorError as error:
                 refused.append(str(error))
             else:
-                if frame is not None:
-                    taken += 1
-                    assert np.isfinite(frame.landmarks[frame.valid]).all()
+                taken.append(frame)
+                assert frame is None or np.isfinite(frame.landmarks[frame.valid]).all()
+
+    lines = [fuzzing.damaged_bytes(line) for line in good]
+    mutants = st.tuples(*lines) | st.tuples(st.just(good[0]), lines[1])
+    with np.errstate(all="ignore"):
+        fuzzing.each(mutants, 200, read)
     assert len(refused) > 100
-    assert taken > 10
+    assert len([frame for frame in taken if frame is not None]) > 10
     assert all(len(words) < 500 for words in refused)
 
 

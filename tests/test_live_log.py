@@ -1,6 +1,5 @@
 """The log of a live loop: every kind of message, its index, damage."""
 
-import random
 from pathlib import Path
 
 import fuzzing
@@ -185,12 +184,14 @@ def test_a_part_of_a_log_is_found_by_its_index(path):
 
 
 def test_damaged_logs_are_refused_or_read_in_part(tmp_path, path):
-    content, rng = path.read_bytes(), random.Random(1)
     outcomes = set()
-    for _ in range(50):
-        (tmp_path / "a.mcap").write_bytes(fuzzing.mutate_bytes(rng, content))
+
+    def read(mutant: bytes) -> None:
+        (tmp_path / "a.mcap").write_bytes(mutant)
         try:
             outcomes.add(len(read_recording(tmp_path / "a.mcap")))
         except RecordingError as error:
             outcomes.add(str(error).count("\n"))
+
+    fuzzing.each(fuzzing.damaged_bytes(path.read_bytes()), 50, read)
     assert max(outcomes) > 0

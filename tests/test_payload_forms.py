@@ -5,12 +5,12 @@ The encoders here are written from the formats alone and share no code with the 
 
 import json
 import math
-import random
 from typing import Any
 
 import fuzzing
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.io.anatomy import chirality
@@ -219,7 +219,6 @@ def test_sources_have_the_settings():
 
 
 def test_damaged_messages_are_refused_in_a_sentence():
-    rng = random.Random(5)
     rows = [matrix(p, q, True) for p, q in zip(POINTS, QUATERNIONS, strict=True)]
     objects = [dict(zip("xyz", p, strict=True)) for p in POINTS.tolist()]
     good = [
@@ -227,13 +226,15 @@ def test_damaged_messages_are_refused_in_a_sentence():
         for each in (rows, objects)
     ]
     refused: list[str] = []
-    for k in range(160):
-        data = good[k % 2]
-        data = fuzzing.mutate_json(rng, data) if k % 3 else fuzzing.mutate_bytes(rng, data)
+
+    def read(data: bytes) -> None:
         try:
             for reading in read_payload(data, side="right", received=0.0):
                 assert np.isfinite(reading.frame.landmarks[reading.frame.valid]).all()
         except SmoothOperatorError as error:
             refused.append(str(error))
+
+    damages = (fuzzing.damaged_json, fuzzing.damaged_json, fuzzing.damaged_bytes)
+    fuzzing.each(st.one_of(*(damage(data) for damage in damages for data in good)), 160, read)
     assert 20 < len(refused) < 160
     assert all(0 < len(words) < 1500 for words in refused)

@@ -1,7 +1,6 @@
 """The PICO app XRoboToolkit: its packets, its connection, what goes wrong with them."""
 
 import json
-import random
 import socket
 from typing import Any
 
@@ -132,27 +131,25 @@ def test_packets_are_taken_out_of_any_pieces():
 
 
 def test_no_packet_is_a_crash():
-    rng = random.Random(4)
     good = app.pico_tracking(both()["hands"], STAMP)
-    refused, taken = [], 0
-    with np.errstate(all="ignore"):
-        for k in range(250):
-            if k % 2:
-                buffer = bytearray(fuzzing.mutate_bytes(rng, good))
+    values = fuzzing.damaged_json(good[6:-9]).map(lambda value: value[:60_000])
+    mutants = fuzzing.damaged_bytes(good) | values.map(lambda each: app.pico_packet(0x6D, each))
+    refused, taken = [], []
+
+    def read(mutant: bytes) -> None:
+        for data in split_packets(bytearray(mutant)):
+            try:
+                frames = read_packet(data).frames
+            except SmoothOperatorError as error:
+                refused.append(str(error))
             else:
-                value = fuzzing.mutate_json(rng, good[6:-9])[:60_000]
-                buffer = bytearray(app.pico_packet(0x6D, value))
-            for data in split_packets(buffer):
-                try:
-                    frames = read_packet(data).frames
-                except SmoothOperatorError as error:
-                    refused.append(str(error))
-                else:
-                    taken += len(frames)
-                    for frame in frames:
-                        assert np.isfinite(frame.landmarks[frame.valid]).all()
+                taken.extend(frames)
+                assert all(np.isfinite(one.landmarks[one.valid]).all() for one in frames)
+
+    with np.errstate(all="ignore"):
+        fuzzing.each(mutants, 250, read)
     assert len(refused) > 50
-    assert taken > 10
+    assert len(taken) > 10
     assert all(len(words) < 500 for words in refused)
 
 

@@ -3,15 +3,18 @@ where a landmark is valid, stamps that increase, poses of objects and camera tha
 and hands that are of their side.
 """
 
+import io
 import json
-import random
 import re
 import struct
+import zipfile
 from pathlib import Path
 
 import fuzzing
 import numpy as np
-from hostile_datasets import mutate_lines
+from hostile_datasets import damaged_lines
+from hypothesis import strategies as st
+from hypothesis.strategies import DrawFn
 
 _DOUBLES = (0.0, -1.0, 1.0, 3.2, 1000.0, 1e30, -1e308, float("nan"), float("inf"), 5e-324)
 _WORD = re.compile(rb"[a-z][a-zA-Z_0-9]{2,20}")
@@ -63,53 +66,44 @@ def wrong_frames(points: np.ndarray, valid: np.ndarray, side: str) -> tuple[int,
     return int((out > 0.31).sum()), len(whole)
 
 
-def mutate_numbers(rng: random.Random, data: bytes) -> bytes:
+@st.composite
+def damaged_numbers(draw: DrawFn, data: bytes) -> bytes:
     """Numbers of arrays become extreme, runs of them are exchanged, names are exchanged."""
-    if rng.random() < 0.35:
-        return fuzzing.mutate_bytes(rng, data)
-    found = bytearray(data)
-    for _ in range(rng.choice((1, 1, 3, 20))):
-        kind = rng.randrange(4)
-        at = rng.randrange(max(len(found) - 64, 1))
+    if draw(st.integers(0, 9)) > 6:
+        return draw(fuzzing.damaged_bytes(data))
+    content = bytearray(data)
+    for _ in range(draw(st.sampled_from((1, 1, 3, 20)))):
+        at, other = (draw(st.integers(0, max(len(content) - 65, 0))) for _ in range(2))
+        kind = draw(st.integers(0, 3))
         if kind == 0:
-            found[at : at + 8] = struct.pack("<d", rng.choice(_DOUBLES))
+            content[at : at + 8] = struct.pack("<d", draw(st.sampled_from(_DOUBLES)))
         elif kind == 1:
-            other = rng.randrange(max(len(found) - 64, 1))
-            size = rng.choice((8, 24, 64))
-            found[at : at + size], found[other : other + size] = (
-                found[other : other + size],
-                found[at : at + size],
-            )
-        else:
-            words = {match[0] for match in _WORD.finditer(bytes(found))}
-            one = rng.choice(sorted(words)) if words else b""
-            same = sorted(word for word in words if len(word) == len(one) and word != one)
-            if same:
-                other_word = rng.choice(same)
-                mixed = bytes(found).replace(one, b"\0" * len(one)).replace(other_word, one)
-                found = bytearray(mixed.replace(b"\0" * len(one), other_word, 1))
-    return bytes(found)
+            one, two = (slice(i, i + draw(st.just(24))) for i in (at, other))
+            content[one], content[two] = content[two], content[one]
+        elif words := sorted({match[0] for match in _WORD.finditer(bytes(content))}):
+            word = draw(st.sampled_from(words))
+            same = draw(st.sampled_from([each for each in words if len(each) == len(word)]))
+            hidden = bytes(content).replace(word, b"\0" * len(word)).replace(same, word)
+            content = bytearray(hidden.replace(b"\0" * len(word), same, 1))
+    return bytes(content)
 
 
-def mutate_zip(rng: random.Random, data: bytes) -> bytes:
+@st.composite
+def damaged_zip(draw: DrawFn, data: bytes) -> bytes:
     """A member of a zip, which gets a right checksum again."""
-    import io
-    import zipfile
-
-    if rng.random() < 0.4:
-        return fuzzing.mutate_npz(rng, data)
+    if draw(st.integers(0, 9)) > 5:
+        return draw(fuzzing.damaged_npz(data))
     stream = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as archive, zipfile.ZipFile(stream, "w") as new:
-        names = archive.namelist()
-        chosen = rng.choice(names)
-        for name in names:
+        chosen = draw(st.sampled_from(archive.namelist()))
+        for name in archive.namelist():
             content = archive.read(name)
-            new.writestr(name, mutate_numbers(rng, content) if name == chosen else content)
+            new.writestr(name, draw(damaged_numbers(content)) if name == chosen else content)
     return stream.getvalue()
 
 
-MUTATE: dict[str, fuzzing.Mutate] = {
-    ".npz": mutate_zip, ".npy": mutate_numbers, ".pkl": mutate_numbers, ".ply": fuzzing.mutate_text,
-    ".yml": fuzzing.mutate_table, ".csv": fuzzing.mutate_table, ".json": fuzzing.mutate_json,
-    ".jsonl": mutate_lines,
+DAMAGED: dict[str, fuzzing.Damaged] = {
+    ".npz": damaged_zip, ".npy": damaged_numbers, ".pkl": damaged_numbers,
+    ".ply": fuzzing.damaged_text, ".yml": fuzzing.damaged_table, ".csv": fuzzing.damaged_table,
+    ".json": fuzzing.damaged_json, ".jsonl": damaged_lines,
 }  # fmt: skip

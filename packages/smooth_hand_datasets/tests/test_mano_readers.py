@@ -1,15 +1,16 @@
 """Data sets in MANO's parameters: a reader finds what an independent writer put there."""
 
 import contextlib
-import random
 from pathlib import Path
 from typing import Any
 
+import fuzzing
 import hostile_mano
 import mano_files
 import mano_layouts as layouts
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 from smooth_operator import poses
 from smooth_operator.datasets.clip import CAMERA, Clip
@@ -243,14 +244,20 @@ def test_hands_of_the_other_side_are_refused(tmp_path, models):
 def test_damaged_files_are_read_soundly_or_refused(tmp_path, models, layout):
     (tmp_path / "mano_models").symlink_to(models)
     made = layouts.WRITERS[layout](tmp_path / "data")
-    for number in range(5):
-        rng = random.Random(f"{layout} {number}")
-        file = made.files[number % len(made.files)]
-        content = file.read_bytes()
-        file.write_bytes(hostile_mano.MUTATE[file.suffix](rng, content))
+    good = {file: file.read_bytes() for file in made.files}
+    mutants = [
+        st.tuples(st.just(file), hostile_mano.DAMAGED[file.suffix](content))
+        for file, content in good.items()
+    ]
+
+    def read(mutant: tuple[Path, bytes]) -> None:
+        file, content = mutant
+        file.write_bytes(content)
         with contextlib.suppress(SmoothOperatorError):
             hostile_mano.read_soundly(layout, made.path)
-        file.write_bytes(content)
+        file.write_bytes(good[file])
+
+    fuzzing.each(st.one_of(*mutants), 6, read)
     hostile_mano.read_soundly(layout, made.path)
 
 

@@ -3,7 +3,6 @@
 import io
 import os
 import pickle
-import random
 import struct
 import subprocess
 import sys
@@ -15,6 +14,7 @@ import fuzzing
 import mano_files
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 from mano_files import Pickled
 
 from smooth_hand_datasets import unpickle
@@ -309,16 +309,16 @@ def test_mutants_are_read_or_refused(tmp_path):
         mano_files.npy_of_object({"x": np.eye(2)}),
         stream.getvalue(),
     ]  # fmt: skip
-    rng = random.Random(19)
-    refused = longest = 0
-    for number in range(250):
-        mutant = fuzzing.mutate_bytes(rng, good[number % len(good)])
+    refused = []
+
+    def read(mutant: bytes) -> None:
         try:
             found = load(tmp_path, mutant)
             for value in found.values() if isinstance(found, dict) else ():
                 numbers(value)
         except RecordingError as error:
-            refused += 1
-            longest = max(longest, len(str(error)))
-    assert refused > 60
-    assert longest < fuzzing.LONGEST_MESSAGE
+            refused.append(len(str(error)))
+
+    fuzzing.each(st.one_of(*map(fuzzing.damaged_bytes, good)), 250, read)
+    assert len(refused) > 60
+    assert max(refused) < fuzzing.LONGEST_MESSAGE

@@ -45,9 +45,9 @@ def _plan() -> bytes:
 def seeds() -> Seeds:
     """Good files of the readers of this module."""
     return {
-        "plan": [("study.toml", _plan(), fuzzing.mutate_table)],
+        "plan": [("study.toml", _plan(), fuzzing.damaged_table)],
         "study": [
-            ("trials.csv", TRIALS.encode(), fuzzing.mutate_table),
-            ("study.json", _study_json(), fuzzing.mutate_json),
+            ("trials.csv", TRIALS.encode(), fuzzing.damaged_table),
+            ("study.json", _study_json(), fuzzing.damaged_json),
         ],
     }
