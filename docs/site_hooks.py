@@ -1,26 +1,86 @@
-"""Hook of mkdocs: lists the public names and the modules of a package on its API page.
+"""Hook of mkdocs: the section of evidence, equations, lists of the API, cards of the hands.
 
-A page of ``docs/reference/api`` has the line ``{{ public smooth_operator.hands }}`` or
-``{{ modules smooth_operator.hands }}``. The first becomes one mkdocstrings block for each public
-name of the package, the second a table of its modules with the first line of their docstrings.
-Both are read from the source files: nothing is imported.
+- Files of ``research/`` become pages in ``evidence/``. Links between the two folders are written
+  as they are in the repository and are changed to those of the site.
+- Equations between dollar signs become MathML, so no page loads a script.
+- A page of ``docs/reference/api`` has the line ``{{ public smooth_operator.hands }}`` or
+  ``{{ modules smooth_operator.hands }}``. The first becomes one mkdocstrings block for each public
+  name of the package, the second a table of its modules with the first line of their docstrings.
+- ``{{ hands }}`` becomes one card for each built-in hand.
+
+All of it is read from the source files: nothing of the package is imported.
 """
 
 from __future__ import annotations
 
 import ast
+import html
+import os
+import posixpath
 import re
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from latex2mathml.converter import convert
+from mkdocs.structure.files import File
 
 _PROJECT = Path(__file__).resolve().parents[1]
 SOURCES = (_PROJECT / "src", _PROJECT / "packages" / "smooth_operator_study")
 """Folders that the packages are in."""
 ROOT = "smooth_operator"
+EVIDENCE = {
+    "research/README.md": "evidence/index.md",
+    "research/benchmarks/README.md": "evidence/programs.md",
+}
+"""Files of the repository outside ``docs`` and ``research/docs`` that are pages of the site."""
 # A title counts a thousand times as much as text, and each name of the API is a title.
-_BOOST = {"tutorials": 4.0, "how-to": 4.0, "robots": 3.0, "explanation": 2.0}
-_LINE = re.compile(r"^\{\{ (public|modules) ([\w.]+) \}\}$", re.MULTILINE)
+_BOOST = {"tutorials": 4.0, "how-to": 4.0, "robots": 3.0, "explanation": 2.0, "evidence": 0.3}
+_LINE = re.compile(r"^\{\{ (public|modules|hands) ?([\w.]*) \}\}$", re.MULTILINE)
+_LINK = re.compile(r"(?<=\]\()([^)\s:#]+)(?=[#)])")
+_MATH = re.compile(r'<(span|div) class="arithmatex">\\[([](.*?)\\[)\]]</\1>', re.DOTALL)
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Called by mkdocs with the files of ``docs``: adds those of ``research``."""
+    for path in sorted((_PROJECT / "research").rglob("*")):
+        name = path.relative_to(_PROJECT).as_posix()
+        if path.is_file() and (name in EVIDENCE or name.startswith("research/docs/")):
+            files.append(File.generated(config, site_name(name), abs_src_path=str(path)))
+    return files
+
+
+def site_name(name: str) -> str:
+    """The source name in the site of a file of the repository; empty if it is not a page."""
+    for folder, section in (("docs/", ""), ("research/docs/", "evidence/")):
+        if name.startswith(folder):
+            return section + name.removeprefix(folder)
+    return EVIDENCE.get(name, "")
+
+
+def _with_links_of_the_site(markdown: str, page: File) -> str:
+    """Links between ``docs`` and ``research``, which are relative to the page's file."""
+    folder = Path(os.path.relpath(page.abs_src_path or "", _PROJECT)).parent.as_posix()
+
+    def link(match: re.Match[str]) -> str:
+        target = site_name(posixpath.normpath(posixpath.join(folder, match[1])))
+        start = posixpath.dirname(page.src_uri) or "."
+        return posixpath.relpath(target, start) if target else match[1]
+
+    return _LINK.sub(link, markdown)
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Called by mkdocs with the HTML of each page: equations become MathML."""
+
+    def mathml(match: re.Match[str]) -> str:
+        latex = html.unescape(match[2])
+        if match[1] == "div":  # a wide one scrolls inside its box
+            return f'<div class="equation">{convert(latex, display="block")}</div>'
+        return convert(latex)
+
+    return _MATH.sub(mathml, content)
 
 
 def _folder(package: str) -> Path:
@@ -71,8 +131,55 @@ def _modules(package: str) -> Iterator[tuple[str, str]]:
             yield name, doc.split("\n\n")[0].replace("\n", " ").replace("|", "\\|")
 
 
+def _rows(text: str, heading: str) -> dict[str, dict[str, str]]:
+    """The rows of the first table below a heading: `name` -> header of a column -> cell.
+
+    A first cell with several names gives a row to each.
+    """
+    table = re.findall(r"^\|(.+)\|$", text.split(heading, 1)[1].split("\n\n")[0], re.MULTILINE)
+    header, _, *rows = [[cell.strip() for cell in line.split("|")] for line in table]
+    return {
+        name: dict(zip(header[1:], cells, strict=True))
+        for first, *cells in rows
+        for name in re.findall(r"`(\w+)`", first)
+    }
+
+
+def _drivers() -> dict[str, str]:
+    """Hand -> the driver whose table of actuators names it."""
+    tables = _folder(f"{ROOT}.teleop.hardware.tables").glob("*.toml")
+    found = (tomllib.loads(path.read_text(encoding="utf-8")) for path in sorted(tables))
+    return {table["hand"]: table["driver"] for table in found if "hand" in table}
+
+
+def _hands() -> str:
+    """One card for each built-in hand: picture, joints, driver, figures, licence."""
+    page = (_PROJECT / "docs" / "reference" / "hands.md").read_text(encoding="utf-8")
+    figures = _rows(page, "## Built-in hands\n\n")
+    notices = (_PROJECT / "NOTICES.md").read_text(encoding="utf-8")
+    licences = _rows(notices, "The figures come from these works:\n\n")
+    drivers = _drivers()
+    cards = []
+    for spec in sorted(_folder(f"{ROOT}.hands.models").glob("*.right.toml")):
+        name = spec.name.split(".")[0]
+        row = figures[name]
+        driver = f"driver [`{drivers[name]}`](robots/index.md)" if name in drivers else "no driver"
+        lines = [
+            f"[![{name}](img/hands/{name}.png){{ loading=lazy }}](reference/hands.md)",
+            f"**`{name}`**",
+            f"{row['fingers']} fingers, {row['actuated']} of {row['all joints']} joints driven",
+            driver,
+            *(f"{key} {row[key]}" for key in row if re.match("thumb|touch", key)),
+            "licence: " + re.split("[;(]", licences[name]["licence of the work"])[0].strip(),
+        ]
+        cards.append("-   " + "<br>\n    ".join(lines))
+    return '<div class="cards hands" markdown>\n\n' + "\n\n".join(cards) + "\n\n</div>"
+
+
 def _expanded(match: re.Match[str]) -> str:
     kind, package = match.groups()
+    if kind == "hands":
+        return _hands()
     if kind == "public":
         names = public_names(package)
         elsewhere = set() if package == ROOT else names.keys() & public_names(ROOT).keys()
@@ -90,4 +197,4 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     path = page.file.src_uri
     boost = _BOOST.get(path.split("/")[0], 1.0)
     page.meta["search"] = {"boost": 0.0005 if path.startswith("reference/api/") else boost}
-    return _LINE.sub(_expanded, markdown)
+    return _with_links_of_the_site(_LINE.sub(_expanded, markdown), page.file)

@@ -81,11 +81,12 @@ def test_readme_gives_the_test_command_that_ci_runs():
     assert command in README.read_text(encoding="utf-8"), f"README.md does not give: {command}"
 
 
-def test_the_tutorial_installs_as_the_readme_does():
+@pytest.mark.parametrize("page", ["index.md", "tutorials/first-steps.md"])
+def test_home_and_tutorial_install_as_the_readme_does(page):
     commands = re.compile(r"^python3 -m venv .*smooth-operator demo$", re.MULTILINE)
-    tutorial = PROJECT / "docs" / "tutorials" / "first-steps.md"
     (command,) = commands.findall(README.read_text(encoding="utf-8"))
-    assert commands.findall(tutorial.read_text(encoding="utf-8")) == [command]
+    text = (PROJECT / "docs" / page).read_text(encoding="utf-8")
+    assert commands.findall(text) == [command]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=relative_name)

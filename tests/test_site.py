@@ -12,18 +12,20 @@ import pytest
 
 import smooth_operator
 import smooth_operator_study
+from smooth_operator.hands import hand_names, load_hand
 
 PROJECT = Path(__file__).resolve().parents[1]
-PACKAGES = [
-    "hands", "human", "calibration", "objective", "solvers", "methods", "metrics", "synthetic",
-    "formats", "teleop", "lab",
-]  # fmt: skip
+PACKAGES = sorted(
+    path.stem
+    for path in (PROJECT / "docs" / "reference" / "api").glob("*.md")
+    if (PROJECT / "src" / "smooth_operator" / path.stem).is_dir()
+)
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The built site; ``--strict`` turns each warning into a failure."""
-    for module in ("mkdocs", "material", "mkdocstrings"):
+    for module in ("mkdocs", "material", "mkdocstrings", "latex2mathml"):
         if importlib.util.find_spec(module) is None:
             pytest.skip(f"{module} is not installed (extra docs)")
     folder = tmp_path_factory.mktemp("site")
@@ -47,6 +49,37 @@ def test_every_page_is_in_the_site(site):
     for page in pages:
         name = page.parent if page.name == "index.md" else page.with_suffix("")
         assert (site / name / "index.html").is_file(), page
+
+
+def test_the_evidence_is_a_section_and_its_links_lead_into_the_site(site):
+    """Strict builds check links between pages; paths in running text can't be clicked."""
+    pages = [path.stem for path in (PROJECT / "research" / "docs").glob("*.md")]
+    assert [name for name in pages if not (site / "evidence" / name / "index.html").is_file()] == []
+    for page in site.glob("**/*.html"):
+        text = re.sub(r"<pre.*?</pre>", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        assert re.findall(r'(?:href="|<code>)[^"<]*research/docs/\w[^"<]*', text) == [], page
+
+
+def test_home_shows_every_hand_with_picture_driver_and_licence(site):
+    home = (site / "index.html").read_text(encoding="utf-8")
+    cards = re.findall(r"<li>\s*<p><a href=\"reference/hands/\">.*?</li>", home, re.DOTALL)
+    names = hand_names()
+    assert [re.findall(r"<strong><code>(\w+)<", card) for card in cards] == [[n] for n in names]
+    for name, card in zip(names, cards, strict=True):
+        assert (site / "img" / "hands" / f"{name}.png").is_file()
+        hand = load_hand(name, "right")
+        joints = f"{len(hand.actuated)} of {len(hand.joint_names)} joints driven"
+        assert joints in card
+        assert "licence: " in card
+    leap = cards[names.index("leap_hand")]
+    assert ("<code>leap</code>" in leap, "licence: MIT" in leap) == (True, True)
+
+
+def test_equations_are_mathml_and_need_no_script(site):
+    page = (site / "explanation" / "smooth" / "index.html").read_text(encoding="utf-8")
+    assert page.count("<math ") > 20
+    for path in site.glob("**/*.html"):
+        assert "arithmatex" not in path.read_text(encoding="utf-8"), path
 
 
 def test_the_site_has_a_search_index(site):

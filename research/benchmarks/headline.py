@@ -3,7 +3,7 @@
     python research/benchmarks/headline.py RECORDING... --output FOLDER [--docs docs]
         [--methods smooth,sbr:paper,dexpilot:published] [--pictures smooth,sbr,dexpilot]
         [--hands mimic_p050,shadow_hand,leap_hand]
-        [--files research/docs/looks.md]
+        [--files research/docs/looks.md docs/reference/benchmarks.md]
 
 Measures the first hand, with latency, for the table, and all hands for the pictures; writes
 ``DOCS/img/hands-in-poses-HAND.webp``, and puts the table into each of the files between the lines

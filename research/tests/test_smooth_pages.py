@@ -143,9 +143,9 @@ def test_figures_of_the_default_are_of_todays(name):
     assert set(marks) == {today}, "measure the figures of smooth beside these marks again"
 
 
-def test_the_table_of_the_readme_is_that_of_looks():
+@pytest.mark.parametrize("page", ["README.md", "docs/reference/benchmarks.md"])
+def test_the_table_of_methods_is_that_of_looks(page):
     looks = (ROOT / "research/docs/looks.md").read_text("utf-8").partition("<!-- /headline -->")[0]
-    readme = (ROOT / "README.md").read_text("utf-8")
     table = re.search(r"^\| method \|.*\n(?:\|.*\n)+", looks, re.MULTILINE)
     assert table is not None
-    assert table[0] in readme
+    assert table[0] in (ROOT / page).read_text("utf-8")
