@@ -76,9 +76,9 @@ class Retargeter:
             ``smooth_operator.retargeting.known_gaps.MEDIAPIPE``. None takes landmarks as they are.
 
     Attributes:
-        method: the method for this hand.
         shared: the compiled program, and the method that it was made from: that of the mirror image
             for a hand that is described as one.
+        method: that method.
 
     Raises:
         UnknownNameError: for an unknown hand, method or preset.
@@ -113,8 +113,8 @@ class Retargeter:
         self._clock = clock
         self._stamped: bool | None = None
         self._input = HandCheck(self.hand.spec.side)
-        self.method: Method = self.config.build(self.hand)
         self.shared = shared_program(self.hand, self.config, cache)
+        self.method: Method = self.shared.method
         self._state = self.init()
 
     @property
@@ -205,7 +205,7 @@ class Retargeter:
             first frame.
         """
         state = self._state if state is None else state
-        targets = self.shared.method.fingertip_targets(state.method)
+        targets = self.method.fingertip_targets(state.method)
         if targets is None:
             return None
         return np.asarray(targets, float) * (_REFLECTION if self.shared.reflects else 1.0)
@@ -383,7 +383,7 @@ class Retargeter:
 
         for recording in recordings:
             self.check_side(recording.side)
-        if self.shared.method.on_host:
+        if self.method.on_host:
             return one_by_one(lambda each: self.run(each, seed=seed), recordings, track)
         program = self._lanes(lanes)
         return side_by_side(
@@ -418,7 +418,7 @@ class Retargeter:
             RecordingError: an array has another shape.
             ConfigError: the method's solver runs on the host.
         """
-        if self.shared.method.on_host:
+        if self.method.on_host:
             raise ConfigError("this method's solver runs on the host, frame by frame: use batch()")
         program = self._lanes(lanes)
         return program.run_arrays(
@@ -428,4 +428,4 @@ class Retargeter:
     def _lanes(self, lanes: int | None) -> LaneProgram:
         from smooth_operator.compilation.batching import lane_program
 
-        return lane_program(self.shared.method, self.config, lanes, self.cache)
+        return lane_program(self.method, self.config, lanes, self.cache)
