@@ -4,7 +4,14 @@ On a real robot the source is a tracker (``webcam``, ``webxr``, ``manus``) and a
 ``smooth-operator teleop`` is the same with a page in the browser.
 """
 
-from smooth_operator.teleop import LimitsConfig, TeleopLoop, Tick, read_log, teleoperate
+from smooth_operator.teleop import (
+    LimitsConfig,
+    TeleopLoop,
+    TeleopRequest,
+    Tick,
+    read_log,
+    teleoperate,
+)
 
 
 def pause_for_a_moment(loop: TeleopLoop) -> None:
@@ -22,14 +29,14 @@ def pause_for_a_moment(loop: TeleopLoop) -> None:
     loop.watch = watch
 
 
-summary = teleoperate(
+request = TeleopRequest(
     source="synthetic",
-    sinks=["mujoco", "record:take.mcap"],
+    sink=("mujoco", "record:take.mcap"),
     hand="mimic_p050",
     rate=100.0,
     limits=LimitsConfig(velocity=8.0, acceleration=400.0),
-    started=pause_for_a_moment,
 )
+summary = teleoperate(request, started=pause_for_a_moment)
 print(f"{summary['frames_answered']} frames answered, {summary['rate_hz']:.0f} commands a second")
 
 # The log has what the tracker saw, what the robot was commanded, and what happened when.

@@ -62,6 +62,7 @@ SHARED = {
     "baselines": 7,
     "offline": 7,
     "planning": 7,
+    "request": 7,
     "reporting": 7,
 }
 """What several wings use: module -> level. It imports no wing."""

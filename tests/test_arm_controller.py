@@ -18,7 +18,7 @@ from smooth_operator.simulation.arms.arm import FLANGE, HandCapsules, HandMount,
 from smooth_operator.simulation.arms.catalogue import ARMS, arm_named
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.physics import ArmPhysics
-from smooth_operator.teleop import teleoperate
+from smooth_operator.teleop import TeleopRequest, teleoperate
 from smooth_operator.teleop.arm.controller import ArmController
 from smooth_operator.teleop.arm.settings import ArmSettings, place_arms, read_arm
 from smooth_operator.teleop.sinks.simulation import Simulation
@@ -303,10 +303,11 @@ class _Kept(Sink):
 
 def test_one_command_moves_two_arms_with_their_hands():
     kept = _Kept()
-    teleoperate(
-        "synthetic:wrist=0.1", ["mujoco", kept], hand="leap_hand", side="both",
+    request = TeleopRequest(
+        source="synthetic:wrist=0.1", sink=("mujoco",), hand="leap_hand", side="both",
         method="joint_angle", arm="ur5e:spacing=1.2", duration=2.0,
     )  # fmt: skip
+    teleoperate(request, sinks=[kept])
     for side in ("right", "left"):
         arms = [tick.arm for tick in kept.ticks if tick.side == side]
         assert arms

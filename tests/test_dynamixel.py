@@ -14,7 +14,7 @@ from ticks import make_tick
 
 from smooth_operator import Hand, load_hand
 from smooth_operator.errors import ConfigError, SinkError
-from smooth_operator.teleop import teleoperate
+from smooth_operator.teleop import TeleopRequest, teleoperate
 from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.hardware.device import WrongAnswerError
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
@@ -323,13 +323,9 @@ def test_a_servo_with_an_error_and_a_slow_bus_are_shown(bank, hand):
 def test_a_whole_run_has_measured_joints_in_its_log(bank, hand, tmp_path):
     for duration in (1.5, 15.0):  # a machine that stalls takes longer
         take = tmp_path / f"{duration}.mcap"
-        summary = teleoperate(
-            "synthetic",
-            [LeapSink(port=bank.path, baud=57600, approach=10.0), f"record:{take}"],
-            hand=hand,
-            method="joint_angle",
-            duration=duration,
-        )
+        request = TeleopRequest(sink=(f"record:{take}",), method="joint_angle", duration=duration)
+        sink = LeapSink(port=bank.path, baud=57600, approach=10.0)
+        summary = teleoperate(request, sinks=[sink], hand=hand)
         states = read_log(take).states
         if len(states) > 20:
             break

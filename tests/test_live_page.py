@@ -30,7 +30,7 @@ from smooth_operator import HandFrame, Retargeter, load_hand
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.planning import make_request
 from smooth_operator.synthetic import SyntheticOperator
-from smooth_operator.teleop import PageSettings, teleoperate
+from smooth_operator.teleop import PageSettings, TeleopRequest, teleoperate
 from smooth_operator.teleop.arm.settings import ArmSettings
 from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, SIMULATED, css
 from smooth_operator.teleop.pages.live import drawing, live_texts
@@ -1043,7 +1043,7 @@ def test_another_hand_while_it_runs(monkeypatch, tmp_path):
     thread = threading.Thread(
         target=lambda: ended.append(
             teleoperate(
-                "synthetic", [sink], method="joint_angle", reporter=reporter,
+                TeleopRequest(method="joint_angle"), sinks=[sink], reporter=reporter,
                 page=PageSettings(port=0, open_browser=False),
             )
         )

@@ -22,7 +22,7 @@ from smooth_operator import Retargeter, load_hand
 from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.errors import ConfigError, SinkError, SourceError, UnknownNameError
 from smooth_operator.hand_files.spec_writer import temporary_spec
-from smooth_operator.teleop import TeleopLoop, read_log, teleoperate
+from smooth_operator.teleop import TeleopLoop, TeleopRequest, read_log, teleoperate
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.control import switches
 from smooth_operator.teleop.control.switches import StopInput, stopped_by
@@ -65,7 +65,7 @@ def test_the_hand_may_be_an_object(side, tmp_path):
     """A loaded hand, a description or its file; the other side is the mirror image."""
     hand = load_hand("leap_hand", "right", fingers=("thumb", "index", "middle"))
     kept = Kept()
-    teleoperate("synthetic", [kept], hand=hand, side=side, duration=0.4, **METHOD)
+    teleoperate(TeleopRequest(side=side, duration=0.4, **METHOD), sinks=[kept], hand=hand)
     assert kept.config["hand"] == hand.name
     assert {tick.side for tick in kept.ticks} == {side}
     assert kept.ticks[-1].command.joint_names == hand.joint_names
@@ -80,15 +80,12 @@ def test_the_hand_may_be_an_object(side, tmp_path):
 def test_a_run_is_one_call_from_text_or_objects_to_a_summary(tmp_path, caplog):
     caplog.set_level(logging.INFO, "smooth_operator.teleop")
     kept, log, loops = Kept(), tmp_path / "take.mcap", []
-    summary = teleoperate(
-        build_source("synthetic"),
-        [kept, f"record:{log}"],
-        hand="leap_hand",
-        rate=50.0,
-        duration=0.6,
-        started=loops.append,
+    request = TeleopRequest(
+        source="webcam", sink=(f"record:{log}",), hand="leap_hand", rate=50.0, duration=0.6,
         **METHOD,
-    )
+    )  # fmt: skip
+    source = build_source("synthetic")
+    summary = teleoperate(request, source=source, sinks=[kept], started=loops.append)
     assert json.loads(json.dumps(summary)) == summary
     assert not summary["interrupted"]
     assert summary["duration_s"] >= 0.6
@@ -111,15 +108,16 @@ def test_an_operators_file_is_made_and_kept(tmp_path):
     camera = type("Camera", (type(source),), {"pinch_gaps": {"index": 0.3}})()
     path = tmp_path / "anna.json"
     run = {"operator": path, "duration": 0.3}
-    teleoperate(camera, [Kept()], pinch_gaps="off", **run)
+    teleoperate(TeleopRequest(pinch_gaps="off", **run), source=camera, sinks=[Kept()])
     assert not path.exists()  # nothing was learnt
-    teleoperate(camera, [Kept()], **run)
+    teleoperate(TeleopRequest(**run), source=camera, sinks=[Kept()])
     assert read_operator(path).pinch_gaps == {"index": 0.3}
     kept = Kept()
-    teleoperate(source, [kept], **run)  # another session, with a tracker that closes pinches
+    # another session, with a tracker that closes pinches
+    teleoperate(TeleopRequest(**run), source=source, sinks=[kept])
     assert kept.config["pinch_gaps"] == {"right": {"index": 0.3}}
     with pytest.raises(ConfigError, match="of a right hand"):
-        teleoperate("synthetic", [Kept()], side="left", **run)
+        teleoperate(TeleopRequest(side="left", **run), sinks=[Kept()])
 
 
 def test_another_thread_may_run_and_end_it():
@@ -129,8 +127,10 @@ def test_another_thread_may_run_and_end_it():
     def quit_soon(loop: TeleopLoop) -> None:
         threading.Timer(0.2, loop.controls.quit).start()
 
-    options: dict[str, Any] = {"started": quit_soon, "methods": ["joint_angle"], **METHOD}
-    thread = threading.Thread(target=lambda: summaries.append(teleoperate(**options)))
+    request = TeleopRequest(methods=("joint_angle",), **METHOD)
+    thread = threading.Thread(
+        target=lambda: summaries.append(teleoperate(request, started=quit_soon))
+    )
     thread.start()
     thread.join(PATIENCE_S)
     assert summaries[0]["frames_answered"] > 0
@@ -158,7 +158,7 @@ def test_the_robot_holds_until_the_method_is_compiled(monkeypatch):
 
     monkeypatch.setattr(Retargeter, "warm_up", slow)
     monkeypatch.setattr(Retargeter, "compiled", property(lambda _: go.is_set()))
-    teleoperate("synthetic", [kept], started=start, **METHOD)
+    teleoperate(TeleopRequest(**METHOD), sinks=[kept], started=start)
     assert kept.ticks[0].events == (COMPILING,)
     assert {(tick.mode, tick.status) for tick in kept.ticks[:30]} == {(Mode.WAITING, None)}
     assert any(COMPILED in tick.events for tick in kept.ticks[30:])
@@ -173,7 +173,8 @@ def test_ctrl_c_ends_a_run_and_everything_is_as_before(tmp_path):
     def interrupt(loop: TeleopLoop) -> None:
         threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
 
-    summary = teleoperate("synthetic", [kept, f"record:{log}"], started=interrupt, **METHOD)
+    request = TeleopRequest(sink=(f"record:{log}",), **METHOD)
+    summary = teleoperate(request, sinks=[kept], started=interrupt)
     assert summary["interrupted"]
     assert kept.closed
     assert read_log(log).commands is not None
@@ -184,7 +185,7 @@ def test_ctrl_c_ends_a_run_and_everything_is_as_before(tmp_path):
 
 def test_a_sink_that_fails_is_in_the_summary_and_stops_no_other(caplog):
     works, fails = Kept(), Kept(fails=True, name="robot")
-    summary = teleoperate("synthetic", [fails, works], duration=0.3, **METHOD)
+    summary = teleoperate(TeleopRequest(duration=0.3, **METHOD), sinks=[fails, works])
     assert len(works.ticks) == summary["commands"]["right"] > 0
     assert [(sink["label"], sink["failed"] > 0) for sink in summary["sinks"]] == [
         ("robot", True),
@@ -197,17 +198,16 @@ def test_a_sink_that_fails_is_in_the_summary_and_stops_no_other(caplog):
     ("settings", "error", "says"),
     [
         ({"source": "webcm"}, UnknownNameError, "Did you mean 'webcam'?"),
-        ({"sinks": ["tble"]}, UnknownNameError, "Did you mean 'table'?"),
+        ({"sink": ("tble",)}, UnknownNameError, "Did you mean 'table'?"),
         ({"hand": "leap_hnd"}, UnknownNameError, "leap_hand"),
         ({"rate": 0.0}, ConfigError, "rate"),
-        ({"task": "cube", "sinks": ["mujoco"]}, ConfigError, "leave out"),
+        ({"task": "cube", "sink": ("mujoco",)}, ConfigError, "leave out"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_opens(settings, error, says):
     kept = Kept()
-    sinks = [*settings.pop("sinks", ()), kept]
     with pytest.raises(error, match=says):
-        teleoperate(sinks=sinks, **settings)
+        teleoperate(TeleopRequest(**settings), sinks=[kept])
     assert (kept.config, kept.closed) == ({}, 0)
 
 
@@ -363,13 +363,7 @@ def test_a_function_that_raises_stops_a_run_as_a_broken_wire_does():
             raise OSError("the line is gone")
         return False
 
-    teleoperate(
-        "synthetic",
-        [Seen()],
-        method="joint_angle",
-        duration=20.0,
-        estop=pressed,
-        started=loops.append,
-    )
+    request = TeleopRequest(method="joint_angle", duration=20.0)
+    teleoperate(request, sinks=[Seen()], stop=pressed, started=loops.append)
     assert Mode.STOPPED not in modes[:20]
     assert modes[-1] is Mode.STOPPED

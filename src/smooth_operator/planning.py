@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final
 
 from smooth_operator.calibration.operator_file import OperatorProfile, read_operator
 from smooth_operator.errors import ConfigError, HandModelError
@@ -19,6 +19,7 @@ from smooth_operator.hands.registry import default_side, load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.io.documents import read_json
+from smooth_operator.request import PinchGapChoice, Scale
 from smooth_operator.result_cache import content_digest, key_digest, outside_code
 from smooth_operator.retargeting.aligned_recording import calibrate_scale
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS
@@ -39,13 +40,6 @@ _CODE: Final = (
     *("io", "formats", "episode_files", "headsets", "teleop/recording", "offline"),
 )
 """Files and folders of this package that commands depend on."""
-
-Scale: TypeAlias = float | Literal["frame", "calibrate"]
-"""Robot size over human size: a number, by frame, or calibrated once on the recording."""
-
-PinchGapChoice: TypeAlias = Literal["tracker", "mediapipe", "off"]
-"""Gaps between thumb and finger with which the running estimate starts: those of the live source's
-tracker, if they are known; those of MediaPipe; or off, for landmarks as they are tracked."""
 
 
 @dataclass(frozen=True)

@@ -95,10 +95,10 @@ class InProcess:
         ImportError: smooth-operator is not installed.
     """
 
-    def __init__(self, source: str, newest: Newest, hand: str, side: str, method: str) -> None:
+    def __init__(self, source: str, newest: Newest, hand: str, side: Any, method: str) -> None:
         try:
             from lerobot_teleoperator_smooth_operator.mailbox_sink import MailboxSink
-            from smooth_operator.teleop import teleoperate
+            from smooth_operator.teleop import TeleopRequest, teleoperate
         except ImportError as error:
             raise ImportError(
                 "a loop in this process needs smooth-operator: python -m pip install "
@@ -108,10 +108,11 @@ class InProcess:
         self._newest, self._loop = newest, None
         self.error: Exception | None = None
         self._ending = threading.Event()
-        options: dict[str, Any] = {"hand": hand, "side": side}
-        if method:
-            options["method"] = method
-        options["methods"] = [method or "smooth"]  # compiled before the first action
+        method = method or "smooth"
+        request = TeleopRequest(
+            source=source, hand=hand, side=side, method=method,
+            methods=(method,),  # compiled before the first action
+        )  # fmt: skip
 
         def started(loop: Any) -> None:
             self._loop = loop
@@ -121,7 +122,7 @@ class InProcess:
         def run() -> None:
             try:
                 sink = MailboxSink(newest)
-                teleoperate(source, [sink], started=started, **options)
+                teleoperate(request, sinks=[sink], started=started)
             except Exception as error:  # `connect` and `get_action` raise it
                 self.error = error
             newest.wake()

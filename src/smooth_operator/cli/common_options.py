@@ -12,28 +12,9 @@ from tyro.conf import arg
 
 from smooth_operator.errors import MissingExtraError, require
 from smooth_operator.plugins import Entry
-from smooth_operator.retargeting.registry import DEFAULT_METHOD, METHODS
+from smooth_operator.request import MethodRequest
 
 HandSide: TypeAlias = Literal["right", "left"]
-METHOD_HELP: Final = (
-    f"Retargeting method: {', '.join(METHODS)}; or package.module:NAME of your own "
-    "(docs/how-to/plugins.md)."
-)
-PRESET_HELP: Final = (
-    "Preset of the method. Default: its first one. "
-    + "; ".join(f"{name}: {entry.summary}" for name, entry in METHODS.items())
-    + ". Any method also accepts a preset file (docs/how-to/tune.md)."
-)
-PINCH_GAPS_HELP: Final = (
-    "smooth closes the gap that a tracker leaves between thumb and finger where they touch, and "
-    "estimates it while one works. tracker starts with the gaps of the source's tracker, if they "
-    "are known (webcam and video); mediapipe with those of MediaPipe, for a recording of it; off "
-    "takes landmarks as they are tracked."
-)
-# Spelt out again: the module that owns them imports JAX, and `--help` needs none.
-Scale: TypeAlias = float | Literal["frame", "calibrate"]
-PinchGapChoice: TypeAlias = Literal["tracker", "mediapipe", "off"]
-
 
 RARE: Final = frozenset({
     "seed", "scale", "fingers", "operator", "pinch_gaps", "definition", "layout", "model",
@@ -105,31 +86,8 @@ class Quiet:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Retargeting(Quiet):
+class Retargeting(Quiet, MethodRequest):
     """Options of every command that retargets."""
-
-    hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
-    """Robot hand, by its catalogue name."""
-
-    method: Annotated[str, arg(metavar="NAME", help=METHOD_HELP)] = DEFAULT_METHOD
-
-    preset: Annotated[str | None, arg(metavar="NAME", help=PRESET_HELP)] = None
-
-    seed: int = 0
-    """Seed of all random numbers: the same seed and frames give the same commands."""
-
-    scale: Annotated[Scale | None, arg(metavar="frame|calibrate|FLOAT")] = None
-    """Robot/human size ratio: frame (estimated in each frame), calibrate (once per recording), or a
-    number. Default: from the preset."""
-
-    fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
-    """Robot fingers to drive (two to five, including the thumb). thumb,index,pinky=ring drives the
-    robot's pinky with the human ring finger. Default: all."""
-
-    operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
-    """What is known of the operator, as calibrate and teleop write it."""
-
-    pinch_gaps: Annotated[PinchGapChoice, arg(help=PINCH_GAPS_HELP)] = "tracker"
 
     definition: Literal["sound", "paper"] = "sound"
     """Definition of the metrics; paper is as published, to compare with its table."""

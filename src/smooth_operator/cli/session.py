@@ -29,20 +29,7 @@ def requested(
     Raises:
         SmoothOperatorError: an option or a file is invalid.
     """
-    return make_request(
-        hand=options.hand,
-        method=options.method,
-        preset=options.preset,
-        seed=options.seed,
-        scale=options.scale,
-        side=side,
-        rate=rate,
-        layout=layout,
-        frames=frames,
-        fingers=options.fingers,
-        operator=options.operator,
-        pinch_gaps=options.pinch_gaps,
-    )
+    return make_request(**options.settings(), side=side, rate=rate, layout=layout, frames=frames)
 
 
 def execute_shown(todo: Plan, progress: Progressing) -> Outcome:

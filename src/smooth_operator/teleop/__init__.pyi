@@ -1,4 +1,5 @@
 from smooth_operator.teleop.recording.log_reader import read_log as read_log
+from smooth_operator.teleop.request import TeleopRequest as TeleopRequest
 from smooth_operator.teleop.run import PageSettings as PageSettings
 from smooth_operator.teleop.run import teleoperate as teleoperate
 from smooth_operator.teleop.runtime.loop import TeleopLoop as TeleopLoop

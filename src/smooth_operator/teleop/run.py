@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final
 
 from smooth_operator.calibration.operator_file import (
     OperatorProfile,
@@ -25,7 +25,6 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, hand_names
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.planning import (
-    PinchGapChoice,
     RetargetRequest,
     live_configuration,
     make_request,
@@ -34,7 +33,6 @@ from smooth_operator.planning import (
 )
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.presets import default_preset, method_config, method_names
-from smooth_operator.retargeting.registry import DEFAULT_METHOD
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
@@ -45,16 +43,12 @@ from smooth_operator.teleop.control.rpc import RpcHandlers
 from smooth_operator.teleop.control.switches import StopInput, keyboard, stopped_by
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
 from smooth_operator.teleop.hardware.hardware_sink import real_hand
+from smooth_operator.teleop.request import TeleopRequest
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
 from smooth_operator.teleop.runtime.priority import going_first, low_jitter
-from smooth_operator.teleop.runtime.settings import (
-    LimitsConfig,
-    LoopConfig,
-    SafetyConfig,
-    WristConfig,
-)
+from smooth_operator.teleop.runtime.settings import LoopConfig
 from smooth_operator.teleop.sinks.sink import Sink, SinkRunner
 from smooth_operator.teleop.sinks.tick import Driver
 from smooth_operator.teleop.sources.live import LiveSource, source_gaps
@@ -67,9 +61,6 @@ if TYPE_CHECKING:
     from smooth_operator.teleop.arm.controller import ArmOfHand
     from smooth_operator.teleop.pages.live.live_page import LivePage
 
-Task: TypeAlias = Literal["card", "cube", "screwdriver"]
-"""A task of the study."""
-
 COMPILES: Final = "compile"
 """Name of the thread that compiles while the loop runs; a command does not wait for its end."""
 
@@ -78,32 +69,13 @@ _ANNOUNCE_S: Final = 5.0
 
 
 def teleoperate(
-    source: str | LiveSource = "synthetic",
-    sinks: Sequence[str | Sink] = (),
+    request: TeleopRequest | None = None,
     *,
-    hand: str | Path | HandSpec | Hand = "mimic_p050",
-    side: Side | Literal["both"] | None = None,
-    method: str = DEFAULT_METHOD,
-    preset: str | None = None,
-    seed: int = 0,
-    scale: float | Literal["frame"] | None = None,
-    fingers: str | None = None,
-    operator: Path | None = None,
-    pinch_gaps: PinchGapChoice = "tracker",
-    rate: float = 100.0,
-    duration: float | None = None,
-    safety: SafetyConfig | None = None,
-    limits: LimitsConfig | None = None,
-    wrist: WristConfig | None = None,
-    priority: Literal["high", "normal"] = "normal",
-    methods: Sequence[str] = (),
-    control: str | None = None,
-    estop: str | Callable[[], bool] | None = None,
+    source: LiveSource | None = None,
+    sinks: Sequence[Sink] = (),
+    hand: Path | HandSpec | Hand | None = None,
+    stop: Callable[[], bool] | None = None,
     page: PageSettings | None = None,
-    blind: bool = False,
-    task: Task | None = None,
-    trials: Path | None = None,
-    arm: str | ArmSettings | None = None,
     keys: bool = False,
     reporter: Reporter | None = None,
     started: Callable[[TeleopLoop], None] | None = None,
@@ -118,48 +90,23 @@ def teleoperate(
 
     Example::
 
-        from smooth_operator.teleop import teleoperate
+        from smooth_operator.teleop import TeleopRequest, teleoperate
 
-        summary = teleoperate("synthetic", ["record:take.mcap"], hand="leap_hand", duration=10)
+        request = TeleopRequest(sink=("record:take.mcap",), hand="leap_hand", duration=10.0)
+        summary = teleoperate(request)
         print(summary["rate_hz"], summary["added_latency_ms"]["p99"])
 
+    Without any ``methods``, the loop starts while the method is compiled: it shows the operator's
+    hand and holds the robot. A run with a ``task`` or a ``duration`` and one of a recording wait.
+
     Args:
-        source: where hand frames come from: an object, or text such as ``replay:glove.npz``.
-        sinks: where commands go: objects, or text such as ``zmq:tcp://127.0.0.1:5556``.
-        hand: name of the robot hand, the path of a spec file, a description or a loaded hand.
-        side: which hand; ``both`` drives two robots. The other side of a hand that is given as a
-            description is its mirror image. None for the right one, or the only side of a hand that
-            is given by name.
-        method: name of the retargeting method.
-        preset: of the method; None for its default.
-        seed: of all random numbers.
-        scale: robot size over human size, or ``frame`` to estimate it in each; None for the
-            preset's.
-        fingers: robot fingers to drive: ``thumb,index,pinky=ring``; None for all.
-        operator: file of what is known of the operator; it is written anew at the end of the run,
-            and made if there is none.
-        pinch_gaps: ``tracker`` closes the gap that the source's tracker leaves between thumb and
-            finger where they touch; ``mediapipe`` starts with the gaps of MediaPipe; ``off``
-            takes landmarks as they are tracked.
-        rate: commands a second and hand [Hz].
-        duration: end after so long [s]; None for when the source ends.
-        safety: what happens when the tracker fails; None for the defaults.
-        limits: of the commands; None for the defaults.
-        wrist: how the robot's wrist follows the operator's; None for the defaults.
-        priority: ``high`` asks the system for real-time scheduling of this process.
-        methods: further methods, ``NAME`` or ``NAME:PRESET``, that are compiled before the loop
-            starts, as the first one is then: a switch to them takes no time. Without any, the loop
-            starts while the method is compiled: it shows the operator's hand and holds the robot.
-            A run with a ``task`` or a ``duration`` and one of a recording always wait.
-        control: ZeroMQ address to take commands of other programs at (extra ``zmq``).
-        estop: emergency stop from outside: ``file:PATH``, ``serial:PORT``, ``udp:PORT`` (see
-            ``StopInput``), or a function that says whether it is pressed; None for none.
+        request: source, sinks, robot hand and limits; None for the defaults.
+        source: an object that hand frames come from, in place of the request's.
+        sinks: objects that commands go to, before the request's.
+        hand: a spec file, a description or a loaded hand, in place of the request's. The other side
+            is its mirror image.
+        stop: function that says whether an emergency stop is pressed, in place of the request's.
         page: serve the live page; None for none.
-        blind: the method is named neither on the page nor in what is reported.
-        task: a task of the study, in a simulation around the hand.
-        trials: folder for a record of every trial of the task.
-        arm: that carries the hand and follows the operator's wrist: ``panda``, ``ur5e``, ``xarm7``
-            or ``iiwa14``, with settings such as ``panda:roll=90`` (extra ``arm``); None for none.
         keys: listen to the keyboard where there is a terminal: stop, release, pause, quit.
         reporter: takes lines for a person; None for the logger ``smooth_operator.teleop``.
         started: called with the running loop once everything is open, on the loop's thread, so
@@ -175,40 +122,28 @@ def teleoperate(
         KeyboardInterrupt: a signal came before the run began; nothing was opened.
     """
     reporter = LoggingReporter() if reporter is None else reporter
-    parts = safety or SafetyConfig(), limits or LimitsConfig(), wrist or WristConfig()
-    described = hand.spec if isinstance(hand, Hand) else hand
+    request = TeleopRequest() if request is None else request
+    described = hand.spec if isinstance(hand, Hand) else hand or request.hand
+    side = request.side
     if side is None:
         side = default_side(described) if isinstance(described, str) else "right"
-    if isinstance(source, str):
-        source = build_source(source, side)
-    requested = with_task(sinks, task)
-    request = make_request(
-        hand=described,
-        method=method,
-        preset=preset,
-        seed=seed,
-        scale=scale,
-        fingers=fingers,
-        operator=_known(operator, "right" if side == "both" else side),
-        pinch_gaps=pinch_gaps,
-    )
+    requested: list[str | Sink] = [*sinks, *with_task(request.sink, request.task)]
+    settings = request.settings() | {
+        "hand": described,
+        "operator": _known(request.operator, "right" if side == "both" else side),
+    }
+    asked = make_request(**settings)
     run = _Run(
-        request=request,
-        others=[_with_method(request, name) for text in methods for name in text.split(",")],
-        config=LoopConfig(rate, *parts),
+        request,
+        asked,
+        others=[_with_method(asked, name) for text in request.methods for name in text.split(",")],
+        config=LoopConfig(request.rate, request.safety, request.limits, request.wrist),
         sides=("right", "left") if side == "both" else (side,),
-        source=source,
+        source=build_source(request.source, side) if source is None else source,
         requested=requested,
         acting=[build_sink(sink) if isinstance(sink, str) else sink for sink in requested],
-        carrier=read_arm(arm) if isinstance(arm, str) else arm,
-        duration=duration,
-        priority=priority,
-        control=control,
-        stop=StopInput(estop) if isinstance(estop, str) else estop,
-        blind=blind,
-        task=task,
-        trials=trials,
-        operator_file=operator,
+        carrier=None if request.arm is None else read_arm(request.arm),
+        stop=StopInput(request.estop) if stop is None and request.estop is not None else stop,
         attended=keys and bool(sys.stdin) and sys.stdin.isatty(),
         reporter=reporter,
         started=started,
@@ -226,6 +161,7 @@ def teleoperate(
 class _Run:
     """A teleoperation: what it was asked for, read and checked. It can go on with another hand."""
 
+    asked: TeleopRequest
     request: RetargetRequest
     others: Sequence[RetargetRequest]
     config: LoopConfig
@@ -234,14 +170,7 @@ class _Run:
     requested: Sequence[str | Sink]
     acting: Sequence[Sink]
     carrier: ArmSettings | None
-    duration: float | None
-    priority: Literal["high", "normal"]
-    control: str | None
     stop: Callable[[], bool] | None
-    blind: bool
-    task: Task | None
-    trials: Path | None
-    operator_file: Path | None
     attended: bool
     reporter: Reporter
     started: Callable[[TeleopLoop], None] | None
@@ -258,10 +187,10 @@ class _Run:
         self._settle(self.request)
         hands = {side: hand for side, (hand, _) in self.settled.items()}
         SinkRunner(self.acting).check(hands)
-        if self.control is not None:
+        if self.asked.control is not None:
             from smooth_operator.teleop.control.rpc import check_address
 
-            check_address(self.control)
+            check_address(self.asked.control)
         if page is not None:
             from smooth_operator.teleop.pages.viser_server import free_port
 
@@ -291,7 +220,7 @@ class _Run:
     @property
     def other_hands(self) -> list[str]:
         """Names of the hands that the run could go on with; none where it can't."""
-        fixed = self.task is not None or self.blind or any(map(real_hand, self.acting))
+        fixed = self.asked.task is not None or self.asked.blind or any(map(real_hand, self.acting))
         if fixed or not isinstance(self.request.hand, str):
             return []
         return list(hand_names())
@@ -321,13 +250,14 @@ class _Run:
         known = self.request.operator
         for side, pipeline in pipelines.items():
             gaps = {name: round(gap, 4) for name, gap in pipeline.pinch_gaps.items()}
-            if self.operator_file is None or known is None or known is not switcher.operators[side]:
+            file = self.asked.operator
+            if file is None or known is None or known is not switcher.operators[side]:
                 return
             if gaps and gaps != known.pinch_gaps:
                 source = known.source or self.source.label
                 kept = replace(known, pinch_gaps={**known.pinch_gaps, **gaps}, source=source)
-                write_operator(self.operator_file, kept)
-                self.reporter.note(f"wrote {self.operator_file}: the pinch gaps of this session")
+                write_operator(file, kept)
+                self.reporter.note(f"wrote {file}: the pinch gaps of this session")
 
     def take_next(self) -> None:
         """Go over to the hand of ``change_hand``."""
@@ -339,7 +269,7 @@ class _Run:
     def drive(self, ending: Ending, begun: LivePage | None) -> dict[str, Any]:
         """Drives the hands until the run ends, or the next hand is chosen; the summary."""
         request, reporter, source, sides = self.request, self.reporter, self.source, self.sides
-        settled, blind, config, acting = self.settled, self.blind, self.config, self.acting
+        settled, blind, config, acting = self.settled, self.asked.blind, self.config, self.acting
         runner = SinkRunner(acting)
         retargeters = _built(settled, request, source, blind, reporter)
         pipelines = {
@@ -376,9 +306,9 @@ class _Run:
             acting,
             sides,
             reporter,
-            task=self.task,
-            folder=self.trials,
-            controlled=self.control is not None,
+            task=self.asked.task,
+            folder=self.asked.trials,
+            controlled=self.asked.control is not None,
             attended=self.attended,
             about=about,
             record=record,
@@ -400,7 +330,7 @@ class _Run:
             begun.serve(session)
         # What is played, and ends, begins with its first frame.
         played = isinstance(source, Replay) or (isinstance(source, Video) and not source.loop)
-        waits = self.task is not None or self.duration is not None or played
+        waits = self.asked.task is not None or self.asked.duration is not None or played
         if self.others or waits:
             switcher.building = "compiling"
             _compile(settled, request, self.others, blind, reporter)
@@ -419,7 +349,7 @@ class _Run:
             keyboard(loop, reporter, tried.keys, tried.key_help)
             if self.attended
             else contextlib.nullcontext(),
-            _remote(loop, self.control, handlers, reporter),
+            _remote(loop, self.asked.control, handlers, reporter),
             stopped_by(loop, self.stop),
             _compiling(retargeters, loop, reporter),
             contextlib.ExitStack() as first,
@@ -427,14 +357,14 @@ class _Run:
 
             def opened() -> None:
                 nonlocal granted
-                if self.priority == "high":
+                if self.asked.priority == "high":
                     granted = first.enter_context(going_first())
                 first.enter_context(_announced(source, reporter))
                 tried.begin()
                 if self.started is not None:
                     self.started(loop)
 
-            loop.run(self.duration, recorded, started=opened)
+            loop.run(self.asked.duration, recorded, started=opened)
         if begun is not None and self.next_request is not None:
             begun.change(replace(begun.setup, hand=str(self.next_request.hand)))
         seconds = time.perf_counter() - begin
@@ -606,7 +536,7 @@ def _begun_page(page: PageSettings | None, run: _Run) -> Iterator[LivePage | Non
             page.host,
             page.port,
             any(sink.measures for sink in run.acting),
-            run.blind,
+            run.asked.blind,
             None if page.model is None else str(page.model),
             page.meshes,
             arm=run.carrier,

@@ -149,7 +149,7 @@ class TaskTrials:
         )
 
 
-def with_task(sinks: Sequence[str | Sink], task: str | None) -> tuple[str | Sink, ...]:
+def with_task(sinks: Sequence[str], task: str | None) -> tuple[str, ...]:
     """The sinks of a run, the simulation with its task among them.
 
     Raises:
@@ -157,7 +157,7 @@ def with_task(sinks: Sequence[str | Sink], task: str | None) -> tuple[str | Sink
     """
     if task is None:
         return tuple(sinks)
-    if any(isinstance(sink, str) and sink.partition(":")[0] == "mujoco" for sink in sinks):
+    if any(sink.partition(":")[0] == "mujoco" for sink in sinks):
         raise ConfigError(
             f"--task {task} brings its own simulation; leave out --sink mujoco, or --task and "
             f"write --sink mujoco:task={task}"
