@@ -5,7 +5,7 @@
 #
 # WHEELS: folder of wheels that the machine lacks, for one without a network:
 #   python -m pip download --no-deps --only-binary :all: --python-version 3.12 -d WHEELS \
-#     jaxtyping mujoco mujoco-core nlopt tyro typeguard docstring-parser
+#     jaxtyping mujoco mujoco-core tyro typeguard docstring-parser
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
