@@ -8,6 +8,10 @@ import pytest
 
 from smooth_operator.cli import main
 from smooth_operator.cli.options import COMMANDS
+from smooth_operator_research.code import research_digest
+from smooth_operator_research.paper.experiment import experiment_code
+from smooth_operator_research.physics import suite
+from smooth_operator_research.study_simulation import run
 
 RESEARCH = Path(__file__).resolve().parents[1]
 SOURCE = RESEARCH / "src"
@@ -37,3 +41,10 @@ def test_a_command_has_help(words, capsys):
     assert main([*words.split(), "--help"]) == 0
     usage = words.replace("bench --physics", "physics")
     assert f"usage: smooth-operator {usage}" in capsys.readouterr().out
+
+
+def test_the_code_that_results_depend_on_has_a_digest():
+    """A folder that has moved is an error where it is named, also before a long run."""
+    assert experiment_code()
+    assert research_digest(*suite._CODE)
+    assert run._code()

@@ -259,9 +259,8 @@ class ExperimentFolder:
 def experiment_code() -> str:
     """Digest of the code and the models that a cell depends on."""
     return research_digest(
-        "hands", "objective", "solvers", "baselines/slsqp.py",
-        "paper/compared_solvers.py", "paper/nlopt_slsqp.py", "paper/solver_grid.py",
-        "paper/runs.py",
+        "hands", "retargeting", "baselines", "paper/compared_solvers.py", "paper/nlopt_slsqp.py",
+        "paper/solver_grid.py", "paper/runs.py",
     )  # fmt: skip
 
 
