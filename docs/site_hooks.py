@@ -39,6 +39,7 @@ EVIDENCE = {
 _BOOST = {"tutorials": 4.0, "how-to": 4.0, "robots": 3.0, "explanation": 2.0, "evidence": 0.3}
 _LINE = re.compile(r"^\{\{ (public|modules|hands) ?([\w.]*) \}\}$", re.MULTILINE)
 _LINK = re.compile(r"(?<=\]\()([^)\s:#]+)(?=[#)])")
+_PATH = re.compile(r"<code>(research/docs/[\w-]+\.md)</code>")
 _MATH = re.compile(r'<(span|div) class="arithmatex">\\[([](.*?)\\[)\]]</\1>', re.DOTALL)
 
 
@@ -71,8 +72,11 @@ def _with_links_of_the_site(markdown: str, page: File) -> str:
     return _LINK.sub(link, markdown)
 
 
-def on_page_content(content: str, **_: Any) -> str:
-    """Called by mkdocs with the HTML of each page: equations become MathML."""
+def on_page_content(content: str, page: Any, files: Any, **_: Any) -> str:
+    """Called by mkdocs with the HTML of each page: equations become MathML.
+
+    Paths of the evidence, which docstrings of the API name, become links.
+    """
 
     def mathml(match: re.Match[str]) -> str:
         latex = html.unescape(match[2])
@@ -80,7 +84,11 @@ def on_page_content(content: str, **_: Any) -> str:
             return f'<div class="equation">{convert(latex, display="block")}</div>'
         return convert(latex)
 
-    return _MATH.sub(mathml, content)
+    def link(match: re.Match[str]) -> str:
+        target = files.get_file_from_path(site_name(match[1]))
+        return f'<a href="{target.url_relative_to(page.file)}">{match[0]}</a>'
+
+    return _PATH.sub(link, _MATH.sub(mathml, content))
 
 
 def _folder(package: str) -> Path:

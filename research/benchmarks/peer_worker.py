@@ -51,7 +51,7 @@ def wuji_sdk(*_: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     return lambda landmarks, _: list(landmarks.astype(np.float32)), session.step, names
 
 
-def dex_retargeting(_: str, kind: str, urdf: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
+def dex_retargeting(hand: str, kind: str, urdf: str) -> tuple[Prepare, Callable[[Any], Any], Any]:
     from dex_retargeting.constants import (  # type: ignore[import-not-found,unused-ignore]
         HandType,
         RetargetingType,
@@ -63,7 +63,9 @@ def dex_retargeting(_: str, kind: str, urdf: str) -> tuple[Prepare, Callable[[An
     )
 
     RetargetingConfig.set_default_urdf_dir(urdf)
-    path = get_default_config_path(RobotName.leap, RetargetingType[kind], HandType.right)
+    path = get_default_config_path(
+        RobotName[hand.removesuffix("_hand")], RetargetingType[kind], HandType.right
+    )
     retargeter = RetargetingConfig.load_from_file(path).build()
     origin, end = retargeter.optimizer.target_link_human_indices
 
@@ -87,9 +89,9 @@ def main() -> None:
     parser.add_argument("program", choices=list(PROGRAMS))
     parser.add_argument("recording", type=Path)
     parser.add_argument("output", type=Path)
-    parser.add_argument("--hand", default="", help="hand of smooth-operator")
+    parser.add_argument("--hand", default="", help="our name of the hand")
     parser.add_argument("--method", default="", help="method of smooth-operator or dex-retargeting")
-    parser.add_argument("--urdf", default="", help="folder with leap_hand/leap_hand_right.urdf")
+    parser.add_argument("--urdf", default="", help="folder with HAND/HAND_right.urdf")
     options = parser.parse_args()
     build = PROGRAMS[options.program]
     prepare, step, names = build(options.hand, options.method, options.urdf)

@@ -3,13 +3,18 @@
     python research/benchmarks/peers.py GLOVE.npz --frames 0:500 --wuji-python PYTHON \\
         --dex-python PYTHON --dex-urdf FOLDER --authors FOLDER
 
+    # PYTHON is dex/bin/python, FOLDER is dex-urdf/robots/hands
+    python -m venv dex && dex/bin/python -m pip install "dex-retargeting==0.5.0"
+    git clone https://github.com/dexsuite/dex-urdf
+
 Every program runs in a process of its own, in the environment that an option names; processes take
 turns. Those without an environment are left out, with a line that says so. Quality is judged by our
 metrics, on our model of the hand that the peer was made for, where our methods run as well.
 wuji_sdk: the maker's retargeter of the Wuji Hand (its telemetry is switched off). dex-retargeting:
-its settings for the LEAP hand. The authors of "sampling-based retargeting" publish no package:
-files with commands of their code for this recording (``*_frames-A-B.npz``: ``joint_positions``,
-``joint_names``) are judged, without latency.
+its settings for LEAP, Shadow and Allegro. Its Shadow moves the wrist too, which is left out, and
+the two last joints of a finger apart. The authors of "sampling-based retargeting" publish no
+package: files with their code's commands for this recording (``*_frames-A-B.npz``:
+``joint_positions``, ``joint_names``) are judged, without latency.
 """
 
 from __future__ import annotations
@@ -56,6 +61,9 @@ QUIET = {
     "OMP_NUM_THREADS": "1",
 }
 BEYOND_RAD = 1e-3
+DEX_HANDS = ("leap_hand", "shadow_hand", "allegro_hand")
+ALLEGRO_ZERO_RAD = 0.263
+"""Zero of the thumb's first joint in our model, which follows the MJCF, in the URDF's angle."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +77,7 @@ class Settings(ReportSettings):
         methods: METHOD or METHOD:PRESET of ours, on each hand.
         wuji_python: interpreter of an environment with wuji-sdk and NumPy.
         dex_python: interpreter of an environment with dex-retargeting.
-        dex_urdf: folder with leap_hand/leap_hand_right.urdf for it.
+        dex_urdf: folder with HAND/HAND_right.urdf for it, as in dex-urdf.
         authors: folder with commands of the authors' code.
         repeats: processes of each program; latencies are pooled, starts are medians.
     """
@@ -77,7 +85,7 @@ class Settings(ReportSettings):
     recording: Annotated[Path, tyro.conf.Positional]
     frames: str = "0:500"
     rate: float | None = None
-    methods: tuple[str, ...] = ("smooth", "sbr")
+    methods: tuple[str, ...] = ("smooth", "smooth:precise", "sbr")
     wuji_python: Path | None = None
     dex_python: Path | None = None
     dex_urdf: Path | None = None
@@ -155,7 +163,7 @@ def make_programs(settings: Settings, report: Report) -> list[Program]:
     here = Path(sys.executable)
     programs = [
         Program(hand, f"`{method}`", here, ("smooth-operator", "--hand", hand, "--method", method))
-        for hand in ("wuji_hand", "leap_hand", "mimic_p050")
+        for hand in ("wuji_hand", *DEX_HANDS, "mimic_p050")
         for method in settings.methods
     ]
     if settings.wuji_python is None:
@@ -167,8 +175,9 @@ def make_programs(settings: Settings, report: Report) -> list[Program]:
     else:
         python, more = settings.dex_python, ("--urdf", str(settings.dex_urdf))
         programs += [
-            Program("leap_hand", f"dex-retargeting {kind}", python,
-                    ("dex-retargeting", "--method", kind, *more))
+            Program(hand, f"dex-retargeting {kind}", python,
+                    ("dex-retargeting", "--hand", hand, "--method", kind, *more))
+            for hand in DEX_HANDS
             for kind in ("vector", "dexpilot")
         ]  # fmt: skip
     if settings.authors is None:
@@ -191,13 +200,27 @@ def run(program: Program, recording: Path, at: Path, *, counted: bool) -> str:
     with np.load(output) as file:
         q, names, ms = file["q"], file["names"].tolist(), file["ms"]
     hand = load_hand(program.hand, "right")
-    if set(names) != set(hand.joint_names):
-        return f"its joints are {names}, and ours {list(hand.joint_names)}"
+    if kind == "dex-retargeting":
+        names, q = in_our_joints(hand, names, q)
+    if missing := set(hand.joint_names) - set(names):
+        return f"it has no {sorted(missing)}; its joints are {names}"
     program.q = q[:, [names.index(name) for name in hand.joint_names]]
     if counted:
         program.ms.append(ms)
         program.starts.append(answer["first"] - started)
     return ""
+
+
+def in_our_joints(hand: Hand, names: list[str], q: np.ndarray) -> tuple[list[str], np.ndarray]:
+    """Commands for the URDFs of dex-urdf with the names and zeros of our models."""
+    if hand.name == "shadow_hand":
+        return [f"rh_{name}" for name in names], q
+    if hand.name == "allegro_hand":
+        ours = {f"joint_{i}.0": name for i, name in enumerate(hand.joint_names)}
+        return [ours[name] for name in names], np.where(
+            np.array(names) == "joint_12.0", q - ALLEGRO_ZERO_RAD, q
+        )
+    return names, q
 
 
 def authors(settings: Settings, report: Report) -> list[tuple[Hand, str, np.ndarray]]:
