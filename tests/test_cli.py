@@ -363,7 +363,7 @@ LEFT = """
 import atexit, sys, threading, time
 from smooth_operator.cli import process
 atexit.register(lambda: print("tidied up"))
-def done() -> int:
+def done(**_) -> int:
     threading.Thread(target=time.sleep, args=(600,), daemon=True).start()  # does not answer
     threading.Thread(target=lambda: (time.sleep(0.3), print("written"))).start()
     print("done")

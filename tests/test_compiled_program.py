@@ -1,7 +1,6 @@
 """Programs that are traced once: the second process reads them, with the same results."""
 
 import os
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -12,10 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
-from smooth_operator.compilation import batching, cache, compiled_program
+from smooth_operator.compilation import batching, compiled_program
 from smooth_operator.compilation.cache import ProgramCache
 from smooth_operator.compilation.compiled_program import CompiledProgram, program_key
 from smooth_operator.retargeting import program as programs
@@ -27,17 +25,12 @@ TINY = SbrConfig(sampling=SamplingConfig(samples=64, elites=8, cycles=2, draws="
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Iterator[Path]:
-    """The programs of this test alone; JAX's own cache, which all tests share, is not used."""
-    before = jax.config.jax_enable_compilation_cache
-    jax.config.update("jax_enable_compilation_cache", False)
-    compilation_cache.reset_cache()
+    """The programs of this test alone."""
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(programs, "_programs", type(programs._programs)())
         patch.setattr(batching, "_programs", type(batching._programs)())
         yield tmp_path / "programs"
-    jax.config.update("jax_enable_compilation_cache", before)
-    compilation_cache.reset_cache()
 
 
 def forget() -> None:
@@ -76,7 +69,7 @@ def test_it_is_traced_once_and_read_by_the_next(folder):
 
 
 def test_an_error_of_the_program_is_raised_at_once():
-    """An error of the user's own term, say, is no unknown option of XLA: nothing is tried again."""
+    """An error of the user's own term, say: nothing is tried again."""
     traced: list[int] = []
 
     def function(x: Any) -> Any:
@@ -218,47 +211,6 @@ def test_other_methods_too(folder, method):
     assert len(files) == (2 if method == "dexpilot" else 1)
     assert without == made == result(cache=True)
     assert files == {file: file.stat().st_size for file in folder.iterdir()}
-
-
-@pytest.fixture
-def no_folder(folder) -> Iterator[Path]:
-    """JAX has no folder of its own."""
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_enable_compilation_cache", True)
-    jax.config.update("jax_compilation_cache_dir", None)
-    yield folder.parent
-    jax.config.update("jax_compilation_cache_dir", before)
-
-
-def test_jax_keeps_nothing_where_it_can_not_be(no_folder, monkeypatch):
-    (no_folder / "file").touch()
-    for value in ("off", "0", str(no_folder / "file" / "cache")):
-        monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", value)
-        with cache.jax_cache():
-            assert jax.config.jax_compilation_cache_dir is None
-
-
-def test_a_damaged_cache_is_emptied_and_other_warnings_pass(no_folder):
-    with cache.jax_cache():
-        used = Path(jax.config.jax_compilation_cache_dir)
-    (used / "jit-cache").touch()
-    with pytest.warns(UserWarning, match="heed me"), cache.jax_cache(), cache.jax_cache():
-        warnings.warn("heed me", stacklevel=1)
-    assert (used / "jit-cache").exists()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        with cache.jax_cache():
-            warnings.warn("Error reading persistent compilation cache entry", stacklevel=1)
-    assert not (used / "jit-cache").exists()
-
-
-def test_machine_code_is_kept_by_jax_in_a_folder_of_its_own(no_folder):
-    call(program([]))
-    assert jax.config.jax_compilation_cache_dir is None
-    written = {file: file.stat().st_mtime_ns for file in no_folder.rglob("*-cache")}
-    assert {file.parent.name for file in written} == {cache.machine()}
-    assert call(program([])) == (4.5, [0.0, 2.0, 4.0], 1.5)
-    assert written == {f: f.stat().st_mtime_ns for f in no_folder.rglob("*-cache")}
 
 
 def test_a_state_that_comes_back_compiles_nothing(folder, caplog):

@@ -1,25 +1,80 @@
-"""Programs on the calling thread, and which methods want XLA's pool to have one."""
+"""How the command has JAX run, and which methods want XLA's pool to have one thread."""
 
+import json
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 import jax
+import pytest
 
-from smooth_operator.compilation.start import dispatch_here
+from smooth_operator.compilation.start import start_jax
 from smooth_operator.retargeting.presets import method_config
 
 
-def test_the_pool_starts_with_one_thread_and_the_environment_is_left_as_it_was(monkeypatch):
-    monkeypatch.delenv("PJRT_NPROC", raising=False)
-    monkeypatch.delenv("NPROC", raising=False)
-    seen: list[str | None] = []
-    monkeypatch.setattr(jax, "devices", lambda: seen.append(os.environ.get("PJRT_NPROC")))
-    dispatch_here(one_thread=True)
-    assert seen == ["1"]
-    assert "PJRT_NPROC" not in os.environ
-    dispatch_here()
-    monkeypatch.setenv("NPROC", "4")  # the user's own choice
-    dispatch_here(one_thread=True)
-    assert seen == ["1"]
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no choice of cores here")
+@pytest.mark.parametrize("one_thread", [True, False])
+def test_jax_starts_on_one_core_and_the_process_has_all_of_them_afterwards(one_thread, monkeypatch):
+    cores = os.sched_getaffinity(0)
+    seen: list[set[int]] = []
+    monkeypatch.setattr(jax, "devices", lambda: seen.append(os.sched_getaffinity(0)))
+    start_jax(one_thread=one_thread)
+    assert [len(each) for each in seen] == ([1] if one_thread else [])
+    assert os.sched_getaffinity(0) == cores
+
+
+COMMAND = """
+import json, os, sys, warnings
+from pathlib import Path
+from smooth_operator.cli import process
+def work(set_up) -> int:
+    set_up()
+    import jax
+    names = "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs"
+    print(json.dumps([getattr(jax.config, name) for name in names]))
+    jax.jit(lambda x: x * 3)(2.0)
+    for kept in Path(jax.config.jax_compilation_cache_dir).glob("*-cache"):
+        print(kept.name)
+    return 0
+process.main = work
+sys.exit(process.program())
+"""
+
+
+def ran(**variables: str) -> tuple[list[str], str]:
+    """What the command printed: JAX's settings and the kept programs; and its messages."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
+    done = subprocess.run(
+        [sys.executable, "-c", COMMAND],
+        env=environment | {"JAX_PLATFORMS": "cpu"} | variables,
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return done.stdout.splitlines(), done.stderr
+
+
+def test_the_command_sets_jax_up_and_replaces_damaged_machine_code(tmp_path):
+    cache = str(tmp_path / "cache")
+    (settings, *kept), messages = ran(SMOOTH_OPERATOR_CACHE=cache)
+    folder, shortest = json.loads(settings)
+    assert shortest == 0.0
+    assert folder.startswith(cache)
+    assert os.stat(folder).st_mode & 0o777 == 0o700
+    assert kept
+    assert messages == ""
+    files = [Path(folder, name) for name in kept]
+    whole = [file.read_bytes() for file in files]
+    for file in files:
+        file.write_bytes(b"")
+    assert ran(SMOOTH_OPERATOR_CACHE=cache) == ([settings, *kept], "")
+    assert [file.read_bytes() for file in files] == whole
+
+
+def test_a_folder_that_the_user_has_chosen_for_jax_stays(tmp_path):
+    own = str(tmp_path / "own")
+    (settings, *kept), _ = ran(JAX_COMPILATION_CACHE_DIR=own)
+    assert json.loads(settings) == [own, 1.0]
+    assert not kept
 
 
 def test_only_a_wide_sampler_wants_more_threads():

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.retargeting.sbr.sampling import largest
 
 RNG = np.random.default_rng(5)
@@ -50,13 +49,3 @@ def test_numbers_without_columns_enough(count):
     best, index = largest(jnp.asarray(values), 100)
     np.testing.assert_array_equal(best, np.sort(values)[::-1][:100])
     np.testing.assert_array_equal(values[np.asarray(index)], best)
-
-
-def test_wide_vectors_change_no_number():
-    """What is set for long loops gives the same bits."""
-    values = jnp.asarray(USUAL, jnp.float32)
-
-    def loop(x: jax.Array) -> jax.Array:
-        return jnp.sqrt(x) * x + 0.3
-
-    np.testing.assert_array_equal(compiled(loop)(values), compiled(loop, wide=True)(values))

@@ -24,7 +24,6 @@ from jaxtyping import Array, Bool, Float, UInt32
 from smooth_operator.baselines.ako import AkoObjectiveConfig, AkoTargets
 from smooth_operator.baselines.joint_angle import JointAngleMap, PublishedAngles
 from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
-from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.host_method import HostMethod
@@ -158,7 +157,7 @@ class SlsqpMethod(HostMethod):
             return jnp.concatenate([value[None], gradient])
 
         compiling = self.compiling
-        evaluate = compiled(both) if compiling is None else compiling(both, "evaluate")
+        evaluate = jax.jit(both) if compiling is None else compiling(both, "evaluate")
         # compile at the first frame, also if SLSQP is first needed at a later one
         evaluate(np.zeros(ends[-1] + 1, np.float32))
         return evaluate

@@ -6,7 +6,7 @@ import contextlib
 import io
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from smooth_operator.cli.options import Command, parse
 from smooth_operator.errors import SmoothOperatorError
@@ -17,7 +17,7 @@ USER_ERROR = 2
 BROKEN_PIPE = 141  # what shells report for SIGPIPE
 
 
-def run(argv: Sequence[str]) -> int:
+def run(argv: Sequence[str], set_up: Callable[[], object]) -> int:
     """Runs one command; see ``main`` in ``process.py``."""
     _never_fail_on_a_character()
     arguments = list(argv)
@@ -30,6 +30,7 @@ def run(argv: Sequence[str]) -> int:
                 print(f"smooth-operator {package_version()}")
                 return OK
             command = parse(arguments)
+            set_up()
             command.run()
             return OK
         except SystemExit as stop:  # of the parser: help is 0, completion None, a mistake 2

@@ -41,7 +41,7 @@ from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for, stopped
-from smooth_operator.compilation.start import dispatch_here
+from smooth_operator.compilation.start import start_jax
 from smooth_operator.errors import SmoothOperatorError, counted, require
 from smooth_operator.formats.checks import reading_notes
 from smooth_operator.hands.finger_choice import parse_fingers
@@ -177,7 +177,7 @@ def bench(options: Bench) -> None:
     if not options.no_report or options.sheet:
         require("the report (--no-report leaves it out)", "lab", "matplotlib")
     progress = Progressing(options.quiet)
-    dispatch_here()  # before planning, which may start JAX
+    start_jax()  # before planning, which may do so
     # What a user can get wrong comes before what takes long.
     settings = Settings(
         output=options.output,

@@ -39,6 +39,7 @@ def make_shown(request: DatasetRequest, *, quiet: bool, json: bool) -> None:
         SystemExit: 1, if a clip failed, or nothing is in the data set.
     """
     progress = Progressing(quiet)
+    start_jax(one_thread=False)
     for note in request_notes(checked(request.recipe.request)):
         progress.note(note, matters=True)
     shown = _Shown(progress)

@@ -63,7 +63,6 @@ _MARKS: Final[dict[Verdict, tuple[str, str]]] = {
 def check_hand_command(options: Check) -> None:
     """Checks a hand and prints the checklist."""
     from smooth_operator.cli.console import Progressing
-    from smooth_operator.compilation.cache import jax_cache
     from smooth_operator.hand_discovery import check_hand
 
     bar = Progressing(options.quiet).counter("poses", transient=True)
@@ -73,7 +72,7 @@ def check_hand_command(options: Check) -> None:
         yield from bar.track(steps, task_id=task)
         bar.remove_task(task)
 
-    with bar, jax_cache():
+    with bar:
         validation = check_hand(
             options.hand,
             options.side,

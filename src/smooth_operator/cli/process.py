@@ -10,22 +10,26 @@ import signal
 import sys
 import threading
 import time
+import warnings
 
 from smooth_operator.signals import ended_by_signals
 
 TYPE_CHECKING = False  # as typing's, whose import Ctrl-C would interrupt with a traceback
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+    from typing import Any
 
 INTERRUPTED = 130  # what shells report for SIGINT
 _COMPILES = "compile"  # name of the thread of ``smooth_operator.teleop.run`` that compiles
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None, set_up: Callable[[], object] = lambda: None) -> int:
     """Runs one command.
 
     Args:
         argv: the arguments; None for those of the process.
+        set_up: called before the command works, once its arguments are right.
 
     Returns:
         The exit status: 0 done, 1 done but for some recordings or cells (a folder, a benchmark),
@@ -40,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             from smooth_operator.cli.app import run  # here: what it imports takes a while
 
-            return run(sys.argv[1:] if argv is None else argv)
+            return run(sys.argv[1:] if argv is None else argv, set_up)
         except KeyboardInterrupt as stop:  # with advice, where a command has some
             words = "; ".join(("smooth-operator: stopped", *map(str, stop.args)))
             with contextlib.suppress(OSError):
@@ -53,23 +57,66 @@ def program() -> int:
 
     A daemon thread that is still within compiled code (a driver that does not answer, a library)
     asks for the interpreter while that ends, and is unwound through frames that do not expect it:
-    the process aborts, though its work is done. So where one is left, nothing is torn down. One
-    that compiles for a run that has ended is not waited for, either. Neither is anything
-    torn down after a signal: Python would end the process by SIGINT if that came in an ``exec``.
+    the process aborts, though its work is done. So where one is left, the process ends right after
+    its exit functions. It does so after a signal, too: Python would end the process by SIGINT if
+    that came in an ``exec``. One that compiles for a run that has ended is not waited for.
     """
-    status = main()
+    global _status
+    status = main(set_up=_keep_machine_code)
     left = [thread for thread in threading.enumerate() if thread is not threading.current_thread()]
-    daemons = any(thread.daemon or thread.name == _COMPILES for thread in left)
-    if not daemons and status != INTERRUPTED:
-        return status
-    for thread in left:
-        if not thread.daemon and thread.name != _COMPILES:
-            thread.join()
-    atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # its reader is gone
-            stream.flush()
-    os._exit(status)
+    if status == INTERRUPTED or any(thread.daemon for thread in left):
+        _status = status
+    if any(thread.name == _COMPILES for thread in left):
+        _status = status
+        for thread in left:
+            if not thread.daemon and thread.name != _COMPILES:
+                thread.join()
+        _end()
+    return status
+
+
+_status: int | None = None
+"""Exit status of a process that ends without being torn down."""
+
+
+def _end() -> None:
+    if _status is not None:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):  # its reader is gone
+                stream.flush()
+        os._exit(_status)
+
+
+atexit.register(_end)  # before any other, and so called last
+
+
+def _keep_machine_code() -> None:
+    """Has JAX keep machine code in the user's folder, unless the user has chosen another.
+
+    JAX reads these variables when it is imported, and workers inherit them.
+    """
+    from smooth_operator.compilation.cache import jax_folder
+
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ and (folder := jax_folder()) is not None:
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+        _forget_damaged(folder)
+
+
+def _forget_damaged(folder: Path) -> None:
+    """Empties a folder of machine code when JAX warns of a damaged entry, as it would for ever."""
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, *rest: Any) -> None:
+        if str(message).startswith("Error reading persistent compilation cache"):
+            with contextlib.suppress(OSError):
+                for entry in folder.glob("*-cache"):
+                    entry.unlink()
+        else:
+            shown(message, *rest)
+
+    warnings.showwarning = show
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ from typing import Any
 
 from smooth_operator.cli.common_options import Retargeting
 from smooth_operator.cli.console import Progressing
+from smooth_operator.compilation.start import start_jax
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.metrics import Trace
@@ -36,6 +37,7 @@ def execute_shown(todo: Plan, progress: Progressing) -> Outcome:
     """Retargets, with a progress bar."""
     say_notes(todo.config, todo.hand, progress)
     with progress.waiting(f"compiling {todo.method} for {todo.hand.name} (slow the first time)"):
+        start_jax(one_thread=todo.config.one_thread)
         built = build(todo)
     return execute(todo, built, progress.frames("retargeting"))
 

@@ -68,6 +68,8 @@ Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't
 def teleop(options: Teleop) -> None:
     """Runs a teleoperation, with keys in the terminal and what happens on standard error."""
     from smooth_operator.cli.console import Progressing
+    from smooth_operator.compilation.start import start_jax
+    from smooth_operator.retargeting.presets import method_config
     from smooth_operator.teleop.run import PageSettings, teleoperate
 
     if options.no_view and options.model is not None:
@@ -81,6 +83,7 @@ def teleop(options: Teleop) -> None:
         model=options.model,
         meshes=not options.no_meshes,
     )
+    start_jax(one_thread=method_config(options.method, options.preset).one_thread)
     summary = teleoperate(
         options,
         page=None if options.no_view else page,

@@ -88,7 +88,6 @@ def train(options: Train) -> None:
     from smooth_operator.baselines.geort.training_data import GeortTraining, training_data
     from smooth_operator.cli.console import Progressing
     from smooth_operator.cli.outputs import folder_for
-    from smooth_operator.compilation.cache import jax_cache
     from smooth_operator.hands.registry import load_hand
 
     if options.checkpoint_every < 1:
@@ -99,7 +98,7 @@ def train(options: Train) -> None:
         settings = replace(settings, margin=None)
     recordings, held_out = _recordings(options, progress)
     hand = load_hand(options.hand, recordings[0].side)
-    with folder_for(options.output), jax_cache():
+    with folder_for(options.output):
         with progress.waiting("preparing the data"):
             trainer = GeortTrainer(
                 hand, training_data(recordings, hand, settings, held_out), settings

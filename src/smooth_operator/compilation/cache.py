@@ -1,8 +1,8 @@
 """Programs in a folder of this user: the second process neither traces nor compiles.
 
-``ProgramCache`` holds traced programs; JAX's persistent compilation cache, in a folder of its own,
-holds the machine code. Both are read only where no other user can have written them
-(``own_files``). Any number of processes may use the folders.
+``ProgramCache`` holds traced programs. ``jax_folder`` is another folder, in which JAX keeps machine
+code once it is told so: the command tells it, a library user may (docs/reference/methods.md). Both
+are used only where no other user can write (``own_files``), by any number of processes.
 Figures: docs/reference/benchmarks.md, *Start*.
 """
 
@@ -16,22 +16,16 @@ import os
 import platform
 import stat
 import tempfile
-import threading
-import warnings
 from collections.abc import Iterator
 from importlib.metadata import version
 from multiprocessing import parent_process
 from pathlib import Path
-from typing import Any, Final
-
-import jax
-from jax.experimental.compilation_cache import compilation_cache
+from typing import Final
 
 from smooth_operator.errors import DocumentError, OutputError
 from smooth_operator.own_files import (
     OFF,
     SWITCH,
-    file_problem,
     folder_problem,
     make_private,
     read_own_file,
@@ -44,15 +38,6 @@ _DIGEST: Final = 32
 MOST_BYTES: Final = 512 << 20
 """Most bytes in a folder; programs that were used last stay. One has 0.2 to 2 MB."""
 MOST_BYTES_OF_ONE: Final = 256 << 20
-
-_SETTINGS: Final = {
-    "jax_persistent_cache_min_compile_time_secs": 0.0,
-    "jax_persistent_cache_min_entry_size_bytes": -1,
-}
-_DAMAGED: Final = "Error reading persistent compilation cache"
-_lock: Final = threading.Lock()
-_redirection: Final = contextlib.ExitStack()
-_blocks = 0
 
 
 class ProgramCache:
@@ -128,83 +113,23 @@ def _digest(data: bytes) -> bytes:
 
 def program_cache() -> ProgramCache | None:
     """The cache of this user; None if it is switched off (``SWITCH``), or see ``own_folder``."""
-    folder = None if is_off() else _opened(user_cache() / "programs")
+    folder = None if is_off() else own_folder(user_cache() / "programs")
     return None if folder is None else ProgramCache(folder)
+
+
+def jax_folder() -> Path | None:
+    """This user's folder for machine code of this processor, with room for more; None if it is
+    switched off (``SWITCH``), or see ``own_folder``."""
+    folder = None if is_off() else own_folder(user_cache() / machine())
+    if folder is not None:
+        with contextlib.suppress(OSError):
+            make_room(folder)
+    return folder
 
 
 def is_off() -> bool:
     """``SWITCH`` says that nothing is kept."""
     return os.environ.get(SWITCH, "").strip().lower() in OFF
-
-
-@contextlib.contextmanager
-def jax_cache() -> Iterator[None]:
-    """JAX keeps what it compiles in this user's folder while the block runs.
-
-    Afterwards JAX's settings are as they were. Nothing changes where ``SWITCH`` is off, the folder
-    can't be written or is open to other users (``own_folder``), or JAX has a folder already. A
-    damaged entry is removed, where JAX would warn of it for ever. Blocks may be nested, and run on
-    several threads.
-    """
-    global _blocks
-    with _lock:
-        if _blocks == 0:
-            _redirection.enter_context(_redirected())
-        _blocks += 1
-    try:
-        yield
-    finally:
-        with _lock:
-            _blocks -= 1
-            if _blocks == 0:
-                _redirection.close()
-
-
-@contextlib.contextmanager
-def _redirected() -> Iterator[None]:
-    config: Any = jax.config  # its attributes are made at run time
-    unused = not config.jax_enable_compilation_cache or config.jax_compilation_cache_dir
-    folder = None if unused or is_off() else _jax_folder(user_cache() / machine())
-    if folder is None:
-        yield
-        return
-    settings = {"jax_compilation_cache_dir": str(folder), **_SETTINGS}
-    before = {name: getattr(config, name) for name in settings}
-    for name, value in settings.items():
-        config.update(name, value)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("default")
-        yield
-    for name, value in before.items():
-        config.update(name, value)
-    compilation_cache.reset_cache()  # or JAX would go on to use the folder
-    damaged = [each for each in caught if str(each.message).startswith(_DAMAGED)]
-    with contextlib.suppress(OSError):
-        for entry in folder.glob("*-cache"):
-            if damaged:
-                entry.unlink()
-            else:
-                entry.chmod(0o600)  # JAX goes by the umask of the process
-        make_room(folder)
-    for each in caught:
-        if each not in damaged:
-            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
-
-
-@functools.cache
-def _opened(folder: Path) -> Path | None:
-    return own_folder(folder)
-
-
-@functools.cache
-def _jax_folder(folder: Path) -> Path | None:
-    own = own_folder(folder)
-    if own is not None and parent_process() is None:  # a worker's entries may be on their way
-        try:
-            remove_foreign(own)  # JAX opens them by their names, and waits for a pipe
-        except OSError:
-            return None
-    return own
 
 
 @functools.cache
@@ -222,6 +147,7 @@ def machine() -> str:
     return hashlib.sha256("\n".join(features).encode()).hexdigest()[:16]
 
 
+@functools.cache
 def own_folder(folder: Path) -> Path | None:
     """A folder for machine code, its links resolved; it is made if there is none.
 
@@ -236,12 +162,6 @@ def own_folder(folder: Path) -> Path | None:
                 return folder.resolve()
     except OSError:
         return None
-    _warn(problem)
-    return None
-
-
-@functools.cache  # the programs of frames and JAX's own may be under the same folder
-def _warn(problem: str) -> None:
     if parent_process() is None:  # or each worker would say it again
         LOGGER.warning(
             "compiled programs are not kept, so each start compiles: %s; %s may name another "
@@ -249,20 +169,4 @@ def _warn(problem: str) -> None:
             problem,
             SWITCH,
         )
-
-
-def remove_foreign(folder: Path) -> None:
-    """Removes files of a folder for machine code that another user can have written.
-
-    For a reader that opens them by itself: no other user can exchange them in a closed folder.
-
-    Raises:
-        OSError: one can't be removed.
-    """
-    for entry in folder.iterdir():
-        status = entry.lstat()
-        if not stat.S_ISDIR(status.st_mode) and (
-            problem := file_problem(status, MOST_BYTES_OF_ONE)
-        ):
-            LOGGER.info("%s was removed: %s", entry, problem)
-            entry.unlink(missing_ok=True)
+    return None

@@ -1,13 +1,12 @@
 """A function that is traced and compiled once: a second process reads the program.
 
-A traced program is kept with ``jax.export``, its machine code in JAX's compilation cache. A process
-that traces a program runs the exported form too, so results are equal, bit for bit, whether it was
-traced or read.
+The traced program is kept with ``jax.export``. Machine code is kept by JAX's compilation cache, if
+the process has switched it on, as the command does. A process that traces a program runs the
+exported form too, so results are equal, bit for bit, whether it was traced or read.
 """
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import enum
 import functools
@@ -23,7 +22,7 @@ from typing import Any, Final, TypeAlias
 import jax
 import numpy as np
 
-from smooth_operator.compilation.cache import LOGGER, ProgramCache, jax_cache, program_cache
+from smooth_operator.compilation.cache import LOGGER, ProgramCache, program_cache
 from smooth_operator.geometry import on_gpu
 from smooth_operator.hands.hand import Hand, fingerprint
 from smooth_operator.retargeting.method import MethodConfig
@@ -41,61 +40,15 @@ _SETTINGS: Final = (
 )  # fmt: skip
 """Settings of JAX that a traced program depends on."""
 
-_NARROW: Final[dict[str, Any]] = {
-    "xla_cpu_use_fusion_emitters": False,
-    "xla_cpu_experimental_ynn_fusion_type": "",
+_LOOPS_ON_GPU: Final = {
+    "xla_gpu_enable_command_buffer": "FUSION,CUBLAS,CUBLASLT,CUDNN,CUSTOM_CALL,"
+    "DYNAMIC_SLICE_FUSION,CONDITIONAL,WHILE",
 }
-_OPTIONS: Final[dict[str, dict[str, Any]]] = {
-    "narrow": _NARROW,
-    "wide": {**_NARROW, "xla_cpu_prefer_vector_width": 512},
-    "graphs": {
-        "xla_gpu_enable_command_buffer": "FUSION,CUBLAS,CUBLASLT,CUDNN,CUSTOM_CALL,"
-        "DYNAMIC_SLICE_FUSION,CONDITIONAL,WHILE",
-        "xla_gpu_graph_min_graph_size": 1,
-    },
-}
-"""Sets of options of XLA. With ``graphs`` loops and branches run on the GPU too; XLA's default
-starts their kernels from the host."""
+"""Option of XLA, from the list of flags in JAX's documentation: loops run on a GPU, where the host
+would start their kernels."""
 
 _Signature: TypeAlias = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], str]
 """Structure, shapes and kinds of the arguments, and the platform that they are on."""
-
-
-def compiled(function: Callable[..., Any], *, wide: bool = False) -> Callable[..., Any]:
-    """``jax.jit`` with the options that suit programs of one frame.
-
-    Args:
-        wide: most of its time goes to long loops over many numbers, which a processor with vectors
-            of 512 bits is to run in such vectors; XLA prefers 256.
-    """
-    return jax.jit(function, compiler_options=_known_options(wide))
-
-
-def _known_options(wide: bool, graphs: bool = False) -> dict[str, Any] | None:
-    """Options with which a program starts sooner on a CPU and its loops suit the processor, and
-    with which a GPU is not waited for; None for those of XLA.
-
-    XLA's newer emitter of fused loops takes 1.6 s longer over this program, and the program is no
-    faster for it. The options are XLA's own and may go: where one is unknown, the next are tried.
-    """
-    if on_gpu():
-        names = ["graphs"] if graphs else []
-    elif jax.default_backend() == "cpu":
-        names = ["wide", "narrow"] if wide else ["narrow"]
-    else:
-        names = []
-    return next((_OPTIONS[name] for name in names if _is_known(name)), None)
-
-
-@functools.cache
-def _is_known(name: str) -> bool:
-    """True if XLA compiles a trivial program with these options. A program of its own tells an
-    unknown option from an error of the program that the options are for."""
-    try:
-        jax.jit(lambda x: x, compiler_options=_OPTIONS[name])(np.float32(0))
-    except Exception:  # what XLA raises for an unknown option has changed between versions
-        return False
-    return True
 
 
 def program_key(
@@ -124,8 +77,8 @@ class CompiledProgram:
         config: the method's settings.
         constants: ``Method.constants``.
         cached: it is read from the user's cache, and written there.
-        graphs: on a GPU its loops run there (``_OPTIONS``): more frames a second where a loop has
-            long turns; a frame alone takes a tenth longer.
+        graphs: on a GPU its loops run there: more frames a second where a loop has long turns; a
+            frame alone takes a tenth longer.
     """
 
     def __init__(
@@ -138,8 +91,7 @@ class CompiledProgram:
         cached: bool = True,
         graphs: bool = False,
     ) -> None:
-        self._function, self._cached, self._wide = function, cached, not config.one_thread
-        self._graphs = graphs
+        self._function, self._cached, self._graphs = function, cached, graphs
         self._key = functools.partial(program_key, hand, config, *name, constants=constants)
         self._run: Callable[..., Any] | None = None
         self._programs: dict[_Signature, Callable[..., Any]] = {}
@@ -154,7 +106,7 @@ class CompiledProgram:
                 self._run = None  # a program takes no other shapes, and no tracers
         signature = _signature(arguments)
         if signature is None:
-            return compiled(self._function, wide=self._wide)(*arguments)
+            return jax.jit(self._function)(*arguments)
         with self._lock:
             run = self._programs.get(signature)
             if run is None:
@@ -181,9 +133,8 @@ class CompiledProgram:
                 function = _exported(cache, _file_name(key, signature), function, arguments).call
             except Exception as error:  # a program that can't be exported is still a program
                 LOGGER.info("a program can't be kept: %s", error)
-        with jax_cache() if function is not self._function else contextlib.nullcontext():
-            options = _known_options(self._wide, self._graphs)
-            run = jax.jit(function, compiler_options=options).lower(*arguments).compile()
+        options = _LOOPS_ON_GPU if self._graphs and on_gpu() else None
+        run = jax.jit(function, compiler_options=options).lower(*arguments).compile()
         return run, run(*arguments)
 
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.datasets.clip import Clip, Frame, RobotClip
 from smooth_operator.datasets.quality import NO_LIMITS, Dropped, Limits, select
 from smooth_operator.datasets.readers.packed import clip_of_row
@@ -82,7 +81,6 @@ class RetargetClips:
         **request: Any,
     ) -> None:
         with one_thread(os.getpid()) as start_threads:
-            dispatch_here()
             hand = checked(make_request(**request))
             self._recipe = Recipe(hand, reading or ReadingOptions(), frame, side)
             self._limits = NO_LIMITS if limits is None else Limits(**limits)

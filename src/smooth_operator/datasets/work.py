@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from multiprocessing import parent_process
 from pathlib import Path
 
-from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.datasets.clip import RATE, Clip, clip_part, with_side
 from smooth_operator.datasets.registry import DATASETS, ClipRef
 from smooth_operator.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
@@ -84,7 +83,6 @@ def do_job(job: Job) -> list[Entry]:
     Raises:
         OutputError: the pack can't be written.
     """
-    dispatch_here()
     return finish_job(job, *read_job(job))
 
 

@@ -11,9 +11,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.compilation.cache import jax_cache
 from smooth_operator.compilation.start import build_retargeter as build_retargeter
-from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import frame_slice, stamps_from_rate
 from smooth_operator.hands.hand import Hand
@@ -60,20 +58,14 @@ def runner(todo: Plan) -> Runner:
 def build(todo: Plan) -> tuple[Runner, float]:
     """A retargeter for the plan, compiled; for presets that need it one of whole recordings.
 
-    Two settings of the process change: JAX's compilation cache is switched on (see
-    ``jax_cache``), and programs run on the calling thread (see
-    ``dispatch_here``).
-
     Returns:
         the retargeter, and how long it took until it could give its first command [s].
     """
     if not isinstance(todo.config, TrajectoryMethodConfig):
         return build_retargeter(todo.hand, todo.config, todo.seed, todo.pinch_gaps)
     started = time.perf_counter()
-    dispatch_here()
-    with jax_cache():
-        whole = runner(todo)
-        whole.warm_up()
+    whole = runner(todo)
+    whole.warm_up()
     return whole, time.perf_counter() - started
 
 
@@ -110,14 +102,11 @@ def measure(
 def checked(request: RetargetRequest) -> RetargetRequest:
     """A request whose every part is possible, so that it does not fail once per recording.
 
-    As ``build``, it lets JAX run on the calling thread.
-
     Raises:
         UnknownNameError: there is no such hand or finger.
         SmoothOperatorError: the method can't serve the hand.
         ConfigError: scale, rate, frames or operator can't be.
     """
-    dispatch_here()
     hand = _hand(request)
     if request.operator is not None:
         request.operator.check(hand.spec.side)
@@ -168,8 +157,6 @@ def tools_of(todo: Plan) -> object:
 def answers(plans: Sequence[Plan], *, keep: bool = True) -> list[Answer]:
     """Answers of the recordings of some plans, side by side (``Retargeter.batch``).
 
-    Programs run on the calling thread, and JAX's compilation cache is switched on.
-
     Args:
         plans: not empty, all with the same ``tools_of``.
         keep: retargeters that are built and compiled, for the next plans.
@@ -177,10 +164,8 @@ def answers(plans: Sequence[Plan], *, keep: bool = True) -> list[Answer]:
     Raises:
         SmoothOperatorError: a recording can't be retargeted.
     """
-    dispatch_here()
-    with jax_cache():  # the first batch compiles
-        retargeter: Runner = _shelved(runner, plans[0]) if keep else runner(plans[0])
-        return retargeter.batch([each.recording for each in plans])
+    retargeter: Runner = _shelved(runner, plans[0]) if keep else runner(plans[0])
+    return retargeter.batch([each.recording for each in plans])
 
 
 def built_for(todo: Plan) -> tuple[Runner, float]:

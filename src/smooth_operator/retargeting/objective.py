@@ -158,9 +158,7 @@ class Objective:
         measure-zero kinks of smooth-L1.
         """
         near = self._near(q, goal)
-        apart: Any = jax.lax.optimization_barrier  # has no types
-        # XLA folds a transpose into the product, and then multiplies by a slower kernel
-        hessian = apart(near.weighted.T) @ near.rows
+        hessian = near.weighted.T @ near.rows
         total = jnp.asarray(self.kinematics.moves.T, q.dtype) @ near.moments
         joints = self.hand.coupling_matrix[np.array(self.kinematics.order)]
         slope, curvature = self.kinematics.derivatives(near.motion, total)

@@ -17,7 +17,6 @@ from smooth_operator.calibration.operator_file import (
     read_operator,
     write_operator,
 )
-from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.errors import ConfigError, require
 from smooth_operator.hand_files.spec_writer import temporary_spec
 from smooth_operator.hand_files.vendor_model import drawn_on
@@ -400,7 +399,6 @@ def _built(
         if not blind:
             for note in config.notes(hand):
                 reporter.note(note, matters=True)
-        dispatch_here(one_thread=config.one_thread)
         gaps = request.known_gaps(source_gaps(source))
         retargeters[side] = Retargeter(hand, config=config, seed=request.seed, pinch_gaps=gaps)
     return retargeters

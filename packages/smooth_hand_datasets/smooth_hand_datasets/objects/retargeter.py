@@ -32,8 +32,6 @@ from smooth_hand_datasets.objects.terms import (
     object_frames,
 )
 from smooth_operator import poses
-from smooth_operator.compilation.cache import jax_cache
-from smooth_operator.compilation.start import dispatch_here
 from smooth_operator.datasets.clip import Clip
 from smooth_operator.datasets.retargeting import whole_config
 from smooth_operator.errors import RecordingError
@@ -203,9 +201,7 @@ def _retargeter(hand: Hand, config: TrajectoryMethodConfig, seed: int) -> Object
     key = (fingerprint(hand), config, seed)
     retargeter = _RETARGETERS.pop(key, None)
     if retargeter is None:
-        dispatch_here()
-        with jax_cache():
-            retargeter = ObjectAwareRetargeter(hand, config, seed=seed)
+        retargeter = ObjectAwareRetargeter(hand, config, seed=seed)
     _RETARGETERS[key] = retargeter
     while len(_RETARGETERS) > _KEPT:
         _RETARGETERS.popitem(last=False)

@@ -31,7 +31,6 @@ from smooth_hand_datasets.objects.contacts import Contacts, Scene
 from smooth_hand_datasets.objects.hand_surface import HandSurface
 from smooth_hand_datasets.objects.signed_distance import FAR_M, Shape, signed_distance
 from smooth_operator import poses
-from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.geometry import AnyArray
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
@@ -188,7 +187,7 @@ class ObjectCosts:
         def many(shapes: tuple[Shape, ...], x: Array, frame: ObjectFrame) -> Any:
             return jax.vmap(lambda one, at: self.frame_cost(shapes, one, at))(x, frame)
 
-        self._costs: Callable[..., Any] = compiled(many)
+        self._costs: Callable[..., Any] = jax.jit(many)
 
     @property
     def limits(self) -> Float[np.ndarray, "6 2"]:

@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sequence
 from smooth_operator.atomic_files import claimed
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for, stopped
-from smooth_operator.compilation.cache import jax_cache
-from smooth_operator.compilation.start import dispatch_here
+from smooth_operator.compilation.start import start_jax
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
 from smooth_operator_research.commands.options import Ablate, Experimenting, Paper
@@ -43,7 +42,7 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
         KeyboardInterrupt: stopped; what is finished is kept.
     """
     progress = Progressing(options.quiet)
-    dispatch_here()  # before anything starts JAX
+    start_jax()  # before anything else does
     if options.quick and options.published:
         raise ConfigError("--quick and --published ask for different sizes: give one of them")
     settings = Settings(
@@ -64,7 +63,7 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
         judged = "" if trial else f"; {name}: {held} of {len(outcome.verdicts)} claims held"
         progress.note(f"{len(outcomes)} of {len(names)} experiments done{judged}")
 
-    with folder_for(options.output), claimed(options.output), jax_cache():
+    with folder_for(options.output), claimed(options.output):
         try:
             run_experiments(
                 settings, sources, _track(progress), done,

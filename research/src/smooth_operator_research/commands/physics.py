@@ -14,7 +14,7 @@ from smooth_operator.benchmark.suite import REPORT
 from smooth_operator.cli.bench import SOME_FAILED, cell_progress, comma_words
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for, stopped
-from smooth_operator.compilation.start import dispatch_here
+from smooth_operator.compilation.start import start_jax
 from smooth_operator.errors import require
 from smooth_operator_research.commands.options import Physics
 from smooth_operator_research.physics.measure import PhysicsSettings
@@ -48,7 +48,7 @@ def physics(options: Physics) -> None:
     if not options.no_report:
         require("the report (--no-report leaves it out)", "lab", "matplotlib")
     progress = Progressing(options.quiet)
-    dispatch_here()  # before planning, which may start JAX
+    start_jax()  # before planning, which may do so
     hands = comma_words(options.hands)
     settings = PhysicsSettings(
         measures=tuple(dict.fromkeys(options.measures)),

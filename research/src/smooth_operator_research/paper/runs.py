@@ -22,7 +22,6 @@ from jaxtyping import Array, Bool, Float
 
 from smooth_operator.benchmark.quality import Watch
 from smooth_operator.benchmark.recordings import Source
-from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
@@ -227,7 +226,7 @@ def _target_program(objective: SampledObjective) -> Callable[..., tuple[Targets,
     def step(landmarks: Array, state: Any) -> tuple[Targets, Any]:
         return policy(state, layout, layout.human(landmarks))
 
-    return compiled(step)
+    return jax.jit(step)
 
 
 @lru_cache(maxsize=16)
@@ -240,7 +239,7 @@ def _settling_program(objective: SampledObjective) -> Callable[..., Array]:
             lambda one: objective.value_grad_hess(one, goal), q, limits, NEWTON_CONFIG
         )[0]
 
-    return compiled(settle)
+    return jax.jit(settle)
 
 
 CHUNK: Final = 20
@@ -395,12 +394,12 @@ def _program(objective: SampledObjective, solver: CompiledSolver) -> _Program:
 
         return jax.lax.scan(frame, q, frames)[1]
 
-    return _Program(compiled(program))
+    return _Program(jax.jit(program))
 
 
 @lru_cache(maxsize=16)
 def _evaluation(objective: SampledObjective) -> Callable[..., Array]:
-    return compiled(slsqp_objective(objective))
+    return jax.jit(slsqp_objective(objective))
 
 
 def _on_host(

@@ -36,7 +36,6 @@ from smooth_operator.baselines.geort.training_data import (
     PointSet,
     TrainingData,
 )
-from smooth_operator.compilation.compiled_program import compiled
 from smooth_operator.errors import (
     ConfigError,
     OutputError,
@@ -363,7 +362,7 @@ class GeortTrainer:
 
     @cached_property
     def _program(self) -> Any:
-        return compiled(self._epoch)
+        return jax.jit(self._epoch)
 
     def _epoch(
         self, weights: Weights, optimiser: Any, epoch: Array, batches: Batch, judging: Batch | None
