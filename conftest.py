@@ -51,9 +51,8 @@ def _set_up_environment() -> None:
     # Compiling is most of the time of most tests: with few optimisations it takes half as long, and
     # programs that run a few hundred frames win.
     os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-    # An operation outside of a program compiles in 60 % of the time without XLA's newer emitter of
-    # loops, which the package's programs go without, too. XLA ends a process for a flag that it
-    # doesn't know, so other versions have none.
+    # Programs compile in half the time without XLA's newer emitter of loops. XLA ends a process for
+    # a flag that it doesn't know, so other versions have none.
     lock = HOME / "requirements.lock"
     locked = lock.read_text(encoding="utf-8").split() if lock.is_file() else []
     if f"jaxlib=={metadata.version('jaxlib')}" in locked:
@@ -193,23 +192,11 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A compilation cache for a test file's processes, of which this one forgets in the end."""
-    import jax
-    from jax.experimental.compilation_cache import compilation_cache
-
-    settings = (
-        "jax_compilation_cache_dir",
-        "jax_persistent_cache_min_compile_time_secs",
-        "jax_persistent_cache_min_entry_size_bytes",
-    )
-    before = {name: getattr(jax.config, name) for name in settings}
+    """A folder of programs for a test file's processes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.delenv("SMOOTH_OPERATOR_DEBUG", raising=False)
         yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-    compilation_cache.reset_cache()
 
 
 @pytest.fixture

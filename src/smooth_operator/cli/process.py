@@ -108,15 +108,15 @@ def _forget_damaged(folder: Path) -> None:
     """Empties a folder of machine code when JAX warns of a damaged entry, as it would for ever."""
     shown = warnings.showwarning
 
-    def show(message: Warning | str, *rest: Any) -> None:
+    def show(message: Warning | str, *rest: Any, **more: Any) -> None:
         if str(message).startswith("Error reading persistent compilation cache"):
             with contextlib.suppress(OSError):
                 for entry in folder.glob("*-cache"):
                     entry.unlink()
         else:
-            shown(message, *rest)
+            shown(message, *rest, **more)
 
-    warnings.showwarning = show
+    warnings.showwarning = show  # type: ignore[assignment]  # its other arguments pass through
 
 
 @contextlib.contextmanager
