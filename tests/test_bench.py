@@ -200,7 +200,7 @@ def test_the_terminal_shows_the_table_and_the_failures_once(done):
     assert "sbr:tiny" in done.out
     assert done.out.count("not a recording") == 1
     assert "broken on mimic_p050 right, all 2 methods" in done.out
-    assert "left out" in done.err  # said before the long work
+    assert "skipped" in done.err  # said before the long work
     assert "2 to go" not in done.err  # the broken cells are no work
     assert "3 of 4 cells failed" in done.err
 
@@ -380,7 +380,7 @@ def test_ctrl_c_keeps_what_is_finished(recordings, tmp_path, monkeypatch):
     monkeypatch.setattr(suite, "measure_cell", stopped)
     status, stdout, stderr = captured(arguments)
     assert (status, stdout) == (130, "")
-    assert "run the same command to continue" in stderr
+    assert "run the same command again to continue" in stderr
     assert not (out / "results.json").exists()
     assert len(list((out / "cells").glob("*.npz"))) == 1
     status, stdout, stderr = captured(arguments)

@@ -218,7 +218,7 @@ def test_calibrate_and_retarget(tmp_path, run):
     out = tmp_path / "new" / "operator.json"
     status, text, err = run("calibrate", glove, "--output", out)
     assert status == 0, err
-    assert "closes at [mm]" in text
+    assert "gap [mm]" in text
     assert (tmp_path / "new" / "operator.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     status, text, err = run(
         "calibrate", glove, "--output", out, "--json", "--quiet", "--frames", ":1500"
@@ -273,7 +273,7 @@ def test_what_calibrate_refuses(tmp_path, run):
     mine.write_text('{"thesis": 1}', encoding="utf-8")
     cases = {
         ("--output", tmp_path / "operator.txt"): "the name must end in .json",
-        ("--output", mine): "something other than a calibration",
+        ("--output", mine): "is not a calibration",
         ("--output", tmp_path / "o.json", "--frames", ":5"): "frames show a whole hand",
     }
     for arguments, message in cases.items():
@@ -320,7 +320,7 @@ def test_a_benchmark_measures_again_for_other_fingers_or_another_operator(tmp_pa
         )  # fmt: skip
         assert status == 0, err
         (row,) = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
-        return row, "need no measuring again" in err
+        return row, "not measured again" in err
 
     first, _ = bench()
     assert bench() == (first, True)

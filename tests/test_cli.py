@@ -63,7 +63,7 @@ def test_demo_writes_a_consistent_folder(run, tmp_path):
     assert status == 0, err
     assert "retargeting" in err
     assert len(re.findall(r"^(good|look|–) +[A-Z0-9]", out, re.MULTILINE)) == 5
-    assert "Next: smooth-operator teleop" in out
+    assert "Next: try smooth-operator teleop" in out
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     plots = {
         f"plots/{name}.{kind}"

@@ -298,8 +298,8 @@ def test_the_robot_does_not_go_on_without_frames():
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"session": 1}, "the tracker was started again"),
-        ({"world": "elsewhere"}, "the tracker was started again"),
+        ({"session": 1}, "the tracker was restarted"),
+        ({"world": "elsewhere"}, "the tracker was restarted"),
         ({"pose": wrist(0.09)}, "the wrist jumped"),
         ({"pose": wrist(turn=(0, 0, 0.9))}, "the wrist jumped"),
     ],

@@ -756,7 +756,7 @@ def test_the_rate_is_of_those_without_stamps(tmp_path, run):
 def test_a_dataset_never_becomes_another_unasked(tmp_path, run):
     root = write(tmp_path, episode(), "lerobot")
     status, err = run(root, "--output", tmp_path / "back")
-    assert (status, "say --to npz, mcap or hdf5" in err) == (2, True)
+    assert (status, "use --to npz, mcap or hdf5" in err) == (2, True)
     assert not (tmp_path / "back").exists()
     assert run(root, "--to", "npz", "--output", tmp_path / "back")[0] == 0
     assert run(root, "--to", "lerobot", "--output", tmp_path / "again")[0] == 0
@@ -813,8 +813,8 @@ def test_outputs_that_make_no_sense(tmp_path, run):
     for arguments, match in (
         ((a, "--output", tmp_path / "x.csv"), "names no format: use .mcap, .npz, .h5"),
         ((a, "--output", tmp_path / "x.npz", "--to", "mcap"), "that of npz and --to says mcap"),
-        ((a, b, "--output", tmp_path / "x.npz"), "2 episodes, which do not go into one file"),
-        ((a, "--fps", 30, "--output", tmp_path / "x.npz"), "--fps is of LeRobot datasets"),
+        ((a, b, "--output", tmp_path / "x.npz"), "2 episodes, which do not fit into the single file"),
+        ((a, "--fps", 30, "--output", tmp_path / "x.npz"), "--fps applies only to LeRobot datasets"),
         ((a, "--fps", 0, "--output", tmp_path / "x"), "fps must be a whole number"),
         ((a, "--episode", 0, "--output", tmp_path / "x.npz"), "--episode is of LeRobot datasets"),
         ((a, b, "--commands", a, "--output", tmp_path / "x"), "the commands of one"),

@@ -609,7 +609,7 @@ def test_the_command_stops_resumes_and_ends_the_same(run, operator, tmp_path, mo
     status, err = run(*start, whole)
     assert status == 0, err
     assert "assuming right" in err
-    assert "no pinch was recorded" in err
+    assert "the recordings contain no pinch" in err
     assert "3/3 epochs" in err
     assert "validation: direction" in err
 

@@ -210,7 +210,7 @@ def test_the_monitor_shows_the_hand_and_moves_nothing(capsys, device, hand):
     assert "waits for the first command" in capsys.readouterr().out
     assert not any(fake.count("write") for fake in made)
     assert main(["hardware", "monitor", "mujoco"]) == 2
-    assert "is no real hand" in capsys.readouterr().err
+    assert "is not a real hand" in capsys.readouterr().err
 
 
 def test_the_check_writes_the_users_table(capsys, device, tmp_path, monkeypatch):

@@ -108,7 +108,7 @@ def test_a_method_of_ones_own_is_named_by_its_module():
         (f"{__name__}:EMPTY", ConfigError, "has no preset"),
         (f"{__name__}:Path", ConfigError, "can't be a method: it must be a MethodConfig"),
         (f"{__name__}:Unset", ConfigError, "not a class that needs arguments"),
-        (f"{__name__}:NONE", ConfigError, "has no 'NONE'. methods by name: sbr, smooth"),
+        (f"{__name__}:NONE", ConfigError, "has no 'NONE'. Available methods: sbr, smooth"),
         ("srb", UnknownNameError, "Did you mean 'sbr'?"),
         ("srb:paper", UnknownNameError, "unknown method"),
     ],
@@ -147,7 +147,7 @@ def test_a_broken_plugin_is_an_error_only_where_it_is_asked_for(broken, monkeypa
         assert "cracked" not in live_presets()
         assert "cracked" not in {choice.method for choice in select_methods(("all",))}
     says = f"{broken} (of cracks) can't be imported: RuntimeError: no licence"
-    assert capsys.readouterr().err == f"method 'cracked' is left out: {says}\n"  # once
+    assert capsys.readouterr().err == f"method 'cracked' is skipped: {says}\n"  # once
     with pytest.raises(ConfigError, match=re.escape(says)):
         method_config("cracked")
 
@@ -173,7 +173,7 @@ def test_a_plugins_hand_is_a_spec_file_or_a_folder(broken, monkeypatch, capsys):
     assert hand_names()[len(HANDS.built_in) :] == ("cracked", "other")
     assert {*known_hands()} == {*HANDS.built_in}
     notes = capsys.readouterr().err
-    assert "hand 'cracked' is left out: broken_plugin:CONFIG (of cracks)" in notes
+    assert "hand 'cracked' is skipped: broken_plugin:CONFIG (of cracks)" in notes
     with pytest.raises(HandModelError, match="describes the hand 'allegro_hand'; expected 'other'"):
         load_hand("other")
     with pytest.raises(HandModelError, match=r"MODELS: expected one hand in .*models, not"):
@@ -230,7 +230,7 @@ def test_a_plugins_reader_recognises_its_files(broken, monkeypatch, tmp_path, ca
     with pytest.raises(RecordingError, match=r"own \.h5 file, a \.rows file and a \.wrong file"):
         read_recording(tmp_path / "a.other")
     notes = capsys.readouterr().err.splitlines()
-    assert [note.partition(" is left out")[0] for note in notes] == [
+    assert [note.partition(" is skipped")[0] for note in notes] == [
         "reader 'cracked'",
         "reader 'thing'",
     ]
@@ -275,8 +275,8 @@ def test_a_plugins_metric_is_measured_and_shown(broken, monkeypatch, capsys):
     assert values["travel"] == pytest.approx(3.0)
     assert values["fails"] is None
     notes = capsys.readouterr().err
-    assert "metric 'fails' is left out: ZeroDivisionError: no frames" in notes
-    assert "metric 'cracked' is left out: broken_plugin:CONFIG" in notes
+    assert "metric 'fails' is skipped: ZeroDivisionError: no frames" in notes
+    assert "metric 'cracked' is skipped: broken_plugin:CONFIG" in notes
     assert "SEVERAL can't be a metric: it must be a Metric called 'other'" in notes
     with pytest.raises(ConfigError, match=r"extra must not give metrics .* travel"):
         evaluate(trace, extra={"travel": 1.0})

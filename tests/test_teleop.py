@@ -496,7 +496,7 @@ class Unfinished(Sink):
         (["--hand", "mimic_p05"], "Did you mean 'mimic_p050'"),
         (["--operator", "/nowhere/operator.json"], "/nowhere"),
         (["--safety.stale-s", "-1"], "stale_s must be positive"),
-        (["--model", "hand.xml"], "--no-view leaves the page out"),
+        (["--model", "hand.xml"], "--no-view disables the page"),
     ],
 )
 def test_what_teleop_says_of_mistakes(arguments, words, capsys, nothing_slow):

@@ -1,8 +1,8 @@
-"""One error family: every message says what was expected, what came, and what to do.
+"""One error family: every message states what was expected, what was found, and what to do.
 
-All errors derive from ``SmoothOperatorError``, so a caller can catch the family; the ones
-that are about a value also derive from ``ValueError``, those about a missing thing from the
-matching built-in, so that code which knows nothing of this package still catches them.
+All errors derive from ``SmoothOperatorError``, so a caller can catch the family; errors about a
+value also derive from ``ValueError``, and errors about something missing from the matching built-in
+class, so that code that does not know this package can still catch them.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ __all__ = (
     "RemoteError", "RemoteRefusedError", "SinkError", "SmoothOperatorError", "SourceError",
     "StudyError", "UnknownNameError",
 )  # fmt: skip
-"""The public ones; the rest is for this package."""
+"""Public names; the rest is for use inside this package."""
 
 
 class SmoothOperatorError(Exception):
-    """Base of every error that this package raises on purpose; control characters of a file's text
-    stand in its own as escapes."""
+    """Base of every error that this package raises on purpose; control characters from a file's
+    text are escaped in its message."""
 
     def __str__(self) -> str:
         return printable(super().__str__())
@@ -45,11 +45,11 @@ class ConfigError(SmoothOperatorError, ValueError):
 
 
 class StudyError(SmoothOperatorError, ValueError):
-    """The plan or the data of a user study can't be used, or do not carry an analysis."""
+    """The plan or the data of a user study can't be used, or are not sufficient for an analysis."""
 
 
 class DocumentError(SmoothOperatorError, ValueError):
-    """A JSON or TOML text is not one, or is beyond the bounds of what is parsed."""
+    """A JSON or TOML text is malformed, or exceeds the limits of the parser."""
 
 
 class OutputError(SmoothOperatorError, OSError):
@@ -67,10 +67,11 @@ class MissingExtraError(SmoothOperatorError, ImportError):
 
 
 def require(feature: str, extra: str, *libraries: str) -> None:
-    """Checks that the libraries (top-level modules) of an extra are there; imports none of them.
+    """Checks that the libraries (top-level modules) of an extra are installed, without importing
+    them.
 
     Raises:
-        MissingExtraError: one is missing; ``feature`` needs it.
+        MissingExtraError: a library that ``feature`` needs is missing.
     """
     for name in libraries:
         if sys.modules.get(name) is None and find_spec(name) is None:
@@ -78,7 +79,7 @@ def require(feature: str, extra: str, *libraries: str) -> None:
 
 
 class SourceError(SmoothOperatorError, RuntimeError):
-    """A live source of hand frames can't be opened, or gave up."""
+    """A live source of hand frames can't be opened, or failed."""
 
 
 class SinkError(SmoothOperatorError, RuntimeError):
@@ -86,11 +87,11 @@ class SinkError(SmoothOperatorError, RuntimeError):
 
 
 class RemoteError(SmoothOperatorError, RuntimeError):
-    """A teleoperation that runs elsewhere does not answer, or its answer can't be read."""
+    """A teleoperation in another process does not answer, or its answer can't be read."""
 
 
 class RemoteRefusedError(RemoteError):
-    """The other program answers that it can't do what was requested."""
+    """The other program reports that it can't do what was requested."""
 
 
 class WorkerError(SmoothOperatorError, RuntimeError):
@@ -101,10 +102,10 @@ class UnknownNameError(SmoothOperatorError, KeyError):
     """A name that is not in a catalogue (hand, method, preset, landmark, joint).
 
     Args:
-        kind: what was looked up, e.g. ``"hand"``.
-        name: the name that came.
-        available: the names that exist; a close one is suggested.
-        more: what else may help, a sentence.
+        kind: kind of the name, such as ``"hand"``.
+        name: unknown name.
+        available: known names; a similar one is suggested.
+        more: further advice, one sentence.
     """
 
     def __init__(self, kind: str, name: str, available: Iterable[str], more: str = "") -> None:
@@ -120,9 +121,9 @@ class UnknownNameError(SmoothOperatorError, KeyError):
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """`` Did you mean 'sbr'?``, for a message; empty if no name is close.
+    """`` Did you mean 'sbr'?``, for a message; empty if no name is similar.
 
-    Close is a name with the same words in it, such as ``brainco_revo2`` to ``revo2``, or one with
+    A name is similar if it contains the same words, such as ``brainco_revo2`` and ``revo2``, or has
     nearly the same letters.
     """
     bare = {one.lstrip("-"): one for one in names}  # the dashes of options are like any others
@@ -141,19 +142,19 @@ _SHOWN: Final = 80
 
 
 def brief(value: object, most: int = _SHOWN) -> str:
-    """The ``repr`` of a value, cut where it is too long for a message."""
+    """The ``repr`` of a value, shortened if it is too long for a message."""
     text = repr(value)
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def reason(error: object, most: int = 2 * _SHOWN) -> str:
-    """Text of another library's error on one line, cut to ``most`` characters."""
+    """Text of another library's error on one line, shortened to ``most`` characters."""
     text = " ".join(str(error).split())
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def listed(names: Iterable[object], most: int = 12) -> str:
-    """Names in a row for a message, the first ones where there are many."""
+    """Lists names for a message; only the first ones if there are many."""
     words = [str(name) for name in names]
     shown = [word if len(word) <= 40 else f"{word[:37]}..." for word in words[:most]]
     return ", ".join(shown) + (f" and {len(words) - most} more" if len(words) > most else "")

@@ -10,11 +10,11 @@ DISTRIBUTION: Final = "smooth-retargeting"
 """Name of the distribution; ``smooth-operator`` on the package index is another program."""
 
 UPGRADE: Final = "git pull && python -m pip install ."
-"""The commands that bring a newer version of this program, in a clone."""
+"""Commands that update this program, in a clone."""
 
 
 def install_command(extra: str) -> str:
-    """The command that adds an extra: from the folder that this was installed from, or by name."""
+    """Command that installs an extra, from the folder of the installation or by name."""
     folder, options = _installed_from()
     if folder is None:
         return f'python -m pip install "{DISTRIBUTION}[{extra}]"'
@@ -23,7 +23,8 @@ def install_command(extra: str) -> str:
 
 @functools.cache
 def _installed_from() -> tuple[Path | None, str]:
-    """Folder of the project that was installed, None for a wheel; and options of the command."""
+    """Folder from which the project was installed (None for a wheel), and options of the install
+    command."""
     import json  # here, for who misses something: these take 20 ms
     from importlib.metadata import PackageNotFoundError, distribution
     from urllib.parse import urlsplit

@@ -1,8 +1,8 @@
 """Registries of methods, hands, sources, sinks, readers, metrics and commands, open to plugins.
 
-A name stands for a built-in part, for one that an installed distribution offers under the entry
-point group ``smooth_operator.<kind>s``, or is itself ``package.module:attribute``. Nothing is
-imported before it is asked for, so an absent extra or a broken plugin costs nothing until then.
+A name denotes a built-in part, or a part that an installed distribution offers under the entry
+point group ``smooth_operator.<kind>s``, or it has the form ``package.module:attribute``. A part is
+imported only when it is used, so a missing extra or a broken plugin has no effect before.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Entry:
     """One named part.
 
     Attributes:
-        target: place of the object, ``package.module:attribute``.
+        target: location of the object, ``package.module:attribute``.
         summary: one line for ``--help``.
         distribution: installed distribution that offers it; empty for a built-in part.
     """
@@ -43,7 +43,7 @@ class Entry:
     distribution: str = ""
 
     def load(self) -> Any:
-        """The object; imports its module.
+        """Imports the module and returns the object.
 
         Raises:
             ConfigError: there is no such module or attribute, or its module can't be imported.
@@ -62,7 +62,7 @@ class Entry:
                 raise _broken(where, error) from error  # a module that it needs
             raise ConfigError(
                 f"{where}: there is no module {error.name!r}: install the distribution that "
-                "has it, or start in the folder that has it"
+                "contains it, or start in the folder that contains it"
             ) from error
         except Exception as error:  # of foreign code: anything
             raise _broken(where, error) from error
@@ -80,7 +80,7 @@ def _broken(where: str, error: Exception) -> ConfigError:
 
 @functools.cache
 def _installed(group: str) -> dict[str, Entry]:
-    """Parts that installed distributions offer, by name. Read once in a process."""
+    """Parts that installed distributions offer, by name. They are read once per process."""
     from importlib.metadata import entry_points  # here, since the import takes a while
 
     parts: dict[str, Entry] = {}
@@ -96,16 +96,18 @@ def _note_once(text: str) -> None:
 
 
 class Registry(Mapping[str, Entry]):
-    """Parts of one kind by name: the built-in ones first, then those of installed distributions.
+    """Registry of the parts of one kind by name: built-in parts first, then those of installed
+    distributions.
 
-    A built-in name can't be taken over by a plugin.
+    A plugin can't replace a built-in part.
 
     Args:
-        kind: kind of part in one word, for messages: ``sink``.
-        built_in: name -> part.
-        needs: names of the attributes that every part has.
-        advice: remedy for a missing attribute, for the message.
-        elsewhere: name -> where to get a part of another distribution, for the message.
+        kind: kind of part, for messages, such as ``sink``.
+        built_in: maps names to built-in parts.
+        needs: names of the attributes that every part must have.
+        advice: advice on a missing attribute, for the message.
+        elsewhere: maps the name of a part of another distribution to advice on how to get it, for
+            the message.
     """
 
     def __init__(
@@ -124,20 +126,20 @@ class Registry(Mapping[str, Entry]):
 
     @property
     def group(self) -> str:
-        """The entry point group in which a distribution offers parts of this kind."""
+        """Entry point group in which distributions offer parts of this kind."""
         return f"{PREFIX}{self.kind}s"
 
     @property
     def plugins(self) -> dict[str, Entry]:
-        """Name -> part of installed distributions, and those that were added."""
+        """Maps names to the parts of installed distributions and to added parts."""
         offered = {**_installed(self.group), **self._added}
         return {name: entry for name, entry in offered.items() if name not in self.built_in}
 
     def add(self, name: str, entry: Entry) -> None:
-        """Adds a part to this process alone, such as one that the command line names.
+        """Adds a part in this process only, for example one that the command line names.
 
         Raises:
-            ConfigError: a built-in part has the name, or an installed one that is another.
+            ConfigError: a built-in part or a different installed part has the name.
         """
         present = self.get(name)
         if present is not None and present.target != entry.target:
@@ -155,15 +157,15 @@ class Registry(Mapping[str, Entry]):
         return len(self.built_in) + len(self.plugins)
 
     def split(self, text: str) -> tuple[str, str]:
-        """A name and what follows it.
+        """Splits a text into a name and the rest.
 
         Args:
-            text: ``NAME`` or ``package.module:attribute``, alone or with ``:REST`` or ``,REST``
-                after it.
+            text: ``NAME`` or ``package.module:attribute``, optionally followed by ``:REST`` or
+                ``,REST``.
 
         Returns:
-            The name, which may be ``package.module:attribute``, and the rest, without the sign
-            between them. A name that is in the registry goes before a module that is called so.
+            The name, which may be ``package.module:attribute``, and the rest, without the
+            separator. A name in the registry takes precedence over a module of the same name.
         """
         name, rest = [*re.split("[:,]", text, maxsplit=1), ""][:2]
         target = _TARGET.match(text)
@@ -173,11 +175,11 @@ class Registry(Mapping[str, Entry]):
         return (target[0], after[1:]) if not after or after[0] in ":," else (name, rest)
 
     def find(self, name: str) -> Entry:
-        """The part of a name, or of ``package.module:attribute``.
+        """Returns the part with a name, or that of ``package.module:attribute``.
 
         Raises:
             UnknownNameError: there is no such name.
-            ConfigError: the name is of a distribution that is not installed.
+            ConfigError: the name belongs to a distribution that is not installed.
         """
         if name in self:
             return self[name]
@@ -188,7 +190,7 @@ class Registry(Mapping[str, Entry]):
         raise UnknownNameError(self.kind, name, self)
 
     def load(self, name: str) -> Any:
-        """The object of a name, or of ``package.module:attribute``.
+        """Imports and returns the object with a name, or that of ``package.module:attribute``.
 
         Raises:
             UnknownNameError: there is no such name.
@@ -200,15 +202,15 @@ class Registry(Mapping[str, Entry]):
         try:
             return entry.load()
         except ConfigError as error:  # perhaps a name was meant, and misspelt
-            raise ConfigError(f"{error}. {self.kind}s by name: {', '.join(self)}") from error
+            raise ConfigError(f"{error}. Available {self.kind}s: {', '.join(self)}") from error
 
     def loadable(self, load: Callable[[str], _Part] | None = None) -> dict[str, _Part]:
-        """Name -> object of all parts; a plugin's that can't be loaded is left out.
+        """Maps the name of every part to its object; skips parts of plugins that can't be loaded.
 
-        A note on standard error says so, once.
+        For each skipped part, a note is printed once on standard error.
 
         Args:
-            load: gives the object of a name; ``Registry.load`` if left out.
+            load: returns the object of a name. Default: ``Registry.load``.
         """
         parts: dict[str, _Part] = {}
         for name in self:
@@ -217,14 +219,14 @@ class Registry(Mapping[str, Entry]):
             except SmoothOperatorError as error:
                 if name in self.built_in:
                     raise
-                _note_once(f"{self.kind} {name!r} is left out: {error}")
+                _note_once(f"{self.kind} {name!r} is skipped: {error}")
         return parts
 
     def check(self, name: str, part: object) -> None:
-        """Refuses an object that lacks what a part of this kind needs, or a class of such.
+        """Refuses an object or class that lacks an attribute of this kind of part.
 
         Raises:
-            ConfigError: an attribute in ``needs`` is absent, or a class leaves a method abstract.
+            ConfigError: an attribute in ``needs`` is missing, or a method of the class is abstract.
         """
         missing = (
             sorted(getattr(part, "__abstractmethods__", ()))
@@ -238,16 +240,16 @@ class Registry(Mapping[str, Entry]):
             )
 
     def describe(self) -> str:
-        """The names with their summaries, a line each."""
+        """Returns the names with their summaries, one per line."""
         width = max(map(len, self), default=0)
         return "\n".join(f"  {name:{width}}  {self[name].summary}" for name in self)
 
 
 def is_target(text: str) -> bool:
-    """True for ``package.module:attribute``; a module without a dot must exist.
+    """Returns True for ``package.module:attribute``. A module without a dot must exist.
 
-    So a misspelt name with an argument (``repaly:glove.npz``) is not taken for a module. From then
-    on Python finds the modules of the current folder, after all others, if that one is there.
+    Therefore a misspelt name with an argument (``repaly:glove.npz``) is not taken for a module. If
+    the module is in the current folder, that folder is appended to Python's search path.
     """
     match = _TARGET.fullmatch(text)
     if match is None:

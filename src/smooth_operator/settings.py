@@ -1,4 +1,4 @@
-"""Checks of settings: frame rates, and numbers that JAX may trace, as when they are tuned."""
+"""Checks of settings: frame rates, and numbers that JAX may trace, for example while tuning."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ from typing import Final
 from smooth_operator.errors import ConfigError
 
 RATE_RANGE_HZ: Final = (1.0, 2000.0)
-"""Bounds [Hz] on a tracker's median rate. Stamps of 2 to 1000 Hz in another unit fall outside."""
+"""Bounds [Hz] on a tracker's median rate. Timestamps of 2 to 1000 Hz in another unit fall
+outside."""
 
 LARGEST: Final = 1e9
-"""Largest magnitude of a setting; its square still has a finite product with another one."""
+"""Largest magnitude of a setting. The product of its square and another setting is still finite."""
 
 
 def check_frame_rate(rate: float | None) -> None:
-    """Refuse a frame rate [Hz] that no tracker has; None passes.
+    """Refuse an implausible frame rate [Hz]; None is accepted.
 
     Raises:
         ConfigError: the rate is outside ``RATE_RANGE_HZ``, or NaN.
     """
     low, high = RATE_RANGE_HZ
     if rate is not None and not low <= rate <= high:
-        raise ConfigError(f"rate must be {low:g} to {high:g} frames a second, not {rate:g}")
+        raise ConfigError(f"rate must be {low:g} to {high:g} frames per second, not {rate:g}")
 
 
 def is_off(setting: object) -> bool:
@@ -31,10 +32,10 @@ def is_off(setting: object) -> bool:
 
 
 def check_choice(config: object, name: str, options: Iterable[str]) -> None:
-    """Check that a field of a configuration is one of some words.
+    """Check that a field of a configuration is one of the allowed words.
 
     Raises:
-        ConfigError: it is another; the message names the field and the words.
+        ConfigError: it is not; the message names the field and the allowed words.
     """
     value, words = getattr(config, name), [repr(option) for option in options]
     if repr(value) not in words:
@@ -42,10 +43,10 @@ def check_choice(config: object, name: str, options: Iterable[str]) -> None:
 
 
 def check_range(name: str, value: object, low: float, high: float, unit: str = "") -> None:
-    """Refuse a number outside ``low`` to ``high``, or NaN; None and traced values pass.
+    """Refuse a number outside ``low`` to ``high``, or NaN. None and traced values are accepted.
 
     Raises:
-        ConfigError: the number is refused; names the setting, its range and the number.
+        ConfigError: the number is outside; the message names the setting, its range and the number.
     """
     if isinstance(value, int | float) and not low <= value <= high:
         unit = f" {unit}" if unit else ""
@@ -60,10 +61,10 @@ def check_numbers(
     not_negative: Iterable[str] = (),
     finite: Iterable[str] = (),
 ) -> None:
-    """Check fields of a configuration; None and traced values pass.
+    """Check fields of a configuration. None and traced values are accepted.
 
-    No field may exceed ``LARGEST``, so infinity never stands for "no limit": arithmetic with it
-    ends in NaN.
+    No field may exceed ``LARGEST``: infinity can't be used for "no limit", because arithmetic with
+    it ends in NaN.
 
     Args:
         prefix: prefix of a field's name in the message.
@@ -72,7 +73,7 @@ def check_numbers(
         finite: names of fields that may have either sign.
 
     Raises:
-        ConfigError: a field is not so, or is NaN; the message names it.
+        ConfigError: a field violates its condition or is NaN; the message names it.
     """
     for name in positive:
         value = getattr(config, name)

@@ -46,25 +46,29 @@ class Status(enum.IntEnum):
     SOLVER_FAILED = 3
     """The solver's result was not finite."""
     IMPLAUSIBLE_HAND = 4
-    """The landmarks are no human hand of the robot's side, by their size in metres or shape."""
+    """The landmarks do not have the size [m] or shape of a human hand of the robot's side."""
 
     def __str__(self) -> str:
-        """The name: ``OK``; the default of integers would be ``0``."""
+        """The name, ``OK``, instead of the ``0`` of an integer."""
         return self.name
 
     @property
     def reason(self) -> str:
-        """A sentence for a person."""
+        """Human-readable explanation of the status, one sentence."""
         return _REASONS[self]
 
 
 _REASONS = {
     Status.OK: "ok",
-    Status.INVALID_LANDMARKS: "a needed landmark is missing or not finite; last good command held",
+    Status.INVALID_LANDMARKS: (
+        "a required landmark is missing or not finite; last good command held"
+    ),
     Status.DEGENERATE_PALM: "palm landmarks are collinear or coincident; last good command held",
     Status.SOLVER_FAILED: "the solver found no finite command; last good command held",
-    Status.IMPLAUSIBLE_HAND: "the landmarks are no hand of this side in metres, by its size or "
-    "shape (unit, order or side may be wrong); last good command held",
+    Status.IMPLAUSIBLE_HAND: (
+        "the landmarks do not have the size [m] or shape of a hand of this side (unit, order or "
+        "side may be wrong); last good command held"
+    ),
 }
 
 
@@ -75,21 +79,21 @@ class HandFrame:
     Attributes:
         landmarks: (21, 3) positions [m], in the order of ``LANDMARKS``, in any right-handed frame
             (retargeting aligns it to the robot's palm).
-        stamp: time of the measurement [s]; None for a tracker without stamps, for which a live
-            source and a call of the retargeter use the time of arrival.
+        stamp: timestamp of the measurement [s]. None for a tracker without timestamps; a live
+            source and a call of the retargeter then use the time of arrival.
         side: side of the hand.
         valid: (21,) False for landmarks without a trustworthy value. Default: finite landmarks are
             valid.
         metacarpals: (4, 3) metacarpal bases of index .. pinky [m], if the tracker has them.
         orientations: (21, 4) landmark orientations, quaternion wxyz, if known.
-        T_world_wrist: (7,) pose of the wrist in the world, x y z [m] and unit quaternion wxyz, axes
-            as in docs/reference/conventions.md; all NaN if not valid now; None for a tracker
-            without it.
+        T_world_wrist: (7,) pose of the wrist in the world, x y z [m] and unit quaternion wxyz, with
+            axes as in docs/reference/conventions.md. All NaN if the wrist is not valid in this
+            frame; None if the tracker does not measure it.
         world: name of that world frame.
 
     Raises:
-        RecordingError: an array has the wrong shape, or the stamp is of a type whose steps are over
-            1 ms at this time.
+        RecordingError: an array has the wrong shape, or the type of the timestamp has a resolution
+            coarser than 1 ms at this time.
     """
 
     landmarks: Float[np.ndarray, "21 3"]
@@ -106,8 +110,9 @@ class HandFrame:
         stamp: object = self.stamp
         if isinstance(stamp, np.floating) and (step := np.spacing(stamp)) > 1e-3:
             raise RecordingError(
-                f"the stamp is a {stamp.dtype}, which near {stamp:g} s counts in steps of {step:g} "
-                "s: keep stamps as float64, or count from the start of the recording"
+                f"the timestamp is a {stamp.dtype}, which near {stamp:g} s has a resolution "
+                f"of {step:g} s: store timestamps as float64, or count from the start of the "
+                "recording"
             )
         _set(self, "stamp", None if self.stamp is None else float(self.stamp))
         _set(self, "side", as_side(self.side))
@@ -125,15 +130,15 @@ class HandFrame:
 
     @property
     def time(self) -> float:
-        """The stamp [s], which the frame must have.
+        """Timestamp of the frame [s], which must be present.
 
         Raises:
-            RecordingError: the frame has no stamp.
+            RecordingError: the frame has no timestamp.
         """
         if self.stamp is None:
             raise RecordingError(
-                "the hand frame has no stamp; give it the time of the measurement in seconds: "
-                "HandFrame(landmarks, stamp=...)"
+                "the hand frame has no timestamp; set the time of the measurement in "
+                "seconds: HandFrame(landmarks, stamp=...)"
             )
         return self.stamp
 
@@ -144,7 +149,7 @@ class HandRecording:
 
     Attributes:
         landmarks: (T, 21, 3) positions [m].
-        stamps: (T,) strictly increasing times [s].
+        stamps: (T,) strictly increasing timestamps [s].
         side: side of the hand.
         valid: (T, 21) False for a missing landmark. Default: finite landmarks are valid.
         metacarpals: (T, 4, 3) metacarpal bases [m] or None.
@@ -214,7 +219,7 @@ class HandRecording:
 
     @property
     def duration(self) -> float:
-        """Last stamp minus first stamp [s]."""
+        """Last timestamp minus first timestamp [s]."""
         return float(self.stamps[-1] - self.stamps[0]) if len(self) else 0.0
 
 
@@ -225,7 +230,7 @@ class JointCommand:
     Attributes:
         joint_positions: (n,) joint positions [rad] of all joints, coupled ones included.
         joint_names: (n,) joint names, in the model's own order.
-        stamp: stamp of the answered hand frame [s].
+        stamp: timestamp of the hand frame from which the command was computed [s].
     """
 
     joint_positions: Float[np.ndarray, " n"]
@@ -246,11 +251,11 @@ class Result:
     """Result of retargeting one hand frame.
 
     Attributes:
-        command: joint positions; the last good ones unless the status is OK.
-        status: ``OK`` if the command answers the frame, else the reason.
+        command: joint positions; those of the last good command unless the status is OK.
+        status: ``OK`` if the command was computed from this frame, otherwise the reason why not.
         latency_ms: time from landmarks to command [ms].
         tracking_loss: weighted keyvector loss of the command, first term of Eq. (1).
-        scale: robot size over human size in this frame's alignment.
+        scale: ratio of robot size to human size in this frame's alignment.
     """
 
     command: JointCommand
@@ -268,13 +273,14 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class CommandTrajectory:
-    """A sequence of joint commands with stamps, latencies and status; the content of ``OUT.npz``.
+    """A sequence of joint commands with timestamps, latencies and status; the content of
+    ``OUT.npz``.
 
     Attributes:
         joint_positions: (T, n) positions of all joints in the model's order, coupled ones included
             [rad].
         joint_names: (n,) joint names.
-        stamps: (T,) stamps of the hand frames [s].
+        stamps: (T,) timestamps of the hand frames [s].
         latency_ms: (T,) time from landmarks to command [ms].
         status: (T,) ``Status`` values.
     """
@@ -318,7 +324,8 @@ def _set_optional(obj: HandFrame | HandRecording, *count: int) -> None:
 
 
 def unit_poses(poses: Float[np.ndarray, "*n 7"]) -> Float[np.ndarray, "*n 7"]:
-    """Poses with unit quaternions; all NaN where a number is not finite or there is no rotation."""
+    """Poses with normalised quaternions; all NaN where a number is not finite or the quaternion is
+    zero."""
     size = np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
     good = (size > 1e-6) & (size < 1e6) & np.isfinite(poses).all(axis=-1, keepdims=True)
     other = good & (np.abs(size - 1.0) > 1e-12)  # a unit one stays as it is, to the last bit

@@ -337,7 +337,7 @@ def test_a_condition_is_typed_with_its_method_and_preset():
     [
         (["--tasks", "A:many"], "NAME:TRIALS:OPERATORS"),
         (["--conditions", "sbr"], "two conditions"),
-        (["--questionnaires", "none", "final"], "goes with no other"),
+        (["--questionnaires", "none", "final"], "can't be combined with others"),
         (["--baseline", "ako"], "unknown baseline"),
         (["--primary", "speed/pooled"], "unknown outcome of the primary endpoint"),
         (["--primary", "tlx/A", "--questionnaires", "none"], "needs questionnaires"),

@@ -1,6 +1,6 @@
 """The command line: ``smooth-operator demo``, ``retarget`` and ``view``.
 
-What is heavy (JAX, MuJoCo, matplotlib, viser) is imported inside the command that needs it.
+Heavy libraries (JAX, MuJoCo, matplotlib, viser) are imported inside the command that needs them.
 """
 
 from smooth_operator.cli.process import main as main

@@ -1,4 +1,5 @@
-"""Runs a command: arguments to exit status; the only place where errors become messages."""
+"""Runs a command and returns its exit status. This is the only place that turns errors into
+messages."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from smooth_operator.terminal import print_note
 
 OK = 0
 USER_ERROR = 2
-BROKEN_PIPE = 141  # what shells report for SIGPIPE
+BROKEN_PIPE = 141  # exit status that shells report for SIGPIPE
 
 
 def run(argv: Sequence[str], set_up: Callable[[], object]) -> int:
@@ -33,10 +34,11 @@ def run(argv: Sequence[str], set_up: Callable[[], object]) -> int:
             set_up()
             command.run()
             return OK
-        except SystemExit as stop:  # of the parser: help is 0, completion None, a mistake 2
+        # The parser exits with 0 after help, None after completion and 2 after a mistake.
+        except SystemExit as stop:
             return stop.code if isinstance(stop.code, int) else USER_ERROR if stop.code else OK
         finally:
-            sys.stdout.flush()  # here, where a broken pipe can still be answered
+            sys.stdout.flush()  # Flush here, where a broken pipe can still be handled.
     except BrokenPipeError:
         _drop_output()
         return BROKEN_PIPE
@@ -58,7 +60,7 @@ def _complain(message: str) -> None:
 
 
 def _never_fail_on_a_character() -> None:
-    # A console of Windows may know neither "m²" nor "→"; a question mark beats a traceback.
+    # A Windows console may not support "m²" or "→"; a question mark is better than a traceback.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")

@@ -52,27 +52,29 @@ from smooth_operator.metrics import Metric
 _MOST_PANELS: Final = 8
 _MOST_NAMED: Final = 4
 _WIDTH_OF_NAME, _WIDTH_OF_COLUMN, _FEWEST = 20, 11, 5
-"""About the width of a method's name and of a column [characters]; columns of any terminal."""
+"""Approximate width of a method's name and of a column, and number of columns that fit any
+terminal."""
 _ORDER: Final = (
     "finger_extension_error", "pinch_touch_share", "pinch_deep_share", "motion_preservation",
     "self_collision.share", "latency_ms.p50", "finger_direction_error_deg", "jumps_per_1000",
     "cosine_similarity", "thumb_direction_error_deg", "flatness", "scale_ratio",
     "workspace_utilisation",
 )  # fmt: skip
-"""Columns that a narrow terminal shows first; the report has all."""
+"""Columns in the order in which a narrow terminal shows them; the report has all columns."""
 _STYLES: Final = {"better": "green", "worse": "red", "same": ""}
 _SIGNS: Final = {"better": " ▲", "worse": " ▼", "same": ""}
 
 
 def print_results(rows: Sequence[Row]) -> None:
-    """The main metrics of each method, per recording and overall, and which method for what."""
+    """Prints the main metrics of each method, per recording and overall, and the recommended
+    methods."""
     console = output_console()
     shown = _columns(console)
     panels = by_panel(rows)
     if len(panels) <= _MOST_PANELS:
         for (recording, hand, side), own in panels.items():
             if all(row["status"] != "ok" for row in own):
-                continue  # said below, once
+                continue  # printed once, below the tables
             console.print(_table(f"{recording} on {hand} {side}", lines_of(own), shown))
     for hand, own in by_hand(rows).items():
         count = len({row["recording"] for row in own if row["status"] == "ok"})
@@ -85,7 +87,7 @@ def print_results(rows: Sequence[Row]) -> None:
     if any(row["status"] == "ok" for row in rows):
         hidden = len(columns()) - len(shown)
         more = counted(hidden, "more column") if hidden else ""
-        more = more and f"; {more} in the report, or in a wider terminal"
+        more = more and f"; the report and wider terminals show {more}"
         console.print(f"* best{more}", style="dim")
     for footnote in footnotes(rows):
         console.print(Text(footnote), soft_wrap=True)
@@ -169,13 +171,13 @@ def _columns(console: Console) -> list[Metric]:
 
 
 SOME_FAILED = 1
-"""Exit status where everything was done, but some cells have a reason in place of figures."""
+"""Exit status of a finished run in which some cells failed."""
 
 
 def bench(options: Bench) -> None:
-    """Looks everything up, measures, writes, prints."""
+    """Checks the request, measures, writes the results and prints the tables."""
     if not options.no_report or options.sheet:
-        require("the report (--no-report leaves it out)", "lab", "matplotlib")
+        require("the report (use --no-report to skip it)", "lab", "matplotlib")
     progress = Progressing(options.quiet)
     start_jax()  # before planning, which may do so
     # What a user can get wrong comes before what takes long.
@@ -244,14 +246,14 @@ def bench(options: Bench) -> None:
 
 
 def comma_words(text: str) -> tuple[str, ...]:
-    """The words of a text with commas between them."""
+    """Splits a string at its commas."""
     return tuple(word for word in (part.strip() for part in text.split(",")) if word)
 
 
 def _say_what_is_odd(cells: Sequence[Cell], progress: Progressing) -> None:
     for source in dict.fromkeys(cell.source for cell in cells):
         if source.error is not None:
-            progress.note(f"left out: {source.error}", matters=True)
+            progress.note(f"skipped: {source.error}", matters=True)
         elif source.recording is not None:
             for note in reading_notes(source.recording, source.name):
                 progress.note(note, matters=True)
@@ -263,7 +265,7 @@ def _say_what_is_odd(cells: Sequence[Cell], progress: Progressing) -> None:
         try:
             hand = load_hand(cell.hand, cell.side, fingers=cell.fingers)
         except SmoothOperatorError:
-            continue  # the cell says so itself
+            continue  # The cell's own line says so.
         notes |= {*cell.config.notes(hand), *filter(None, [stand_in_note(hand)])}
     for note in sorted(notes):
         progress.note(note, matters=True)
@@ -273,12 +275,13 @@ def cell_progress(
     progress: Progressing,
     what: str = "cells",
 ) -> Callable[[str, int, int], contextlib.AbstractContextManager[Advance]]:
-    """Progress on a terminal as a bar with the time left, elsewhere as a line for each cell."""
+    """Progress display: a bar with the remaining time on a terminal, otherwise one line per
+    cell."""
 
     @contextlib.contextmanager
     def phase(name: str, total: int, done: int) -> Iterator[Advance]:
         if done:
-            progress.note(f"{name}: {done} of {total} {what} need no measuring again")
+            progress.note(f"{name}: {done} of {total} {what} are unchanged and not measured again")
         if done == total:
             yield lambda label, reason: None
             return

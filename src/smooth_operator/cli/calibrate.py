@@ -1,4 +1,4 @@
-"""``smooth-operator calibrate``: an operator's pinches into a file, with a report."""
+"""``smooth-operator calibrate``: measures an operator's pinches and writes a file and a report."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Ordered, Common, Quiet):
-    """Measure the gaps that a tracker leaves in an operator's pinches; a file for --operator."""
+    """Measure the gaps that a tracker leaves in an operator's pinches and write a file for
+    --operator."""
 
     work: ClassVar[str] = "smooth_operator.cli.calibrate:calibrate_recording"
     details: ClassVar[
         str
-    ] = """Many trackers keep thumb and finger apart where they touch. smooth closes that gap. It
-knows the gaps of MediaPipe (webcam, video), finds small ones while one works, and needs a
-calibration for a tracker with large gaps that are not known.
+    ] = """Many trackers report a gap between thumb and finger when they touch. The method smooth
+closes this gap. The gaps of MediaPipe (webcam, video) are built in, and small gaps are estimated
+while the operator works. A tracker with large, unknown gaps needs a calibration.
 
-A recording should show, for some seconds each and in any order, a light pinch of the thumb with
-each finger, pad on pad. With --source the operator is asked for them, one after the other. With
-OPERATOR.json come OPERATOR.png (distances and pinches on a time line) and OPERATOR.report.json.
+A recording should show a light pinch of the thumb with each finger, pad on pad, for a few seconds
+each and in any order. With --source, the program asks the operator for one pinch after the other.
+Besides OPERATOR.json, it writes OPERATOR.png (distances and pinches over time) and
+OPERATOR.report.json.
 
 Examples:
   smooth-operator calibrate glove.npz --output operator.json
@@ -39,31 +41,31 @@ Examples:
 """
 
     recording: Annotated[Positional[Path | None], arg(metavar="RECORDING")] = None
-    """The operator's hand: MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or .mcap; not with
-    --source."""
+    """Recording of the operator's hand: MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or
+    .mcap. Can't be combined with --source."""
 
     source: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
-    """A live source instead of a recording, as for teleop: pinches are asked for one after the
-    other, half a minute in all."""
+    """Live source to use instead of a recording, as for teleop. The program asks for one pinch
+    after the other; this takes about half a minute."""
 
     output: Annotated[Path, arg(metavar="OPERATOR.json")]
-    """File to write; an earlier calibration there is replaced."""
+    """File to write. An earlier calibration of that name is replaced."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Hand side. Default: the side of the recording; for a source, right."""
+    """Hand side. Default: the side of the recording, or right for a live source."""
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames, as a Python slice: :500, 2600:3100, -500:"""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames per second of a recording without time stamps [Hz]."""
+    """Frame rate of a recording without timestamps [Hz]."""
 
     json: bool = False
-    """Print the report as one JSON object on standard output, and nothing else there."""
+    """Print only the report, as one JSON object, on standard output."""
 
 
 def calibrate_recording(options: Calibrate) -> None:
-    """Reads, calibrates, writes three files, prints what was found."""
+    """Reads the recording, calibrates, writes three files and prints the result."""
     from smooth_operator.atomic_files import atomic_write
     from smooth_operator.calibration.estimate import calibrate, report
     from smooth_operator.calibration.operator_file import write_operator
@@ -86,7 +88,7 @@ def calibrate_recording(options: Calibrate) -> None:
     else:
         side = options.side or "right"
         recording, segments = ask(build_source(options.source, side), side, progress)
-    with progress.waiting("looking for pinches"):
+    with progress.waiting("searching for pinches"):
         calibration = calibrate(recording, segments)
     content = {
         "program": PROGRAM,
@@ -113,9 +115,7 @@ def _read(options: Calibrate, progress: Progressing) -> HandRecording:
     from smooth_operator.formats.readers import read_recording
 
     if options.recording is None:
-        raise ConfigError(
-            "there is nothing to calibrate on: name a recording, or a live source with --source"
-        )
+        raise ConfigError("nothing to calibrate: name a recording, or a live source with --source")
     recording = read_recording(
         options.recording, rate=options.rate, side=options.side, layout=options.layout
     )
@@ -127,10 +127,10 @@ def _read(options: Calibrate, progress: Progressing) -> HandRecording:
 
 
 def _check_output(output: Path) -> tuple[Path, Path]:
-    """Paths of the picture and of the figures.
+    """Paths of the picture and of the report.
 
     Raises:
-        OutputError: the name does not end in .json, or something other than a calibration has it.
+        OutputError: the name does not end in .json, or the file exists and is not a calibration.
     """
     from smooth_operator.calibration.operator_file import read_operator
 
@@ -141,8 +141,8 @@ def _check_output(output: Path) -> tuple[Path, Path]:
             read_operator(output)
         except ConfigError:
             raise OutputError(
-                f"can't write {str(output)!r}: it holds something other than a calibration; choose "
-                "another name, or remove it first"
+                f"can't write {str(output)!r}: the file exists and is not a calibration; "
+                "choose another name, or remove the file first"
             ) from None
     return output.with_suffix(".png"), output.with_suffix(".report.json")
 
@@ -156,7 +156,7 @@ def _print(content: dict[str, Any]) -> None:
         f"{content['frames']} frames used, palm {content['palm_length_mm']:.0f} mm long",
         markup=False,
     )
-    table = plain_table(None, ("finger", "pinches", "sure", "closes at [mm]", "note"), left=1)
+    table = plain_table(None, ("finger", "pinches", "sure", "gap [mm]", "note"), left=1)
     for name, finger in content["fingers"].items():
         times, gap = len(finger["segments"]), finger["pinch_gap_mm"]
         table.add_row(

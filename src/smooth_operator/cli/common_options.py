@@ -30,10 +30,10 @@ class Common:
     Attributes:
         work: ``package.module:function``, called with the options. It is imported when the command
             runs, so that ``--help`` loads none of it. It raises ``SmoothOperatorError`` with the
-            reason where the command can't be done (status 2), ``SystemExit`` with the status of a
-            run that is done in part, and ``KeyboardInterrupt`` where it was stopped (130).
-        details: help below the first line of the class's docstring.
-        more: help that only ``--help-all`` shows.
+            reason if the command fails (status 2), ``SystemExit`` with the status of a partly
+            successful run, and ``KeyboardInterrupt`` if it was stopped (status 130).
+        details: help text printed below the first line of the class's docstring.
+        more: help text that only ``--help-all`` shows.
         rare: fields that only ``--help-all`` shows.
     """
 
@@ -46,15 +46,15 @@ class Common:
     """Show the traceback of an error (also: SMOOTH_OPERATOR_DEBUG=1)."""
 
     def extras(self) -> dict[str, tuple[str, ...]]:
-        """Extras that these options need -> libraries of each (top-level modules). A command that
-        needs more than one names them here, so that one message has them all."""
+        """Maps each extra that these options need to its libraries (top-level modules). A command
+        that needs several extras names them here, so that one message lists them all."""
         return {}
 
     def run(self) -> None:
         """Imports the function that ``work`` names, and calls it with these options.
 
         Raises:
-            MissingExtraError: ``extras`` are not installed.
+            MissingExtraError: a library of one of the ``extras`` is not installed.
         """
         missing = []
         for extra, libraries in self.extras().items():
@@ -72,9 +72,9 @@ class Ordered:
     """Options of every command that reads recordings of hands."""
 
     layout: Annotated[str | None, arg(metavar="NAME")] = None
-    """Order of the 21 points in a plain .npy or .npz, where it is not MediaPipe's: mano,
-    minimal_ik, mano_fingers, rhd, interhand, fpha, pinky_first or aria
-    (docs/reference/conventions.md). Other files' order is known."""
+    """Order of the 21 points in a plain .npy or .npz file: mano, minimal_ik, mano_fingers, rhd,
+    interhand, fpha, pinky_first or aria (docs/reference/conventions.md). Default: MediaPipe's
+    order. Other file formats define their order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,15 +90,15 @@ class Retargeting(Quiet, MethodRequest):
     """Options of every command that retargets."""
 
     definition: Literal["sound", "paper"] = "sound"
-    """Definition of the metrics; paper is as published, to compare with its table."""
+    """Definition of the metrics. Use paper to compare with the published table."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """Option of every command that measures one recording and prints the figures."""
+    """Option of every command that measures one recording and prints its metrics."""
 
     all: bool = False
-    """Print every metric, not five."""
+    """Print all metrics instead of five."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,18 +114,18 @@ class Synthetic:
     tracker: Annotated[
         Literal["glove", "headset", "camera"] | None, arg(metavar="glove|headset|camera")
     ] = None
-    """Tracker that sees the operator, with the shake, rate, delay and pinch gaps of real ones.
-    Default: a perfect tracker."""
+    """Simulated tracker, with the noise, rate, delay and pinch gaps of a real one. Default: a
+    perfect tracker."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames a second [Hz]. Default: the tracker's own; 100 for the perfect one."""
+    """Frame rate [Hz]. Default: the rate of the tracker; 100 for a perfect tracker."""
 
     frame_loss: Annotated[float | None, arg(metavar="SHARE")] = None
-    """Share of frames that the tracker loses, in bursts. Default: the tracker's own."""
+    """Fraction of frames that the tracker loses, in bursts. Default: that of the tracker."""
 
     landmark_loss: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Share of landmarks that the tracker loses, in bursts; a retargeter then holds its
-    last good command."""
+    """Fraction of landmarks that the tracker loses, in bursts. A retargeter then holds its last
+    good command."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,14 +133,14 @@ class Meshes:
     """Options of every command that draws a robot hand."""
 
     model: Annotated[Path | None, arg(metavar="PATH|menagerie")] = None
-    """Your copy of the vendor's MJCF or URDF, with its meshes, to be drawn in place of our simple
-    shapes; it must have the hand's joints, by their names. Or the word menagerie, for the model of
-    MuJoCo Menagerie (extra menagerie: Allegro, LEAP, Shadow, DEX-EE, Sharpa Wave), which is
-    fetched."""
+    """Model to draw instead of simple shapes: your copy of the vendor's MJCF or URDF with its
+    meshes; its joints must have the same names as the hand's. Or the word menagerie, which
+    downloads the model of MuJoCo Menagerie (needs the menagerie extra; Allegro, LEAP, Shadow,
+    DEX-EE, Sharpa Wave)."""
 
     no_meshes: bool = False
-    """Draw simple shapes. Otherwise the maker's meshes are drawn where they are on this machine: in
-    a model of your own, or in what the extra menagerie has fetched; nothing is fetched for it."""
+    """Draw simple shapes. By default the vendor's meshes are drawn if they are already on this
+    machine, in your own model or in the download of the menagerie extra; nothing is downloaded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,28 +148,29 @@ class Page:
     """Options of every command that serves a page."""
 
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Address on which the page listens; 0.0.0.0 lets other machines in, which need the token in
-    the address that is printed."""
+    """Address on which the page listens. 0.0.0.0 admits other machines; they need the token in the
+    printed address."""
 
     port: int = 8080
-    """First port to try for the page; 0 for any free one."""
+    """First port to try for the page; 0 chooses any free port."""
 
     no_browser: bool = False
-    """Serve the page, but open no browser."""
+    """Serve the page without opening a browser."""
 
 
 def unwrapped(text: str) -> str:
-    """A text whose paragraphs are a line each; indented lines stay as they are.
+    """Joins each paragraph of a text into one line; indented lines stay as they are.
 
-    tyro joins a line that begins with a letter to the one before, an indented one too; an empty
-    line after an indented block keeps them apart.
+    tyro joins every line that begins with a letter to the line before it, even an indented one. An
+    empty line after an indented block keeps them apart.
     """
     joined = re.sub(r"(?m)^(\S.*)\n(?=\S)", r"\1 ", text)
     return re.sub(r"(?m)^( .*)\n(?=\S)", r"\1\n\n", joined)
 
 
 def described(kind: Any, whole: bool = True) -> str:
-    """Help of a command: its class's docstring and details; all of them if ``whole``."""
+    """Help of a command: its class's docstring and details. With ``whole``, also what only
+    ``--help-all`` shows."""
     text = f"{inspect.getdoc(kind)}\n\n{kind.details}"
     if getattr(kind, "rare", ()):
         text += f"\n\n{kind.more}" if whole else "\n\nMore options and explanations: --help-all"
@@ -177,7 +178,7 @@ def described(kind: Any, whole: bool = True) -> str:
 
 
 class Group:
-    """Options of a group: a field ``what``, the options of the subcommand that was chosen."""
+    """Options of a group. Its field ``what`` holds the options of the chosen subcommand."""
 
     what: Any
 

@@ -32,15 +32,15 @@ _WIDTH_TO_EXPLAIN: Final = 115
 
 @dataclass(frozen=True)
 class Figure:
-    """One of the figures that are printed after a run.
+    """A metric that is printed after a run, with its limit and advice.
 
     Attributes:
         metric: name of the metric.
-        good: the worst value that is good; None for the time between two frames [ms].
-        sentence: format of a sentence with the value.
+        good: worst value that counts as good; None uses the time between two frames [ms].
+        sentence: sentence with a format field for the value.
         absent: sentence if the value is unknown.
-        advice: what to do if the value is not good.
-        method: a method that does better; advised as well where another one ran.
+        advice: advice that is printed if the value is not good.
+        method: method that does better; recommended if another method ran.
     """
 
     metric: str
@@ -53,37 +53,39 @@ class Figure:
 
 SUMMARY: Final = (
     Figure("finger_direction_error_deg", 10.0,
-           "Robot fingers point {:.3g}° away from the human's on average (good: up to {:.3g}°)",
-           "No frame shows where the human's fingers point",
+           "On average, the robot's fingers point {:.3g}° away from the human's (good: up to "
+               "{:.3g}°)",
+           "The human's finger directions could not be measured in any frame",
            "smooth-operator bench compares methods; hands check measures the palm's tilt"),
     Figure("pinch_touch_share", 0.8,
-           "Robot thumb and finger touch in {:.3g} % of the human's pinches (good: from {:.3g} %)",
-           "There are too few frames in which the human pinches",
+           "The robot's thumb and finger touch in {:.3g} % of the human's pinches (good: at "
+               "least {:.3g} %)",
+           "There are too few frames with a pinch to measure pinching",
            "smooth-operator calibrate measures the gaps that the tracker leaves in pinches"),
     Figure("self_collision.share", 0.05,
-           "Parts of the robot hand are inside each other in {:.3g} % of the frames (good: up to "
-           "{:.3g} %)",
-           "Self-collision of this hand can't be measured",
+           "Parts of the robot hand overlap in {:.3g} % of the frames (good: up to {:.3g} %)",
+           "Self-collision can't be measured for this hand",
            "hands check tests the hand's description: its collision shapes may be too large",
            method="smooth"),
     Figure("jumps_per_1000", 1.0,
            "A robot fingertip jumps in {:.3g} of 1,000 frames (good: up to {:.3g})",
-           "There are too few frames to find jumps",
-           "look at the jumps with view: the tracker may have jumped as well"),
+           "There are too few frames to detect jumps",
+           "check the jumps with smooth-operator view; the tracker may have jumped as well"),
     Figure("latency_ms.p99", None,
-           "99 of 100 commands took up to {:.3g} ms (good: up to {:.3g} ms, the time between two "
-           "frames)",
-           "The time of a command was not measured",
-           "smooth-operator doctor says what slows this machine down"),
+           "99 % of the commands took at most {:.3g} ms (good: up to {:.3g} ms, the time "
+               "between two frames)",
+           "Computation time was not measured",
+           "smooth-operator doctor shows what slows this machine down"),
 )  # fmt: skip
-"""The five figures of ``demo`` and ``retarget``: shape, pinches, collision, steadiness, speed."""
+"""The five metrics that ``demo`` and ``retarget`` print: shape, pinches, collision, jumps,
+speed."""
 
 
 class Progressing:
-    """Notes and a progress bar on standard error.
+    """Prints notes and a progress bar on standard error.
 
     Args:
-        quiet: show the notes that matter only.
+        quiet: print only important notes.
     """
 
     def __init__(self, quiet: bool = False) -> None:
@@ -92,17 +94,18 @@ class Progressing:
 
     @property
     def lines(self) -> bool:
-        """True if progress is printed as lines: not quiet, and no terminal for a bar."""
+        """True if progress is printed as lines, because there is no terminal for a bar; false if
+        quiet."""
         return not (self._quiet or self._console.is_terminal)
 
     def note(self, text: str, *, matters: bool = False) -> None:
-        """A line; shown in spite of ``quiet`` if it ``matters``."""
+        """Prints a line. With ``quiet``, only if it ``matters``."""
         if matters or not self._quiet:
             self._console.print(text, markup=False, soft_wrap=True)
 
     @contextlib.contextmanager
     def waiting(self, text: str) -> Iterator[None]:
-        """Something that takes a while and can't say how long."""
+        """Shows that a task of unknown length is running."""
         if self._quiet:
             yield
         elif self._console.is_terminal:
@@ -114,13 +117,13 @@ class Progressing:
 
     @contextlib.contextmanager
     def bar(self, text: str) -> Iterator[Callable[[str, float], None]]:
-        """A bar whose text changes; yields what sets text and share done, 0 to 1."""
+        """Shows a bar; yields a function that sets its text and the completed fraction, 0 to 1."""
         if self._quiet or not self._console.is_terminal:
             told = ""
 
             def note(now: str, done: float) -> None:
                 nonlocal told
-                what = now.split(" (")[0]  # without the seconds that are left
+                what = now.split(" (")[0]  # without the remaining time
                 if what != told:
                     self.note(what)
                     told = what
@@ -137,12 +140,12 @@ class Progressing:
     def counter(
         self, unit: str = "", *, extra: str = "", in_files: bool = False, **options: Any
     ) -> Progress:
-        """A bar with the time that is left, for tasks of the caller's own.
+        """A bar with the remaining time; the caller adds the tasks.
 
         Args:
             unit: unit of the count, as in "3/8 cells"; empty for no count.
             extra: text after it, a format of the task's ``fields``.
-            in_files: print the end of the bar where there is no terminal.
+            in_files: print the final state of the bar if there is no terminal.
             options: options of rich's ``Progress``.
         """
         columns: list[ProgressColumn] = [
@@ -156,16 +159,17 @@ class Progressing:
         settings: dict[str, Any] = {
             "console": self._console,
             "disable": self._quiet or not (in_files or self._console.is_terminal),
-            "refresh_per_second": 2,  # drawing occasionally takes a core, and frames are timed
+            "refresh_per_second": 2,  # Drawing occasionally occupies a core, and frames are timed.
             "redirect_stdout": False,
             "redirect_stderr": False,
         }
         return Progress(*columns, **settings | options)
 
     def frames(self, text: str) -> Callable[[Iterable[int]], Iterator[int]]:
-        """Wraps an iteration over frames in a bar.
+        """Shows a bar while the caller iterates over frames.
 
-        The bar is drawn between frames and by no other thread, so it is not in their latency.
+        The bar is drawn between frames and not by another thread, so it does not add to their
+        latency.
         """
 
         def track(steps: Iterable[int]) -> Iterator[int]:
@@ -191,7 +195,8 @@ def output_console(width: int = _WIDTH_OF_A_FILE) -> Console:
     """The console of standard output.
 
     Args:
-        width: where there is no terminal: a pipe or file has none, and 80 columns break lines.
+        width: width to use without a terminal, for example in a pipe or file, where 80 columns
+            would break lines.
     """
     console = open_console()
     if not console.is_terminal:
@@ -207,7 +212,7 @@ def plain_table(
     left: int | None = None,
     **options: Any,
 ) -> Table:
-    """A table with a line below its head and no frame.
+    """A table with a line below its header and no frame.
 
     Args:
         left: number of columns that are aligned to the left, the others to the right; None for all.
@@ -225,7 +230,7 @@ def plain_table(
 def print_summary(
     title: str, method: str, metrics: Mapping[str, object], following: Sequence[str]
 ) -> None:
-    """Prints the figures of ``SUMMARY`` with their verdicts, and what to do next.
+    """Prints the metrics of ``SUMMARY`` with their verdicts, and the next steps.
 
     Args:
         method: name of the method that ran.
@@ -250,7 +255,7 @@ def print_summary(
         mark, style = ("good", "green") if enough else ("look", "yellow")
         if not enough:
             if figure.method not in ("", method):
-                advice[f"--method {figure.method} keeps parts apart"] = None
+                advice[f"--method {figure.method} avoids self-collision"] = None
             advice[figure.advice] = None
         times = 100 if "%" in figure.sentence else 1
         table.add_row(Text(mark, style), figure.sentence.format(times * value, times * good))
@@ -260,7 +265,7 @@ def print_summary(
 
 
 def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
-    """A table of what was measured, on standard output.
+    """Prints a table of all metrics on standard output.
 
     Args:
         metrics: result of ``evaluate``.
@@ -274,7 +279,7 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
         table.add_column(
             header,
             justify="right" if header == "value" else "left",
-            no_wrap=header != "what it is",  # the one that gives way on a narrow console
+            no_wrap=header != "what it is",  # the column that shrinks on a narrow console
         )
 
     def add(name: str, value: object, *rest: str) -> None:
@@ -283,7 +288,7 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
             table.add_row(name, _shown(value), *shown)
             return
         table.add_row(name, "", *shown)
-        for part, own in value.items():  # of each finger, of each status
+        for part, own in value.items():  # one value per finger or per status
             if own != 0:
                 table.add_row(f"  {part}", _shown(own))
 
@@ -294,7 +299,7 @@ def print_metrics(title: str, metrics: Mapping[str, object]) -> None:
             if metric.group == group:
                 add(metric.name, metric.of(metrics), metric.unit, metric.sign, metric.meaning)
         table.add_section()
-    for metric in available:  # of a plugin, without a group
+    for metric in available:  # metrics of a plugin have no group
         if metric.group not in GROUPS:
             add(metric.name, metric.of(metrics), metric.unit, metric.sign, metric.meaning)
     named = {metric.key for metric in available}

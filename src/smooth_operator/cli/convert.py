@@ -1,4 +1,4 @@
-"""``smooth-operator convert``: recordings and commands from any format into any other."""
+"""``smooth-operator convert``: converts recordings and commands between formats."""
 
 from __future__ import annotations
 
@@ -22,21 +22,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Convert(Ordered, Common, Quiet):
-    """Turn recordings and their commands into another file format, and back."""
+    """Convert recordings and their commands to another file format, and back."""
 
     work: ClassVar[str] = "smooth_operator.cli.convert:convert"
-    details: ClassVar[str] = """Formats, of inputs by what they hold and of the output by its name:
+    details: ClassVar[str] = """Input formats are recognised by content, the output format by its
+name:
   .mcap        this program's log, opens in Foxglove
   .npz         plain arrays, for NumPy
   .h5, .hdf5   HDF5, with units (extra hdf5)
   a folder     a LeRobot dataset, v3.0 (extra lerobot)
 A video (.mp4, .mov, .avi, .mkv, .webm), as input only, is tracked (extra webcam).
 
-All formats store everything: hand, flags, commands, status, timing, configuration. What a
-format can't hold is reported on standard error.
+All formats store the hand, flags, commands, status, timing and configuration. Data that a format
+can't store is reported on standard error.
 
-Several inputs, or a folder of them, become the episodes of one LeRobot dataset; or,
-with --to mcap|npz|hdf5, a file each in the folder --output.
+Several inputs, or a folder of them, become the episodes of one LeRobot dataset, or, with --to
+mcap|npz|hdf5, one file each in the folder --output.
 
 Examples:
   smooth-operator convert glove.npz --output glove.mcap
@@ -52,11 +53,11 @@ Examples:
     """Recordings, results, logs, HDF5 files, LeRobot datasets, or folders of these."""
 
     output: Annotated[Path, arg(metavar="OUT")]
-    """File or folder to write; its parent folder is created if missing."""
+    """File or folder to write. Its parent folder is created if missing."""
 
     commands: Annotated[Path | None, arg(metavar="OUT.npz")] = None
-    """Commands to add to the recording: the result of retargeting it. For several recordings
-    the folder of their results, each with the name of its recording."""
+    """Commands to add to the recording: the file that retarget wrote. For several recordings, the
+    folder of their results, each with the name of its recording."""
 
     to: Annotated[
         Literal["mcap", "npz", "hdf5", "lerobot"] | None, arg(metavar="mcap|npz|hdf5|lerobot")
@@ -64,38 +65,38 @@ Examples:
     """Output format. Default: from the file name. Required to convert a data set into a folder."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames per second of a recording without time stamps [Hz]; of several recordings or a
-    folder, of those."""
+    """Frame rate of recordings without timestamps [Hz]."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Hand side. Default: the side of the recording; in a video, of the hand seen more often."""
+    """Hand side. Default: the side of the recording; in a video, the hand that is visible more
+    often."""
 
     mirrored: bool = False
-    """The video is mirrored, as selfie views are."""
+    """The video is mirrored, like a selfie view."""
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames of each episode, as a Python slice: :500, 2600:3100, -500:"""
 
     task: Annotated[str | None, arg(metavar="TEXT")] = None
-    """The task in words. Default: the task of the input."""
+    """Description of the task. Default: the task of the input."""
 
     fps: Annotated[int | None, arg(metavar="N")] = None
-    """Frames per second of a LeRobot data set. Default: the median of the recordings, as
-    a usual rate such as 30 or 100 where it is within 5 % of one."""
+    """Frame rate of the LeRobot dataset [Hz]. Default: the median rate of the recordings, rounded
+    to a common rate such as 30 or 100 if it is within 5 %."""
 
     columns: Annotated[
         Literal["all", "robot", "robot-wrist"], arg(metavar="all|robot|robot-wrist")
     ] = "all"
-    """Columns of a LeRobot dataset: all that the input holds, or those that lerobot-record writes
-    for the robot smooth_hand, at --fps (default: 30), so that both merge; robot-wrist: with
-    --robot.wrist=quaternion."""
+    """Columns of the LeRobot dataset. all: everything in the input. robot: the columns that
+    lerobot-record writes for the robot smooth_hand, at --fps (default: 30), so that the datasets
+    can be merged. robot-wrist: the same with --robot.wrist=quaternion."""
 
     environment_state: bool = False
-    """With --columns robot: also observation.environment_state, the measured positions of all
-    joints [rad], which some policies ask for where there is no picture."""
+    """With --columns robot: also write observation.environment_state, the measured positions of all
+    joints [rad], which some policies require if there is no camera image."""
 
     episode: Annotated[int | None, arg(metavar="N")] = None
-    """Only this episode of a LeRobot dataset."""
+    """Convert only this episode of a LeRobot dataset."""
 
     overwrite: bool = False
     """Replace an output that this program wrote."""
@@ -105,7 +106,7 @@ _SUFFIX_OF: dict[Format, str] = {"mcap": ".mcap", "npz": ".npz", "hdf5": ".h5"}
 
 
 def convert(options: Convert) -> None:
-    """Finds the episodes, looks whether they may be written, and converts one after the other."""
+    """Finds the episodes, checks that they may be written, and converts one after the other."""
     from smooth_operator.cli.console import Progressing
     from smooth_operator.teleop.recording.convert import Source, find_sources, format_of, losses
     from smooth_operator.teleop.sources.webcam.camera import is_video
@@ -113,11 +114,13 @@ def convert(options: Convert) -> None:
     progress = Progressing(options.quiet)
     to = format_of(options.output, options.to)
     if options.fps is not None and to != "lerobot":
-        raise ConfigError("--fps is of LeRobot datasets; the other formats keep each true stamp")
+        raise ConfigError(
+            "--fps applies only to LeRobot datasets; other formats keep the original timestamps"
+        )
     if (options.columns != "all" or options.environment_state) and to != "lerobot":
-        raise ConfigError("--columns and --environment-state are of LeRobot datasets")
+        raise ConfigError("--columns and --environment-state apply only to LeRobot datasets")
     if options.environment_state and options.columns == "all":
-        raise ConfigError("--environment-state is one of the columns of --columns robot; add that")
+        raise ConfigError("--environment-state needs --columns robot or robot-wrist")
     if not options.inputs:
         raise ConfigError("give at least one INPUT to convert")
     apart = [options.output, *([] if options.commands is None else [options.commands])]
@@ -134,7 +137,7 @@ def convert(options: Convert) -> None:
     def load(source: Source, commands: Path | None) -> Episode:
         episode = _load(source, commands, options, several)
         for note in (*episode.notes, *losses(episode, to)):
-            if note not in reported:  # a dataset looks at its episodes twice
+            if note not in reported:  # a dataset reads its episodes twice
                 reported.add(note)
                 progress.note(note, matters=True)
         return episode
@@ -158,9 +161,9 @@ def _write_dataset(
     check_target(options.output, "lerobot", options.inputs, options.overwrite)
     if options.to is None and any(is_dataset(path) for path in options.inputs):
         raise ConfigError(
-            f"the input is a LeRobot dataset, and without --to {options.output.name!r} would be "
-            "another; say --to npz, mcap or hdf5 for a file of each episode, or --to lerobot for a "
-            "dataset"
+            "the input is a LeRobot dataset, so --to is required for "
+            f"{options.output.name!r} : use --to npz, mcap or hdf5 for one file per episode, "
+            "or --to lerobot for another dataset"
         )
     with folder_for(options.output.resolve().parent):
         written = 0
@@ -202,7 +205,7 @@ def _write_files(
 
 
 def _targets(options: Convert, to: Format, sources: list[Source]) -> list[Path]:
-    """A file for each episode."""
+    """Writes one file per episode."""
     from smooth_operator.teleop.recording.convert import SUFFIXES
 
     named = SUFFIXES.get(options.output.suffix.lower()) is not None
@@ -210,9 +213,9 @@ def _targets(options: Convert, to: Format, sources: list[Source]) -> list[Path]:
         return [options.output]
     if named:
         raise ConfigError(
-            f"the inputs hold {len(sources)} episodes, which do not go into one file "
-            f"{options.output.name!r}; name a folder with --to {to} for a file each, or one "
-            "without suffix for a LeRobot dataset"
+            f"the inputs hold {len(sources)} episodes, which do not fit into the single file "
+            f"{options.output.name!r}; for one file per episode, name a folder and add --to "
+            f"{to}; for a LeRobot dataset, name a folder"
         )
     alone = len(options.inputs) == 1 and sources[0].path == options.inputs[0]
     targets = [
@@ -233,7 +236,8 @@ def _in_folder(options: Convert) -> bool:
 
 
 def _stem(source: Source, alone: bool) -> str:
-    """Name of an output without its suffix; that of a dataset only if there are others."""
+    """Name of an output without its suffix. The dataset's name is included only if there are
+    several inputs."""
     if source.dataset is None:
         return source.relative.stem
     number = f"episode_{source.number:06d}"
@@ -251,13 +255,14 @@ def _check(target: Path, to: Format, options: Convert) -> None:
     for path in others:
         if path.exists() and (not path.is_file() or read_configuration(path) is None):
             raise OutputError(
-                f"can't write {str(path)!r}, the configuration of {main.name}: it holds "
-                "something else; choose another name, or remove it first"
+                f"can't write {str(path)!r}, the configuration file of {main.name}: it "
+                "exists and is not a configuration; choose another name, or remove the file "
+                "first"
             )
 
 
 def _commands_of(commands: Path | None, sources: list[Source]) -> list[Path | None]:
-    """The file of commands for each episode."""
+    """Path of the commands of each episode; None without commands."""
     if commands is None:
         return [None] * len(sources)
     if not commands.exists():
@@ -265,16 +270,17 @@ def _commands_of(commands: Path | None, sources: list[Source]) -> list[Path | No
     if not commands.is_dir():
         if len(sources) > 1:
             raise ConfigError(
-                f"the inputs hold {len(sources)} episodes and {commands} the commands of one; "
-                "give the folder of their results, each with the name of its recording"
+                f"the inputs hold {len(sources)} episodes , but {commands} holds the "
+                "commands of one; give the folder of their results, each with the name of "
+                "its recording"
             )
         return [commands]
     files = [commands / source.relative.with_suffix(".npz") for source in sources]
     missing = [str(path) for path in files if not path.is_file()]
     if missing:
         raise RecordingError(
-            f"{commands}: {len(missing)} of {len(files)} recordings have no commands there, such "
-            f"as {missing[0]}; retarget them first: smooth-operator retarget"
+            f"{commands}: {len(missing)} of {len(files)} recordings have no commands there, "
+            f"for example {missing[0]}; retarget them first: smooth-operator retarget"
         )
     return list(files)
 
@@ -292,13 +298,16 @@ def _load(source: Source, commands: Path | None, options: Convert, several: bool
         def read(rate: float | None) -> Episode:
             return source.read(rate=rate, side=options.side, layout=options.layout)
 
-        # Of several, the rate is that of those without stamps.
+        # With several inputs, the rate applies to those without timestamps.
         episode = rated_if_unstamped(read, options.rate)[0] if several else read(options.rate)
     if commands is not None:
         episode = episode.joined(read_episode(commands), str(commands))
         answered = len(set(episode.answered().tolist()))
         if options.frames is None and answered < len(episode):
-            note = f"{commands} answers {answered} of the {len(episode)} frames of {source.path}"
+            note = (
+                f"{commands} has commands for {answered} of the {len(episode)} frames of "
+                f"{source.path}"
+            )
             episode = replace(episode, notes=(*episode.notes, note))
     if options.frames is not None:
         episode = episode.sliced(frame_slice(options.frames, len(episode)))
@@ -308,7 +317,7 @@ def _load(source: Source, commands: Path | None, options: Convert, several: bool
 
 
 def _track(path: Path, options: Convert) -> Episode:
-    """The hand in a video."""
+    """Tracks the hand in a video."""
     from smooth_operator.formats.checks import check_rate
     from smooth_operator.formats.episode import Episode
     from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig
@@ -317,9 +326,9 @@ def _track(path: Path, options: Convert) -> Episode:
     config = PictureConfig(mirrored=options.mirrored)
     recording = track_video(path, side=options.side, config=config)
     check_rate(recording.stamps, options.rate, str(path))
-    assert recording.valid is not None  # filled in by HandRecording
+    assert recording.valid is not None  # HandRecording fills it in
     tracked = int(recording.valid.any(axis=1).sum())
-    note = f"{path}: a {recording.side} hand on {tracked} of {len(recording)} pictures"
+    note = f"{path}: a {recording.side} hand in {tracked} of {len(recording)} video frames"
     return Episode(recording, name=recording.name, notes=(note,))
 
 

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Common, Page, Meshes, Retargeting, Synthetic, Measured):
-    """Retarget a synthetic operator, print five figures, and play the result in the browser."""
+    """Retarget a synthetic operator, print five metrics, and play the result in the browser."""
 
     work: ClassVar[str] = "smooth_operator.cli.demo:demo"
-    details: ClassVar[str] = """The folder holds commands.npz and commands.json (the resolved
-configuration), log.mcap (operator and commands), metrics.json, config.json, plots/.
+    details: ClassVar[str] = """Writes to the folder: commands.npz and commands.json (the resolved
+configuration), log.mcap (operator and commands), metrics.json, config.json and plots/.
 
 Examples:
   smooth-operator demo --no-view --duration 5
@@ -39,18 +39,18 @@ Examples:
     rare: ClassVar[frozenset[str]] = RARE | {"rate", "tracker", "frame_loss", "landmark_loss"}
 
     output: Annotated[Path, arg(metavar="FOLDER")] = Path("smooth-operator-demo")
-    """Folder to write; the files of an earlier demo in it are replaced."""
+    """Folder to write. The files of an earlier demo in it are replaced."""
 
     no_view: bool = False
-    """Don't serve the page: for machines without a browser."""
+    """Do not serve the page, for machines without a browser."""
 
     def extras(self) -> dict[str, tuple[str, ...]]:
-        """For the figures, and for the log and the page."""
+        """Metrics of the run, and its trace for the log and the page."""
         return {"lab": ("jinja2", "matplotlib"), "teleop": ("mcap", "viser")}
 
 
 def demo(options: Demo) -> None:
-    """Records the operator, retargets, measures, serves the page, writes the folder."""
+    """Records the operator, retargets, measures, serves the page and writes the folder."""
     from smooth_operator.cli.console import Progressing, print_metrics, print_summary
     from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
     from smooth_operator.cli.page import hand_to_draw
@@ -62,7 +62,7 @@ def demo(options: Demo) -> None:
 
     progress = Progressing(options.quiet)
     check_demo_folder(options.output)
-    if not options.no_view:  # before any work: an address or a port that can't be had
+    if not options.no_view:  # Report an unusable address or port before any work starts.
         from smooth_operator.teleop.pages import Playback, serve
         from smooth_operator.teleop.pages.viser_server import free_port, until_interrupted
 
@@ -77,7 +77,8 @@ def demo(options: Demo) -> None:
         trace, metrics = measure_shown(todo, outcome, options.definition, progress)
         title = f"{todo.hand.name} {todo.hand.spec.side}: {todo.method} {todo.preset}"
         page = None
-        if not options.no_view:  # files take seconds, and a person waits for the picture
+        # Writing files takes seconds, and the user is waiting for the page.
+        if not options.no_view:
             playback = Playback(title, todo.hand, trace, hand_to_draw(todo.hand, options))
             open_browser = not options.no_browser
             page = serve(
@@ -97,14 +98,14 @@ def demo(options: Demo) -> None:
         print_summary(heading, todo.method, metrics, _FOLLOWING)
     progress.note(f"wrote {options.output}")
     if page is not None:
-        progress.note(f"the page plays at {page.url}; Ctrl-C ends")
+        progress.note(f"the page is served at {page.url}; press Ctrl-C to stop")
         until_interrupted(page)
 
 
 _FOLLOWING: Final = (
-    "Next: smooth-operator teleop (the live page), or a recording of your own: smooth-operator "
-    "retarget RECORDING --output out.npz",
-    "All figures: --all, and metrics.json in the folder",
+    "Next: try smooth-operator teleop (the live page), or retarget your own recording: "
+    "smooth-operator retarget RECORDING --output out.npz",
+    "For all metrics, use --all or see metrics.json in the folder",
 )
 
 

@@ -1,4 +1,4 @@
-"""``smooth-operator doctor``: the machine, versions and extras, and what to change."""
+"""``smooth-operator doctor``: reports the machine, versions and extras, and suggests changes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from smooth_operator.teleop.runtime.priority import going_first
 
 
 def doctor(options: Doctor) -> None:
-    """Prints the facts about the machine as a table or JSON, and what to change."""
+    """Prints facts about the machine as a table or JSON, and suggested changes."""
     with going_first() as priority:
         pass
     report = environment() | {"priority": priority}
@@ -28,12 +28,12 @@ def doctor(options: Doctor) -> None:
 
 
 def _advice(report: Mapping[str, object]) -> list[str]:
-    """What to change; empty if nothing."""
+    """Suggested changes; empty if there are none."""
     advice = []
     if str(report["programs"]).startswith("not kept"):
         advice.append(
-            f"compiled programs are {report['programs']}, so each start compiles; give "
-            "SMOOTH_OPERATOR_CACHE a folder that only you can write, or unset it"
+            f"compiled programs are {report['programs']}, so every start compiles again; set "
+            "SMOOTH_OPERATOR_CACHE to a folder that only you can write to, or unset it"
         )
     load, cores = report["load"], report["cores"]
     if isinstance(load, float) and isinstance(cores, int) and load > cores:
@@ -41,22 +41,25 @@ def _advice(report: Mapping[str, object]) -> list[str]:
             f"the load is {load:.1f} on {cores} cores: other programs take time from the loop"
         )
     if cores == 1:
-        advice.append("one core serves loop, page and tracker: give the process two")
+        advice.append("loop, page and tracker share one core: give the process at least two")
     if report["priority"] != "real-time" and report["system"] == "Linux":
         advice.append(
             "real-time priority is not granted, so `teleop --priority high` has no effect: add "
             "'USER - rtprio 20' to /etc/security/limits.conf and log in again"
         )
     if report["governor"] == "powersave":
-        advice.append("the processor saves power: sudo cpupower frequency-set -g performance")
+        advice.append(
+            "the processor is in a power-saving mode; to change it: sudo cpupower frequency-set "
+            "-g performance"
+        )
     if "," in str(report["opencv"]):
         advice.append(
-            f"{report['opencv']} are in one folder, where the last one installed overwrites the "
-            "others: keep one, see docs/how-to/webcam.md, Problems"
+            f"{report['opencv']} are installed in one folder, where the last one overwrites "
+            "the others: keep only one, see docs/how-to/webcam.md, Problems"
         )
     if report["device"] not in ("cpu", None):
         advice.append(
-            f"frames run on {report['device']}, which suits many hands; for one, try "
-            "JAX_PLATFORMS=cpu"
+            f"frames run on {report['device']}, which is efficient for many hands; for one "
+            "hand, try JAX_PLATFORMS=cpu"
         )
     return advice

@@ -14,12 +14,11 @@ class Doctor(Common):
 
     work: ClassVar[str] = "smooth_operator.cli.doctor:doctor"
     details: ClassVar[str] = """Prints the machine, versions, extras, priority and the folder of
-compiled programs. The exit status is 0 whatever the findings are. `bench` measures the time of a
-frame.
+compiled programs. The exit status is always 0. To measure the time of a frame, use `bench`.
 
 Examples:
   smooth-operator doctor
   smooth-operator doctor --json"""
 
     json: bool = False
-    """One JSON object on standard output instead of the table."""
+    """Print one JSON object on standard output instead of the table."""

@@ -1,4 +1,5 @@
-"""Shapes of robot hands for pictures: real meshes where they are here, else simple shapes."""
+"""Shapes of robot hands for pictures: the vendor's meshes if they are on this machine, otherwise
+simple shapes."""
 
 from __future__ import annotations
 
@@ -14,12 +15,12 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.reporting.hand_surface import PALM_COLOR, Surface
 from smooth_operator.teleop.pages.hand_view import HandView, coarser, finger_colors
 
-_FACES: Final = 4000  # triangles of a body in a picture of a hand
-_FOREARM: Final = 0.03  # what is drawn below the wrist [m]
+_FACES: Final = 4000  # maximum number of triangles of a body in a picture of a hand
+_FOREARM: Final = 0.03  # length that is drawn below the wrist [m]
 
 
 class ModelShape:
-    """A robot hand as its model has it.
+    """Meshes of a robot hand, from its model.
 
     Args:
         hand: the robot hand.
@@ -36,7 +37,7 @@ class ModelShape:
         self._meshes = {body: coarser(mesh, _FACES) for body, mesh in meshes.items()}
 
     def surface(self, joints: Float[np.ndarray, " n"]) -> Surface:
-        """The triangles in a pose."""
+        """Returns the triangles in a pose."""
         poses = self._view.bodies(np.asarray(joints, float)[self._actuated])
         colors = finger_colors(len(self._view.hand.fingers))
         triangles, shades = [], []

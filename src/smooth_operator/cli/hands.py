@@ -1,4 +1,4 @@
-"""``smooth-operator hands``: its subcommands, the list of hands, and removing one.
+"""``smooth-operator hands``: its subcommands, the list of hands, and the removal of a hand.
 
 A further subcommand is a dataclass of options like ``List`` below, a function that takes them, and
 a line in ``What``. The group itself is one line in ``cli/options.py``.
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class List(Common):
-    """The hands that can be named: the built-in ones and your own."""
+    """List the built-in hands and your own."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands:list_hands"
-    details: ClassVar[str] = """Your own are spec files NAME.right.toml and NAME.left.toml in the
-folder that is named below the table (SMOOTH_OPERATOR_HANDS names another)."""
+    details: ClassVar[str] = """Your own hands are spec files NAME.right.toml and NAME.left.toml in
+the folder that is printed below the table (set SMOOTH_OPERATOR_HANDS to use another folder)."""
 
     json: bool = False
-    """One JSON object on standard output instead of the table."""
+    """Print one JSON object on standard output instead of the table."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Remove(Common):
-    """Takes one of your own hands out of the list: its spec files and the copies of its model."""
+    """Remove one of your own hands: delete its spec files and the copies of its model."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands:remove_hand_command"
-    details: ClassVar[str] = """The model that you added stays where it is. Built-in hands can't be
+    details: ClassVar[str] = """The original model file is not deleted. Built-in hands can't be
 removed.
 
 Examples:
@@ -48,13 +48,13 @@ Examples:
   smooth-operator hands remove my_hand --side left --yes"""
 
     hand: Annotated[Positional[str], arg(metavar="NAME")]
-    """Name of a hand of your own, as in smooth-operator hands list."""
+    """Name of one of your own hands, as listed by smooth-operator hands list."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Remove this side only. Default: both."""
+    """Remove only this side. Default: both sides."""
 
     yes: bool = False
-    """Don't ask."""
+    """Delete without asking for confirmation."""
 
 
 What: TypeAlias = (
@@ -65,7 +65,7 @@ What: TypeAlias = (
     | Annotated[Remove, subcommand("remove")]
     | Annotated[Check, subcommand("check")]
 )
-"""The subcommands of the group."""
+"""Subcommands of the group."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,12 +91,12 @@ class Row:
     """A hand in the list.
 
     Attributes:
-        name: by which it is loaded.
+        name: name that loads the hand.
         builtin: True if it comes with the program.
         files: its spec files.
-        mirrored: sides that are the mirror image of the other.
-        facts: facts of the hand; empty if it can't be used.
-        error: why it can't be used.
+        mirrored: sides that are a mirror image of the other side.
+        facts: properties of the hand; empty if it can't be used.
+        error: reason why the hand can't be used.
     """
 
     name: str
@@ -155,7 +155,7 @@ def _row(name: str) -> Row:
     from smooth_operator.hands.registry import HANDS, find_hand, load_hand
 
     try:
-        entry = find_hand(name)  # refuses a name that two claim
+        entry = find_hand(name)  # fails for a name that two hands have
     except SmoothOperatorError as error:
         return Row(name, name in HANDS.built_in, [], [], error=str(error))
     row = Row(
@@ -179,13 +179,13 @@ def _row(name: str) -> Row:
 
 
 def remove_hand_command(options: Remove) -> None:
-    """Deletes spec files and copies of models, after asking."""
+    """Asks for confirmation, then deletes spec files and copies of models."""
     from smooth_operator.hand_files.user_hands import removable, remove_hand
 
     files = ", ".join(str(path) for path in removable(options.hand, options.side))
     if not options.yes:
         if not sys.stdin.isatty():
-            raise ConfigError(f"this would delete {files}; say --yes")
+            raise ConfigError(f"this would delete {files}; confirm with --yes")
         if input(f"Delete {files}? [y/N] ").strip().lower() not in ("y", "yes"):
             raise ConfigError("nothing was deleted")
     gone = remove_hand(options.hand, options.side)

@@ -1,4 +1,4 @@
-"""``smooth-operator hands add``: from any model to a spec file, with a checklist."""
+"""``smooth-operator hands add``: turns a hand model into a spec file and prints a checklist."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Add(Common, Page):
-    """Your own hand: reads any URDF or MJCF, finds palm, fingers and tips, writes a spec file."""
+    """Add your own hand: analyse a URDF or MJCF model and write a spec file."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands_add:add_hand"
-    details: ClassVar[str] = """Finds palm, fingers, thumb, order, fingertips, side, coupled
-joints, wrist and a neutral pose, from how the joints move and not from names. The output gives
-what is unsure, with the option that overrides it; run it again with those options. --all prints
-every finding with its reason, and the spec file has them as comments. The model
-and its meshes are copied to the folder of the spec file, so the original may be moved or deleted;
-after a change to it, run the command again.
+    details: ClassVar[str] = """Finds palm, fingers, thumb, order, fingertips, side, coupled joints,
+wrist and a neutral pose, from the motion of the joints, not from names. The output lists the
+uncertain findings, each with the option that overrides it; run the command again with those
+options. --all prints every finding with its reason; the spec file also has them as comments. The
+model and its meshes are copied to the folder of the spec file, so you may move or delete the
+original. If you change the original, run the command again.
 
 Examples:
   smooth-operator hands add vendor/hand_right.urdf
@@ -40,23 +40,23 @@ Examples:
   smooth-operator hands add hand.urdf --json"""
 
     model: Annotated[Positional[Path], arg(metavar="PATH")]
-    """URDF or MJCF file, with or without its meshes; an arm may be attached."""
+    """URDF or MJCF file, with or without meshes; it may include an arm."""
 
     name: Annotated[str | None, arg(metavar="NAME")] = None
-    """Name of the hand, for --hand. Default: from the file name."""
+    """Name of the hand, for --hand. Default: the name of the file."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Hand side, and which of two hands in one file to read. Default: found in the model."""
+    """Hand side. Selects one hand if the file contains two. Default: detected in the model."""
 
     palm: Annotated[str | None, arg(metavar="BODY")] = None
     """Body from which the fingers branch."""
 
     thumb: Annotated[str | None, arg(metavar="BODY")] = None
-    """Any body or joint of the thumb."""
+    """A body or joint of the thumb."""
 
     finger: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY")] = ()
-    """Human finger that drives the robot finger with this body or joint, also of a chain that was
-    left out."""
+    """Human finger that drives the robot finger with this body or joint. This also adds a chain
+    that was not detected as a finger."""
 
     tip: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY:x,y,z")] = ()
     """Fingertip: a body of the last link, and a point in its frame [m]."""
@@ -65,23 +65,23 @@ Examples:
     """Wrist: a body fixed to the palm, and a point in its frame [m]."""
 
     overwrite: bool = False
-    """Replace a spec file of that name and side."""
+    """Replace an existing spec file of that name and side."""
 
     in_place: bool = False
-    """Copy nothing: the spec file names the model where it is."""
+    """Do not copy the model: the spec file refers to the original."""
 
     json: bool = False
-    """One JSON object on standard output instead of the checklist, and no page."""
+    """Print one JSON object on standard output instead of the checklist; do not serve a page."""
 
     all: bool = False
-    """Print every finding with its reason."""
+    """Print all findings with their reasons."""
 
     view: bool = False
-    """Serve a page to look at the hand, until Ctrl-C."""
+    """Serve a page that shows the hand, until Ctrl-C."""
 
 
 def add_hand(options: Add) -> None:
-    """Analyses a model, prints what was found, writes the spec file, opens the page."""
+    """Analyses a model, prints the findings, writes the spec file and opens the page."""
     from smooth_operator.hand_discovery.discover import discover
     from smooth_operator.hand_files.user_hands import save_hand, spec_name
     from smooth_operator.hands.registry import user_hands_folder
@@ -101,8 +101,8 @@ def add_hand(options: Add) -> None:
     file = user_hands_folder() / spec_name(discovery.spec.name, discovery.spec.side)
     if not options.overwrite and file.exists() and not _same(file, discovery.spec):
         raise ConfigError(
-            f"there is a {discovery.spec.side} hand {discovery.spec.name!r} already, in {file}: "
-            "--overwrite replaces it, --name gives another name"
+            f"there is a {discovery.spec.side} hand {discovery.spec.name!r} already, in "
+            f"{file}: use --overwrite to replace it, or --name to choose another name"
         )
     save_hand(discovery.spec, comment=_comment(discovery), copy=not options.in_place)
     used = read_hand_spec(file).model
@@ -147,7 +147,7 @@ def _pair(text: str, option: str, form: str) -> tuple[str, str]:
 
 
 def _point(text: str, option: str) -> Point:
-    # a body's name may hold a colon, numbers never do
+    # A body's name may contain a colon; numbers never do.
     from smooth_operator.hands.spec import Point
 
     body, sign, numbers = text.rpartition(":")
@@ -160,12 +160,13 @@ def _point(text: str, option: str) -> Point:
             f"{option}: expected BODY:x,y,z with three numbers in metres, not {numbers!r}"
         ) from None
     if not body or max(abs(x), abs(y), abs(z)) > 1:
-        raise ConfigError(f"{option}: expected BODY:x,y,z in metres, less than one from the body")
+        raise ConfigError(f"{option}: expected BODY:x,y,z in metres, less than 1 m from the body")
     return Point(body, (x, y, z))
 
 
 def _named(spec: HandSpec, options: Add) -> HandSpec:
-    """A free name, unless one was given: what is there already is never replaced unasked."""
+    """Picks a name that no hand has yet, unless the user gave one: an existing hand is never
+    replaced without --overwrite."""
     from smooth_operator.hand_files.user_hands import spec_name
     from smooth_operator.hands.registry import known_hands, user_hands_folder
 
@@ -183,11 +184,11 @@ def _named(spec: HandSpec, options: Add) -> HandSpec:
         named = replace(spec, name=name)
         if options.overwrite or not file.exists() or _same(file, named):
             return named
-    raise AssertionError  # there are names without end
+    raise AssertionError  # the search always finds a free name
 
 
 def _same(file: Path, spec: HandSpec) -> bool:
-    """True if a spec file has the same description, so that writing it again loses nothing."""
+    """True if a spec file has the same description, so that overwriting it loses nothing."""
     from smooth_operator.hands.spec_file import read_hand_spec
 
     try:
@@ -201,7 +202,7 @@ def _same(file: Path, spec: HandSpec) -> bool:
 
 
 def _trial(discovery: Discovery) -> tuple[str, ...]:
-    """Notes from loading the hand once: what would stop it later, or what it lacks."""
+    """Loads the hand once and returns notes on errors and missing parts."""
     from smooth_operator.hands.hand import load_hand_spec
     from smooth_operator.hands.stand_ins import stand_in_note
 
@@ -214,7 +215,7 @@ def _trial(discovery: Discovery) -> tuple[str, ...]:
 
 
 def _comment(discovery: Discovery) -> str:
-    lines = ["Written by smooth-operator hands add. What was found, and how sure (0 to 1):"]
+    lines = ["Written by smooth-operator hands add. Findings and their confidence (0 to 1):"]
     for finding in discovery.findings:
         lines.append(f"{finding.confidence:.2f}  {finding.subject}: {finding.value}")
         lines += [f"        {reason}" for reason in finding.evidence]
@@ -222,10 +223,10 @@ def _comment(discovery: Discovery) -> str:
 
 
 def _built_in(discovery: Discovery) -> str | None:
-    """The built-in hand with the same joints, or None.
+    """Returns the built-in hand with the same joints, or None.
 
-    Makers and our catalogue name joints alike, as both take the names of the maker's URDF. A hand
-    of the other side has other prefixes and is not found.
+    The catalogue uses the joint names of the vendor's URDF, so names can be compared. A hand of the
+    other side has other prefixes and does not match.
     """
     from smooth_operator.hands.hand import load_hand_spec
     from smooth_operator.hands.registry import known_hands, load_hand
@@ -242,8 +243,8 @@ def _built_in(discovery: Discovery) -> str | None:
 
 
 def _mapped(spec: HandSpec, twin: str | None) -> HandSpec:
-    """The description with the joint map of a built-in hand of the same joints, if that map points
-    the thumb better than the one that is measured."""
+    """Returns the description with the joint map of the built-in hand with the same joints, if that
+    map gives better thumb directions than the measured map."""
     from smooth_operator.hand_discovery.joint_map import mapped_thumb_error
     from smooth_operator.hands.hand import load_hand_spec
     from smooth_operator.hands.registry import load_hand
@@ -296,12 +297,15 @@ def _print(discovery: Discovery, file: Path, used: Path, twin: str | None, whole
         say("To override a property: --side, --palm, --thumb, --finger, --tip, --wrist")
     if used != discovery.spec.model:
         say(
-            f"Copied the model, with the files that it names and that exist, to {used.parent}. The "
-            "original may be moved or deleted; after a change to it, add it again"
+            f"Copied the model and the files that it uses to {used.parent}. You may move or "
+            "delete the original. If you change the original, add the hand again"
         )
-    say(f"Written to {file}, which you may edit")
+    say(f"Written to {file}; you may edit this file")
     if twin is not None:
-        say(f"The built-in hand {twin} has the same joints; it needs no file: --hand {twin}")
+        say(
+            f"The built-in hand {twin} has the same joints; you can use it without a file of "
+            f"your own: --hand {twin}"
+        )
     say(f"Next: smooth-operator hands check {discovery.spec.name} --side {discovery.spec.side}")
     sys.stdout.flush()
 

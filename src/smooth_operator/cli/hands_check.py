@@ -1,4 +1,4 @@
-"""``smooth-operator hands check``: a hand's description, tested, as a checklist."""
+"""``smooth-operator hands check``: tests a hand's description and prints a checklist."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Check(Common, Quiet):
-    """Check a hand's description: limits, axes, fingertips, pinches, and a round trip."""
+    """Check a hand's description: limits, axes, fingertips, pinches and a round trip."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands_check:check_hand_command"
-    details: ClassVar[str] = """Each check says what was measured and what to do. In the round trip
-random poses of the hand are retargeted from their own landmarks: they should come back. The exit
-status is 0 if all is well, 1 if a check failed, 2 if the hand can't be loaded.
+    details: ClassVar[str] = """Each check reports the measurement and what to do. The round trip
+retargets the landmarks of random poses of the hand; the result should be the same poses. The exit
+status is 0 if no check failed, 1 if a check failed, 2 if the hand can't be loaded.
 
 Examples:
   smooth-operator hands check my_hand
@@ -37,16 +37,16 @@ Examples:
     """Hand side. Default: right, or the side of the spec file."""
 
     quick: bool = False
-    """Take the round trip through sbr and smooth only, not through every method."""
+    """Run the round trip only with sbr and smooth, not with every method."""
 
     poses: int = 20
-    """Poses of each round trip."""
+    """Number of poses in each round trip."""
 
     seed: int = 0
-    """Seed of these poses."""
+    """Seed of the random poses."""
 
     json: bool = False
-    """One JSON object on standard output instead of the checklist."""
+    """Print one JSON object on standard output instead of the checklist."""
 
 
 FAILED: Final = 1

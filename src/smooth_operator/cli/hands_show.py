@@ -1,4 +1,5 @@
-"""``smooth-operator hands show`` and ``render``: one hand, in words, on a page, as a picture."""
+"""``smooth-operator hands show`` and ``render``: show one hand as tables, on a page or as a
+picture."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ class _OneHand(Common, Meshes):
 
 @dataclass(frozen=True, kw_only=True)
 class Show(_OneHand, Page):
-    """Joints, limits and couplings of a hand, and the hand in the browser with a slider a joint."""
+    """Print the joints, limits and couplings of a hand, and show it in the browser with a slider
+    for each joint."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands_show:show_hand"
     details: ClassVar[str] = """Examples:
@@ -40,22 +42,22 @@ class Show(_OneHand, Page):
   smooth-operator hands show my-hand.right.toml --json"""
 
     no_view: bool = False
-    """Print the tables, serve no page."""
+    """Print only the tables; do not serve a page."""
 
     json: bool = False
-    """One JSON object on standard output, and no page."""
+    """Print one JSON object on standard output; do not serve a page."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Render(_OneHand):
-    """A picture of a hand: shape, landmarks, palm frame, joint ranges. Needs no display."""
+    """Draw a picture of a hand: shape, landmarks, palm frame, joint ranges. Needs no display."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands_show:render_hand"
     details: ClassVar[str] = """Example:
   smooth-operator hands render leap_hand --output leap.png"""
 
     output: Annotated[Path | None, arg(metavar="PNG")] = None
-    """File of the picture. Default: NAME_SIDE.png in the current folder."""
+    """Picture file to write. Default: NAME_SIDE.png in the current folder."""
 
 
 def show_hand(options: Show) -> None:
@@ -83,7 +85,7 @@ def show_hand(options: Show) -> None:
 
 
 def render_hand(options: Render) -> None:
-    """Writes a picture of a hand."""
+    """Draws a hand and writes the picture."""
     from smooth_operator.cli.page import hand_to_draw
     from smooth_operator.hands.registry import load_hand
     from smooth_operator.teleop.pages.hand_picture import save_hand_picture
@@ -96,7 +98,7 @@ def render_hand(options: Render) -> None:
 
 
 def describe(hand: Hand) -> dict[str, Any]:
-    """A hand as plain values, for ``--json``."""
+    """Properties of a hand as plain values, for ``--json``."""
     import numpy as np
 
     from smooth_operator.hands.spec_file import POINTS
@@ -176,7 +178,7 @@ def _print_tables(hand: Hand) -> None:
         f"{len(hand.joint_names)}; aligned by {', '.join(spec.align)}"
     )
 
-    say("\njoints, in the model's own order")
+    say("\njoints, in the order of the model")
     joints, torques = plain_table(), _torques(hand)
     headers = ("joint", "lower [rad]", "upper [rad]", "neutral [rad]", "torque [N m]", "follows")
     for header in headers:

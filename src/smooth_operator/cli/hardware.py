@@ -1,4 +1,5 @@
-"""``smooth-operator hardware``: lists drivers, checks a hand and writes its table, watches it."""
+"""``smooth-operator hardware``: lists drivers, checks a hand and writes its table, or monitors a
+hand."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ def list_hardware(options: List) -> None:
         try:
             kind = entry.load()
         except SmoothOperatorError:
-            continue  # of a plugin that is broken, or needs an extra to be looked at
+            continue  # A plugin may be broken, or need an extra to be loaded.
         if is_driver(kind):
             drivers[name] = entry.summary
     tables, broken = [], []
@@ -97,7 +98,7 @@ def list_hardware(options: List) -> None:
 
 
 def monitor_hardware(options: Monitor) -> None:
-    """Shows a hand until the time is over or Ctrl-C."""
+    """Shows the state of a hand until the time is over or Ctrl-C."""
     sink, _, hand = opened(options.device, options.side, options.hand)
     try:
         sink.open({options.side: hand}, {})
@@ -114,16 +115,16 @@ def monitor_hardware(options: Monitor) -> None:
 
 
 def opened(device: str, side: Side, hand: str | None) -> tuple[HardwareSink, ActuatorMap, Hand]:
-    """A real hand's sink, not yet open, its table and its model.
+    """Returns the sink of a real hand, not yet opened, with its table and its model.
 
     Raises:
-        ConfigError: it is no real hand, or its table can't be used.
+        ConfigError: the device is not a real hand, or its table can't be used.
         SmoothOperatorError: there is no such sink, hand or setting.
     """
     sink = real_hand(build_sink(device))
     if sink is None:
         raise ConfigError(
-            f"{device!r} is no real hand; smooth-operator hardware list names the drivers"
+            f"{device!r} is not a real hand; smooth-operator hardware list lists the drivers"
         )
     table = sink.actuators(side, hand or "")
     return sink, table, load_hand(hand or table.hand, side)
@@ -180,18 +181,20 @@ def _rows(headers: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:
 
 
 def check_hardware(options: Check) -> None:
-    """Goes through the actuators of a hand, and writes what was found."""
+    """Tries the actuators of a hand one by one, and writes the table."""
     table: ActuatorMap
     if options.ids is None:
         sink, table, hand = opened(options.device, options.side, options.hand)
     else:
         device = real_hand(build_sink(options.device))
         if device is None or options.hand is None:
-            raise ConfigError("--ids is for a real hand without a table; say its model with --hand")
+            raise ConfigError(
+                "--ids is for a real hand without a table; name its model with --hand"
+            )
         sink, hand = device, load_hand(options.hand, options.side)
         ids, low, high = _ids(options.ids), *options.ends
         if not low < high:
-            raise ConfigError(f"--ends must be the least command, then the greatest, not {low:g}")
+            raise ConfigError(f"--ends must be the minimum command, then the maximum, not {low:g}")
         table = blank_table(sink.driver, hand, ids, options.unit, (low, high), sink.limit)
     table.bind(hand)
     output = options.output or user_tables_folder() / f"{sink.driver}_{options.side}.toml"
@@ -208,13 +211,13 @@ def check_hardware(options: Check) -> None:
     write_table(checked, output, f"Written by smooth-operator hardware check {options.device}")
     print(printable(f"\n{output}"))
     if options.output is not None:
-        print(printable(f"use it: teleop --sink {options.device},table={_absolute(output)}"))
+        print(printable(f"use it with: teleop --sink {options.device},table={_absolute(output)}"))
 
 
 def _ask(question: str) -> str:
     try:
         return input(question)
-    except EOFError:  # no input: as the answer to end
+    except EOFError:  # without input, treat it as the answer to stop
         return "q"
 
 

@@ -13,17 +13,18 @@ from smooth_operator.cli.common_options import Common, Group, HandSide
 
 @dataclass(frozen=True, kw_only=True)
 class List(Common):
-    """Drivers of real hands, the tables of their actuators, and the serial ports here."""
+    """List the drivers of real hands, the tables of their actuators, and the serial ports of this
+    machine."""
 
     work: ClassVar[str] = "smooth_operator.cli.hardware:list_hardware"
-    details: ClassVar[str] = """Tables of your own are NAME_SIDE.toml in the folder that is named
-below; they go before the built-in ones.
+    details: ClassVar[str] = """Your own tables are files NAME_SIDE.toml in the folder that is
+printed below; they take precedence over the built-in ones.
 
 Example:
   smooth-operator hardware list"""
 
     json: bool = False
-    """One JSON object on standard output instead of the tables."""
+    """Print one JSON object on standard output instead of the tables."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,23 +32,25 @@ class _OneDevice(Common):
     """Options of the subcommands about one real hand."""
 
     device: Annotated[Positional[str], arg(metavar="DRIVER:PORT")]
-    """The hand, as for teleop --sink: leap:/dev/ttyUSB0, orca, inspire:192.168.11.210."""
+    """The real hand, written as for teleop --sink: leap:/dev/ttyUSB0, orca,
+    inspire:192.168.11.210."""
 
     side: Annotated[HandSide, arg(metavar="right|left")] = "right"
-    """Which hand."""
+    """Hand side."""
 
     hand: Annotated[str | None, arg(metavar="NAME")] = None
-    """Robot hand. Default: the hand of the table."""
+    """Catalogue name of the robot hand. Default: the hand of the table."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check(_OneDevice):
-    """Moves one actuator at a time, slowly, asks what moved, and writes the hand's table."""
+    """Move one actuator at a time, slowly, ask which joint moved, and write the hand's table."""
 
     work: ClassVar[str] = "smooth_operator.cli.hardware:check_hardware"
-    details: ClassVar[str] = """For each actuator: which joint moved, how far it goes each way, and
-the joint's angle at both ends. Enter keeps what the table says. An actuator whose current stays
-high stops by itself. Ctrl-C, SIGTERM and a closed terminal relax the hand; nothing is written.
+    details: ClassVar[str] = """For each actuator, the command asks which joint moved, how far it
+can move in each direction, and the joint's angle at both ends. Press Enter to keep the value of the
+table. An actuator whose current stays high stops by itself. Ctrl-C, SIGTERM or closing the terminal
+relaxes the hand, and nothing is written.
 
 Examples:
   smooth-operator hardware check leap:/dev/ttyUSB0
@@ -55,21 +58,23 @@ Examples:
   smooth-operator hardware check dynamixel:/dev/ttyUSB0 --hand my_hand --ids 1-12 --unit step"""
 
     output: Annotated[Path | None, arg(metavar="FILE")] = None
-    """File of the table. Default: DRIVER_SIDE.toml in your folder of tables, where teleop looks."""
+    """File of the table. Default: DRIVER_SIDE.toml in your folder of tables, where teleop finds
+    it."""
 
     ids: Annotated[str | None, arg(metavar="1-16")] = None
-    """Ids of the actuators of a hand that has no table yet, such as 1-12 or 0,3,5."""
+    """Actuator IDs of a hand that has no table yet, such as 1-12 or 0,3,5."""
 
     unit: str = "step"
     """Unit of the commands of a hand that has no table yet."""
 
     ends: Annotated[tuple[float, float], arg(metavar="LEAST GREATEST")] = (1024.0, 3072.0)
-    """Between which commands its actuators may be tried, in that unit."""
+    """Minimum and maximum command with which the actuators may be tried, in that unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Monitor(_OneDevice):
-    """Shows where a hand is: joints, positions, currents, temperatures, errors. Nothing moves."""
+    """Show the joints, positions, currents, temperatures and errors of a hand, without moving
+    it."""
 
     work: ClassVar[str] = "smooth_operator.cli.hardware:monitor_hardware"
     details: ClassVar[str] = """The motors are not switched on, so you can move the fingers by hand.
@@ -82,7 +87,7 @@ Examples:
     """Length of the run [s]. Default: until Ctrl-C."""
 
     json: bool = False
-    """One JSON object a line for each measurement, instead of the table."""
+    """Print each measurement as one line of JSON instead of the table."""
 
 
 What: TypeAlias = (
@@ -90,12 +95,13 @@ What: TypeAlias = (
     | Annotated[Check, subcommand("check")]
     | Annotated[Monitor, subcommand("monitor")]
 )
-"""The subcommands of the group."""
+"""Subcommands of the group."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hardware(Group):
-    """List drivers and tables of real hands, check a hand and write its table, watch it."""
+    """List drivers and tables of real hands, check a hand and write its table, or monitor a
+    hand."""
 
     details: ClassVar[str] = """Examples:
   smooth-operator hardware list
@@ -105,4 +111,4 @@ class Hardware(Group):
 Each has its own help: smooth-operator hardware check --help"""
 
     what: Annotated[OmitSubcommandPrefixes[What], arg(name="")]
-    """What to do."""
+    """Subcommand."""

@@ -1,4 +1,4 @@
-"""``smooth-operator latency``: the timing of a recorded run."""
+"""``smooth-operator latency``: prints the timing of a recorded run."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ from smooth_operator.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class Latency(Common):
-    """Print the time of every stage, from a log that teleop recorded."""
+    """Print the time of every stage of a run that teleop recorded."""
 
     work: ClassVar[str] = "smooth_operator.cli.latency:latency"
     details: ClassVar[str] = """Stages of a frame:
-  tracker  how much later it came than the fastest of the last seconds; the clocks of tracker and
-           computer are not compared, so a delay that never changes can't be seen
-  receive  from its arrival until the loop took it
-  solve    alignment and retargeting, one compiled program
-  limit    limits of position, velocity and acceleration, coupled joints
-  send     until every sink had the command
-The sum of the last four is what the loop adds.
+  tracker  delay compared with the fastest frame of the last seconds; the clocks of tracker and
+  computer are not compared, so a constant delay can't be seen receive  from the arrival of the
+  frame until the loop takes it solve    alignment and retargeting, one compiled program limit
+  limits of position, velocity and acceleration, coupled joints send     until every sink has the
+  command
+The sum of the last four stages is the delay that the loop adds.
 
 Examples:
   smooth-operator teleop --sink record:take.mcap --duration 60
@@ -34,10 +33,10 @@ Examples:
 """
 
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RECORD.mcap")]
-    """Logs, as the sink record writes them."""
+    """Logs, written by the sink record."""
 
     json: bool = False
-    """Print one JSON object on standard output, by log, and nothing else there."""
+    """Print only one JSON object on standard output, with one entry per log."""
 
 
 _SHOWN: Final = ("p50", "p95", "p99", "max")
@@ -50,7 +49,7 @@ def latency(options: Latency) -> None:
     from smooth_operator.teleop.runtime.statistics import log_timing
 
     if not options.logs:
-        raise ConfigError("name one log or more: smooth-operator latency take.mcap")
+        raise ConfigError("name at least one log: smooth-operator latency take.mcap")
     timings = {path: log_timing(read_log(path)) for path in options.logs}
     if options.json:
         print(to_json({str(path): timing for path, timing in timings.items()}))
@@ -74,11 +73,11 @@ def _print(path: Path, timing: Mapping[str, Any]) -> None:
     console.print(plain_table(str(path), ("[ms]", *_SHOWN), cells, left=1))
     parts = [counted(timing["commands"], "command")]
     if "rate_hz" in timing:
-        parts.append(f"{timing['frames_answered']} of them answer frames")
+        parts.append(f"{timing['frames_answered']} of them for new frames")
         parts.append(f"{timing['duration_s']:.1f} s at {timing['rate_hz'] or 0:.1f} Hz")
         parts += [f"{mode} {100 * share:.1f} %" for mode, share in timing["mode_share"].items()]
     console.print(", ".join(parts), markup=False)
     for event, count in timing.get("events", {}).items():
         console.print(f"  {count:6d} × {event}", markup=False)
     if timing["truncated"]:
-        console.print("the end of the log is missing; this is what came before")
+        console.print("the end of the log is missing; this is the timing of the part before it")

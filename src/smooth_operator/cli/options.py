@@ -42,10 +42,10 @@ _BOXED = re.compile(r"\s*(\x1b\[[0-9;]*m)*[╭│╰|+]")
 
 
 def document(kind: type) -> None:
-    """Gives tyro the help of each option of a dataclass, of its parts and of its subcommands.
+    """Passes the help of each option of a dataclass, including its parts and subcommands, to tyro.
 
-    tyro finds the docstrings below the fields itself, but keeps the line breaks of the source,
-    since continued lines are indented there.
+    tyro also finds the docstrings below the fields by itself, but it keeps the line breaks of the
+    source, because continued lines are indented there.
     """
     for each in reversed(kind.__mro__):
         if dataclasses.is_dataclass(each):
@@ -56,7 +56,7 @@ def document(kind: type) -> None:
 
 
 def without_rare(kind: type) -> type:
-    """A copy of a command's class whose help leaves out the rare options."""
+    """Returns a copy of a command's class whose help omits the rare options."""
     rare: frozenset[str] = getattr(kind, "rare", frozenset())
     if not rare:
         return kind
@@ -78,7 +78,7 @@ def _document(kind: type) -> None:
     docs, hints = _field_docs(kind), get_type_hints(kind, include_extras=True)
     own = {field.name for field in dataclasses.fields(kind)} & kind.__annotations__.keys()
     for name in own:
-        # tyro says itself that an option may be repeated
+        # tyro itself says that an option may be repeated
         repeated = tyro.conf.UseAppendAction in getattr(hints[name], "__metadata__", ())
         hint = None if repeated else _default_hint
         settings: Any = arg(help_behavior_hint=hint)
@@ -88,7 +88,8 @@ def _document(kind: type) -> None:
 
 
 def _default_hint(label: str) -> str:
-    """The default after an option's help; the text itself says what no value stands for."""
+    """Returns the default to print after an option's help. Without a default value, the help text
+    itself states the default."""
     return "" if label in ("None", "False", "") else f"(default: {label})"
 
 
@@ -108,7 +109,8 @@ def _field_docs(kind: type) -> dict[str, str]:
 
 
 def option_names(kind: type, prefix: str = "--") -> Iterator[str]:
-    """Names of the options of a command, without positional arguments: ``--limits.velocity``."""
+    """Names of the options of a command, such as ``--limits.velocity``, without positional
+    arguments."""
     hints = get_type_hints(kind, include_extras=True)
     for field in dataclasses.fields(kind):
         name = prefix + field.name.rstrip("_").replace("_", "-")  # from_ is --from
@@ -120,10 +122,11 @@ def option_names(kind: type, prefix: str = "--") -> Iterator[str]:
 
 
 def _check_options(kind: type, name: str, words: Sequence[str]) -> None:
-    """Refuses an unknown option. tyro would name a missing argument in its place.
+    """Refuses an unknown option. For an unknown option, tyro would complain about a missing
+    argument instead.
 
     Raises:
-        ConfigError: a word is an unknown option.
+        ConfigError: an argument is an unknown option.
     """
     known = {*option_names(kind), "--help"}
     for word in words:
@@ -149,9 +152,9 @@ def _dataclasses_in(hint: Any) -> Iterator[type]:
 
 @contextlib.contextmanager
 def wrapped_output() -> Iterator[None]:
-    """Wraps the text printed in the block at the width of the terminal, except boxes.
+    """Wraps text that is printed inside the block at the width of the terminal, except boxes.
 
-    tyro fits its boxes to that width, and leaves what stands above them as it is.
+    tyro fits its boxes to that width, but does not wrap the text above them.
     """
     before, held = sys.stdout, _Held(sys.stdout)
     sys.stdout = held
@@ -167,10 +170,10 @@ def wrapped_output() -> Iterator[None]:
 def _fitted(line: str, width: int) -> str:
     if _BOXED.match(line) or len(line) <= width:
         return line
-    if "usage:" in line:  # all subcommands, which a box lists as well
+    if "usage:" in line:  # the list of subcommands, which the box repeats
         line = re.sub(r"\{\S+,\S+\}", "COMMAND", line)
     indent = " " * (len(line) - len(line.lstrip()))
-    table = re.match(r"\s+\S+(, \S+)*\s{2,}|\s+", line)  # a name and what it is, in columns
+    table = re.match(r"\s+\S+(, \S+)*\s{2,}|\s+", line)  # a name and its description, in columns
     after = " " * len(table[0]) if table else indent
     return textwrap.fill(
         line, width, subsequent_indent=after, break_on_hyphens=False, break_long_words=False
@@ -178,7 +181,7 @@ def _fitted(line: str, width: int) -> str:
 
 
 class _Held(io.StringIO):
-    """Collects text, with the encoding and width of another stream."""
+    """Stream that collects text, with the encoding and width of another stream."""
 
     def __init__(self, stream: Any) -> None:
         super().__init__()
@@ -197,31 +200,31 @@ class _Held(io.StringIO):
 
 EXAMPLES: Final = """Examples:
   smooth-operator demo
-      a built-in operator, retargeted, measured and played in the browser
+      retarget the built-in operator, print five metrics and play the result in the browser
   smooth-operator sample hand.npz
-      a recording of the built-in operator, to try the others on
+      record the built-in operator, as input for the other commands
   smooth-operator retarget glove.npz --output out.npz
       convert a recording to joint commands, and print quality checks
   smooth-operator dataset egodex/ --hand leap_hand --output out
       convert recordings to a data set of robot episodes, filtered by quality
   smooth-operator teleop --source webcam --sink mujoco record:take.mcap
-      a live tracker drives a hand, within limits, with a page to watch
+      drive a hand live from a tracker, within limits, with a page that shows it
   smooth-operator view out.npz glove.npz
-      show result and recording side by side in the browser
+      show the result and the recording side by side in the browser
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap
       write both to one file in another format: MCAP, HDF5, npz or LeRobot
   smooth-operator bench glove.npz --methods all --output out
       compare methods: a table, results.json and an HTML report
   smooth-operator calibrate glove.npz --output operator.json
-      the gaps that a tracker leaves in an operator's pinches; a file for --operator
+      measure the gaps that a tracker leaves in an operator's pinches; writes a file for --operator
   smooth-operator train geort glove.npz --output my-geort
-      a model of the learning-based method for a hand and its operator
+      train a learning-based method for a hand and an operator
   smooth-operator hands list
-      the robot hands; hands show NAME has joints and limits, and a page
+      list the robot hands; hands show NAME prints joints and limits, and opens a page
   smooth-operator hardware list
-      real hands: drivers, tables, ports; hardware check writes a hand's table
+      list drivers, tables and ports of real hands; hardware check writes a hand's table
   smooth-operator study analyze trials.csv tlx.csv --output out
-      a user study: models, corrected p-values, a report (packages/smooth_operator_study)
+      analyse a user study: models, corrected p-values, a report (packages/smooth_operator_study)
   smooth-operator doctor
       check this machine, its extras and settings, and suggest fixes
 
@@ -276,17 +279,19 @@ _DISTRIBUTIONS: Final = {
     "study": _STUDY,
     **dict.fromkeys(("paper", "ablate", "physics", "study.simulate"), _RESEARCH),
 }
-"""Command -> the distribution of this repository that adds it, and the line that installs that."""
+"""Maps a command to the distribution of this repository that adds it, and to the line that installs
+it."""
 
 COMMANDS: Final = Registry(
     "command",
     {name: Entry(f"{kind.__module__}:{kind.__name__}") for name, kind in _COMMANDS.items()},
     elsewhere={
-        name: f"a command of {owner}, which is not installed; in a clone of the repository: {line}"
+        name: f"this command belongs to {owner}, which is not installed; install it in a clone of "
+        f"the repository: {line}"
         for name, (owner, line) in _DISTRIBUTIONS.items()
     },
 )
-"""Name -> options of the command, a dataclass that derives from ``Common``.
+"""Maps the name of a command to its options, a dataclass that derives from ``Common``.
 
 A plugin's ``GROUP.NAME`` is the command ``smooth-operator GROUP NAME``.
 """
@@ -303,16 +308,16 @@ def _command(name: str) -> type[Common | Group]:
 
 
 def _commands(name: str) -> dict[str, Any]:
-    """The commands that are needed to understand arguments that begin with a name."""
+    """Commands to load for arguments that begin with a name."""
     if name in COMMANDS.built_in:
         return dict(_COMMANDS)
     if name in COMMANDS:
         return {**_COMMANDS, name: _command(name)}
-    return {**_COMMANDS, **COMMANDS.loadable(_command)}  # for the overview
+    return {**_COMMANDS, **COMMANDS.loadable(_command)}  # the overview needs all commands
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:
-    """Arguments with ``bench --physics`` and a plugin's ``GROUP COMMAND`` as one word each.
+    """Joins ``bench --physics`` and a plugin's ``GROUP COMMAND`` into one argument each.
 
     Raises:
         ConfigError: the command is in a distribution that is not installed.
@@ -329,7 +334,8 @@ def _joined(arguments: Sequence[str]) -> list[str]:
 
 
 def _from_plugins(group: str) -> str:
-    """Help on the commands of a group that other distributions add, or would add if installed."""
+    """Help on the commands that other distributions add to a group, or would add if they were
+    installed."""
     texts = {name: f"with {owner} ({line})" for name, (owner, line) in _DISTRIBUTIONS.items()}
     for name, kind in COMMANDS.loadable(_command).items():
         texts[name] = (kind.__doc__ or "").strip().partition("\n")[0]
@@ -342,10 +348,10 @@ def _from_plugins(group: str) -> str:
 
 
 def parse(arguments: Sequence[str]) -> Command:
-    """The command that the arguments name.
+    """Parses the arguments and returns the options of their command.
 
     Raises:
-        SystemExit: 0 after printing help, 2 after saying what is wrong with the arguments.
+        SystemExit: 0 after printing help, 2 after printing an error about the arguments.
         SmoothOperatorError: there is no such command.
     """
     whole = "--help-all" in arguments
@@ -353,7 +359,7 @@ def parse(arguments: Sequence[str]) -> Command:
     name = arguments[0] if arguments else ""
     commands = _commands(name)
     flags = (tyro.conf.FlagCreatePairsOff,)
-    for_a_shell = any(word.startswith("--tyro-") for word in arguments)  # completions
+    for_a_shell = any(word.startswith("--tyro-") for word in arguments)  # shell completions
     overview = not arguments or name in ("-h", "--help") or name.startswith("--tyro-")
     if not overview and name.startswith("-"):
         raise ConfigError(
@@ -361,7 +367,7 @@ def parse(arguments: Sequence[str]) -> Command:
             "[OPTIONS]. smooth-operator --help lists the commands"
         )
     if not overview and name not in commands:
-        hint = "smooth-operator --help says what each does."
+        hint = "smooth-operator --help describes each command."
         raise UnknownNameError("command", name, commands, hint)
     with contextlib.nullcontext() if for_a_shell else wrapped_output():
         if overview:

@@ -14,18 +14,18 @@ from smooth_operator.planning import read_configuration
 
 
 def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:
-    """Checks that ``OUT.npz`` and its configuration may be written; writes nothing.
+    """Checks that ``OUT.npz`` and its configuration may be written. Does not write anything.
 
     Raises:
-        OutputError: the name does not end in ``.npz``; there is an earlier result and ``overwrite``
-            is false; or one of the two names is taken by something other than an earlier result.
+        OutputError: the name does not end in ``.npz``; an earlier result exists and ``overwrite``
+            is false; or one of the two files exists and is not an earlier result.
     """
     if path.suffix != ".npz":
         raise OutputError(f"can't write {str(path)!r}: the name must end in .npz")
     beside = config_path(path)
     for target in (path, beside):
         if target.exists() and not target.is_file():
-            raise OutputError(f"can't write {str(target)!r}: it is a folder; give a file's name")
+            raise OutputError(f"can't write {str(target)!r}: it is a folder; name a file")
         if target.exists() and recording.exists() and target.samefile(recording):
             raise OutputError(
                 f"can't write {str(target)!r}: it is the recording itself; choose another name"
@@ -35,8 +35,8 @@ def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:
             read_commands(path)
         except RecordingError:
             raise OutputError(
-                f"can't write {str(path)!r}: it holds something other than commands; choose "
-                "another name, or remove it first"
+                f"can't write {str(path)!r}: the file exists and does not hold commands; "
+                "choose another name, or remove the file first"
             ) from None
         if not overwrite:
             raise OutputError(
@@ -44,22 +44,24 @@ def check_commands_path(path: Path, recording: Path, overwrite: bool) -> None:
             )
     if beside.exists() and read_configuration(beside) is None:
         raise OutputError(
-            f"can't write {str(beside)!r}, the configuration of {path.name}: it holds "
-            "something else; choose another name for the result, or remove it first"
+            f"can't write {str(beside)!r}, the configuration file of {path.name}: it exists "
+            "and is not a configuration; choose another name for the result, or remove the "
+            "file first"
         )
 
 
 @contextlib.contextmanager
 def folder_for(folder: Path) -> Iterator[None]:
-    """Makes a folder if need be and tries to write in it; a new one goes again if the block fails.
+    """Creates a folder if necessary and checks that it is writable. If the block fails, a new
+    folder is removed again.
 
     Raises:
-        OutputError: it can't be made or written to.
+        OutputError: the folder can't be created or is not writable.
     """
     if folder.exists() and not folder.is_dir():
         raise OutputError(
-            f"can't write into {str(folder)!r}: a file stands where a folder is expected; choose "
-            "another path"
+            f"can't write into {str(folder)!r}: it is a file, but a folder is expected; "
+            "choose another path"
         )
     missing = [at for at in (folder, *folder.parents) if not at.exists()]
     try:
@@ -71,27 +73,27 @@ def folder_for(folder: Path) -> Iterator[None]:
             raise output_error(folder, error) from error
         yield
     except BaseException:
-        for at in missing:  # the deepest first; rmdir takes none that holds something
+        for at in missing:  # Start with the deepest folder; rmdir removes only empty folders.
             with contextlib.suppress(OSError):
                 at.rmdir()
         raise
 
 
 def stopped(output: Path) -> KeyboardInterrupt:
-    """The end of a command by Ctrl-C whose results are kept; ``main`` prints its text."""
-    return KeyboardInterrupt(f"run the same command to continue in {output}")
+    """Raised when Ctrl-C ends a command whose results are kept; ``main`` prints its text."""
+    return KeyboardInterrupt(f"run the same command again to continue in {output}")
 
 
 def check_demo_folder(folder: Path) -> None:
-    """Looks whether the demo may write into a folder; writes nothing.
+    """Checks that the demo may write into a folder. Does not write anything.
 
     Raises:
-        OutputError: it is a file, or holds something other than an earlier demo.
+        OutputError: it is a file, or contains files that are not from an earlier demo.
     """
     if not folder.exists():
         return
     if not folder.is_dir():
-        raise OutputError(f"can't write {str(folder)!r}: a file stands there; name a folder")
+        raise OutputError(f"can't write {str(folder)!r}: it is a file; name a folder")
     former = read_configuration(folder / "config.json")
     if former is not None and former.get("command") == "demo":
         return
@@ -101,19 +103,19 @@ def check_demo_folder(folder: Path) -> None:
         raise output_error(folder, error) from error
     if not empty:
         raise OutputError(
-            f"can't write into {str(folder)!r}: it holds something other than an earlier demo; "
-            "give another folder with --output"
+            f"can't write into {str(folder)!r}: it contains files that are not from an "
+            "earlier demo; name another folder with --output"
         )
 
 
 @contextlib.contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """A folder to write results in, whose files take their places when the block ends.
+    """Yields a temporary folder for results; its files are moved to ``folder`` when the block ends.
 
-    If the block fails or is stopped, what stood in ``folder`` is as it was.
+    If the block fails or is stopped, ``folder`` is unchanged.
 
     Raises:
-        OutputError: a file can't be put in its place.
+        OutputError: a file can't be moved to ``folder``.
     """
     try:
         holder = tempfile.TemporaryDirectory(prefix=".unfinished-", dir=folder)

@@ -1,4 +1,4 @@
-"""The model that a robot hand is drawn on."""
+"""The model with which a robot hand is drawn."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from smooth_operator.terminal import print_note
 
 
 def hand_to_draw(hand: Hand, options: Meshes) -> Hand | None:
-    """The hand on a model with its meshes; None where simple shapes are to be drawn.
+    """Returns the hand's model with its meshes; None if simple shapes should be drawn.
 
-    Meshes that nobody named and that can't be read are no reason to stop: a line says so.
+    If meshes that the user did not ask for can't be read, a note says so and simple shapes are
+    drawn.
 
     Raises:
-        HandModelError: the model that was named can't be used.
+        HandModelError: the model that the user named can't be used.
         MissingExtraError: its package is not installed.
     """
     if options.no_meshes:
@@ -25,5 +26,5 @@ def hand_to_draw(hand: Hand, options: Meshes) -> Hand | None:
     except HandModelError as error:
         if options.model is not None:
             raise
-        print_note(f"simple shapes are drawn: {error}")
+        print_note(f"drawing simple shapes: {error}")
         return None

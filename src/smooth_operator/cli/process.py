@@ -1,4 +1,4 @@
-"""The process of a command: signals from its first line on, and an end that nothing spoils."""
+"""The process of a command: handling of signals from the start, and a clean exit."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ import warnings
 
 from smooth_operator.signals import ended_by_signals
 
-TYPE_CHECKING = False  # as typing's, whose import Ctrl-C would interrupt with a traceback
+TYPE_CHECKING = False  # used like typing's; Ctrl-C while importing typing would print a traceback
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
     from typing import Any
 
-INTERRUPTED = 130  # what shells report for SIGINT
-_COMPILES = "compile"  # name of the thread of ``smooth_operator.teleop.run`` that compiles
+INTERRUPTED = 130  # exit status that shells report for SIGINT
+_COMPILES = "compile"  # name of the thread in which ``smooth_operator.teleop.run`` compiles
 
 
 def main(argv: Sequence[str] | None = None, set_up: Callable[[], object] = lambda: None) -> int:
@@ -32,17 +32,18 @@ def main(argv: Sequence[str] | None = None, set_up: Callable[[], object] = lambd
         set_up: called before the command works, once its arguments are right.
 
     Returns:
-        The exit status: 0 done, 1 done but for some recordings or cells (a folder, a benchmark),
-        2 the user can mend it (the reason is on standard error), 130 stopped by Ctrl-C or another
-        ending signal, 141 after standard output was closed.
+        The exit status: 0 done, 1 some recordings or cells failed (of a folder or a benchmark), 2
+        an error that the user can fix (the reason is on standard error), 130 stopped by Ctrl-C or
+        another termination signal, 141 standard output was closed.
 
     Raises:
-        SmoothOperatorError: what would have been a message, with ``--debug`` or
-            ``SMOOTH_OPERATOR_DEBUG=1``; its traceback then shows where it came from.
+        SmoothOperatorError: with ``--debug`` or ``SMOOTH_OPERATOR_DEBUG=1``, so that the traceback
+            is shown instead of a message.
     """
     with ended_by_signals(), _no_interrupt_lost():
         try:
-            from smooth_operator.cli.app import run  # here: what it imports takes a while
+            # imported here, because this import takes a while
+            from smooth_operator.cli.app import run
 
             return run(sys.argv[1:] if argv is None else argv, set_up)
         except KeyboardInterrupt as stop:  # with advice, where a command has some
@@ -53,7 +54,7 @@ def main(argv: Sequence[str] | None = None, set_up: Callable[[], object] = lambd
 
 
 def program() -> int:
-    """The process of a command: ``main``, and an end that no thread can spoil.
+    """Runs ``main`` and ends the process, even if threads are still running.
 
     A daemon thread that is still within compiled code (a driver that does not answer, a library)
     asks for the interpreter while that ends, and is unwound through frames that do not expect it:
@@ -121,15 +122,15 @@ def _forget_damaged(folder: Path) -> None:
 
 @contextlib.contextmanager
 def _no_interrupt_lost() -> Iterator[None]:
-    """Have Ctrl-C come again where it was swallowed.
+    """Repeats a Ctrl-C that a callback of the garbage collector has swallowed.
 
-    JAX has the garbage collector call it back, and Python drops whatever is raised in there: a
-    Ctrl-C at such a moment would go unheard.
+    JAX registers a callback of the garbage collector, and Python drops every exception that is
+    raised in it. A Ctrl-C at such a moment would be lost.
     """
     before, busy = sys.unraisablehook, threading.Lock()
 
     def later() -> None:
-        with busy:  # not in the hook, where it would be dropped as well
+        with busy:  # not inside the hook, where it would be dropped as well
             pass
         time.sleep(0.02)
         _interrupt()
@@ -149,7 +150,7 @@ def _no_interrupt_lost() -> Iterator[None]:
 
 
 def _interrupt() -> None:
-    if hasattr(signal, "pthread_kill"):  # a real signal ends a sleep, too
+    if hasattr(signal, "pthread_kill"):  # a real signal also ends a sleep
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
     else:
         _thread.interrupt_main()

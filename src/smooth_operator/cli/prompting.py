@@ -1,4 +1,4 @@
-"""Asking an operator in the terminal for the pinches of a calibration."""
+"""Prompts in the terminal that ask an operator for the pinches of a calibration."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _PATIENCE_S: Final = 30.0
 def ask(
     source: LiveSource, side: Side, progress: Progressing
 ) -> tuple[HandRecording, list[Segment]]:
-    """Goes through the prompts, with a bar.
+    """Shows the prompts one after the other, with a progress bar.
 
     Args:
         source: where frames come from; started and stopped here.
         side: side of the hand.
 
     Returns:
-        what was seen, and where each pinch was held.
+        the recorded frames, and the time at which each pinch was held.
 
     Raises:
-        SourceError: no hand was seen for half a minute, or the source gave up.
+        SourceError: no hand was seen for half a minute, or the source failed.
     """
     mailbox = Mailbox()
     session = CalibrationSession(side, PROMPTS)
@@ -59,8 +59,8 @@ def _go_through(
         health = source.health()
         if health.state in ("failed", "ended") or mailbox.clock() - last_stamp > _PATIENCE_S:
             raise SourceError(
-                f"{source.label}: no {session.side} hand any more "
-                f"({100 * moment.done:.0f} % was done); {health.detail or health.state}"
+                f"{source.label}: no {session.side} hand is visible any more "
+                f"({100 * moment.done:.0f} % completed); {health.detail or health.state}"
             )
 
 

@@ -1,4 +1,4 @@
-"""``smooth-operator sample``: a recording of the built-in operator."""
+"""``smooth-operator sample``: records the built-in operator."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Sample(Common, Synthetic, Quiet):
     """Write a recording of the built-in operator, as input for the other commands."""
 
     work: ClassVar[str] = "smooth_operator.cli.sample:sample"
-    details: ClassVar[str] = """The hand opens, closes, pinches, spreads and gaits its fingers. Its
-proportions and its motion come from --seed: the same seed is the same file.
+    details: ClassVar[str] = """The hand opens, closes, pinches, spreads and moves its fingers in
+turn. --seed determines its proportions and motion: the same seed gives the same file.
 
 Examples:
   smooth-operator sample hand.npz
@@ -31,7 +31,7 @@ Examples:
 """
 
     output: Annotated[Positional[Path], arg(metavar="OUT.npz|OUT.mcap|OUT.h5")]
-    """File to write; its folder is created if missing."""
+    """File to write. Its folder is created if missing."""
 
     seed: int = 0
     """Seed of the person: bone lengths, timing and motion."""

@@ -25,7 +25,7 @@ def requested(
     layout: str | None = None,
     frames: str | None = None,
 ) -> RetargetRequest:
-    """Makes a request of the options; reads the files that they name.
+    """Creates a request from the options, and reads the files that they name.
 
     Raises:
         SmoothOperatorError: an option or a file is invalid.
@@ -43,7 +43,7 @@ def execute_shown(todo: Plan, progress: Progressing) -> Outcome:
 
 
 def say_notes(config: MethodConfig, hand: Hand, progress: Progressing) -> None:
-    """Prints notes on a method on a hand, and on the shapes by which it is judged."""
+    """Prints notes on a method and a hand, and on the collision shapes that the metrics use."""
     for note in dict.fromkeys([*config.notes(hand), *filter(None, [stand_in_note(hand)])]):
         progress.note(note, matters=True)
 

@@ -28,45 +28,45 @@ Sources:
 Sinks, one or several:
 {SINKS.describe()}
 
-Space, Esc and x stop the robot; u releases the stop, p pauses and resumes, c releases and
-engages the wrist, q or Ctrl-C ends. The page has the same keys."""
+Keys: Space, Esc and x stop the robot; u releases the stop; p pauses and resumes; c releases and
+engages the wrist; q or Ctrl-C ends the run. The page has the same keys."""
     more: ClassVar[str] = """Settings of a source or sink follow its name: replay:glove.npz,speed=2.
-Your own class is named package.module:Class in the same way: mylab.driver:MySink,port=7
+To use your own class, write package.module:Class instead of a name: mylab.driver:MySink,port=7
 (docs/how-to/plugins.md).
 
-Without tracker frames the hand holds, then moves to its neutral pose; when the operator
-is back it returns smoothly. Joint ranges, velocities and accelerations are always limited.
-With a tracker of the wrist, the robot's wrist moves as the operator's has moved since it was
-engaged: pause, move back, resume.
+Without tracker frames, the hand holds its pose, then moves to its neutral pose; when frames arrive
+again, it returns smoothly. Joint positions, velocities and accelerations are always limited. If the
+tracker measures the wrist, the robot's wrist repeats the motion of the operator's wrist since it
+was engaged. To move further than your arm reaches: pause, move your hand back, resume.
 
-Exit status: 0 done, 1 a sink failed (the summary says which), 2 something can't be opened,
-130 stopped by Ctrl-C or another signal."""
+Exit status: 0 done, 1 a sink failed (the summary says which), 2 a source, sink or other part can't
+be opened, 130 stopped by Ctrl-C or another signal."""
     rare: ClassVar[frozenset[str]] = frozenset({
         "port", "no_meshes", "model", "debug", "trials", "seed", "fingers", "pinch_gaps",
         "priority", "methods", "control", "blind", "task", "safety", "limits", "wrist", "quiet",
     })  # fmt: skip
 
     priority: Literal["high", "normal"] = "high"
-    """Whether the loop takes real-time priority, if the system allows it; what it got is in
-    the summary (docs/how-to/teleoperate.md)."""
+    """Scheduling priority that the loop requests. The summary says which priority the system
+    granted (docs/how-to/teleoperate.md)."""
 
     no_view: bool = False
-    """Don't serve the page: for machines without a browser."""
+    """Do not serve the page, for machines without a browser."""
 
     json: bool = False
-    """Print the summary as one JSON object on standard output, and nothing else there."""
+    """Print only the summary, as one JSON object, on standard output."""
 
     quiet: bool = False
     """Print only important messages on standard error."""
 
     def extras(self) -> dict[str, tuple[str, ...]]:
-        """For the page and the arm; sources and sinks name their own."""
+        """Extras of the page and the arm; sources and sinks name their own extras."""
         page = () if self.no_view else ("viser", "trimesh", "matplotlib", "jinja2")
         return {"teleop": page} if self.arm is None else {"arm": ("mink", "daqp", *page)}
 
 
 def teleop(options: Teleop) -> None:
-    """Runs a teleoperation, with keys in the terminal and what happens on standard error."""
+    """Runs a teleoperation, with keys in the terminal and progress on standard error."""
     from smooth_operator.cli.console import Progressing
     from smooth_operator.compilation.start import start_jax
     from smooth_operator.retargeting.presets import method_config
@@ -74,7 +74,7 @@ def teleop(options: Teleop) -> None:
 
     if options.no_view and options.model is not None:
         raise ConfigError(
-            "--model says what the page draws, and --no-view leaves the page out; leave out one"
+            "--model sets what the page draws, and --no-view disables the page; remove one of them"
         )
     page = PageSettings(
         options.host,

@@ -1,4 +1,4 @@
-"""``smooth-operator train``: a recording into a model for a learning-based method."""
+"""``smooth-operator train``: trains a learning-based method on a recording."""
 
 from __future__ import annotations
 
@@ -22,16 +22,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Train(Ordered, Common, Quiet):
-    """Train a learning-based method for a robot hand: geort."""
+    """Train a learning-based method (geort) for a robot hand."""
 
     work: ClassVar[str] = "smooth_operator.cli.train:train"
-    details: ClassVar[str] = """Needs the extra lab.
+    details: ClassVar[str] = """Needs the lab extra. Writes to DIR: model.npz (the model),
+model.json (how it was trained), losses.csv and checkpoint.npz. Ctrl-C keeps all of them; the same
+command with --resume continues and gives the same bytes as an uninterrupted training.
 
-DIR gets model.npz, ready to use, model.json (how it was trained), losses.csv and
-checkpoint.npz. Ctrl-C keeps all of it; the same command with --resume continues, and
-gives the same bytes as a training without a stop.
-
-A good recording opens, closes, spreads and pinches for a minute or more.
+In a good recording the hand opens, closes, spreads and pinches for at least a minute.
 
 Examples:
   smooth-operator train geort glove.npz --hand mimic_p050 --output my-geort
@@ -43,9 +41,9 @@ Examples:
     """The method to train."""
 
     recordings: Annotated[Positional[tuple[str, ...]], arg(metavar="RECORDING...")]
-    """MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or this program's .mcap log; one or
-    more, of one side. The word synthetic stands for a dozen built-in operators (a file of that
-    name is ./synthetic)."""
+    """MANUS .npz, (T, 21, 3) landmarks [m] as .npy or .npz, or this program's .mcap log. Several
+    recordings must be of the same side. The word synthetic stands for twelve built-in operators
+    (for a file of that name, write ./synthetic)."""
 
     output: Annotated[Path, arg(metavar="DIR")]
     """Folder to write; created if missing."""
@@ -57,7 +55,7 @@ Examples:
     """Hand side. Default: the side of the recording."""
 
     epochs: int = 120
-    """Passes over the recorded points."""
+    """Number of epochs (passes over the recorded points)."""
 
     seed: int = 0
     """Seed of all random numbers: the same seed and frames give the same model."""
@@ -69,21 +67,21 @@ Examples:
     """Frames per second of recordings without time stamps [Hz]."""
 
     coverage: Literal["operator", "reach"] = "operator"
-    """Motion of the robot to cover: the operator's motion, or, as published, the robot's whole
-    reach; the recording must then contain the ends of the operator's own reach."""
+    """Motion that the robot should cover: the operator's motion or, as published, the robot's whole
+    workspace. For the latter, the recording must contain the limits of the operator's own reach."""
 
     checkpoint_every: Annotated[int, arg(metavar="EPOCHS")] = 10
-    """Epochs between checkpoints."""
+    """Number of epochs between checkpoints."""
 
     resume: bool = False
-    """Continue the training in DIR, started with the same recording and options."""
+    """Continue a training in DIR that was started with the same recording and options."""
 
 
 SYNTHETIC: Final = "synthetic"
 
 
 def train(options: Train) -> None:
-    """Reads, trains, writes."""
+    """Reads the recordings, trains and writes the model."""
     from smooth_operator.baselines.geort.training import LOSSES, GeortTrainer, TrainingSession
     from smooth_operator.baselines.geort.training_data import GeortTraining, training_data
     from smooth_operator.cli.console import Progressing
@@ -107,14 +105,14 @@ def train(options: Train) -> None:
         frames, points = trainer.data.frames, trainer.data.train
         progress.note(
             f"training on {frames['train']} frames, validating on {frames['validation']}; "
-            f"{points.counts.min()} to {points.counts.max()} points a finger, "
+            f"{points.counts.min()} to {points.counts.max()} points per finger, "
             f"{points.pinched.shape[-1]} frames with a pinch"
         )
         if not points.pinched.any():
             progress.note(
-                "no pinch was recorded (thumb tip and a fingertip within "
-                f"{settings.pinch_distance * 1e3:g} mm): the model will not have learnt to close "
-                "one",
+                "the recordings contain no pinch (thumb tip and a fingertip within "
+                f"{settings.pinch_distance * 1e3:g} mm): the model will not learn to close a "
+                "pinch",
                 matters=True,
             )
         try:
@@ -134,7 +132,7 @@ def train(options: Train) -> None:
 def _recordings(
     options: Train, progress: Progressing
 ) -> tuple[list[HandRecording], list[HandRecording]]:
-    """Recordings for training, and recordings for validation alone."""
+    """Recordings for training, and recordings used only for validation."""
     from smooth_operator.baselines.geort.training_data import synthetic_recordings
     from smooth_operator.formats.checks import frame_slice, reading_notes
     from smooth_operator.formats.readers import read_recording
@@ -145,8 +143,8 @@ def _recordings(
     if SYNTHETIC in options.recordings:
         if len(options.recordings) > 1 or options.frames or options.rate:
             raise ConfigError(
-                "'synthetic' stands alone, without other recordings, --frames and --rate (a file "
-                "of that name is ./synthetic)"
+                "'synthetic' can't be combined with other recordings, --frames or --rate "
+                "(for a file of that name, write ./synthetic)"
             )
         with progress.waiting("recording the synthetic operators"):
             return synthetic_recordings(options.side or default_side(options.hand), options.seed)
@@ -182,7 +180,7 @@ def _bar(progress: Progressing, epochs: int) -> Iterator[Callable[[TrainingState
 
 
 def _resuming(options: Train) -> str:
-    """The command that goes on."""
+    """Command that resumes the training."""
     words = ["smooth-operator", "train", options.method, *options.recordings]
     words += ["--hand", options.hand, "--output", str(options.output)]
     words += ["--epochs", str(options.epochs), "--seed", str(options.seed)]

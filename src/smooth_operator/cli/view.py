@@ -28,9 +28,9 @@ class View(Common, Page, Ordered, Meshes):
     work: ClassVar[str] = "smooth_operator.cli.view:view"
     details: ClassVar[
         str
-    ] = """Commands and frames are matched by their time stamps. Several files of
-commands, of the same frames on the same hand, stand side by side, each under its method's name; the
-human hand is aligned as the first method saw it.
+    ] = """Commands and frames are matched by their timestamps. Several files of commands for the
+same frames and the same hand are shown side by side, each labelled with its method; the human hand
+is aligned as for the first method.
 
 Examples:
   smooth-operator view out.npz glove.npz
@@ -41,23 +41,24 @@ Examples:
 """
 
     files: Annotated[Positional[tuple[Path, ...]], arg(metavar="OUT.npz... RECORDING")]
-    """Commands, as retarget writes them, of one method or of several; then the recording that they
-    answer."""
+    """One or more files of commands from retarget, followed by the recording that they were made
+    from."""
 
     hand: Annotated[str | None, arg(metavar="NAME")] = None
     """Robot hand. Default: the hand in OUT.json."""
 
     fingers: Annotated[str | None, arg(metavar="A,B=C")] = None
-    """Robot fingers that were driven, as for retarget. Default: those in OUT.json."""
+    """Robot fingers that were driven, written as for retarget. Default: those in OUT.json."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
-    """Hand side. Default: the side in OUT.json or of the recording."""
+    """Hand side. Default: the side in OUT.json, or that of the recording."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
     """Frame rate of a recording without timestamps [Hz]. Default: the rate in OUT.json."""
 
     save: Annotated[Path | None, arg(metavar="CLIP.gif|CLIP.webp")] = None
-    """Write a clip instead of serving the page; --model draws the vendor's meshes."""
+    """Write a video clip to this file instead of serving the page. Use --model to draw the vendor's
+    meshes."""
 
     frames: Annotated[str | None, arg(metavar="A:B")] = None
     """Only these frames of the commands, as a Python slice: :500, 2600:3100"""
@@ -85,8 +86,8 @@ def view(options: View) -> None:
     if len(hands) > 1:
         (one, first), (other, second) = list(hands.items())[:2]
         raise HandModelError(
-            f"{first} is of the hand {one!r} and {second} of {other!r}; side by side stand results "
-            "of one hand"
+            f"{first} is for the hand {one!r} and {second} of {other!r}; only results of the "
+            "same hand can be compared"
         )
     labels = ["robot"] if len(runs) == 1 else _labels(runs)
     hand = runs[0].hand
@@ -119,7 +120,7 @@ def _save(pages: Sequence[Playback], path: Path) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """One file of commands with what it answers."""
+    """One file of commands with the frames that it was made from."""
 
     out: Path
     hand: Hand
@@ -173,7 +174,7 @@ def _chosen(commands: CommandTrajectory, frames: str | None) -> CommandTrajector
 
 
 def _labels(runs: Sequence[_Run]) -> list[str]:
-    """Label of each run: its method, or its file if the method is unknown or not unique."""
+    """Label of each run: its method, or its file name if the method is unknown or not unique."""
     names = [run.made_by or run.out.stem for run in runs]
     return [
         name if names.count(name) == 1 else f"{name} ({run.out.stem})"
@@ -184,7 +185,7 @@ def _labels(runs: Sequence[_Run]) -> list[str]:
 def _answered(
     commands: CommandTrajectory, recording: HandRecording, out: Path, source: Path
 ) -> HandRecording:
-    """The frames that the commands answer, found by their stamps."""
+    """Finds the frames from which the commands were made, by their timestamps."""
     import numpy as np
 
     at = np.searchsorted(recording.stamps, commands.stamps)
@@ -192,15 +193,15 @@ def _answered(
     consecutive = bool((np.diff(at) == 1).all())
     if not len(commands) or not equal.all() or not consecutive:
         raise RecordingError(
-            f"{out} was not made from {source}: {int(equal.sum())} of its {len(commands)} time "
-            "stamps are those of consecutive frames in it; give the recording that it was made "
-            "from, with the same --rate if it holds no stamps"
+            f"{out} was not made from {source}: {int(equal.sum())} of its {len(commands)} "
+            "timestamps match consecutive frames of the recording; name the recording that "
+            "it was made from, with the same --rate if it has no timestamps"
         )
     return recording[int(at[0]) : int(at[-1]) + 1]
 
 
 def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
-    """The fingers that are driven: as asked for, or as the configuration says."""
+    """The driven fingers: those of the options, or those of the configuration."""
     from smooth_operator.hands.finger_choice import parse_fingers
 
     if options.fingers is not None:
@@ -210,7 +211,7 @@ def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
 
 
 def _alignment(config: dict[str, Any]) -> AlignmentConfig:
-    """The scale that the method used, where the configuration says."""
+    """The scale that the method used, if the configuration has it."""
     from smooth_operator.retargeting.alignment import AlignmentConfig
 
     try:

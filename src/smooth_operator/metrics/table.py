@@ -466,7 +466,7 @@ def _computed(metric: Metric, trace: Trace, definition: Definition) -> Any:
         value = compute(trace)
         return value if value is None else _finite(value)
     except Exception as error:  # a plugin's: the other figures still count
-        print_note(f"metric {metric.name!r} is left out: {type(error).__name__}: {error}")
+        print_note(f"metric {metric.name!r} is skipped: {type(error).__name__}: {error}")
         return None
 
 

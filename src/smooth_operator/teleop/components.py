@@ -1,7 +1,7 @@
-"""Parts that a user names in one word with settings: ``replay:glove.npz,speed=2``.
+"""Parts that a user names on the command line, with their settings: ``replay:glove.npz,speed=2``.
 
-Sources and sinks are frozen dataclasses of settings in separate modules; a registry says which
-word means which.
+Sources and sinks are frozen dataclasses of settings in separate modules; a registry maps names to
+them.
 """
 
 from __future__ import annotations
@@ -34,28 +34,31 @@ _TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
 def build_component(registry: Registry, text: str) -> Any:
-    """Make what a text asks for.
+    """Create the source or sink that a text describes.
 
     Args:
         registry: the parts by name, dataclasses whose first positional field is the argument.
         text: ``NAME``, ``NAME:ARGUMENT``, ``NAME:ARGUMENT,setting=value,...`` or
             ``NAME,setting=value,...``; the argument is the value of the class's first positional
-            field, and may be left out where that has a default. In place of a name,
-            ``package.module:Class``.
+            field, and may be omitted if that field has a default. ``package.module:Class`` may
+            replace the name.
 
     Raises:
         UnknownNameError: there is no such name, or the class has no such setting.
-        ConfigError: the class can't be imported or is no such part, a value can't be read as its
-            field's type, or one that is needed is missing.
+        ConfigError: the class can't be imported or is not a part of this kind, a value can't be
+            converted to its field's type, or a required value is missing.
     """
     kind = registry.kind
     word, rest = registry.split(text)
     if word not in registry:
         if Path(f"{word}.py").is_file():
-            more = f"{word}.py is here: name its class, as in {word}:CLASS."
+            more = (
+                f"{word}.py is in the current folder: add the name of its class, as in "
+                f"{word}:CLASS."
+            )
             raise UnknownNameError(kind, word, registry, more)
         if rest[:1].isupper():
-            more = f"For a class of your own, start in the folder that has {word}.py."
+            more = f"To use your own class, start in the folder that contains {word}.py."
             raise UnknownNameError(kind, word, registry, more)
     part = registry.load(word)
     if not (isinstance(part, type) and dataclasses.is_dataclass(part)):
@@ -70,17 +73,17 @@ def build_component(registry: Registry, text: str) -> Any:
 
 
 def settings_from_text(settings_class: type[Any], text: str, kind: str, word: str) -> Any:
-    """An object of a settings class.
+    """Create an object of a settings class from a text.
 
     Args:
         settings_class: a dataclass.
         text: ``ARGUMENT,setting=value,...``; see ``build_component``.
-        kind: what it is, for messages.
-        word: what the user calls it.
+        kind: kind of part, for messages.
+        word: name that the user wrote, for messages.
 
     Raises:
         UnknownNameError: the class has no such setting.
-        ConfigError: a value can't be read as its field's type, or one that is needed is missing.
+        ConfigError: a value can't be converted to its field's type, or a required value is missing.
     """
     hints = get_type_hints(settings_class)
     fields = {f.name: f for f in dataclasses.fields(settings_class) if f.init}
@@ -111,7 +114,7 @@ def settings_from_text(settings_class: type[Any], text: str, kind: str, word: st
 
 
 def _read(text: str, hint: Any, what: str) -> Any:
-    """A setting's value as its field's type."""
+    """Converts the text of a setting to its field's type."""
     options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
     if type(None) in options and text.lower() == "none":
         return None
@@ -160,18 +163,23 @@ _SOURCES: Final = "smooth_operator.teleop.sources"
 SOURCES: Final = Registry(
     "source",
     {
-        "replay": Entry(f"{_SOURCES}.played:Replay", "a recording at its own rate: replay:FILE"),
+        "replay": Entry(
+            f"{_SOURCES}.played:Replay", "a recording, played at its own rate: replay:FILE"
+        ),
         "synthetic": Entry(
             f"{_SOURCES}.played:SyntheticSource", "the built-in operator; needs no tracker"
         ),
         "webcam": Entry(
-            f"{_SOURCES}.webcam.webcam_source:Webcam", "a camera, by MediaPipe (extra webcam)"
+            f"{_SOURCES}.webcam.webcam_source:Webcam",
+            "a camera, tracked by MediaPipe (webcam extra)",
         ),
         "video": Entry(
-            f"{_SOURCES}.webcam.webcam_source:Video", "a video file, by MediaPipe: video:FILE"
+            f"{_SOURCES}.webcam.webcam_source:Video",
+            "a video file, tracked by MediaPipe: video:FILE",
         ),
         "webxr": Entry(
-            f"{_SOURCES}.webxr:WebXr", "a headset's browser: Quest, Vision Pro, PICO (extra webxr)"
+            f"{_SOURCES}.webxr:WebXr",
+            "a headset's browser: Quest, Vision Pro, PICO (webxr extra)",
         ),
         "hts": Entry(
             f"{_SOURCES}.programs:HtsSource",
@@ -179,43 +187,45 @@ SOURCES: Final = Registry(
         ),
         "avp": Entry(
             f"{_SOURCES}.programs:AvpSource",
-            "the Vision Pro app Tracking Streamer: avp:ADDRESS (extra avp)",
+            "the Vision Pro app Tracking Streamer: avp:ADDRESS (avp extra)",
         ),
         "pico": Entry(f"{_SOURCES}.programs:PicoSource", "the PICO app XRoboToolkit: pico:0.0.0.0"),
         "manus": Entry(
             f"{_SOURCES}.programs:ManusStream",
-            "the ZeroMQ stream of glove bridges (extra zmq)",
+            "the ZeroMQ stream of glove bridges (zmq extra)",
         ),
-        "zmq": Entry(f"{_SOURCES}.programs:ZmqSource", "landmarks over ZeroMQ (extra zmq)"),
+        "zmq": Entry(
+            f"{_SOURCES}.programs:ZmqSource", "landmarks over ZeroMQ (zmq extra)"
+        ),
         "ros2": Entry(
             "smooth_operator.teleop.ros2.source:Ros2Source",
-            "hand poses from ROS 2 topics; works without a ROS 2 installation (extra ros2)",
+            "hand poses from ROS 2 topics; needs the ros2 extra, but no ROS 2 installation",
         ),
         "udp": Entry(f"{_SOURCES}.programs:UdpSource", "landmarks over UDP: udp:PORT"),
     },
     needs=("label", "start", "stop", "health"),
 )
-"""Name -> source, a dataclass of its settings (``LiveSource``)."""
+"""Registry of sources: dataclasses of settings (``LiveSource``)."""
 
 
 def build_source(text: str, hands: Hands | None = None) -> LiveSource:
-    """A source from its text, such as ``replay:glove.npz,speed=2``.
+    """Create a source from a text such as ``replay:glove.npz,speed=2``.
 
     Args:
         text: name and settings.
-        hands: which hands are wanted, for a source that has a setting for it which the text
-            leaves out.
+        hands: hands to track. Used if the source has a setting for them and the text does not
+            contain it.
 
     Raises:
         UnknownNameError: there is no such source or setting.
-        ConfigError: a setting can't be read, the text is the name of a file, or the class can't
-            be imported or is no source.
+        ConfigError: a setting can't be read, the text is the name of a file, or the class can't be
+            imported or is not a source.
     """
     if text.partition(":")[0] not in SOURCES:
         word = _word_for(Path(text.partition(",")[0]))
         if word is not None:
             raise ConfigError(
-                f"{text!r} is a file, and a source is a word and what it takes: write {word}:{text}"
+                f"{text!r} is a file; a source is written NAME:ARGUMENT, so write {word}:{text}"
             )
     source = build_component(SOURCES, text)
     if hands is not None and _takes_hands(source):
@@ -232,7 +242,7 @@ def _takes_hands(source: object) -> bool:
 
 
 def _word_for(path: Path) -> str | None:
-    """The source that a file is for, by its name."""
+    """Returns the source that reads a file, judged by the file name."""
     from smooth_operator.formats.registry import recording_suffixes
     from smooth_operator.teleop.sources.webcam.camera import is_video
 
@@ -248,44 +258,56 @@ SINKS: Final = Registry(
     "sink",
     {
         "mujoco": Entry(
-            f"{_SINKS}.simulation:Simulation", "physics with position actuators, seen in the page"
+            f"{_SINKS}.simulation:Simulation",
+            "simulated physics with position actuators, shown on the page",
         ),
-        "zmq": Entry(f"{_SINKS}.zmq_sink:ZmqSink", "commands over ZeroMQ (extra zmq)"),
+        "zmq": Entry(f"{_SINKS}.zmq_sink:ZmqSink", "commands over ZeroMQ (zmq extra)"),
         "ros2": Entry(
             "smooth_operator.teleop.ros2.sink:Ros2Sink",
-            "ROS 2 topics; works without a ROS 2 installation (extra ros2)",
+            "ROS 2 topics; needs the ros2 extra, but no ROS 2 installation",
         ),
         "record": Entry(f"{_SINKS}.record:RecordSink", "an MCAP log: record:FILE"),
         "rerun": Entry(
-            f"{_SINKS}.rerun_sink:RerunSink", "Rerun's viewer, or a file for it (extra rerun)"
+            f"{_SINKS}.rerun_sink:RerunSink",
+            "Rerun's viewer, or a file for it (rerun extra)",
         ),
         "table": Entry(f"{_SINKS}.table:TableSink", "a table in the terminal"),
         "dynamixel": Entry(
             f"{_DRIVERS}.dynamixel:DynamixelSink",
-            "a hand of Dynamixel servos, by a table (extra dynamixel)",
+            "a hand built from Dynamixel servos, described by a table file (needs the "
+            "dynamixel extra)",
         ),
-        "leap": Entry(f"{_DRIVERS}.dynamixel:LeapSink", "the LEAP hand (extra dynamixel)"),
-        "orca": Entry(f"{_DRIVERS}.orca:OrcaSink", "the ORCA hand (extra orca)"),
-        "inspire": Entry(f"{_DRIVERS}.inspire:InspireSink", "an Inspire RH56 hand (extra inspire)"),
-        "linker": Entry(f"{_DRIVERS}.linker:LinkerSink", "a LinkerHand L10 or L20 (extra linker)"),
+        "leap": Entry(
+            f"{_DRIVERS}.dynamixel:LeapSink", "the LEAP hand (dynamixel extra)"
+        ),
+        "orca": Entry(f"{_DRIVERS}.orca:OrcaSink", "the ORCA hand (orca extra)"),
+        "inspire": Entry(
+            f"{_DRIVERS}.inspire:InspireSink", "an Inspire RH56 hand (inspire extra)"
+        ),
+        "linker": Entry(
+            f"{_DRIVERS}.linker:LinkerSink", "a LinkerHand L10 or L20 (linker extra)"
+        ),
         "allegro": Entry(
-            f"{_DRIVERS}.allegro:AllegroSink", "an Allegro Hand V4 or V5 (extra allegro)"
+            f"{_DRIVERS}.allegro:AllegroSink", "an Allegro Hand V4 or V5 (allegro extra)"
         ),
-        "ability": Entry(f"{_DRIVERS}.ability:AbilitySink", "an Ability Hand (extra ability)"),
-        "wuji": Entry(f"{_DRIVERS}.wuji:WujiSink", "a Wuji Hand (extra wuji)"),
-        "revo2": Entry(f"{_DRIVERS}.revo2:Revo2Sink", "a BrainCo Revo2 (extra revo2)"),
+        "ability": Entry(
+            f"{_DRIVERS}.ability:AbilitySink", "an Ability Hand (ability extra)"
+        ),
+        "wuji": Entry(f"{_DRIVERS}.wuji:WujiSink", "a Wuji Hand (wuji extra)"),
+        "revo2": Entry(f"{_DRIVERS}.revo2:Revo2Sink", "a BrainCo Revo2 (revo2 extra)"),
     },
     needs=("label", "open", "send", "stalled", "close", "simulation"),
-    advice="derive it from smooth_operator.teleop.Sink",
+    advice="derive the class from smooth_operator.teleop.Sink",
 )
-"""Name -> sink, a dataclass of its settings (``Sink``)."""
+"""Registry of sinks: dataclasses of settings (``Sink``)."""
 
 
 def build_sink(text: str) -> Sink:
-    """A sink from its text, such as ``zmq:tcp://127.0.0.1:5556`` or ``mylab.driver:MySink,port=7``.
+    """Create a sink from a text such as ``zmq:tcp://127.0.0.1:5556`` or
+    ``mylab.driver:MySink,port=7``.
 
     Raises:
         UnknownNameError: there is no such sink or setting.
-        ConfigError: a setting can't be read, or the class can't be imported or is no sink.
+        ConfigError: a setting can't be read, or the class can't be imported or is not a sink.
     """
     return cast("Sink", build_component(SINKS, text))

@@ -1,1 +1,1 @@
-"""The command ``smooth-operator study``: its options, and the work of each subcommand."""
+"""The command ``smooth-operator study``: its options and its subcommands."""

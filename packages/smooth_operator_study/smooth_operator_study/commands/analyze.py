@@ -27,12 +27,12 @@ def analyze_command(options: Analyze) -> None:
     """Analyses a study, writes the results and prints the conclusion."""
     progress = Progressing(options.quiet)
     if not options.study:
-        raise ConfigError("no data: give a folder, tables (.csv) or a JSON file")
+        raise ConfigError("no data: name a folder, tables (.csv) or a JSON file")
     data = read_study(options.study)
     data = leave_out(data, _exclusions(options.exclude))
     for note in data.notes:
         progress.note(f"note: {note}")
-    with folder_for(options.output), progress.waiting("analysing (a minute)"):
+    with folder_for(options.output), progress.waiting("analysing (takes about a minute)"):
         analysis = analyze_study(data, options.baseline, seed=options.seed)
         written = write_analysis(analysis, options.output, report=not options.no_report)
     if options.json:
@@ -49,19 +49,20 @@ def analyze_command(options: Analyze) -> None:
         for result in scopes.values()
     ):
         progress.note(
-            "exit status 1: some parts were not tested; the reasons are above and in the results"
+            "exit status 1: some parts could not be tested; the reasons are printed above "
+            "and stored in the results"
         )
         raise SystemExit(SOME_REFUSED)
 
 
 def _exclusions(words: Sequence[str]) -> dict[str, str]:
-    """Reads the reason of each excluded operator."""
+    """Reads the reasons for excluding operators."""
     reasons: dict[str, str] = {}
     for word in words:
         operator, sign, reason = word.partition("=")
         if not sign or not operator.strip() or not reason.strip():
             raise ConfigError(
-                f'--exclude {word}: expected OPERATOR=REASON, as in P03="an author"; the reason '
+                f'--exclude {word}: expected OPERATOR=REASON, such as P03="an author"; the reason '
                 "is reported"
             )
         if reasons.setdefault(operator.strip(), reason.strip()) != reason.strip():
@@ -76,9 +77,11 @@ def _print(analysis: Analysis) -> None:
     departs = data.plan is None or analysis.baseline != data.plan.baseline
     sentences = [f"baseline: {analysis.baseline}{'' if departs else ', as planned'}"]
     if analysis.primary is not None:
-        sentences.append(f"primary endpoint: {'/'.join(analysis.primary)}; the rest is exploratory")
+        sentences.append(
+            f"primary endpoint: {'/'.join(analysis.primary)}; all other results are exploratory"
+        )
     elif data.plan is not None:
-        sentences.append("the plan names no primary endpoint: all of this is exploratory")
+        sentences.append("the plan names no primary endpoint: all results are exploratory")
     for text in (". ".join(sentences), flow_text(data.flow), *conclusion(analysis)):
         if text:
             console.print(Text(text), soft_wrap=True)

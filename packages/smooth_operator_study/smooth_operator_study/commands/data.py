@@ -1,4 +1,4 @@
-"""``smooth-operator study export`` and ``study erase``: exports and deletes data of a study."""
+"""``smooth-operator study export`` and ``study erase``: export and delete data of a study."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ def export_data(options: Export) -> None:
 
 
 def erase_data(options: Erase) -> None:
-    """Deletes the data of an operator after asking, and takes them off the plan in the folder."""
+    """Deletes the data of an operator after confirmation, and removes the operator from the plan in
+    the folder."""
     _check_there(options.study)
     with open_study(options.study) as store:
         if options.operator not in (*store.plan.codes, *store.erased):
@@ -31,9 +32,13 @@ def erase_data(options: Erase) -> None:
         if not options.yes:
             if not sys.stdin.isatty():
                 raise ConfigError(
-                    f"{count} events of {options.operator} would be deleted for good; say --yes"
+                    f"{count} events of {options.operator} would be deleted permanently; "
+                    "confirm with --yes"
                 )
-            question = f"Delete {count} events of {options.operator} for good? Type the code: "
+            question = (
+                f"Delete {count} events of {options.operator} permanently? Type the code to "
+                "confirm: "
+            )
             if input(question).strip() != options.operator:
                 raise ConfigError("nothing was deleted")
         gone = store.erase(options.operator)
@@ -43,14 +48,12 @@ def erase_data(options: Erase) -> None:
         if options.operator in plan.codes:
             write_plan(plan.withdraw(options.operator), file)
     print(
-        printable(
-            f"deleted: {gone} events of {options.operator}; exported copies are yours to delete"
-        )
+        printable(f"deleted: {gone} events of {options.operator}; delete exported copies yourself")
     )
 
 
 def _check_there(study: str) -> None:
-    """Refuses a missing store, which opening would create."""
+    """Refuses a missing store, because opening it would create an empty one."""
     path = Path(study) / FILE if Path(study).is_dir() else Path(study)
     if not path.is_file():
-        raise ConfigError(f"nothing is stored at {path}; give the folder of a study that was run")
+        raise ConfigError(f"no study data at {path}; name the folder of a study that was run")

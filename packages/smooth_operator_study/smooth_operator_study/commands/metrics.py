@@ -1,4 +1,5 @@
-"""``smooth-operator study metrics``: computes simulation metrics of the trials from takes."""
+"""``smooth-operator study metrics``: computes simulation metrics of the trials from recorded
+takes."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ def study_metrics(options: Metrics) -> None:
     files = sorted(takes.glob("*.mcap"))
     if not files:
         raise ConfigError(
-            f"there are no takes in {str(takes)!r}; record them with smooth-operator teleop --sink "
+            f"no takes in {str(takes)!r}; record them with smooth-operator teleop --sink "
             f"record:{takes}/, or name their folder with --takes"
         )
     with open_study(options.study) as store:
@@ -56,38 +57,46 @@ def study_metrics(options: Metrics) -> None:
                     covered.add(k)
             bar.advance(task)
     if len(hands) > 1:
-        raise StudyError(f"the takes are of several hands: {', '.join(hands)}; name those of one")
+        raise StudyError(
+            f"the takes are of several robot hands: {', '.join(hands)}; name only the takes of "
+            "one hand"
+        )
     if not pieces:
         raise StudyError(
             f"none of the {len(trials)} trials of the study is in the {len(files)} takes in "
-            f"{str(takes)!r}: they were recorded at other times"
+            f"{str(takes)!r}: the takes were recorded at other times"
         )
     rows = take_metrics(pieces, next(iter(hands.values())))
     output = folder / NAMES[2] if options.output is None else options.output
     with folder_for(output.parent), atomic_write(output) as target:
         target.write(csv_text((*METRIC_COLUMNS, *METRIC_NAMES), rows).encode())
     if missing := len(trials) - len(covered):
-        progress.note(f"note: {missing} of {len(trials)} trials are in no take", matters=True)
-    progress.note(f"wrote {output}: {len(rows)} rows of {len(covered)} trials", matters=True)
+        progress.note(
+            f"note: {missing} of {len(trials)} trials are not covered by any take", matters=True
+        )
+    progress.note(f"wrote {output}: {len(rows)} rows from {len(covered)} trials", matters=True)
 
 
 def read_take(file: Path) -> Take:
-    """Reads a take with its hand and the time of its recording.
+    """Reads a take with its hand and its time of recording.
 
     Raises:
-        SmoothOperatorError: it can't be read, or lacks landmarks, commands or the time of day.
+        SmoothOperatorError: the take can't be read, or lacks landmarks, commands or the time of
+            day.
     """
     log = read_log(file)
     if log.recording is None or log.commands is None:
         what = "landmarks" if log.recording is None else "commands"
-        raise StudyError(f"the take {str(file)!r} holds no {what}, so it can't be measured")
+        raise StudyError(
+            f"the take {str(file)!r} contains no {what}, so its metrics can't be computed"
+        )
     try:
         meta = parse_json(log.origin.get("meta", "{}"))
         begin = utc_of_zero(str(meta["started"]), float(meta["clock"]))
     except (DocumentError, KeyError, TypeError, ValueError) as error:
         raise StudyError(
-            f"the take {str(file)!r} does not say when it was recorded ({error}); expected a "
-            "recording of smooth-operator teleop --sink record:FOLDER/"
+            f"the take {str(file)!r} does not contain its time of recording ({error}); "
+            "expected a recording of smooth-operator teleop --sink record:FOLDER/"
         ) from error
     config = log.config or {}
     fingers = config.get("fingers")
@@ -120,7 +129,7 @@ def read_take(file: Path) -> Take:
 
 
 def _alignment(config: dict[str, Any]) -> AlignmentConfig:
-    """Alignment with the scale that the log names; the default if it names none."""
+    """Alignment with the scale that the log names; otherwise the default alignment."""
     try:
         return AlignmentConfig(scale=config["alignment"]["scale"])
     except (KeyError, TypeError):

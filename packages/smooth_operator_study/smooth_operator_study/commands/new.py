@@ -47,7 +47,7 @@ PAPER_CONDITIONS: Final = (
     Condition("geort"),  # a model that is trained for the hand and the operator
     Condition("hybrid", preset="published"),
 )
-"""Conditions of the paper: methods with the settings of their authors' code."""
+"""Conditions of the paper: four methods with the settings of their authors' code."""
 PAPER_RATE_HZ: Final = 30.0
 PAPER_OPERATORS: Final = 18
 _STORE: Final = "study.db"
@@ -59,18 +59,20 @@ def new_study(options: New) -> None:
     file = folder / NAME
     if file.exists() and not options.overwrite:
         raise ConfigError(
-            f"there is a study in {folder} already; --overwrite replaces its plan, study enrol "
-            "adds operators"
+            f"there is already a study in {folder}; use --overwrite to replace its plan, or "
+            "study enrol to add operators"
         )
     if file.exists() and (folder / _STORE).exists():
         raise ConfigError(
-            f"something is stored of the study in {folder} ({_STORE}); its plan can't be "
-            "replaced: use another folder"
+            f"the study in {folder} has stored data ({_STORE}), so its plan can't be "
+            "replaced; use another folder"
         )
     if options.from_ is not None:
         plan = read_plan(options.from_)
         if _has_options(options):
-            raise ConfigError("--from takes all from the file; change it there, or leave it out")
+            raise ConfigError(
+                "--from reads the whole plan from the file; change the plan there, or remove --from"
+            )
     else:
         plan = make_plan(_protocol(options))
     with folder_for(folder):
@@ -126,7 +128,7 @@ def _protocol(options: New) -> Protocol:
         operators = operators or PAPER_OPERATORS
     points = options.questionnaires or POINTS
     if "none" in points and len(points) > 1:
-        raise ConfigError("--questionnaires none goes with no other")
+        raise ConfigError("--questionnaires none can't be combined with others")
     return Protocol(
         name=options.name or options.folder.absolute().name,
         conditions=conditions,
@@ -175,28 +177,29 @@ def _print(plan: Plan) -> None:
     labels = ", ".join(f"{c.label} = {c.name}" for c in protocol.conditions)
     console.print(f"labels for operators: {labels}", markup=False, soft_wrap=True)
     run = ", ".join(" ".join(filter(None, (c.method, c.preset))) for c in protocol.conditions)
-    rate = "" if protocol.rate_hz is None else f"; {protocol.rate_hz:g} commands a second"
-    console.print(f"what is run: {run}{rate}", markup=False, soft_wrap=True)
+    rate = "" if protocol.rate_hz is None else f"; {protocol.rate_hz:g} commands per second"
+    console.print(f"methods: {run}{rate}", markup=False, soft_wrap=True)
     notes = [
-        f"{UnknownNameError('method', c.method, METHODS)} The console can't start it."
+        f"{UnknownNameError('method', c.method, METHODS)} The console can't start this method."
         for c in protocol.conditions
         if c.method not in METHODS and ":" not in c.method
     ]
     count = protocol.operators
     if count < FEW_OPERATORS:
-        few = f"{count} operators can show only very large differences"
+        few = f"{count} operators can only show very large differences"
         notes.append(
-            f"{'one operator can show nothing' if count == 1 else few}; smooth-operator study "
-            "power says how many are needed"
+            f"{'one operator can show no difference' if count == 1 else few}; smooth-operator "
+            "study power estimates how many are needed"
         )
     for note in (*notes, *_least_p(plan), *imbalances(plan)):
         console.print(f"note: {note}", markup=False, soft_wrap=True)
 
 
 def _least_p(plan: Plan) -> list[str]:
-    """Says the least p-value of success that the design can reach, in all tasks and in each.
+    """Prints the smallest p-value of success that the design can reach, pooled and for each task.
 
-    Nothing is said without the packages of the analysis: a plan needs none of them.
+    Prints nothing if the packages of the analysis are not installed: making a plan does not need
+    them.
     """
     try:
         from smooth_operator_study.analysis.frame import frame_of
@@ -220,12 +223,13 @@ def _least_p(plan: Plan) -> list[str]:
     notes = []
     if shown:
         notes.append(
-            f"the least p-value that success can reach with this design is {', '.join(shown)} (one "
-            f"condition always succeeds, the others never; against {protocol.baseline}, Dunnett)"
+            "the smallest p-value of success that this design can reach is "
+            f"{', '.join(shown)} (if one condition always succeeds and the others never; "
+            f"against {protocol.baseline}, Dunnett)"
         )
     if never:
         notes.append(
-            f"no difference in success can be shown in {', '.join(never)}: there are too few "
-            "operators or trials"
+            f"differences in success can't become significant in {', '.join(never)}: there "
+            "are too few operators or trials"
         )
     return notes

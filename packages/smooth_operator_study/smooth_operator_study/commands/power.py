@@ -1,4 +1,4 @@
-"""``smooth-operator study power``: simulated studies, tables and a plot."""
+"""``smooth-operator study power``: simulates studies and makes tables and a plot."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _SHARES: Final = (1 / 3, 2 / 3, 1.0, 4 / 3, 2.0)
 
 
 def simulate_power(options: Power) -> None:
-    """Simulates, prints, writes."""
+    """Simulates, prints tables and writes the results."""
     settings = _settings(options)
     folder = options.output or (_home(options.study) / "power")
     progress = Progressing(quiet=options.json)
@@ -68,7 +68,7 @@ def _home(study: Path | None) -> Path:
 def _settings(options: Power) -> PowerSettings:
     if options.study is None:
         protocol = Protocol(
-            "the paper's design", PAPER_CONDITIONS, PAPER_TASKS, "dexpilot", PAPER_OPERATORS
+            "the design of the paper", PAPER_CONDITIONS, PAPER_TASKS, "dexpilot", PAPER_OPERATORS
         )
     else:
         protocol = read_plan(options.study).protocol
@@ -111,7 +111,7 @@ def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
         f"{settings.protocol.name}, {scope}: power against {baseline} (Dunnett) and "
         f"family-wise error, {settings.studies} studies each, ± Monte-Carlo standard error [%]"
     )
-    for header in ("operators", "outcome", "mode", *others, "all", "error if none differs"):
+    for header in ("operators", "outcome", "mode", *others, "all", "error without differences"):
         table.add_column(header, justify="left" if header in ("outcome", "mode") else "right")
     flagged = False
     for operators in settings.operators:
@@ -132,8 +132,8 @@ def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
     console.print(table)
     if flagged:
         console.print(
-            "! finds a difference where there is none in more than 7 % of the studies: power that "
-            "is bought so is worth nothing",
+            "! finds a difference in more than 7 % of the studies without one: its power "
+            "can't be trusted",
             soft_wrap=True,
         )
     if settings.protocol.margins:
@@ -146,8 +146,8 @@ def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
     )
     if refused:
         console.print(
-            f"{refused} analyses were refused (too few successes or operators); they count as "
-            "nothing found",
+            f"{refused} analyses failed (too few successes or operators); they count as "
+            "studies that find no difference",
             soft_wrap=True,
         )
 
@@ -159,8 +159,8 @@ def _print_equivalence(
     with_margin = [outcome for outcome in TITLES if outcome in margins]
     limits = ", ".join(f"{TITLES[outcome]} {margins[outcome]:g}" for outcome in with_margin)
     table = plain_table(
-        f"shown to be equivalent to {settings.protocol.baseline} within the margin ({limits}), as "
-        "assumed / if none differs, mode small-sample [%]"
+        f"shown to be equivalent to {settings.protocol.baseline} within the margin "
+        f"({limits}), as assumed / if none differs, mode small-sample [%]"
     )
     for header in ("operators", "outcome", *others):
         table.add_column(header, justify="left" if header == "outcome" else "right")

@@ -52,7 +52,7 @@ def run_study(options: Run) -> None:
         def ready() -> None:
             print_note(f"study {store.name!r}, for the experimenter: {links['experimenter']}")
             print_note(f"for the operator's tablet: {links['operator']}")
-            print_note("Ctrl-C ends; nothing is lost")
+            print_note("press Ctrl-C to stop; no data is lost")
             if options.open:
                 open_page(links["experimenter"])
 
@@ -77,8 +77,9 @@ def _listening(options: Run) -> socket.socket:
     except (OSError, OverflowError) as error:
         why = getattr(error, "strerror", None) or error
         raise ConfigError(
-            f"can't listen on {options.host!r} port {options.port}: {why}; name another --port, "
-            "or --host 127.0.0.1 for this machine, --host 0.0.0.0 for its networks"
+            f"can't listen on {options.host!r} port {options.port}: {why}; choose another "
+            "--port, or use --host 127.0.0.1 for this machine only or --host 0.0.0.0 for "
+            "its networks"
         ) from error
 
 
@@ -88,7 +89,8 @@ def _opened(folder: Path) -> StudyStore:
     if not file.is_file():
         if not (folder / FILE).is_file():
             raise ConfigError(
-                f"there is no study in {folder}: no {NAME}; make one with smooth-operator study new"
+                f"there is no study in {folder}: {NAME} is missing; create it with "
+                "smooth-operator study new"
             )
         return open_study(folder)
     plan = read_plan(file)
@@ -107,7 +109,7 @@ def _opened(folder: Path) -> StudyStore:
 
 
 def _words(plan: Plan, folder: Path) -> TlxWords:
-    """Reads the words of NASA-TLX for the operators."""
+    """Reads the wording of NASA-TLX for the operators."""
     file = plan.protocol.tlx_language
     if not file:
         return ENGLISH
@@ -117,7 +119,9 @@ def _words(plan: Plan, folder: Path) -> TlxWords:
 def _folder(study: str) -> Path:
     path = Path(study)
     if not path.exists():
-        raise ConfigError(f"there is no study at {study}; smooth-operator study new makes one")
+        raise ConfigError(
+            f"there is no study at {study}; create one with smooth-operator study new"
+        )
     return path if path.is_dir() else path.parent
 
 

@@ -35,16 +35,16 @@ def paper(options: Paper) -> None:
 
 
 def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]) -> None:
-    """Looks everything up, computes, writes, prints.
+    """Checks the request, runs the experiments, writes and prints the results.
 
     Raises:
-        SmoothOperatorError: the request is invalid; nothing was computed then.
-        KeyboardInterrupt: stopped; what is finished is kept.
+        SmoothOperatorError: the request is invalid; nothing has been computed yet.
+        KeyboardInterrupt: stopped; finished results are kept.
     """
     progress = Progressing(options.quiet)
     start_jax()  # before anything else does
     if options.quick and options.published:
-        raise ConfigError("--quick and --published ask for different sizes: give one of them")
+        raise ConfigError("--quick and --published set different sizes; use only one of them")
     settings = Settings(
         output=options.output, experiments=tuple(names), recordings=tuple(recordings),
         hand=options.hand, frames=options.frames,
@@ -86,7 +86,8 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
 
 
 def _track(progress: Progressing) -> Track:
-    """A phase as a bar with the time left, elsewhere as a line for each cell."""
+    """Progress of a phase: a bar with the remaining time on a terminal, otherwise one line per
+    cell."""
 
     @contextlib.contextmanager
     def phase(name: str, work: float) -> Iterator[Advance]:

@@ -31,22 +31,22 @@ _SAME: Final = (
     "output", "recordings", "frames", "rate", "layout", "units", "quick", "seed", "workers",
     "cluster",
 )  # fmt: skip
-"""Options that are settings of the same name."""
+"""Options that are passed to the settings of the same name."""
 
 _WIDTH_OF_INTERVALS: Final = 120
-"""Width of a terminal that has room for the intervals [characters]."""
+"""Smallest width of a terminal with room for the intervals [characters]."""
 
 
 def physics(options: Physics) -> None:
-    """Runs the measures, writes, prints.
+    """Runs the measures, writes and prints the results.
 
     Raises:
-        SmoothOperatorError: the request is invalid; nothing was measured then.
+        SmoothOperatorError: the request is invalid; nothing has been measured yet.
         SystemExit: some cases failed, with ``SOME_FAILED``.
-        KeyboardInterrupt: stopped; what is finished is kept.
+        KeyboardInterrupt: stopped; finished results are kept.
     """
     if not options.no_report:
-        require("the report (--no-report leaves it out)", "lab", "matplotlib")
+        require("the report (use --no-report to skip it)", "lab", "matplotlib")
     progress = Progressing(options.quiet)
     start_jax()  # before planning, which may do so
     hands = comma_words(options.hands)
@@ -85,7 +85,8 @@ def physics(options: Physics) -> None:
 
 
 def print_outcomes(outcomes: Sequence[MeasureOutcome]) -> None:
-    """A table for each measure, hand and condition; the best of each column marked."""
+    """Prints a table for each measure, hand and condition, and marks the best value of each
+    column."""
     console = output_console()
     wide = console.width >= _WIDTH_OF_INTERVALS
     for outcome in outcomes:
@@ -116,7 +117,7 @@ def _table(
 
 def _foot(results: MeasureResults, unit: str, *, intervals: bool) -> str:
     count = len({row["unit"] for row in results.rows})
-    more = "" if intervals else "; 95 % intervals in the files, the report and a wider terminal"
+    more = "" if intervals else "; the files, the report and a wider terminal show 95 % intervals"
     return f"* best; {count} {unit}{'s' if count != 1 else ''}{more}"
 
 

@@ -1,4 +1,4 @@
-"""``smooth-operator study simulate``: virtual operators do a plan; a table of what they did."""
+"""``smooth-operator study simulate``: virtual operators carry out a plan."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from smooth_operator_study.design.protocol import Protocol
 
 
 def simulate_command(options: Simulate) -> None:
-    """Simulates, prints, writes.
+    """Simulates, writes the results and prints a table.
 
     Raises:
-        StudyError: there is no such plan, or it can't be simulated.
-        OutputError: the folder can't be written to.
+        StudyError: the plan does not exist, or it can't be simulated.
+        OutputError: the folder is not writable.
     """
     plan = plan_for(read_plan(options.study), options.operators)
     settings = SimulationSettings(
@@ -64,7 +64,7 @@ def simulate_command(options: Simulate) -> None:
 
 
 def _cells(protocol: Protocol, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Successes and mean time of each task and condition."""
+    """Success rates and mean times of each task and condition."""
     cells = []
     for task in protocol.tasks:
         for condition in protocol.condition_names:

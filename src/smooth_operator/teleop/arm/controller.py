@@ -1,4 +1,4 @@
-"""Controller of an arm: target poses of the hand's wrist to joint commands in limits.
+"""Controller of an arm: converts target poses of the hand's wrist to joint commands within limits.
 
 ``Clearance`` limits velocities by the distances between the arm's parts, its hand, table and wall.
 """
@@ -43,16 +43,17 @@ _ROWS: Final = 16
 """Number of nearest pairs that limit a step; each one costs time."""
 
 _BRAKING: Final = 0.3
-"""Share of the joints' effect on a distance that is used to stop before its end."""
+"""Fraction of the joints' effect on a distance that may be used to stop before the smallest
+distance."""
 
 _FATTER: Final = 0.04
-"""Width by which capsules exceed two links [m]."""
+"""Width by which a capsule exceeds the two links that it covers [m]."""
 
 _LEEWAY: Final = 0.02
-"""Share of a step's effect on a distance that is left to other distances."""
+"""Fraction of a step's effect on a distance that is reserved for other distances."""
 
 _DEEP: Final = 1.0
-"""Depth that no parts reach inside each other [m]."""
+"""Penetration depth that parts never reach [m]."""
 
 _TINY: Final = 1e-9
 _WRIST, _TABLE, _WALL = "wrist", "table", "wall"
@@ -60,16 +61,15 @@ _WRIST, _TABLE, _WALL = "wrist", "table", "wall"
 
 @dataclass(frozen=True)
 class ClearanceConfig:
-    """Distances that parts keep.
+    """Distances that parts keep from each other.
 
     Attributes:
         parts: smallest distance between parts of the arm, and between arm and hand [m].
         table: smallest distance between the table and the arm or the palm [m].
         fingers: smallest distance between the table and the fingers, which may touch it [m].
         wall: smallest distance between the wall and any part [m].
-        horizon: distance from which on pairs are not limited [m].
-        approach: largest speed at which a pair approaches, as a share per second of its distance
-            above the smallest one [1/s].
+        horizon: distance beyond which pairs are not limited [m].
+        approach: maximum closing speed of a pair per metre of remaining clearance [1/s].
     """
 
     parts: float = 0.02
@@ -88,7 +88,7 @@ class Clearance(mink.CollisionAvoidanceLimit):
     """Velocity limits that keep parts of arm and hand apart, and away from table and wall.
 
     mink gives the near pairs, their distances and derivatives. This class adds the distance that
-    each pair keeps, and speeds from which the joints can still stop.
+    each pair keeps, and limits speeds so that the joints can still stop.
 
     Args:
         arm: the arm; its base frame is the world.
@@ -164,8 +164,8 @@ def _close_pairs(
 ) -> Int[np.ndarray, "p 2"]:
     """Pairs of geoms that can come near each other within the joints' limits.
 
-    Pairs that touch at rest, and those of links that a joint connects, are left out. The base and
-    what turns on the spot above it stand on the table for good.
+    Pairs that touch at rest, and pairs of links that share a joint, are excluded. The base and the
+    links that only rotate above it always touch the table.
     """
     joints = len(arm.links)
     levels = {0: 0, model.body(BASE).id: 0, model.body(FLANGE).id: joints} | {
@@ -248,7 +248,8 @@ def _add_plane(
 
 
 def _quaternions(axes: Float[np.ndarray, "c 3"]) -> Float[np.ndarray, "c 4"]:
-    """Rotations of the z axis onto unit vectors (w x y z), for all but its opposite."""
+    """Rotations of the z axis onto unit vectors (w x y z). The vector opposite to z has no unique
+    rotation."""
     x, y, z = axes.T
     turns = np.stack([1.0 + z, -y, x, np.zeros_like(x)], axis=1)
     lengths = np.linalg.norm(turns, axis=1, keepdims=True)
@@ -259,7 +260,8 @@ _SMOOTHING_S: Final = 0.03
 """Time constant of the estimate of the target's velocity [s]."""
 
 _JUMP: Final = 3.0
-"""Velocity from which on a target has jumped [m/s]; three times this for rotations [rad/s]."""
+"""Velocity above which a target counts as having jumped [m/s]; three times this for rotations
+[rad/s]."""
 
 _HOME_STEPS: Final = 1000
 _HOME_STEP_S: Final = 0.01
@@ -276,14 +278,14 @@ class ArmControlConfig:
         turn: angular velocity limit of the wrist [rad/s].
         acceleration: acceleration with which the wrist stops at its target [m/s^2].
         turn_acceleration: angular acceleration with which it stops [rad/s^2].
-        velocity_share: share of the maker's joint velocities that is used.
+        velocity_share: fraction of the vendor's joint velocity limits that is used.
         joint_speed: velocity limit of every joint [rad/s], above which an arm can't stop in time.
-        margin: distance that is kept from each end of a joint's range [rad].
+        margin: distance to keep from each end of a joint's range [rad].
         orientation: weight of 1 rad of rotation error against 1 m.
         posture: weight of 1 rad from the arm's preferred posture against 1 m.
         damping: largest damping near a singular pose [m].
         singular: smallest singular value of the Jacobian without damping [m/rad].
-        collisions: True to keep parts apart.
+        collisions: True to avoid collisions between parts.
         clearance: distances between parts.
     """
 
@@ -414,14 +416,14 @@ class ArmController:
         *,
         stop: bool = False,
     ) -> ArmCommand:
-        """The next command.
+        """Compute the next command.
 
         Args:
             target: wrist pose in the base frame: position [m], quaternion (w x y z). None, or a
                 pose that is not finite, holds the arm.
             dt: time since the last command [s].
             hand: (h,) positions of all joints of the hand [rad]; by default unchanged.
-            stop: True to brake as hard as the limits allow, and to stand.
+            stop: True to brake as hard as the limits allow and stay at rest.
         """
         if hand is not None and np.isfinite(hand).all():
             self._hand = hand
@@ -458,7 +460,8 @@ class ArmController:
         )
 
     def _solve(self, goal: Matrix, dt: float) -> tuple[Float[np.ndarray, " n"] | None, str]:
-        """Joint velocities [rad/s], None without a solution; and the reason of a limit."""
+        """Joint velocities [rad/s] (None without a solution), and the reason if a limit was
+        active."""
         middles, axes = self._capsules.at(self._hand)
         self.model.geom_pos[self._hand_geoms] = middles
         self.model.geom_quat[self._hand_geoms] = _quaternions(axes)
@@ -542,9 +545,10 @@ class ArmController:
                 self.restart(self.limiter.q)
                 return self.limiter.q.copy()
         raise ConfigError(
-            f"arm {self.arm.name!r} can't reach the home pose of hand {self.mount.hand.name!r}: "
-            f"{1e3 * command.position_error:.0f} mm and {command.rotation_error:.2f} rad are left; "
-            "mount the hand at another roll, or with a thinner adapter"
+            f"arm {self.arm.name!r} can't reach the home pose of hand "
+            f"{self.mount.hand.name!r}: {1e3 * command.position_error:.0f} mm and "
+            f"{command.rotation_error:.2f} rad are left; mount the hand at another roll, or "
+            "with a thinner adapter"
         )
 
 
@@ -608,7 +612,7 @@ class ArmOfHand:
 
 
 def build_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, ArmOfHand]:
-    """An arm for each hand; between two there is a wall.
+    """Creates an arm for each hand, and a virtual wall between two arms.
 
     Args:
         hands: side -> robot hand.

@@ -1,4 +1,4 @@
-"""Settings of arms for the command line; light to import."""
+"""Settings of arms for the command line. This module is quick to import."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ class ArmSettings:
         name: ``panda``, ``ur5e``, ``xarm7`` or ``iiwa14``.
         adapter: thickness of the plate between flange and hand [m].
         roll: roll of the hand about the flange's axis [degrees]; by default that of the arm.
-        spacing: distance between the bases of two arms [m]; each stays on its side of the middle.
+        spacing: distance between the bases of two arms [m]; each arm stays on its side of the
+            middle.
         table: height of the table above the bases [m].
         no_table: True for arms without a table.
-        collisions: True to keep parts apart.
+        collisions: True to avoid collisions between parts.
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -67,7 +68,7 @@ def read_arm(text: str) -> ArmSettings:
 
 
 def place_arms(settings: ArmSettings, hands: Mapping[Side, Hand]) -> dict[Side, CarriedHand]:
-    """Place each hand on its arm, in the arm's nominal posture; two arms stand side by side.
+    """Place each hand on its arm, in the arm's nominal posture. Two arms are placed side by side.
 
     Args:
         hands: side -> robot hand.

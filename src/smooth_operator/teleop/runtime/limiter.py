@@ -1,4 +1,4 @@
-"""Limiters of commands (position, velocity, acceleration, pace), and the clutch of the wrist."""
+"""Limiters of commands (position, velocity, acceleration, rate), and the clutch of the wrist."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ from smooth_operator.teleop.sinks.tick import Mode, WristCommand
 from smooth_operator.teleop.sources.live import Arrival
 
 MAX_STEP_S: Final = 0.1
-"""Longest time that counts between two commands [s], so that a pause is not caught up."""
+"""Longest time step that is used between two commands [s], so that the robot does not catch up
+after a pause."""
 
 SHORTEST_S: Final = 1e-9
-"""Smallest divisor for steps [s]; the clock does not resolve shorter ones."""
+"""Smallest divisor for time steps [s]; the clock does not resolve shorter ones."""
 
 USUAL_S: Final = 0.005
-"""Assumed step for stopping at a target [s]; few are shorter. Limits do not depend on it."""
+"""Time step that is assumed when stopping at a target [s]; few steps are shorter. The limits do not
+depend on it."""
 
 
 class JointLimiter:
-    """Follows a target within limits of joints, and holds the last command.
+    """Follows a target within the limits of the joints, and holds the last command.
 
     The limits hold between the stamps of consecutive commands, however uneven these are. With
     positions ``q[k]`` at times ``t[k]``, steps ``dt[k] = t[k] - t[k-1]`` and velocities
@@ -54,11 +56,11 @@ class JointLimiter:
         velocity: (m,) limits of the velocities [rad/s].
         acceleration: (m,) limits of the accelerations [rad/s^2].
         start: (m,) first positions [rad].
-        margin: distance that is kept from each end of a range [rad].
+        margin: distance to keep from each end of a range [rad].
 
     Attributes:
         q: (m,) last command [rad].
-        velocity: (m,) its velocity, from the command before [rad/s].
+        velocity: (m,) velocity of the last command, relative to the one before [rad/s].
     """
 
     def __init__(
@@ -75,7 +77,7 @@ class JointLimiter:
         self.put(np.clip(start, self._low, self._high))
 
     def put(self, positions: Float[np.ndarray, " m"]) -> None:
-        """Begin at these positions [rad], at rest: for a first command, and after a pause."""
+        """Start at these positions [rad], at rest: for the first command and after a pause."""
         self.q: Float[np.ndarray, " m"] = np.clip(positions, self._start, self._end)
         self.velocity: Float[np.ndarray, " m"] = np.zeros_like(self.q)
         self._last_dt = math.inf
@@ -86,12 +88,12 @@ class JointLimiter:
         dt: float,
         max_velocity: float | None = None,
     ) -> Float[np.ndarray, " m"]:
-        """The next command.
+        """Compute the next command.
 
         Args:
             target: (m,) target [rad]; a joint whose target is not finite stays where it is.
             dt: time since the last command [s].
-            max_velocity: a lower limit of velocity for this step [rad/s].
+            max_velocity: an additional velocity limit for this step [rad/s].
 
         Returns:
             (m,) command [rad].
@@ -106,7 +108,7 @@ class JointLimiter:
         return self._go(np.sign(error) * speed, dt)
 
     def rest(self, dt: float) -> Float[np.ndarray, " m"]:
-        """Brake as hard as the limits let it, and then stand.
+        """Brake as hard as the limits allow, then stay at rest.
 
         Args:
             dt: time since the last command [s].
@@ -127,10 +129,10 @@ class JointLimiter:
         return np.clip(-down, slow, fast), np.clip(up, slow, fast)
 
     def follow(self, velocity: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
-        """Take a step at the velocity within the limits that is nearest to the one wanted.
+        """Take a step at the velocity within the limits that is closest to the requested one.
 
         Args:
-            velocity: (m,) [rad/s]; what is not finite stands for 0.
+            velocity: (m,) requested velocity [rad/s]; values that are not finite count as 0.
             dt: time since the last command [s].
 
         Returns:
@@ -141,7 +143,8 @@ class JointLimiter:
     def _room(
         self, dt: float
     ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """Highest speeds down and up, and largest change of velocity, in a step."""
+        """Largest speeds in the negative and positive direction, and largest change of velocity, in
+        a step."""
         a = self._acceleration
         top = self._velocity * min(1.0, MAX_STEP_S / dt)
         down = np.minimum(stoppable_speed(self.q - self._low, dt, a), top)
@@ -149,7 +152,7 @@ class JointLimiter:
         return down, up, a * min(dt, (self._last_dt + dt) / 2)
 
     def _go(self, target: Float[np.ndarray, " m"], dt: float) -> Float[np.ndarray, " m"]:
-        """Take a step at the velocity within the limits that is nearest to the one wanted."""
+        """Take a step at the velocity within the limits that is closest to the requested one."""
         down, up, change = self._room(dt)
         # Acceleration comes last: a joint that is too fast for `max_velocity` slows down to it.
         velocity = np.clip(target, -down, up)
@@ -165,18 +168,18 @@ class Limiter(JointLimiter):
 
     Args:
         hand: the robot hand.
-        config: the limits; those of velocity and acceleration hold for coupled joints too.
+        config: the limits. Velocity and acceleration limits also apply to coupled joints.
 
     Raises:
-        ConfigError: the margin leaves nothing of a joint's range.
+        ConfigError: the margin leaves no range for a joint.
     """
 
     def __init__(self, hand: Hand, config: LimitsConfig) -> None:
         room = (hand.limits[:, 1] - hand.limits[:, 0]).min()
         if 2 * config.margin >= room:
             raise ConfigError(
-                f"limits: a margin of {config.margin} rad leaves nothing of the smallest joint "
-                f"range of hand {hand.name!r}, {room:.3g} rad"
+                f"limits: a margin of {config.margin} rad leaves no room in the smallest "
+                f"joint range of hand {hand.name!r}, {room:.3g} rad"
             )
         # the fastest joint that an actuated one moves, itself or one that follows it
         gearing = np.maximum(np.abs(hand.coupling_matrix).max(axis=0), 1.0)
@@ -195,7 +198,7 @@ def stoppable_speed(
     acceleration: Float[np.ndarray, " m"],
     stopped_by_one: Float[np.ndarray, " m"] | float = 0.0,
 ) -> Float[np.ndarray, " m"]:
-    """The highest speed for a step after which the joint can still stop within a distance.
+    """Largest speed of a step after which the joint can still stop within a distance.
 
     The distance is ``v dt + (v^2 - w^2) / acceleration``: the step itself, and braking with half of
     the acceleration down to ``w``.
@@ -204,7 +207,7 @@ def stoppable_speed(
         distance: (m,) distance to the end [rad]; a negative one counts as 0.
         dt: length of the step [s].
         acceleration: (m,) limit [rad/s^2].
-        stopped_by_one: w, a speed that the step after this one can stop [rad/s].
+        stopped_by_one: w, the speed that the next step can stop completely [rad/s].
 
     Returns:
         (m,) speed [rad/s].
@@ -217,26 +220,27 @@ def stoppable_speed(
 
 _STILL: Final = np.zeros(3)
 _AXIS_SHARE: Final = 1 / math.sqrt(3.0)
-"""Share of the acceleration for each axis, so that all three can brake together."""
+"""Fraction of the acceleration for each axis, so that all three can brake at the same time."""
 
 
 class PoseLimiter:
     """Follows a pose within limits, and holds the last command.
 
-    The limits hold between the stamps of consecutive poses, however uneven these are. Velocities
-    ``v[k] = (p[k] - p[k-1]) / dt[k]`` and ``w[k]``, the rotation vector from the one orientation to
-    the other over ``dt[k]``, have the lengths of the velocity limits at most, and so have their
-    changes over the shorter of ``dt[k]`` and ``(dt[k-1] + dt[k]) / 2`` those of the acceleration
-    limits. The position stays within the workspace; one that starts outside may only come closer.
-    The wrist is always slow enough to stop before the end of its workspace, whatever steps follow.
+    The limits hold between the stamps of consecutive poses, however uneven these are. The
+    velocities ``v[k] = (p[k] - p[k-1]) / dt[k]`` and ``w[k]`` (the rotation vector between two
+    consecutive orientations, divided by ``dt[k]``) are at most as long as the velocity limits.
+    Their changes, divided by the shorter of ``dt[k]`` and ``(dt[k-1] + dt[k]) / 2``, are at most as
+    long as the acceleration limits. The position stays within the workspace; a position that starts
+    outside may only move closer. The wrist is always slow enough to stop before the end of its
+    workspace, whatever steps follow.
 
     Args:
         config: the limits.
 
     Attributes:
         pose: (7,) last command.
-        velocity: (3,) its velocity, from the command before [m/s].
-        turn: (3,) its angular velocity in the frame of the base [rad/s].
+        velocity: (3,) velocity of the last command, relative to the one before [m/s].
+        turn: (3,) angular velocity of the last command in the base frame [rad/s].
     """
 
     def __init__(self, config: WristConfig) -> None:
@@ -245,11 +249,11 @@ class PoseLimiter:
 
     @property
     def at_rest(self) -> bool:
-        """True if it stands."""
+        """True if the pose is at rest."""
         return not (self.velocity.any() or self.turn.any())
 
     def put(self, pose: Float[np.ndarray, "7"]) -> None:
-        """Begin here, at rest: for the first command, which has none before it."""
+        """Start at this pose, at rest: for the first command."""
         self.pose = np.asarray(pose, np.float64)
         self.velocity = self.turn = _STILL
         self._last_dt = math.inf
@@ -261,13 +265,13 @@ class PoseLimiter:
         moving: Float[np.ndarray, "6"] | None = None,
         share: float = 1.0,
     ) -> Float[np.ndarray, "7"]:
-        """The next command.
+        """Compute the next command.
 
         Args:
-            target: where to be after the step.
+            target: pose to reach at the end of the step.
             dt: time since the last command [s].
-            moving: velocity [m/s] and angular velocity [rad/s] of the target; None if it stands. It
-                is followed without lag where the limits allow.
+            moving: velocity [m/s] and angular velocity [rad/s] of the target; None if it is at
+                rest. A moving target is followed without lag if the limits allow.
 
         Returns:
             (7,) command.
@@ -284,7 +288,7 @@ class PoseLimiter:
         )
 
     def rest(self, dt: float) -> Float[np.ndarray, "7"]:
-        """Brake as hard as the limits let it, and then stand.
+        """Brake as hard as the limits allow, then stay at rest.
 
         Args:
             dt: time since the last command [s].
@@ -304,7 +308,8 @@ class PoseLimiter:
         dt: float,
         share: float,
     ) -> Float[np.ndarray, "7"]:
-        """Take a step with the velocities within the limits that are nearest to those wanted."""
+        """Take a step with the velocities within the limits that are closest to the requested
+        ones."""
         config, place = self.config, self.pose[:3]
         low, high = np.minimum(config.low, place), np.maximum(config.high, place)
         shorter = min(dt, (self._last_dt + dt) / 2)
@@ -336,10 +341,10 @@ class PoseLimiter:
 def _towards(
     way: Float[np.ndarray, "3"], going: Float[np.ndarray, "3"], dt: float, acceleration: float
 ) -> Float[np.ndarray, "3"]:
-    """Velocity that goes with a target, and makes up for what is left of the way to it.
+    """Velocity that follows a target and closes the remaining distance to it.
 
     Args:
-        way: to where the target is after the step.
+        way: vector to the position of the target after the step.
         dt: length of the step [s].
     """
     behind = way - going * dt
@@ -358,14 +363,15 @@ def _nearest(
     down: Float[np.ndarray, "3"] | float = math.inf,
     up: Float[np.ndarray, "3"] | float = math.inf,
 ) -> Float[np.ndarray, "3"]:
-    """The velocity next to the one wanted that the limits allow.
+    """Returns the velocity within the limits that is closest to the requested one.
 
-    What the workspace and the speed allow are convex sets, so the way between two velocities in
-    them is within them. It leads from the last velocity, braked as far as the workspace asks for,
-    to the same within the speed limit, and on to the one wanted; as far as the acceleration goes.
+    The velocities that the workspace and the speed limit allow are convex sets, so the segment
+    between two allowed velocities is allowed. The path leads from the last velocity, braked as far
+    as the workspace requires, to its projection within the speed limit, and on to the requested
+    velocity. It ends where the acceleration limit is reached.
 
     Args:
-        target: the one that is asked for.
+        target: requested velocity.
         top: largest speed; it may be lower than the last one.
         change: largest length of the change.
         down: largest speed against each axis.
@@ -384,7 +390,8 @@ def _reach(
     end: Float[np.ndarray, "3"],
     change: float,
 ) -> Float[np.ndarray, "3"]:
-    """The farthest point on the way from ``start`` to ``end`` that is a change away at most."""
+    """Point on the segment from ``start`` to ``end`` that is as far as possible from ``start``, but
+    at most ``change``."""
     must, way = start - before, end - start
     left, length = change * change - float(must @ must), float(way @ way)
     if left <= 0:
@@ -397,29 +404,29 @@ def _reach(
 
 
 def _cut(vector: Float[np.ndarray, "3"], length: float) -> Float[np.ndarray, "3"]:
-    """A vector, shortened to a length."""
+    """Shortens a vector to a maximum length."""
     size = math.sqrt(vector @ vector)
     return vector * (length / size) if size > length else vector
 
 
 SHORTEST: Final = 0.25
-"""Shortest time between two commands, over the period."""
+"""Shortest time between two commands, in periods."""
 BORROWED: Final = 1.0 - SHORTEST
-"""Time by which a frame may be answered before its turn, over the period: its turn is taken
-from the commands after it. It keeps frames that come between two commands of the pace from
-waiting."""
+"""Time by which the command for a frame may be sent before its turn, in periods; the later commands
+are delayed accordingly. Frames that arrive between two turns then do not wait."""
 KEPT: Final = 0.5
-"""Share of a late command's delay that may be made up for, over the period: a frame that
-was late does not delay those after it."""
+"""Delay of a late command that may be made up for, in periods, so that a late frame does not delay
+the following frames."""
 WAITS: Final = 0.1
-"""Longest wait of a frame for its turn, over the period: one that would wait for longer is replaced
-by the next one, if no turn is lost by that. A tracker at the rate that has lost its phase, such as
-after a stall, so gets it back for one frame, and does not keep that wait for the rest of the run.
+"""Longest time that a frame waits for its turn, in periods. A frame that would wait longer is
+replaced by the next one, if no turn is lost. A tracker at the same rate that has lost its phase,
+for example after a stall, thus regains it at the cost of one frame, instead of keeping the wait for
+the rest of the run.
 """
 LONGEST: Final = 2.0
-"""Longest time between two commands, over the period."""
+"""Longest time between two commands, in periods."""
 EXTRA: Final = 1 + BORROWED + KEPT
-"""Commands over the rate: within any time t there are at most rate x t + 2.25."""
+"""Number of extra commands: within any time t there are at most rate x t + 2.25."""
 
 
 class RateLimiter:
@@ -443,22 +450,23 @@ class RateLimiter:
         self._turn = -math.inf  # when the next one does, at an even pace
 
     def begin(self, now: float) -> None:
-        """Start the schedule: a frame may be answered now."""
+        """Start the schedule: a command may be sent now."""
         self._turn = now + BORROWED * self.period
 
     @property
     def opens(self) -> float:
-        """Until when nothing may leave, but for an emergency stop [s]."""
+        """Time before which no command may be sent, except an emergency stop [s]."""
         period = self.period
         return max(self._turn - BORROWED * period, self._last + SHORTEST * period)
 
     def answers(self, received: float, following: float | None) -> float:
-        """Time at which a frame is to be answered, if no newer one comes before [s].
+        """Time at which the command for a frame should be sent, if no newer frame arrives before
+        [s].
 
-        A frame that comes after the turn has begun is answered as it comes. One that came before,
-        by more than ``WAITS``, is replaced by the next frame if that comes so soon after the
-        beginning that no turn is lost.
-        With a tracker that is faster than the pace, the answered frames are therefore fresh.
+        The command for a frame that arrives after its turn has begun is sent at once. A frame that
+        arrived before its turn by more than ``WAITS`` is replaced by the next frame, if that
+        arrives early enough that no turn is lost. With a tracker that is faster than the loop,
+        commands are therefore made from fresh frames.
 
         Args:
             received: time of arrival [s].
@@ -481,7 +489,7 @@ class RateLimiter:
 
         Args:
             following: expected arrival of the next frame [s]; None if unknown. The command waits
-                a little for a frame that is expected about now.
+                briefly for a frame that is expected about now.
         """
         period, at = self.period, self._turn
         if following is not None and at - SHORTEST * period <= following <= at + KEPT * period:
@@ -507,18 +515,18 @@ NEAR_M: Final = 0.02
 NEAR_RAD: Final = 0.1
 """Distance of the measured arm from its last command at which the clutch still engages."""
 _APPROACH: Final = 0.2
-"""Share of the velocity limits with which the command goes to an arm that is farther away."""
+"""Fraction of the velocity limits at which the command approaches an arm that is farther away."""
 _AHEAD_S: Final = 0.05
 """Longest time for which the motion of the wrist is extrapolated between two frames [s]."""
 _SHORTEST_GAP_S: Final = 1e-3
-"""Shortest difference of two stamps that gives a velocity [s]."""
+"""Shortest difference of two timestamps from which a velocity is computed [s]."""
 _SMOOTH: Final = 0.5
-"""Share of the newest difference in the velocity of the wrist."""
+"""Weight of the newest difference in the velocity of the wrist."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Wrist:
-    """A valid wrist: pose in the robot's axes, times and velocity."""
+    """A valid wrist measurement: pose in the robot's axes, times and velocity."""
 
     pose: Float[np.ndarray, "7"]
     stamp: float
@@ -537,7 +545,7 @@ class Clutch:
     rotation unchanged. The clutch engages when the operator moves the robot, the wrist is valid and
     the robot's wrist is at rest. It then latches both poses, so the command does not change. It
     disengages and holds on a pause, a stop, a loss of tracker or wrist, a jump of the wrist, a
-    restart of the tracker, and when it is released. It has no clock of its own.
+    restart of the tracker, and when the operator releases it. It has no clock of its own.
 
     Args:
         config: limits, scale, and the time for which a wrist is valid.
@@ -547,7 +555,7 @@ class Clutch:
         measured: returns the current pose of the hand's wrist in the base of the arm, or None if
             unknown. Called on the loop's thread, so it must be quick. The first command is this
             pose; before the clutch engages, the command approaches it slowly.
-        released: True if the operator released the wrist while the fingers go on.
+        released: True if the operator released the wrist while the fingers continue to follow.
     """
 
     def __init__(self, config: LoopConfig) -> None:
@@ -577,15 +585,15 @@ class Clutch:
     def step(
         self, mode: Mode, at: float, dt: float, arrival: Arrival | None
     ) -> WristCommand | None:
-        """The next command.
+        """Compute the next command.
 
         Args:
             at: time of the command [s].
             dt: time since the last one [s].
-            arrival: the frame that the command answers, if any.
+            arrival: the frame from which the command is made, if any.
 
         Returns:
-            the command; None until there is a wrist, or an arm that is measured.
+            the command; None until a wrist or the pose of an arm is measured.
         """
         if arrival is not None and poses.is_valid(arrival.frame.T_world_wrist):
             self._see(arrival)
@@ -620,7 +628,7 @@ class Clutch:
         turn = np.array([0, 0, 0, math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)])
         pose, moving, gap = poses.compose(turn, frame.T_world_wrist), np.zeros(6), 0.0
         if last is not None and (last.session, last.world) != (arrival.session, frame.world):
-            self._let_go("the tracker was started again")
+            self._let_go("the tracker was restarted")
         elif last is not None:
             gap = max((arrival.stamp - last.stamp) / arrival.speed, 0.0)
             moved = np.concatenate([pose[:3] - last.pose[:3], _arc(last.pose, pose)])

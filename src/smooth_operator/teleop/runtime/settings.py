@@ -1,4 +1,5 @@
-"""Settings of the loop; light to import, since the command line shows them all in its help."""
+"""Settings of the loop. This module is quick to import, because the command line shows them in its
+help."""
 
 from __future__ import annotations
 
@@ -16,15 +17,16 @@ class SafetyConfig:
     """Behaviour when the tracker fails, and when the operator comes back.
 
     Attributes:
-        stale_s: The hand holds when its last usable frame is older than this [s].
-        lost_s: The hand goes to its safe pose when its last usable frame is older than this [s].
-        on_loss: Safe pose: ease to the neutral pose, or hold the last command.
-        ease_velocity: Speed of the fastest joint on the way to the safe pose [rad/s].
-        blend_s: Blend-in time after a tracking loss or a pause [s]; after a shorter gap it is as
-            long as the gap.
-        restart_s: If timestamps jump back by more than this, the tracker was restarted; frames that
-            jump back by less are out of order and refused [s].
-        watchdog_s: Silence of the loop after which sinks are notified [s].
+        stale_s: Age of the last usable frame after which the hand holds its pose [s].
+        lost_s: Age of the last usable frame after which the hand moves to its safe pose [s].
+        on_loss: Safe pose: ease moves slowly to the neutral pose, hold keeps the last command.
+        ease_velocity: Speed of the fastest joint while the hand moves to its safe pose [rad/s].
+        blend_s: Time of the smooth return after a tracking loss or a pause [s]. After a gap shorter
+            than this, the return takes as long as the gap.
+        restart_s: Timestamps that jump back by more than this [s] mean that the tracker was
+            restarted. Frames that jump back by less are out of order and are refused.
+        watchdog_s: Time without a sign of life from the loop after which the sinks are notified
+            [s].
     """
 
     stale_s: float = 0.1
@@ -55,7 +57,7 @@ class LimitsConfig:
     Attributes:
         velocity: Largest velocity of any joint, coupled ones included [rad/s].
         acceleration: Largest acceleration of any joint [rad/s^2].
-        margin: Distance that is kept from each end of a joint's range [rad].
+        margin: Distance that joints keep from each end of their range [rad].
     """
 
     velocity: float = 15.0
@@ -70,21 +72,22 @@ class LimitsConfig:
 
 @dataclass(frozen=True)
 class WristConfig:
-    """The clutch: how the operator's wrist moves the wrist of the robot hand, and its limits.
+    """Settings of the clutch between the operator's wrist and the robot's wrist, and limits of its
+    motion.
 
     Poses are in the frame of the robot's base: x forward, y left, z up.
 
     Attributes:
-        scale: Metres of the robot for a metre of the operator's wrist; turns are never scaled.
-        yaw: Direction of the operator's forward in the robot's base, counterclockwise from its
-            x [rad].
+        scale: Ratio of the robot's wrist translation to the operator's. Rotations are not scaled.
+        yaw: Direction of the operator's forward axis in the robot's base frame, counterclockwise
+            from x [rad].
         velocity: Largest speed of the wrist [m/s].
         acceleration: Largest acceleration of the wrist [m/s^2].
         turn_velocity: Largest angular velocity of the wrist [rad/s].
         turn_acceleration: Largest angular acceleration of the wrist [rad/s^2].
-        low: Lowest x, y and z of the workspace [m].
-        high: Highest x, y and z of the workspace [m].
-        home: Start of the wrist without an arm that measures it: x y z [m], quaternion w x y z.
+        low: Minimum x, y and z of the workspace [m].
+        high: Maximum x, y and z of the workspace [m].
+        home: Initial wrist pose if no arm measures it: x y z [m], quaternion w x y z.
     """
 
     scale: float = 1.0
@@ -125,10 +128,11 @@ class LoopConfig:
     """Pace of the loop.
 
     Attributes:
-        rate: commands per second and hand [Hz]: the largest rate, and the rate without frames.
+        rate: commands per second for each hand [Hz]. This is the maximum rate, and the rate without
+            frames.
         safety: behaviour when the tracker fails.
         limits: limits on the commands.
-        wrist: settings of the wrist's clutch.
+        wrist: settings of the wrist clutch.
     """
 
     rate: float = 100.0
