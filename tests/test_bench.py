@@ -311,7 +311,7 @@ def test_a_second_run_measures_nothing(copied, count, done):
     status, _, err = captured((*arguments, "--no-report"))
     assert status == 1
     assert count == ["picky"]  # what failed is tried again
-    assert "quality: 1 of 2 cells need no measuring again" in err
+    assert "quality: 1 of 2 cells are unchanged and not measured again" in err
     assert read_results(folder) == done.rows
 
 

@@ -432,7 +432,7 @@ def test_a_stop_says_in_one_line_how_to_go_on(run, glove, tmp_path, monkeypatch)
     status, out, err = run("retarget", glove.parent, *TINY, "--output", folder)
     assert (status, out) == (130, "")
     assert [line for line in err.splitlines() if "stopped" in line] == [
-        f"smooth-operator: stopped; run the same command to continue in {folder}"
+        f"smooth-operator: stopped; run the same command again to continue in {folder}"
     ]
 
 

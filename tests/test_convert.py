@@ -610,7 +610,7 @@ def test_frames_take_their_commands_along(tmp_path, run):
     out = results(tmp_path / "out.npz", value.sliced(slice(10, 25)))
     status, err = run(glove, "--commands", out, "--output", tmp_path / "c.h5")
     assert status == 0
-    assert "answers 15 of the 40 frames" in err
+    assert "has commands for 15 of the 40 frames" in err
     assert read_episode(tmp_path / "c.h5").answered().tolist() == list(range(10, 25))
 
 
@@ -777,7 +777,7 @@ def test_foreign_configuration_beside_an_npz(tmp_path, run):
     path = write(tmp_path, episode(), "hdf5")
     (tmp_path / "out.json").write_text("{}")
     status, err = run(path, "--output", tmp_path / "out.npz", "--overwrite")
-    assert (status, "the configuration of out.npz" in err) == (2, True)
+    assert (status, "the configuration file of out.npz" in err) == (2, True)
     assert not (tmp_path / "out.npz").exists()
 
 
@@ -817,7 +817,7 @@ def test_outputs_that_make_no_sense(tmp_path, run):
         ((a, "--fps", 30, "--output", tmp_path / "x.npz"), "--fps applies only to LeRobot datasets"),
         ((a, "--fps", 0, "--output", tmp_path / "x"), "fps must be a whole number"),
         ((a, "--episode", 0, "--output", tmp_path / "x.npz"), "--episode is of LeRobot datasets"),
-        ((a, b, "--commands", a, "--output", tmp_path / "x"), "the commands of one"),
+        ((a, b, "--commands", a, "--output", tmp_path / "x"), "holds the commands of one"),
         ((a, "--commands", tmp_path / "no", "--output", tmp_path / "x"), "no such file"),
         ((a, "--commands", tmp_path, "--output", tmp_path / "x"), "1 of 1 recordings have no"),
         ((tmp_path / "none", "--output", tmp_path / "x"), "no such file"),
@@ -825,7 +825,7 @@ def test_outputs_that_make_no_sense(tmp_path, run):
         ((a, "--side", "left", "--output", tmp_path / "x.npz"), "a recording of a right hand"),
         ((a, "--rate", 30, "--output", tmp_path / "x.npz"), "contradict --rate 30"),
         ((a, "--frames", "90:", "--output", tmp_path / "x.npz"), "selects nothing"),
-        ((a, "--output", b / "x.npz"), "a file stands"),
+        ((a, "--output", b / "x.npz"), "it is a file, but a folder"),
     ):
         status, err = run(*arguments)
         assert status == 2, arguments

@@ -368,7 +368,7 @@ def test_a_stamp_that_stands_still_is_refused(frames):
     """The time of day in float32 changes every two minutes."""
     for whole in (0.0, 1.5, 900.0):
         assert HandFrame(frames[0], stamp=np.float32(whole)).stamp == whole
-    with pytest.raises(RecordingError, match=r"a float32, which near .* counts in steps of 128"):
+    with pytest.raises(RecordingError, match=r"a float32, which near .* has a resolution of 128"):
         HandFrame(frames[0], stamp=np.float32(1.7e9))
     assert HandFrame(frames[0], stamp=np.float64(1.7e9)).stamp == 1.7e9
 

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Ordered, Common, Quiet):
-    """Measure the gaps that a tracker leaves in an operator's pinches and write a file for
-    --operator."""
+    """Measure the gaps that a tracker leaves in pinches, and write a file for --operator."""
 
     work: ClassVar[str] = "smooth_operator.cli.calibrate:calibrate_recording"
     details: ClassVar[

@@ -25,8 +25,7 @@ class SafetyConfig:
             than this, the return takes as long as the gap.
         restart_s: Timestamps that jump back by more than this [s] mean that the tracker was
             restarted. Frames that jump back by less are out of order and are refused.
-        watchdog_s: Time without a sign of life from the loop after which the sinks are notified
-            [s].
+        watchdog_s: Time without commands after which the sinks are told that the loop hangs [s].
     """
 
     stale_s: float = 0.1
