@@ -1,4 +1,5 @@
-"""Settings that every retargeting shares: the commands parse them, and the library takes them."""
+"""Settings that all kinds of retargeting share. Commands parse them, and library functions take
+them."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from tyro.conf import arg
 from smooth_operator.retargeting.registry import DEFAULT_METHOD, METHODS
 
 METHOD_HELP: Final = (
-    f"Retargeting method: {', '.join(METHODS)}; or package.module:NAME of your own "
+    f"Retargeting method: {', '.join(METHODS)}; or package.module:NAME for your own method "
     "(docs/how-to/plugins.md)."
 )
 PRESET_HELP: Final = (
@@ -20,26 +21,27 @@ PRESET_HELP: Final = (
     + ". Any method also accepts a preset file (docs/how-to/tune.md)."
 )
 PINCH_GAPS_HELP: Final = (
-    "smooth closes the gap that a tracker leaves between thumb and finger where they touch, and "
-    "estimates it while one works. tracker starts with the gaps of the source's tracker, if they "
-    "are known (webcam and video); mediapipe with those of MediaPipe, for a recording of it; off "
-    "takes landmarks as they are tracked."
+    "Correction of the gap that a tracker reports between thumb and finger when they touch. "
+    "smooth estimates the gap while the operator works. tracker: start with the gaps of the "
+    "source's tracker, if they are known (webcam and video). mediapipe: start with the gaps "
+    "of MediaPipe, for recordings made with it. off: use the landmarks unchanged."
 )
 
 Scale: TypeAlias = float | Literal["frame", "calibrate"]
-"""Robot size over human size: a number, by frame, or calibrated once on the recording."""
+"""Ratio of robot size to human size: a number, estimated per frame, or calibrated once per
+recording."""
 
 PinchGapChoice: TypeAlias = Literal["tracker", "mediapipe", "off"]
-"""Gaps between thumb and finger with which the running estimate starts: those of the live source's
-tracker, if they are known; those of MediaPipe; or off, for landmarks as they are tracked."""
+"""Start values of the estimated pinch gaps: those of the live source's tracker, if they are known;
+those of MediaPipe; or off, to use the landmarks unchanged."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MethodRequest:
-    """A robot hand and how it is driven, as a user says it."""
+    """A robot hand and the method that drives it, as named by a user."""
 
     hand: Annotated[str, arg(metavar="NAME")] = "mimic_p050"
-    """Robot hand, by its catalogue name."""
+    """Catalogue name of the robot hand."""
 
     method: Annotated[str, arg(metavar="NAME", help=METHOD_HELP)] = DEFAULT_METHOD
 
@@ -57,10 +59,10 @@ class MethodRequest:
     robot's pinky with the human ring finger. Default: all."""
 
     operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
-    """What is known of the operator, as calibrate and teleop write it."""
+    """Operator file, written by calibrate or teleop."""
 
     pinch_gaps: Annotated[PinchGapChoice, arg(help=PINCH_GAPS_HELP)] = "tracker"
 
     def settings(self) -> dict[str, Any]:
-        """The settings by name, as ``make_request`` takes them."""
+        """Returns the settings by name, for ``make_request``."""
         return {each.name: getattr(self, each.name) for each in fields(MethodRequest)}
