@@ -22,9 +22,9 @@ PRESET_HELP: Final = (
 )
 PINCH_GAPS_HELP: Final = (
     "Correction of the gap that a tracker reports between thumb and finger when they touch. "
-    "smooth estimates the gap while the operator works. tracker: start with the gaps of the "
-    "source's tracker, if they are known (webcam and video). mediapipe: start with the gaps "
-    "of MediaPipe, for recordings made with it. off: use the landmarks unchanged."
+    "smooth estimates it while the operator works. tracker: start with the gaps of the "
+    "source's tracker, if known (webcam and video). mediapipe: start with the gaps of "
+    "MediaPipe. off: use the landmarks unchanged."
 )
 
 Scale: TypeAlias = float | Literal["frame", "calibrate"]

@@ -180,7 +180,7 @@ def bench(options: Bench) -> None:
         require("the report (use --no-report to skip it)", "lab", "matplotlib")
     progress = Progressing(options.quiet)
     start_jax()  # before planning, which may do so
-    # What a user can get wrong comes before what takes long.
+    # Check everything that a user can get wrong before the long work starts.
     settings = Settings(
         output=options.output,
         recordings=options.recordings or ("synthetic",),

@@ -134,9 +134,8 @@ class Meshes:
 
     model: Annotated[Path | None, arg(metavar="PATH|menagerie")] = None
     """Model to draw instead of simple shapes: your copy of the vendor's MJCF or URDF with its
-    meshes; its joints must have the same names as the hand's. Or the word menagerie, which
-    downloads the model of MuJoCo Menagerie (needs the menagerie extra; Allegro, LEAP, Shadow,
-    DEX-EE, Sharpa Wave)."""
+    meshes; joint names must be those of the hand. Or the word menagerie, which downloads the model
+    of MuJoCo Menagerie (menagerie extra; Allegro, LEAP, Shadow, DEX-EE, Sharpa Wave)."""
 
     no_meshes: bool = False
     """Draw simple shapes. By default the vendor's meshes are drawn if they are already on this

@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None, set_up: Callable[[], object] = lambd
             from smooth_operator.cli.app import run
 
             return run(sys.argv[1:] if argv is None else argv, set_up)
-        except KeyboardInterrupt as stop:  # with advice, where a command has some
+        except KeyboardInterrupt as stop:  # with advice, if the command has any
             words = "; ".join(("smooth-operator: stopped", *map(str, stop.args)))
             with contextlib.suppress(OSError):
                 print(words, file=sys.stderr, flush=True)
@@ -83,7 +83,7 @@ _status: int | None = None
 def _end() -> None:
     if _status is not None:
         for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError, ValueError):  # its reader is gone
+            with contextlib.suppress(OSError, ValueError):  # nobody reads the output any more
                 stream.flush()
         os._exit(_status)
 

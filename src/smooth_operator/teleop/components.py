@@ -194,12 +194,10 @@ SOURCES: Final = Registry(
             f"{_SOURCES}.programs:ManusStream",
             "the ZeroMQ stream of glove bridges (zmq extra)",
         ),
-        "zmq": Entry(
-            f"{_SOURCES}.programs:ZmqSource", "landmarks over ZeroMQ (zmq extra)"
-        ),
+        "zmq": Entry(f"{_SOURCES}.programs:ZmqSource", "landmarks over ZeroMQ (zmq extra)"),
         "ros2": Entry(
             "smooth_operator.teleop.ros2.source:Ros2Source",
-            "hand poses from ROS 2 topics; needs the ros2 extra, but no ROS 2 installation",
+            "hand poses from ROS 2 topics, without a ROS 2 installation (ros2 extra)",
         ),
         "udp": Entry(f"{_SOURCES}.programs:UdpSource", "landmarks over UDP: udp:PORT"),
     },
@@ -264,7 +262,7 @@ SINKS: Final = Registry(
         "zmq": Entry(f"{_SINKS}.zmq_sink:ZmqSink", "commands over ZeroMQ (zmq extra)"),
         "ros2": Entry(
             "smooth_operator.teleop.ros2.sink:Ros2Sink",
-            "ROS 2 topics; needs the ros2 extra, but no ROS 2 installation",
+            "ROS 2 topics, without a ROS 2 installation (ros2 extra)",
         ),
         "record": Entry(f"{_SINKS}.record:RecordSink", "an MCAP log: record:FILE"),
         "rerun": Entry(
@@ -274,25 +272,16 @@ SINKS: Final = Registry(
         "table": Entry(f"{_SINKS}.table:TableSink", "a table in the terminal"),
         "dynamixel": Entry(
             f"{_DRIVERS}.dynamixel:DynamixelSink",
-            "a hand built from Dynamixel servos, described by a table file (needs the "
-            "dynamixel extra)",
+            "a hand of Dynamixel servos, described by a table file (dynamixel extra)",
         ),
-        "leap": Entry(
-            f"{_DRIVERS}.dynamixel:LeapSink", "the LEAP hand (dynamixel extra)"
-        ),
+        "leap": Entry(f"{_DRIVERS}.dynamixel:LeapSink", "the LEAP hand (dynamixel extra)"),
         "orca": Entry(f"{_DRIVERS}.orca:OrcaSink", "the ORCA hand (orca extra)"),
-        "inspire": Entry(
-            f"{_DRIVERS}.inspire:InspireSink", "an Inspire RH56 hand (inspire extra)"
-        ),
-        "linker": Entry(
-            f"{_DRIVERS}.linker:LinkerSink", "a LinkerHand L10 or L20 (linker extra)"
-        ),
+        "inspire": Entry(f"{_DRIVERS}.inspire:InspireSink", "an Inspire RH56 hand (inspire extra)"),
+        "linker": Entry(f"{_DRIVERS}.linker:LinkerSink", "a LinkerHand L10 or L20 (linker extra)"),
         "allegro": Entry(
             f"{_DRIVERS}.allegro:AllegroSink", "an Allegro Hand V4 or V5 (allegro extra)"
         ),
-        "ability": Entry(
-            f"{_DRIVERS}.ability:AbilitySink", "an Ability Hand (ability extra)"
-        ),
+        "ability": Entry(f"{_DRIVERS}.ability:AbilitySink", "an Ability Hand (ability extra)"),
         "wuji": Entry(f"{_DRIVERS}.wuji:WujiSink", "a Wuji Hand (wuji extra)"),
         "revo2": Entry(f"{_DRIVERS}.revo2:Revo2Sink", "a BrainCo Revo2 (revo2 extra)"),
     },

@@ -28,27 +28,26 @@ class TeleopRequest(MethodRequest):
     accepts messages for the same actions."""
 
     arm: Annotated[str | None, arg(metavar="NAME[:SETTINGS]")] = None
-    """Arm that carries the hand and follows the operator's wrist (needs the arm extra): panda,
-    ur5e, xarm7 or iiwa14. Settings: adapter=0.02 [m], roll=90 [degrees], spacing=1.0 between two
-    arms, table=0.0 [m], no_table=true, collisions=false (docs/robots/arms.md)."""
+    """Arm that carries the hand and follows the operator's wrist (arm extra): panda, ur5e, xarm7 or
+    iiwa14. Settings: adapter=0.02 [m], roll=90 [degrees], spacing=1.0 between two arms, table=0.0
+    [m], no_table=true, collisions=false (docs/robots/arms.md)."""
 
     trials: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """Folder for a record of every trial of the task."""
 
     side: Annotated[Literal["right", "left", "both"] | None, arg(metavar="right|left|both")] = None
-    """Hand side. both drives two robot hands with the operator's two hands. Default: right, or the
-    only side that the robot hand has."""
+    """Hand side. both drives two robot hands. Default: right, or the only side that the robot hand
+    has."""
 
     scale: Annotated[float | Literal["frame"] | None, arg(metavar="frame|FLOAT")] = None
     """Robot/human size ratio: frame (estimated in each frame) or a number. Default: from the
     preset."""
 
     operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
-    """Operator file, as written by calibrate. The run creates or updates it at its end."""
+    """Operator file, as written by calibrate. The run updates it at its end."""
 
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
-    """Commands per second for each hand [Hz]. This limits the rate with a fast tracker, and is the
-    rate of held commands without frames."""
+    """Maximum command rate for each hand [Hz], and the rate without frames."""
 
     duration: Annotated[float | None, arg(metavar="SECONDS")] = None
     """Length of the run [s]. Default: until the source ends."""
@@ -78,9 +77,9 @@ class TeleopRequest(MethodRequest):
     are stop, release, pause, resume, quit, status, method, calibration, task, trial and reset."""
 
     estop: Annotated[str | None, arg(metavar="INPUT")] = None
-    """External emergency stop: file:PATH (released while the file begins with 1, like a GPIO line),
-    serial:PORT (a normally closed button between RTS and CTS) or udp:PORT (a heartbeat). A broken
-    wire also stops the robot (docs/robots/index.md)."""
+    """External emergency stop: file:PATH (released while the file begins with 1), serial:PORT (a
+    normally closed button between RTS and CTS) or udp:PORT (a heartbeat). A broken wire also stops
+    the robot (docs/robots/index.md)."""
 
     blind: bool = False
     """Hide the method from the operator: the page and the terminal do not name it, and the page
