@@ -813,8 +813,8 @@ def test_outputs_that_make_no_sense(tmp_path, run):
     for arguments, match in (
         ((a, "--output", tmp_path / "x.csv"), "names no format: use .mcap, .npz, .h5"),
         ((a, "--output", tmp_path / "x.npz", "--to", "mcap"), "that of npz and --to says mcap"),
-        ((a, b, "--output", tmp_path / "x.npz"), "2 episodes, which do not fit into the single file"),
-        ((a, "--fps", 30, "--output", tmp_path / "x.npz"), "--fps applies only to LeRobot datasets"),
+        ((a, b, "--output", tmp_path / "x.npz"), "2 episodes, which do not fit into"),
+        ((a, "--fps", 30, "--output", tmp_path / "x.npz"), "--fps applies only to LeRobot"),
         ((a, "--fps", 0, "--output", tmp_path / "x"), "fps must be a whole number"),
         ((a, "--episode", 0, "--output", tmp_path / "x.npz"), "--episode is of LeRobot datasets"),
         ((a, b, "--commands", a, "--output", tmp_path / "x"), "holds the commands of one"),

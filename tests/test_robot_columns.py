@@ -119,6 +119,6 @@ def test_convert_asks_for_a_data_set(tmp_path, capsys):
 
     out = str(tmp_path / "x.npz")
     assert main(["convert", "a.mcap", "--output", out, "--columns", "robot"]) == 2
-    assert "--columns and --environment-state apply only to LeRobot datasets" in capsys.readouterr().err
+    assert "--columns and --environment-state apply only to LeRobot" in capsys.readouterr().err
     assert main(["convert", "a.mcap", "--output", str(tmp_path / "d"), "--environment-state"]) == 2
     assert "needs --columns robot" in capsys.readouterr().err

@@ -147,7 +147,7 @@ class Page:
     """Options of every command that serves a page."""
 
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Address on which the page listens. 0.0.0.0 admits other machines; they need the token in the
+    """Address on which the page listens. 0.0.0.0 admits other machines with the token of the
     printed address."""
 
     port: int = 8080

@@ -51,10 +51,10 @@ be opened, 130 stopped by Ctrl-C or another signal."""
     granted (docs/how-to/teleoperate.md)."""
 
     no_view: bool = False
-    """Do not serve the page, for machines without a browser."""
+    """Do not serve the page."""
 
     json: bool = False
-    """Print only the summary, as one JSON object, on standard output."""
+    """Print only the summary, as one JSON object."""
 
     quiet: bool = False
     """Print only important messages on standard error."""

@@ -20,7 +20,7 @@ class TeleopRequest(MethodRequest):
     """Source of the hand frames."""
 
     sink: Annotated[tuple[str, ...], arg(metavar="NAME[:SETTINGS]")] = ()
-    """Sinks that receive the commands. The page always shows them."""
+    """Sinks that receive the commands, besides the page."""
 
     task: Literal["card", "cube", "screwdriver"] | None = None
     """Task of the study to simulate around the hand: card pickup, vertical cube rotation or
@@ -78,8 +78,8 @@ class TeleopRequest(MethodRequest):
 
     estop: Annotated[str | None, arg(metavar="INPUT")] = None
     """External emergency stop: file:PATH (released while the file begins with 1), serial:PORT (a
-    normally closed button between RTS and CTS) or udp:PORT (a heartbeat). A broken wire also stops
-    the robot (docs/robots/index.md)."""
+    normally closed button) or udp:PORT (a heartbeat). A broken wire also stops the robot
+    (docs/robots/index.md)."""
 
     blind: bool = False
     """Hide the method from the operator: the page and the terminal do not name it, and the page
