@@ -36,7 +36,14 @@ EVIDENCE = {
 }
 """Files of the repository outside ``docs`` and ``research/docs`` that are pages of the site."""
 # A title counts a thousand times as much as text, and each name of the API is a title.
-_BOOST = {"tutorials": 4.0, "how-to": 4.0, "robots": 3.0, "explanation": 2.0, "evidence": 0.3}
+_BOOST = {
+    "tutorials": 4.0,
+    "how-to": 4.0,
+    "robots": 2.0,
+    "reference": 2.0,
+    "explanation": 2.0,
+    "evidence": 0.3,
+}
 _LINE = re.compile(r"^\{\{ (public|modules|hands) ?([\w.]*) \}\}$", re.MULTILINE)
 _LINK = re.compile(r"(?<=\]\()([^)\s:#]+)(?=[#)])")
 _PATH = re.compile(r"<code>(research/docs/[\w-]+\.md)</code>")

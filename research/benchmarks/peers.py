@@ -4,7 +4,7 @@
         --dex-python PYTHON --dex-urdf FOLDER --authors FOLDER
 
     # PYTHON is dex/bin/python, FOLDER is dex-urdf/robots/hands
-    python -m venv dex && dex/bin/python -m pip install "dex-retargeting==0.5.0"
+    python -m venv dex && dex/bin/python -m pip install "dex-retargeting==0.5.0" torch
     git clone https://github.com/dexsuite/dex-urdf
 
 Every program runs in a process of its own, in the environment that an option names; processes take
