@@ -46,7 +46,6 @@ CORE = {
 SHARED = {
     "signals": 0,
     "atomic_files": 3,
-    "compilation": 4,
     "formats": 3,
     "parallel": 3,
     "poses": 3,
@@ -94,7 +93,7 @@ is gone and still listed."""
 START = "retargeting.retargeter"
 """Module of ``Retargeter``, where the closure begins."""
 
-CLOSURE_LINES = 14_680
+CLOSURE_LINES = 14_540
 """Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
 
 MAX_LINES = 700
@@ -417,7 +416,7 @@ def test_no_packages_import_each_other():
         names = {name.split(".")[1] for _, name in imported_modules(SOURCE, path) if "." in name}
         graph.setdefault(package, set()).update(names & LEVELS.keys() - {package, ROOT})
     mutual = {(a, b) for a in graph for b in graph[a] if a < b and a in graph.get(b, ())}
-    assert mutual == {("compilation", "retargeting")}
+    assert not mutual
 
 
 def test_texts_that_import_from_above_are_listed():

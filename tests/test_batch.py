@@ -10,9 +10,9 @@ import pytest
 from jax import lax
 
 from smooth_operator import Hand, Retargeter, method_config
-from smooth_operator.compilation.batching import LaneProgram, Tracks
 from smooth_operator.errors import ConfigError
 from smooth_operator.offline.trajectory_retargeter import TrajectoryRetargeter
+from smooth_operator.retargeting.batching import LaneProgram, Tracks
 from smooth_operator.retargeting.method import Method, MethodOutput
 from smooth_operator.retargeting.program import FrameState, RetargetState, ticks_of
 from smooth_operator.retargeting.sbr.method import SbrConfig

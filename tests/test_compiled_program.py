@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
-from smooth_operator.compilation import batching, compiled_program
-from smooth_operator.compilation.cache import ProgramCache
-from smooth_operator.compilation.compiled_program import CompiledProgram, program_key
+from smooth_operator.retargeting import batching, compiled_program
 from smooth_operator.retargeting import program as programs
+from smooth_operator.retargeting.compiled_program import CompiledProgram, program_key
+from smooth_operator.retargeting.program_cache import ProgramCache
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 

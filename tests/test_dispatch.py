@@ -9,8 +9,8 @@ from pathlib import Path
 import jax
 import pytest
 
-from smooth_operator.compilation.start import start_jax
 from smooth_operator.retargeting.presets import method_config
+from smooth_operator.retargeting.start import start_jax
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no choice of cores here")

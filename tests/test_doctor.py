@@ -2,8 +2,7 @@
 
 import json
 
-from smooth_operator.cli import main
-from smooth_operator.compilation import diagnosis
+from smooth_operator.cli import diagnosis, main
 
 
 def test_the_machine_and_the_advice(capsys, tmp_path, monkeypatch):

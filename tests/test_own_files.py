@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from smooth_operator.compilation import cache as program_cache
-from smooth_operator.compilation import diagnosis
-from smooth_operator.compilation.cache import ProgramCache
+from smooth_operator.cli import diagnosis
 from smooth_operator.errors import DocumentError
 from smooth_operator.own_files import folder_problem, make_private, read_own_file
+from smooth_operator.retargeting import program_cache as program_cache
+from smooth_operator.retargeting.program_cache import ProgramCache
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes here")
 

@@ -17,7 +17,6 @@ import pytest
 
 from smooth_operator import Retargeter, read_commands, read_recording
 from smooth_operator.atomic_files import claimed
-from smooth_operator.compilation.batching import BLOCK
 from smooth_operator.datasets import pipeline
 from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
 from smooth_operator.datasets.quality import NO_LIMITS
@@ -29,6 +28,7 @@ from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
 from smooth_operator.offline.execution import checked
 from smooth_operator.planning import RetargetRequest, make_request
+from smooth_operator.retargeting.batching import BLOCK
 from smooth_operator.retargeting.presets import PRESETS
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig

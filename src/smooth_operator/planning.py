@@ -36,7 +36,7 @@ _MOST_BYTES: Final = 64_000_000  # of a configuration that lists thousands of re
 
 _CODE: Final = (
     *("geometry.py", "landmarks.py", "planning.py", "poses.py", "types.py"),
-    *("hands", "retargeting", "baselines", "compilation"),
+    *("hands", "retargeting", "baselines"),
     *("io", "formats", "episode_files", "headsets", "teleop/recording", "offline"),
 )
 """Files and folders of this package that commands depend on."""

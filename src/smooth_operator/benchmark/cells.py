@@ -285,7 +285,7 @@ def benchmark_code() -> str:
     """
     return code_digest(
         "geometry.py", "landmarks.py", "types.py", "hands", "retargeting",
-        "compilation", "baselines", "metrics", "offline", "io", "formats",
+        "baselines", "metrics", "offline", "io", "formats",
     )  # fmt: skip
 
 

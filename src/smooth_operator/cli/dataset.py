@@ -11,7 +11,6 @@ from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.cli.session import requested
-from smooth_operator.compilation.start import start_jax
 from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
 from smooth_operator.datasets.quality import NO_LIMITS, Limits
 from smooth_operator.datasets.registry import ReadingOptions
@@ -23,6 +22,7 @@ from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, counted
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.offline.execution import checked, request_notes
+from smooth_operator.retargeting.start import start_jax
 from smooth_operator.terminal import printable
 
 _SHOWN_FAILURES = 20

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from smooth_operator.cli.console import output_console, plain_table
+from smooth_operator.cli.diagnosis import environment
 from smooth_operator.cli.doctor_options import Doctor
-from smooth_operator.compilation.diagnosis import environment
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.runtime.priority import going_first
 

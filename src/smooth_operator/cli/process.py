@@ -96,7 +96,7 @@ def _keep_machine_code() -> None:
 
     JAX reads these variables when it is imported, and workers inherit them.
     """
-    from smooth_operator.compilation.cache import jax_folder
+    from smooth_operator.retargeting.program_cache import jax_folder
 
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ and (folder := jax_folder()) is not None:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
@@ -117,7 +117,7 @@ def _forget_damaged(folder: Path) -> None:
         else:
             shown(message, *rest, **more)
 
-    warnings.showwarning = show  # type: ignore[assignment]  # its other arguments pass through
+    warnings.showwarning = show  # its other arguments pass through
 
 
 @contextlib.contextmanager

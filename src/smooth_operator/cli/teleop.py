@@ -68,8 +68,8 @@ be opened, 130 stopped by Ctrl-C or another signal."""
 def teleop(options: Teleop) -> None:
     """Runs a teleoperation, with keys in the terminal and progress on standard error."""
     from smooth_operator.cli.console import Progressing
-    from smooth_operator.compilation.start import start_jax
     from smooth_operator.retargeting.presets import method_config
+    from smooth_operator.retargeting.start import start_jax
     from smooth_operator.teleop.run import PageSettings, teleoperate
 
     if options.no_view and options.model is not None:

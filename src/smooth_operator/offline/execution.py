@@ -11,7 +11,6 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.compilation.start import build_retargeter as build_retargeter
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import frame_slice, stamps_from_rate
 from smooth_operator.hands.hand import Hand
@@ -23,6 +22,7 @@ from smooth_operator.metrics.table import Definition
 from smooth_operator.offline.trajectory_retargeter import TrajectoryRetargeter, check_method
 from smooth_operator.planning import Plan, RetargetRequest
 from smooth_operator.retargeting.retargeter import Retargeter
+from smooth_operator.retargeting.start import build_retargeter as build_retargeter
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.types import CommandTrajectory
 

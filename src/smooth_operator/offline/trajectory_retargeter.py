@@ -20,8 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from smooth_operator.compilation.batching import Progress, progressing
-from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
@@ -33,6 +31,8 @@ from smooth_operator.offline.trajectory_solver import (
     Led,
     smooth_trajectory,
 )
+from smooth_operator.retargeting.batching import Progress, progressing
+from smooth_operator.retargeting.compiled_program import CompiledProgram
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.retargeting.objective import Objective

@@ -28,7 +28,6 @@ from jax import lax
 from jaxtyping import Array, Float, Int, UInt32
 from numpy.typing import ArrayLike
 
-from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import array_namespace
 from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec
@@ -40,6 +39,7 @@ from smooth_operator.retargeting.alignment import (
     palm_range,
     reference_landmarks,
 )
+from smooth_operator.retargeting.compiled_program import CompiledProgram
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.types import Status
 

@@ -39,7 +39,7 @@ from smooth_operator.types import (
 )
 
 if TYPE_CHECKING:
-    from smooth_operator.compilation.batching import BatchArrays, LaneProgram
+    from smooth_operator.retargeting.batching import BatchArrays, LaneProgram
 
 _REFLECTION = np.array([-1, 1, 1], np.float32)
 
@@ -379,7 +379,7 @@ class Retargeter:
             lanes: recordings side by side; None for 1024 on a GPU, and on a CPU for 8 or, where
                 frames take a solver unequal times as that of ``smooth``, one for each core.
         """
-        from smooth_operator.compilation.batching import one_by_one, side_by_side
+        from smooth_operator.retargeting.batching import one_by_one, side_by_side
 
         for recording in recordings:
             self.check_side(recording.side)
@@ -426,6 +426,6 @@ class Retargeter:
         )
 
     def _lanes(self, lanes: int | None) -> LaneProgram:
-        from smooth_operator.compilation.batching import lane_program
+        from smooth_operator.retargeting.batching import lane_program
 
         return lane_program(self.method, self.config, lanes, self.cache)

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 from smooth_operator.atomic_files import claimed
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for, stopped
-from smooth_operator.compilation.start import start_jax
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import load_hand
+from smooth_operator.retargeting.start import start_jax
 from smooth_operator_research.commands.options import Ablate, Experimenting, Paper
 from smooth_operator_research.paper.experiment import (
     EXPERIMENTS,

@@ -14,8 +14,8 @@ from smooth_operator.benchmark.suite import REPORT
 from smooth_operator.cli.bench import SOME_FAILED, cell_progress, comma_words
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for, stopped
-from smooth_operator.compilation.start import start_jax
 from smooth_operator.errors import require
+from smooth_operator.retargeting.start import start_jax
 from smooth_operator_research.commands.options import Physics
 from smooth_operator_research.physics.measure import PhysicsSettings
 from smooth_operator_research.physics.page import write_files, write_report

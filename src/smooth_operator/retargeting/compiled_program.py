@@ -22,14 +22,14 @@ from typing import Any, Final, TypeAlias
 import jax
 import numpy as np
 
-from smooth_operator.compilation.cache import LOGGER, ProgramCache, program_cache
 from smooth_operator.geometry import on_gpu
 from smooth_operator.hands.hand import Hand, fingerprint
 from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.retargeting.program_cache import LOGGER, ProgramCache, program_cache
 from smooth_operator.source_digest import HOME, code_digest
 
 _CODE: Final = (
-    "compilation", "retargeting", "baselines", "hands",
+    "retargeting", "baselines", "hands",
     "geometry.py", "io/anatomy.py", "poses.py", "landmarks.py", "types.py",
 )  # fmt: skip
 """Code that programs are traced from."""

@@ -30,10 +30,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from smooth_operator.compilation.compiled_program import CompiledProgram
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.retargeting.compiled_program import CompiledProgram
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.retargeting.program import FrameState, RetargetState, align_frame, ticks_of
 from smooth_operator.types import CommandTrajectory, HandRecording, Status

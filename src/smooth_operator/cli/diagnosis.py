@@ -10,9 +10,9 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any, Final
 
-from smooth_operator.compilation.cache import is_off, program_cache
 from smooth_operator.extras import DISTRIBUTION
 from smooth_operator.own_files import SWITCH, folder_problem, user_cache
+from smooth_operator.retargeting.program_cache import is_off, program_cache
 
 _LIBRARIES: Final = ("jax", "jaxlib", "mujoco", "numpy", "scipy")
 _OPENCV: Final = tuple(

@@ -1,1 +1,0 @@
-"""Settings of a process for compiled programs, and retargeters built with them."""
