@@ -46,7 +46,7 @@ _BOOST = {
 }
 _LINE = re.compile(r"^\{\{ (public|modules|hands) ?([\w.]*) \}\}$", re.MULTILINE)
 _LINK = re.compile(r"(?<=\]\()([^)\s:#]+)(?=[#)])")
-_PATH = re.compile(r"<code>(research/docs/[\w-]+\.md)</code>")
+_PATH = re.compile(r"<code>((?:research/)?docs/[\w/-]+\.md)</code>")
 _MATH = re.compile(r'<(span|div) class="arithmatex">\\[([](.*?)\\[)\]]</\1>', re.DOTALL)
 
 
@@ -82,7 +82,7 @@ def _with_links_of_the_site(markdown: str, page: File) -> str:
 def on_page_content(content: str, page: Any, files: Any, **_: Any) -> str:
     """Called by mkdocs with the HTML of each page: equations become MathML.
 
-    Paths of the evidence, which docstrings of the API name, become links.
+    Paths of pages, which docstrings of the API name, become links.
     """
 
     def mathml(match: re.Match[str]) -> str:
@@ -93,7 +93,9 @@ def on_page_content(content: str, page: Any, files: Any, **_: Any) -> str:
 
     def link(match: re.Match[str]) -> str:
         target = files.get_file_from_path(site_name(match[1]))
-        return f'<a href="{target.url_relative_to(page.file)}">{match[0]}</a>'
+        return (
+            f'<a href="{target.url_relative_to(page.file)}">{match[0]}</a>' if target else match[0]
+        )
 
     return _PATH.sub(link, _MATH.sub(mathml, content))
 

@@ -117,12 +117,12 @@ def test_the_equations_take_at_most_60_lines():
 def test_the_constants_of_the_offline_presets_are_the_pages(method):
     config = method_config(method, "offline")
     values = {
-        "w_a": [config.future.acceleration_weight],
-        "w_m": [config.future.motion_weight],
-        "v_0": [config.future.motion_speed],
-        "ℓ": [config.jump, config.noise] if config.noise else [config.jump],
-        "v_max": [config.future.speed_limit],
-        "bridge": [config.bridge],
+        "$w_a$": [config.future.acceleration_weight],
+        "$w_m$": [config.future.motion_weight],
+        "$v_0$": [config.future.motion_speed],
+        r"$\ell$": [config.jump, config.noise] if config.noise else [config.jump],
+        r"$v_\mathrm{max}$": [config.future.speed_limit],
+        "`bridge`": [config.bridge],
     }
     for row in rows("| | | `smooth` | `sbr` |", APPENDIX):
         assert numbers(row[2 if method == "smooth" else 3]) == values.pop(row[0])
