@@ -16,11 +16,8 @@ from made_clips import CLIPS, LAYOUT
 
 from smooth_operator.datasets import writing
 from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
-from smooth_operator.datasets.quality import NO_LIMITS, Limits
 from smooth_operator.datasets.registry import DATASETS, ClipRef, ReadingOptions
-from smooth_operator.datasets.retargeting import Recipe
 from smooth_operator.datasets.sources import Item, each_item
-from smooth_operator.planning import make_request
 
 NEEDS_ARROW = "needs pyarrow: in the clone, pip install '.[cluster]'"
 OPTIONS = ReadingOptions()
@@ -44,10 +41,10 @@ def items(source: Path, layout: str | None = LAYOUT) -> list[Item]:
 
 def request(source: Path, output: Path, **more: Any) -> DatasetRequest:
     options: dict[str, Any] = {
-        "limits": NO_LIMITS, "format": "parquet", "workers": 0, "layout": LAYOUT, **more,
+        "no_limits": True, "format": "parquet", "workers": 0, "layout": LAYOUT,
+        "hand": "leap_hand", "method": "joint_angle",  # the quickest to compile
     }  # fmt: skip
-    recipe = Recipe(make_request(hand="leap_hand", method="joint_angle"))  # the quickest to compile
-    return DatasetRequest((str(source),), output, recipe, **options)
+    return DatasetRequest(sources=(str(source),), output=output, **options | more)
 
 
 def digests(output: Path) -> dict[str, str]:
@@ -143,7 +140,15 @@ def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_pat
     source = made_clips.write(tmp_path / "x.made.json", 3, (0.8, 1.0))
     limits = {"cut": False, "min_seconds": 0.9, "min_reach": 0.0, "max_tip_error": 200.0}
     limits |= {"max_collision": 1.0}
-    summary = make_dataset(request(source, tmp_path / "out", limits=Limits(**limits)))
+    summary = make_dataset(
+        request(
+            source,
+            tmp_path / "out",
+            no_limits=False,
+            whole=True,
+            **{name: value for name, value in limits.items() if name != "cut"},
+        )
+    )
     (file,) = (tmp_path / "out" / "dataset" / "data").iterdir()
     written = pq.read_table(file)
     assert (summary.episodes, summary.dropped) == (written.num_rows, 3 - written.num_rows)

@@ -24,7 +24,6 @@ from smooth_operator.datasets import pipeline
 from smooth_operator.datasets.clip import CAMERA, SIDES, Clip, RobotClip, in_frame
 from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
 from smooth_operator.datasets.quality import (
-    NO_LIMITS,
     REACHED,
     Dropped,
     Limits,
@@ -42,7 +41,6 @@ from smooth_operator.datasets.sources import (
     parse_shard,
 )
 from smooth_operator.datasets.store import Store
-from smooth_operator.datasets.writers.registry import WritingOptions
 from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.landmarks import BASES
@@ -59,8 +57,10 @@ from smooth_operator.types import CommandTrajectory
 pytest.importorskip("pyarrow", reason="needs pyarrow: in the clone, pip install '.[datasets]'")
 
 TINY = SbrConfig(sampling=SamplingConfig(samples=256, elites=8, cycles=2, draws="quasi"))
-RECIPE = Recipe(RetargetRequest("mimic_p050", "sbr", "tiny", TINY, seed=3))
-LIMITS = Limits(min_seconds=0.2, max_tip_error=1e3, min_reach=0.0, max_collision=1.0)
+ASKED = RetargetRequest("mimic_p050", "sbr", "tiny", TINY, seed=3)
+RECIPE = Recipe(ASKED)
+OPEN = {"min_seconds": 0.2, "max_tip_error": 1e3, "min_reach": 0.0, "max_collision": 1.0}
+LIMITS = Limits(**OPEN)
 FRAMES = {"a": 30, "b": 70, "deep/c": 64, "deep/er/d": 41}
 
 
@@ -101,10 +101,12 @@ def folder(tmp_path_factory) -> Path:
 
 
 def request(folder: Path, output: Path, **more: Any) -> DatasetRequest:
-    asked = DatasetRequest(
-        (str(folder),), output, RECIPE, layout=LAYOUT, limits=LIMITS, format="parquet", workers=0
-    )
-    return replace(asked, **more)
+    own = {"sources": (str(folder),), "layout": LAYOUT, "format": "parquet", "workers": 0, **OPEN}
+    return DatasetRequest(output=output, **own | more)
+
+
+def make(request: DatasetRequest, progress: Progress | None = None) -> Summary:
+    return make_dataset(request, progress, asked=ASKED)
 
 
 class Counting(Progress):
@@ -130,7 +132,7 @@ def lines(output: Path) -> dict[str, dict[str, Any]]:
 def whole(folder, tmp_path_factory) -> tuple[Path, Summary]:
     """One process, undisturbed."""
     output = tmp_path_factory.mktemp("whole") / "out"
-    return output, make_dataset(request(folder, output))
+    return output, make(request(folder, output))
 
 
 def finished(output: Path) -> dict[str, RobotClip]:
@@ -200,14 +202,15 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from test_dataset_pipeline import request
-from smooth_operator.datasets.pipeline import Progress, make_dataset
+from smooth_operator.datasets.pipeline import Progress
+from test_dataset_pipeline import make
 
 class Say(Progress):
     def retargeted(self, entries):
         print(len(entries), flush=True)
 
 if __name__ == "__main__":
-    make_dataset(request(Path(sys.argv[2]), Path(sys.argv[3])), Say())
+    make(request(Path(sys.argv[2]), Path(sys.argv[3])), Say())
 """
 
 
@@ -225,7 +228,7 @@ def test_a_killed_run_is_resumed(folder, whole, tmp_path, monkeypatch):
     assert 0 < len(packs) < len(FRAMES), "it was not in the middle"
     (packs[0].parent / ".pack-00.zip.00000000-7.0123abcd.tmp").write_bytes(b"half")
     count = Counting()
-    make_dataset(request(folder, output, workers=1), count)  # the rest by a worker
+    make(request(folder, output, workers=1), count)  # the rest by a worker
     assert count.kept == len(packs)
     assert contents(output) == contents(whole[0])
     assert not list(output.rglob("*.tmp"))
@@ -233,13 +236,13 @@ def test_a_killed_run_is_resumed(folder, whole, tmp_path, monkeypatch):
 
 def test_shares_together_are_the_whole(folder, whole, tmp_path):
     output = tmp_path / "out"
-    done = [make_dataset(request(folder, output, shard=(i, 3))) for i in (1, 2)]
+    done = [make(request(folder, output, shard=f"{i}/3")) for i in (1, 2)]
     assert not (output / "dataset").exists()
-    early = make_dataset(request(folder, output, merge=True))
+    early = make(request(folder, output, merge=True))
     assert len(early.failed) == len(FRAMES) - sum(each.clips for each in done)
-    done.append(make_dataset(request(folder, output, shard=(3, 3))))
+    done.append(make(request(folder, output, shard="3/3")))
     assert sum(each.clips for each in done) == len(FRAMES)
-    summary = make_dataset(request(folder, output, merge=True))
+    summary = make(request(folder, output, merge=True))
     assert summary.failed == {}
     assert contents(output) == contents(whole[0])
 
@@ -253,14 +256,14 @@ def copy(folder, whole, tmp_path) -> tuple[Path, Path]:
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(pack, place)
     count = Counting()
-    make_dataset(request(tmp_path / "clips", tmp_path / "out"), count)
+    make(request(tmp_path / "clips", tmp_path / "out"), count)
     assert count.kept == len(FRAMES), "it is the content that counts, not the place"
     return tmp_path / "clips", tmp_path / "out"
 
 
 def test_lerobot_has_no_columns_of_what_no_clip_has(copy):
     sources, out = copy
-    make_dataset(replace(request(sources, out), format="lerobot"))
+    make(replace(request(sources, out), format="lerobot"))
     info = json.loads((out / "dataset" / "meta" / "info.json").read_text(encoding="utf-8"))
     assert "right_human_wrist" in info["features"]
     assert not [name for name in info["features"] if "camera" in name or "object" in name]
@@ -269,13 +272,13 @@ def test_lerobot_has_no_columns_of_what_no_clip_has(copy):
 def test_frames_are_counted_in_the_data_set(copy, capsys):
     """Clips of 50 Hz at 25 Hz; a run that finds all written says the same as the first."""
     sources, out = copy
-    slow = replace(request(sources, out), format="lerobot", writing=WritingOptions(rate=25.0))
-    summary = make_dataset(slow)
+    slow = replace(request(sources, out), format="lerobot", fps=25.0)
+    summary = make(slow)
     info = json.loads((out / "dataset" / "meta" / "info.json").read_text(encoding="utf-8"))
     assert summary.written_frames == info["total_frames"] < summary.episode_frames
     assert any("resampled to 25 frames a second" in note for note in summary.notes)
     report = (out / "report.json").read_bytes()
-    make_dataset(slow)
+    make(slow)
     assert (out / "report.json").read_bytes() == report
     _print(summary, slow)
     said = " ".join(capsys.readouterr().out.split())
@@ -285,25 +288,24 @@ def test_frames_are_counted_in_the_data_set(copy, capsys):
 def test_other_limits_retarget_nothing(copy):
     folder, output = copy
     before, count = contents(output), Counting()
-    summary = make_dataset(request(folder, output, limits=NO_LIMITS), count)
+    summary = make(request(folder, output, no_limits=True), count)
     assert count.kept == count.items == len(FRAMES)
     assert (summary.episodes, summary.dropped) == (4, 0)
     assert contents(output).keys() != before.keys() or contents(output) != before
-    make_dataset(request(folder, output))
+    make(request(folder, output))
     assert contents(output) == before
 
 
 def test_where_nothing_is_kept_it_is_said_which_limit_to_change(copy):
     """And nothing stands there that could be taken for a data set."""
     folder, output = copy
-    strict = replace(LIMITS, min_seconds=1000.0, max_gap=0.25)
-    summary = make_dataset(request(folder, output, limits=strict))
+    summary = make(request(folder, output, min_seconds=1000.0, max_gap=0.25))
     assert summary.episodes == 0
     said = "\n".join(summary.notes)
     assert "Nothing was kept, so no data set is written" in said
     assert re.search(r"5 of 6 break --min-seconds 1000\.0; the parts have [\d.]+ to [\d.]+\n", said)
     assert not (output / "dataset").exists()
-    assert make_dataset(request(folder, output)).notes == []
+    assert make(request(folder, output)).notes == []
     assert (output / "dataset").exists()
 
 
@@ -311,16 +313,16 @@ def test_only_what_changed_is_done_again(copy):
     folder, output = copy
     os.utime(folder / "a.pair.npz")  # another date, the same content
     count = Counting()
-    make_dataset(request(folder, output), count)
+    make(request(folder, output), count)
     assert (count.items, count.kept) == (4, 4)
     save_pair(folder / "a.pair.npz", 30, 99)
     (folder / "b.pair.npz").unlink()
     save_pair(folder / "new.pair.npz", 31, 5)
-    summary = make_dataset(request(folder, output), count)
+    summary = make(request(folder, output), count)
     assert (count.items, count.kept) == (4, 2)
     assert summary.episodes == 4
     fresh = output.with_name("fresh")
-    make_dataset(request(folder, fresh))
+    make(request(folder, fresh))
     assert contents(output) == contents(fresh)
 
 
@@ -330,10 +332,10 @@ def test_a_pack_whose_clips_stand_in_others_is_deleted(copy):
     packs = sorted(output.rglob("pack-*.zip"))
     again = packs[0].with_name("pack-0.zip")  # earlier in the order, so it is not the one in use
     shutil.copy(packs[0], again)
-    make_dataset(request(folder, output))
+    make(request(folder, output))
     assert sorted(output.rglob("pack-*.zip")) == packs
     (folder / "a.pair.npz").unlink()  # no longer asked for, and perhaps again tomorrow
-    make_dataset(request(folder, output))
+    make(request(folder, output))
     assert sorted(output.rglob("pack-*.zip")) == packs
 
 
@@ -342,7 +344,7 @@ def test_a_damaged_pack_is_made_again(copy):
     before = contents(output)
     packs = sorted((output / "work").rglob("pack-*.zip"))
     packs[0].write_bytes(packs[0].read_bytes()[:-50])
-    make_dataset(request(folder, output))
+    make(request(folder, output))
     assert contents(output) == before
     packs = sorted((output / "work").rglob("pack-*.zip"))
     data = bytearray(packs[0].read_bytes())
@@ -350,8 +352,8 @@ def test_a_damaged_pack_is_made_again(copy):
     packs[0].write_bytes(data)
     shutil.rmtree(output / "dataset")
     with pytest.raises(RecordingError, match="run the same command again"):
-        make_dataset(request(folder, output))
-    make_dataset(request(folder, output))
+        make(request(folder, output))
+    make(request(folder, output))
     assert contents(output) == before
 
 
@@ -361,7 +363,7 @@ def test_notes_on_the_reading_of_recordings_are_in_the_report(tmp_path):
     for name in ("a", "b"):
         np.savez(tmp_path / "in" / f"{name}.npz", landmarks=hand.landmarks, timestamps=hand.stamps,
                  is_tracked=np.ones(len(hand), bool))  # fmt: skip
-    summary = make_dataset(request(tmp_path / "in", tmp_path / "out", layout="files"))
+    summary = make(request(tmp_path / "in", tmp_path / "out", layout="files"))
     assert summary.clips == 2
     assert summary.notes[:2] == [
         "2 clips: not read: is_tracked",
@@ -379,7 +381,7 @@ def test_a_bad_file_does_not_end_the_run(folder, tmp_path):
     nothing = np.full((30, 21, 3), np.nan)
     save_pair(tmp_path / "in" / "blind.pair.npz", 30, right_landmarks=nothing,
               left_landmarks=nothing)  # fmt: skip
-    summary = make_dataset(request(tmp_path / "in", tmp_path / "out"))
+    summary = make(request(tmp_path / "in", tmp_path / "out"))
     assert summary.clips == 2
     assert [*summary.failed] == ["bad", "blind", "short"]  # in any order of the workers
     assert "bad.pair.npz: can't be read" in summary.failed["bad"]
@@ -462,7 +464,7 @@ def test_damaged_lists_are_read_or_refused(suffix, tmp_path):
 def test_a_list_says_task_and_side(folder, tmp_path):
     row = {"path": str(folder / "a.pair.npz"), "task": "stir", "side": "left"}
     (tmp_path / "list.jsonl").write_text(json.dumps(row), encoding="utf-8")
-    make_dataset(request(tmp_path / "list.jsonl", tmp_path / "out"))
+    make(request(tmp_path / "list.jsonl", tmp_path / "out"))
     (clip,) = finished(tmp_path / "out").values()
     assert clip.clip.task == "stir"
     assert set(clip.commands) == {"left"}
@@ -475,7 +477,7 @@ def test_object_storage(folder, tmp_path):
         memory.pipe_file(f"/hands/{name}.pair.npz", (folder / f"{name}.pair.npz").read_bytes())
     memory.pipe_file("/hands/film.mp4", b"film")
     asked = request(folder, tmp_path / "out", sources=("memory://hands",))
-    summary = make_dataset(asked)
+    summary = make(asked)
     assert (summary.clips, summary.failed) == (2, {})
     assert summary.passed_over == {".mp4": 1}
     local = finished(tmp_path / "out")
@@ -484,10 +486,10 @@ def test_object_storage(folder, tmp_path):
         "memory:///hands/deep/c.pair.npz",
     }
     count = Counting()
-    make_dataset(asked, count)
+    make(asked, count)
     assert count.kept == 2
     memory.pipe_file("/hands/a.pair.npz", (folder / "b.pair.npz").read_bytes())
-    make_dataset(asked, count)
+    make(asked, count)
     assert count.kept == 1
     with pytest.raises(RecordingError, match=r"(no files|nothing) (are|is) there"):
         find_items(["memory://elsewhere"])
@@ -678,13 +680,13 @@ def test_the_command(folder, tmp_path, capsys, monkeypatch):
 
 def test_results_do_not_stand_among_the_sources(folder, tmp_path):
     with pytest.raises(OutputError, match="the recordings are there"):
-        make_dataset(request(folder, folder))
+        make(request(folder, folder))
     (tmp_path / "dataset").mkdir()
     (tmp_path / "dataset" / "mine.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(OutputError, match="has not written"):
-        make_dataset(request(folder / "a.pair.npz", tmp_path))
+        make(request(folder / "a.pair.npz", tmp_path))
     with pytest.raises(RecordingError, match="no such file or folder"):
-        make_dataset(request(tmp_path / "nothing", tmp_path / "out"))
+        make(request(tmp_path / "nothing", tmp_path / "out"))
 
 
 # On a GPU: the same code on this machine's processor.
@@ -698,8 +700,8 @@ def test_clips_for_a_gpu_are_read_by_workers_and_retargeted_here(
     bad = folder.parent / "with-bad"
     shutil.copytree(folder, bad)
     (bad / "broken.pair.npz").write_bytes(b"PK nothing")
-    asked = replace(request(bad, tmp_path / "out"), recipe=replace(RECIPE, device="gpu"))
-    summary = make_dataset(replace(asked, workers=1))
+    asked = replace(request(bad, tmp_path / "out"), device="gpu")
+    summary = make(replace(asked, workers=1))
     assert len(summary.failed) == 1
     assert "broken" in next(iter(summary.failed))
     assert "a processor: 205 frames in" in summary.notes[0]
@@ -712,15 +714,15 @@ def test_clips_for_a_gpu_are_read_by_workers_and_retargeted_here(
             np.testing.assert_array_equal(
                 clip.commands[side].joint_positions, others[name].commands[side].joint_positions
             )
-    again = make_dataset(replace(asked, workers=1))  # nothing is left to do
+    again = make(replace(asked, workers=1))  # nothing is left to do
     assert again.notes == []
 
 
 def test_a_gpu_that_is_not_there_and_work_that_is_not_for_it(tmp_path, folder):
-    asked = replace(request(folder, tmp_path / "out"), recipe=replace(RECIPE, device="gpu"))
+    asked = replace(request(folder, tmp_path / "out"), device="gpu")
     with pytest.raises(ConfigError, match=r"it sees only .*--device cpu"):
-        make_dataset(asked)
-    merged = make_dataset(replace(asked, merge=True))  # retargets nothing, and needs none
+        make(asked)
+    merged = make(replace(asked, merge=True))  # retargets nothing, and needs none
     assert len(merged.failed) == len(FRAMES)
     one_by_one = replace(RECIPE.request, scale="calibrate")
     with pytest.raises(ConfigError, match="side by side"):
@@ -765,7 +767,7 @@ def test_after_a_change_of_the_code_clips_and_data_set_are_made_again(copy, monk
         """Items that were kept, and whether the data set was written."""
         file.touch()
         os.utime(file, ns=(0, 0))
-        make_dataset(request(folder, output), count)
+        make(request(folder, output), count)
         return count.kept, file.stat().st_mtime_ns != 0
 
     assert again() == (len(FRAMES), False)
@@ -776,10 +778,8 @@ def test_after_a_change_of_the_code_clips_and_data_set_are_made_again(copy, monk
     assert again() == (len(FRAMES), True)
     with monkeypatch.context() as commands:
         commands.setattr("smooth_operator.planning.code_digest", lambda *_: "other")
-        RECIPE.__dict__.pop("digest")  # of the code before
         assert again() == (0, True)
         assert again() == (len(FRAMES), False)
-    RECIPE.__dict__.pop("digest")
     assert again() == (len(FRAMES), True)
     assert contents(output) == before
 

@@ -18,10 +18,8 @@ import pytest
 from smooth_operator import Retargeter, read_commands, read_recording
 from smooth_operator.atomic_files import claimed
 from smooth_operator.datasets import pipeline
-from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
-from smooth_operator.datasets.quality import NO_LIMITS
-from smooth_operator.datasets.registry import ReadingOptions
-from smooth_operator.datasets.retargeting import Recipe
+from smooth_operator.datasets.pipeline import Progress, make_dataset
+from smooth_operator.datasets.request import MirrorRequest
 from smooth_operator.datasets.sources import Found, find_items
 from smooth_operator.datasets.work import Entry, Job
 from smooth_operator.datasets.writing import Summary
@@ -82,17 +80,20 @@ class Count(Progress):
         self.items, self.kept = items, kept
 
 
-def asked(folder: Path, output: Path, request: RetargetRequest = ASKED, **more: Any):
+def wanted(folder: Path, output: Path, **more: Any) -> MirrorRequest:
     """As the command asks for it, in this process."""
-    recipe = Recipe(request, ReadingOptions(request.rate), side=request.side)
-    return DatasetRequest(
-        (str(folder),), output, recipe, "files", NO_LIMITS, "npz",
-        **{"workers": 0, "mirror": True} | more,
-    )  # fmt: skip
+    return MirrorRequest(sources=(str(folder),), output=output, **{"workers": 0} | more)
 
 
-def do(folder: Path, output: Path, request: RetargetRequest = ASKED, **more: Any) -> Summary:
-    return make_dataset(asked(folder, output, request, **more))
+def do(
+    folder: Path,
+    output: Path,
+    asked: RetargetRequest = ASKED,
+    progress: Progress | None = None,
+    again: bool = False,
+    **more: Any,
+) -> Summary:
+    return make_dataset(wanted(folder, output, **more), progress, asked=asked, again=again)
 
 
 def contents(output: Path) -> Bytes:
@@ -189,7 +190,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from smooth_operator.datasets import pipeline
-from test_retarget_folder import asked, not_the_last
+from test_retarget_folder import do, not_the_last
 
 class Say(pipeline.Progress):
     def retargeted(self, entries):
@@ -198,7 +199,7 @@ class Say(pipeline.Progress):
 if __name__ == "__main__":
     pipeline._FEW_ITEMS = 1
     pipeline.do_job = not_the_last
-    pipeline.make_dataset(asked(Path(sys.argv[2]), Path(sys.argv[3]), workers=1), Say())
+    do(Path(sys.argv[2]), Path(sys.argv[3]), progress=Say(), workers=1)
 """
 
 
@@ -221,7 +222,7 @@ def test_a_killed_run_is_resumed(folder, expected, tmp_path):
     (output / "deep" / "c.json").write_bytes(expected["deep/c.json"])
     (output / "deep" / ".c.npz.00000000-7.0123abcd.tmp").write_bytes(b"half")
     count = Count()
-    make_dataset(asked(folder, output), count)
+    do(folder, output, progress=count)
     assert count.kept >= packs
     assert contents(output) == expected
 
@@ -252,7 +253,7 @@ def copy(folder, whole, tmp_path) -> tuple[Path, Path]:
 def kept(recordings: Path, output: Path, request: RetargetRequest = ASKED, **more: Any) -> int:
     """Number of recordings that a run keeps."""
     count = Count()
-    make_dataset(asked(recordings, output, request, **more), count)
+    do(recordings, output, request, count, **more)
     return count.kept
 
 
@@ -380,7 +381,7 @@ def test_refused_before_any_work(tmp_path):
     (output / "beside.json").write_text("{}", encoding="utf-8")
     (output / "deep").write_text("mine", encoding="utf-8")
     count = Count()
-    summary = make_dataset(asked(recordings, output), count)
+    summary = do(recordings, output, progress=count)
     assert count.items == summary.episodes == 1
     reasons = summary.failed
     assert "one.npy and one.npz would both become one.npz" in reasons["one"]

@@ -10,19 +10,15 @@ from rich.progress import Progress as Bar
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.outputs import folder_for, stopped
-from smooth_operator.cli.session import requested
-from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
-from smooth_operator.datasets.quality import NO_LIMITS, Limits
-from smooth_operator.datasets.registry import ReadingOptions
-from smooth_operator.datasets.retargeting import Recipe
-from smooth_operator.datasets.sources import Found, parse_shard
-from smooth_operator.datasets.work import Entry
-from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
-from smooth_operator.datasets.writing import Summary
-from smooth_operator.errors import ConfigError, counted
-from smooth_operator.io.jsonable import to_json
-from smooth_operator.offline.execution import checked, request_notes
 from smooth_operator.retargeting.start import start_jax
+from smooth_operator.datasets.pipeline import Progress, make_dataset
+from smooth_operator.datasets.request import DatasetRequest
+from smooth_operator.datasets.sources import Found
+from smooth_operator.datasets.work import Entry
+from smooth_operator.datasets.writing import Summary
+from smooth_operator.errors import counted
+from smooth_operator.io.jsonable import to_json
+from smooth_operator.planning import RetargetRequest
 from smooth_operator.terminal import printable
 
 _SHOWN_FAILURES = 20
@@ -30,10 +26,17 @@ _SHOWN_FAILURES = 20
 
 def dataset(options: Dataset) -> None:
     """Makes the data set, and reports what was kept and dropped."""
-    make_shown(request_of(options), quiet=options.quiet, json=options.json)
+    make_shown(options, quiet=options.quiet, json=options.json)
 
 
-def make_shown(request: DatasetRequest, *, quiet: bool, json: bool) -> None:
+def make_shown(
+    request: DatasetRequest,
+    *,
+    asked: RetargetRequest | None = None,
+    again: bool = False,
+    quiet: bool,
+    json: bool,
+) -> None:
     """Makes a data set with progress on standard error, and prints the report.
 
     Raises:
@@ -41,12 +44,10 @@ def make_shown(request: DatasetRequest, *, quiet: bool, json: bool) -> None:
     """
     progress = Progressing(quiet)
     start_jax(one_thread=False)
-    for note in request_notes(checked(request.recipe.request)):
-        progress.note(note, matters=True)
     shown = _Shown(progress)
     try:
         with folder_for(request.output), shown:
-            summary = make_dataset(request, shown)
+            summary = make_dataset(request, shown, asked=asked, again=again)
     except KeyboardInterrupt:
         raise stopped(request.output) from None
     if json:
@@ -55,58 +56,6 @@ def make_shown(request: DatasetRequest, *, quiet: bool, json: bool) -> None:
         _print(summary, request)
     if summary.failed or (summary.shard is None and summary.episodes == 0):
         raise SystemExit(1)
-
-
-def request_of(options: Dataset) -> DatasetRequest:
-    """What the options ask for.
-
-    Raises:
-        SmoothOperatorError: one of them can't be.
-    """
-    if not options.sources:
-        raise ConfigError("name at least one SOURCE: a folder, a file, a pattern, a list")
-    if options.shard is not None and options.merge:
-        raise ConfigError("--shard retargets a share and --merge nothing; give one of them")
-    WRITERS.load(options.format)  # its module asks for its extra: before anything compiles
-    limits = Limits(
-        not options.whole,
-        options.hands,
-        options.max_gap,
-        options.max_jump,
-        options.min_confidence,
-        options.min_seconds,
-        options.min_valid,
-        options.max_collision,
-        options.max_tip_error,
-        options.min_reach,
-        options.min_finger_motion,
-    )
-    recipe = Recipe(
-        requested(options),
-        ReadingOptions(options.rate, options.side, options.mano, options.objects),
-        options.frame,
-        options.side,
-        options.with_objects,
-        options.device,
-    )
-    return DatasetRequest(
-        options.sources,
-        options.output,
-        recipe,
-        options.layout,
-        NO_LIMITS if options.no_limits else limits,
-        options.format,
-        WritingOptions(
-            rate=options.fps,
-            videos=options.videos,
-            shard_mb=options.shard_mb,
-            loose=options.loose,
-        ),
-        None if options.shard is None else parse_shard(options.shard),
-        options.merge,
-        options.workers,
-        options.cluster,
-    )
 
 
 class _Shown(Progress):
@@ -124,6 +73,9 @@ class _Shown(Progress):
 
     def __exit__(self, *_: object) -> None:
         self._start(None)
+
+    def told(self, note: str) -> None:
+        self._progress.note(note, matters=True)
 
     def looked(self, found: Found, items: int, kept: int) -> None:
         line = f"{items - kept} to retarget, {kept} done already"

@@ -156,10 +156,7 @@ def retarget_folder(options: Retarget) -> None:
     """
     from smooth_operator.cli.dataset import make_shown
     from smooth_operator.cli.session import requested
-    from smooth_operator.datasets.quality import NO_LIMITS
-    from smooth_operator.datasets.registry import ReadingOptions
-    from smooth_operator.datasets.retargeting import Recipe
-    from smooth_operator.datasets.writing import DatasetRequest
+    from smooth_operator.datasets.request import MirrorRequest
     from smooth_operator.formats.registry import file_kind, is_dataset
 
     folder, output = options.recording, options.output
@@ -178,18 +175,14 @@ def retarget_folder(options: Retarget) -> None:
         frames=options.frames,
     )
     make_shown(
-        DatasetRequest(
-            (str(folder),),
-            output,
-            Recipe(request, ReadingOptions(options.rate), side=options.side),
-            layout="files",
-            limits=NO_LIMITS,
-            format="npz",
+        MirrorRequest(
+            sources=(str(folder),),
+            output=output,
             workers=options.workers,
             cluster=options.cluster,
-            mirror=True,
-            again=options.overwrite,
         ),
+        asked=request,
+        again=options.overwrite,
         quiet=options.quiet,
         json=options.json,
     )

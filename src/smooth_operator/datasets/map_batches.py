@@ -81,8 +81,9 @@ class RetargetClips:
         **request: Any,
     ) -> None:
         with one_thread(os.getpid()) as start_threads:
-            hand = checked(make_request(**request))
-            self._recipe = Recipe(hand, reading or ReadingOptions(), frame, side)
+            reading = reading or ReadingOptions()
+            asked = make_request(**request, side=side or reading.side, rate=reading.rate)
+            self._recipe = Recipe(checked(asked), frame, mano=reading.mano, objects=reading.objects)
             self._limits = NO_LIMITS if limits is None else Limits(**limits)
             start_threads()
 

@@ -1,10 +1,8 @@
 """Data sets of human hands into data sets of robot hands: read, retarget, filter, write.
 
-    from smooth_operator.datasets.pipeline import DatasetRequest, make_dataset
-    from smooth_operator.datasets.retargeting import Recipe
-    from smooth_operator.planning import make_request
+    from smooth_operator.datasets import DatasetRequest, make_dataset
 
-    request = DatasetRequest(("egodex/",), Path("out"), Recipe(make_request(hand="leap_hand")))
+    request = DatasetRequest(sources=("egodex/",), output=Path("out"), hand="leap_hand")
     summary = make_dataset(request)
 
 In the folder of results, ``dataset`` is the data set, ``report.json``, ``report.html`` and
@@ -28,8 +26,10 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import claimed, remove_leftovers
-from smooth_operator.datasets.retargeting import SourceFile
-from smooth_operator.datasets.sources import Found, Item, find_items, in_shard
+from smooth_operator.datasets.quality import Limits
+from smooth_operator.datasets.request import DatasetRequest as DatasetRequest
+from smooth_operator.datasets.retargeting import Recipe, SourceFile
+from smooth_operator.datasets.sources import Found, Item, find_items, in_shard, parse_shard
 from smooth_operator.datasets.store import Kept, Store, clear_unfinished
 from smooth_operator.datasets.work import (
     Entry,
@@ -41,14 +41,13 @@ from smooth_operator.datasets.work import (
     unchanged,
 )
 from smooth_operator.datasets.writers.npz import refused
-from smooth_operator.datasets.writers.registry import WRITERS
+from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.datasets.writing import REPORT, Order, Summary, hand_in, write_episodes
-from smooth_operator.datasets.writing import DatasetRequest as DatasetRequest
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.formats.foreign import foreign_suffix
-from smooth_operator.offline.execution import checked
+from smooth_operator.offline.execution import request_notes
 from smooth_operator.parallel import run_groups, usable_cores
-from smooth_operator.planning import read_configuration
+from smooth_operator.planning import RetargetRequest, read_configuration
 
 BATCH: Final = 2048
 """Hands that are retargeted together: two for each lane, so that short and long ones balance."""
@@ -211,6 +210,9 @@ _SHARE: Final = 50  # packs a worker makes at least, so that a killed run loses 
 class Progress:
     """Receives the state of the work and does nothing; derive from it to show progress."""
 
+    def told(self, note: str) -> None:
+        """Called before the search, with each note on what the method lacks on the hand."""
+
     def looked(self, found: Found, items: int, kept: int) -> None:
         """Called after the search, with the number of items, and of those that are done already."""
 
@@ -221,7 +223,13 @@ class Progress:
         """Called while the data set is written, with the number of items done, and of all."""
 
 
-def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> Summary:
+def make_dataset(
+    request: DatasetRequest,
+    progress: Progress | None = None,
+    *,
+    asked: RetargetRequest | None = None,
+    again: bool = False,
+) -> Summary:
     """Makes a data set, or the share of one that a shard is; goes on where a run was stopped.
 
     The result depends on the sources and the request alone, not on the number of workers, nor on
@@ -229,8 +237,11 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
     others go on.
 
     Args:
-        request: sources, recipe and output.
+        request: sources, robot hand, limits, format and output.
         progress: receives the state of the work.
+        asked: hand, method, settings and frames in place of the request's own: for the description
+            of a hand, or a configuration that no preset has.
+        again: retarget also what is finished.
 
     Returns:
         counts and reasons of what was kept, dropped and failed, as in ``report.json``.
@@ -239,8 +250,12 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
         SmoothOperatorError: nothing can be made at all: the hand, the method, a source, the folder.
     """
     progress = Progress() if progress is None else progress
-    checked(request.recipe.request)
-    check_output(request)
+    shard = _checked_share(request)
+    recipe, writing = Recipe.of(request, asked), WritingOptions.of(request)
+    Limits.of(request)  # refuses those that can't be
+    check_output(request, recipe.request.hand_name)
+    for note in request_notes(recipe.request):
+        progress.told(note)
     survey = find_items(request.sources, layout=request.layout, leave_out=request.output)
     if not survey.items and not survey.refused:
         kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
@@ -257,31 +272,31 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
     if not survey.items:
         failures = "; ".join(f"{each.name}: {each.reason}" for each in survey.refused[:3])
         raise RecordingError(f"nothing to retarget; {failures}")
-    name = request.recipe.digest[:16]
-    on_gpu = request.recipe.device == "gpu" and not request.merge
+    name = recipe.digest[:16]
+    on_gpu = recipe.device == "gpu" and not request.merge
     if on_gpu and request.cluster is not None:
         raise ConfigError(
             "a GPU retargets on this machine and not on a cluster; for several GPUs start one run "
             "a GPU with --shard I/N, and --merge at the end"
         )
     gpu = GpuUse.of_this_machine() if on_gpu else None
-    work = request.work / name
-    own = work if request.shard is None else work / "shard-{:05d}-of-{:05d}".format(*request.shard)
+    work = request.packs / name
+    own = work if shard is None else work / "shard-{:05d}-of-{:05d}".format(*shard)
     own.mkdir(parents=True, exist_ok=True)
     with claimed(request.output if request.mirror else own):
         clear_unfinished(own)
-        frames = request.recipe.request.frames or ""
+        frames = recipe.request.frames or ""
         items = [
             replace(item, frames=item.frames or frames)
             for item in survey.items
-            if in_shard(item, request.shard)
+            if in_shard(item, shard)
         ]
         reasons: dict[str, str] = {each.name: each.reason for each in survey.refused}
         if request.mirror:
             remove_leftovers({(request.output / item.name).parent for item in items})
             reasons |= refused(items, request.output, REPORT)
             items = [item for item in items if item.name not in reasons]
-        finished = {} if request.again else _finished(Store(work), items, request)
+        finished = {} if again else _finished(Store(work), items, recipe)
         progress.looked(survey, len(items), len(finished))
         left = [item for item in items if item.name not in finished]
         if request.merge:
@@ -290,15 +305,17 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
         else:
             with (
                 only_cpus_in_children(),
-                contextlib.closing(_retargeted(left, own, request, progress, gpu)) as entries,
+                contextlib.closing(
+                    _retargeted(left, own, request, recipe, progress, gpu)
+                ) as entries,
             ):
                 for entry in entries:  # whatever happens here, the workers end
                     if entry.kept is None:
                         reasons[entry.item] = entry.reason or "no clip is in it"
                     else:
                         finished[entry.item] = entry.kept
-        if request.shard is not None:
-            return Summary.of_shard(request.output, request.shard, finished, reasons)
+        if shard is not None:
+            return Summary.of_shard(request.output, shard, finished, reasons)
         if not request.merge:
             Store(work).remove_superseded(finished)
         shortest = getattr(WRITERS.load(request.format), "shortest", 2)
@@ -308,20 +325,39 @@ def make_dataset(request: DatasetRequest, progress: Progress | None = None) -> S
                 del finished[item]
         names = [item.name for item in items if item.name in finished]
         summary = write_episodes(
-            Order(request, [(name, finished[name]) for name in names], work),
+            Order(
+                request, recipe.request, writing, [(name, finished[name]) for name in names], work
+            ),
             reasons,
             survey.passed_over,
             progress.written,
             [] if gpu is None or gpu.frames == 0 else [gpu.sentence()],
         )
         if request.mirror:  # the results of other settings and other code are replaced
-            for other in request.work.iterdir():
+            for other in request.packs.iterdir():
                 if other.is_dir() and other != work:
                     shutil.rmtree(other, ignore_errors=True)
         return summary
 
 
-def check_output(request: DatasetRequest) -> None:
+def _checked_share(request: DatasetRequest) -> tuple[int, int] | None:
+    """The share of the work that a request is for, its other settings checked, too.
+
+    Raises:
+        ConfigError: settings can't be, or do not go together.
+        MissingExtraError: the format needs an extra.
+    """
+    if not request.sources:
+        raise ConfigError("name at least one SOURCE: a folder, a file, a pattern, a list")
+    if request.shard is not None and request.merge:
+        raise ConfigError("--shard retargets a share and --merge nothing; give one of them")
+    if request.workers is not None and request.workers < 0:
+        raise ConfigError(f"workers must be 0 or more, not {request.workers}")
+    WRITERS.load(request.format)  # before anything compiles
+    return None if request.shard is None else parse_shard(request.shard)
+
+
+def check_output(request: DatasetRequest, hand: str) -> None:
     """Refuses a folder of results that is a source, a file, or has a data set of another hand.
 
     Raises:
@@ -345,7 +381,7 @@ def check_output(request: DatasetRequest) -> None:
             f"can't write {str(report)!r}, the report of the run: it holds something else; give "
             "another folder, or remove it first"
         )
-    hand, earlier = request.recipe.request.hand_name, hand_in(request.output)
+    earlier = hand_in(request.output)
     if earlier not in (None, hand):
         raise OutputError(
             f"can't write into {str(request.output)!r}: it has the data set of {earlier}; give "
@@ -353,10 +389,10 @@ def check_output(request: DatasetRequest) -> None:
         )
 
 
-def _finished(store: Store, items: Sequence[Item], request: DatasetRequest) -> dict[str, Kept]:
+def _finished(store: Store, items: Sequence[Item], recipe: Recipe) -> dict[str, Kept]:
     """Items that earlier runs have done, with the places of their clips."""
     by_name = {item.name: item for item in items}
-    usual = request.recipe.reading.rate
+    usual = recipe.request.rate
 
     def accept(name: str, asked: str, files: tuple[SourceFile, ...], rate: float | None) -> bool:
         item = by_name.get(name)
@@ -371,6 +407,7 @@ def _retargeted(
     items: Sequence[Item],
     folder: Path,
     request: DatasetRequest,
+    recipe: Recipe,
     progress: Progress,
     gpu: GpuUse | None,
 ) -> Generator[Entry]:
@@ -380,7 +417,7 @@ def _retargeted(
         return [replace(job, items=(item,)) for item in job.items]
 
     options: dict[str, Any] = {"workers": request.workers, "cluster": request.cluster, "retries": 1}
-    jobs = list(_jobs(items, folder, request))
+    jobs = list(_jobs(items, folder, recipe, request.workers))
     jobs.sort(key=lambda job: -sum(item.size for item in job.items))  # the longest first
     if gpu is not None:
         for entries in entries_of_gpu(jobs, split, gpu, **options):
@@ -395,18 +432,20 @@ def _retargeted(
         yield from entries
 
 
-def _jobs(items: Sequence[Item], folder: Path, request: DatasetRequest) -> Iterator[Job]:
+def _jobs(
+    items: Sequence[Item], folder: Path, recipe: Recipe, workers: int | None
+) -> Iterator[Job]:
     """Items of neighbouring names in packs, small enough for all workers to have some."""
-    workers = request.workers or usable_cores()
+    workers = workers or usable_cores()
     share = -(-len(items) // max(workers, 1))
     count = max(min(_FEW_ITEMS, share), min(_MOST_ITEMS, len(items) // (workers * _SHARE)), 1)
     now: list[Item] = []
     size = 0
     for item in items:
         if now and (len(now) == count or size + item.size > _MOST_BYTES):
-            yield Job(tuple(now), request.recipe, folder)
+            yield Job(tuple(now), recipe, folder)
             now, size = [], 0
         now.append(item)
         size += item.size
     if now:
-        yield Job(tuple(now), request.recipe, folder)
+        yield Job(tuple(now), recipe, folder)

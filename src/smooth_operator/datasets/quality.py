@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from smooth_operator import poses
 from smooth_operator.datasets.clip import RobotClip, robot_part
+from smooth_operator.datasets.request import DatasetRequest
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.checks import STIFF_M, finger_motion
 from smooth_operator.hands.hand import Hand
@@ -317,6 +318,18 @@ class Limits:
     max_tip_error: float = 60.0
     min_reach: float = 0.5
     min_finger_motion: float = 1e3 * STIFF_M
+
+    @classmethod
+    def of(cls, request: DatasetRequest) -> Limits:
+        """The limits of a request.
+
+        Raises:
+            ConfigError: one of them can't be.
+        """
+        if request.no_limits:
+            return NO_LIMITS
+        names = (each.name for each in fields(cls) if each.name != "cut")
+        return cls(cut=not request.whole, **{name: getattr(request, name) for name in names})
 
     def __post_init__(self) -> None:
         for each in fields(self):

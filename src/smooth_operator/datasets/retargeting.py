@@ -5,8 +5,9 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -14,11 +15,19 @@ import numpy as np
 from smooth_operator.datasets.clip import SIDES, Clip, Frame, RobotClip, in_frame, with_side
 from smooth_operator.datasets.quality import Tracks, quality_tracks
 from smooth_operator.datasets.registry import DATASETS, RESEARCH_PACKAGE, ReadingOptions
+from smooth_operator.datasets.request import DatasetRequest
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.hands.registry import default_side
 from smooth_operator.io.jsonable import to_json
-from smooth_operator.offline.execution import answers
-from smooth_operator.planning import PROGRAM, Plan, RetargetRequest, code_of_commands, plan
+from smooth_operator.offline.execution import answers, checked
+from smooth_operator.planning import (
+    PROGRAM,
+    Plan,
+    RetargetRequest,
+    code_of_commands,
+    make_request,
+    plan,
+)
 from smooth_operator.plugins import Entry
 from smooth_operator.result_cache import content_digest, key_digest
 from smooth_operator.retargeting.method import MethodConfig
@@ -79,13 +88,14 @@ class Recipe:
     """Settings on which the commands of a clip depend.
 
     Attributes:
-        request: hand, method, preset, seed, scale, fingers and operator.
-        reading: options of the readers.
+        request: hand, method, preset, seed, scale, fingers and operator; and side, rate and layout
+            for the readers. Only the hand of its side is retargeted; without one, all of a clip.
         frame: where wrists and objects are given; None for each clip's own frame.
-        side: retarget this hand only; None for all that a clip has.
         with_objects: keep the contacts of the human's fingertips with objects, in clips that have
             an object with a shape and the wrist's pose, with ``smooth_hand_datasets``.
         device: device that retargets; the commands of a GPU differ from a CPU's by 1e-4 rad.
+        mano: as in ``ReadingOptions``.
+        objects: as there.
 
     Raises:
         ConfigError: objects are to be kept, and the configuration answers frame by frame, or the
@@ -94,11 +104,32 @@ class Recipe:
     """
 
     request: RetargetRequest
-    reading: ReadingOptions = field(default_factory=ReadingOptions)
     frame: Frame | None = None
-    side: Side | None = None
     with_objects: bool = False
     device: Literal["cpu", "gpu"] = "cpu"
+    mano: Path | None = None
+    objects: Path | None = None
+
+    @classmethod
+    def of(cls, request: DatasetRequest, asked: RetargetRequest | None = None) -> Recipe:
+        """The recipe of a data set.
+
+        Args:
+            asked: hand, method and settings in place of the request's own.
+
+        Raises:
+            SmoothOperatorError: a setting can't be.
+        """
+        if asked is None:
+            asked = make_request(**request.settings(), side=request.side, rate=request.rate)
+        return cls(
+            checked(asked),
+            request.frame,
+            request.with_objects,
+            request.device,
+            request.mano,
+            request.objects,
+        )
 
     def __post_init__(self) -> None:
         if self.device == "gpu" and (self.with_objects or self.request.scale == "calibrate"):
@@ -114,13 +145,13 @@ class Recipe:
     @functools.cached_property
     def digest(self) -> str:
         """Digest of it, with the code and both robot hands; see ``code_of_commands``."""
-        mano = self.reading.mano
+        mano = self.mano
         models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
         readers = [entry.target for entry in DATASETS.plugins.values()]
         code = code_of_commands(self.request, *_CODE, *readers)
         # Frames are of an item, and a rate is for the items that need it.
         request = replace(self.request, frames=None, rate=None)
-        parts = [code, request, self.frame, self.side]
+        parts = [code, request, self.frame]
         parts += ["with objects"] if self.with_objects else []
         parts += ["gpu"] if self.device == "gpu" else []
         return key_digest([*parts, [(m.name, content_digest(m)) for m in models]])
@@ -129,17 +160,12 @@ class Recipe:
     def _assumed(self) -> Side:
         return default_side(self.request.hand)
 
-    def of_item(self, side: Side | None, rate: float | None) -> Recipe:
-        """The recipe of one item, for which a list may say the hand and the rate."""
-        side = side or self.side
-        reading = replace(
-            self.reading,
-            side=side,
-            rate=rate or self.reading.rate,
-            order=self.request.layout,
-            assumed=self._assumed,
+    def reading(self, side: Side | None = None, rate: float | None = None) -> ReadingOptions:
+        """Options of the readers for an item, for which a list may say the hand and the rate."""
+        own = self.request
+        return ReadingOptions(
+            rate or own.rate, side or own.side, self.mano, self.objects, own.layout, self._assumed
         )
-        return replace(self, reading=reading, side=side)
 
 
 def retarget_clips(
@@ -212,7 +238,7 @@ class _Prepared:
 
 def _prepared(clip: Clip, recipe: Recipe) -> _Prepared | SmoothOperatorError:
     try:
-        clip = in_frame(with_side(clip, recipe.side), recipe.frame)
+        clip = in_frame(with_side(clip, recipe.request.side), recipe.frame)
         plans = {
             side: plan(clip.hands[side], recipe.request)
             for side in SIDES

@@ -162,11 +162,11 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
     Raises:
         SmoothOperatorError: with the reason.
     """
-    own = recipe.of_item(item.side, item.rate)
+    reading = recipe.reading(item.side, item.rate)
     if item.ref is not None:
         reader = DATASETS.load(item.ref.layout)
         with _limited():
-            clip = reader.read(item.ref, own.reading)
+            clip = reader.read(item.ref, reading)
         if item.frames:
             clip = clip_part(clip, frame_slice(item.frames, len(clip)))
         yield _read_clip(item, item.ref, clip, item.name, recipe)
@@ -185,7 +185,7 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
             stem = item.name.rsplit(".", 1)[0]
             name = stem if len(refs) == 1 else f"{stem}/{ref.name}"
             with _limited():
-                clip = reader.read(ref, own.reading)
+                clip = reader.read(ref, reading)
             yield _read_clip(item, ref, clip, name, recipe)
 
 
@@ -212,7 +212,7 @@ def _read_clip(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) 
     else:
         files = tuple(replace(_file(path), path=_shown(path, item.root)) for path in paths)
     # The reader of plain recordings says whether it needed the rate.
-    rate = clip.meta.get(RATE) if ref.layout == "files" else item.rate or recipe.reading.rate
+    rate = clip.meta.get(RATE) if ref.layout == "files" else item.rate or recipe.request.rate
     key = clip_key(recipe, ref.layout, ref.key or name, item.asked, files, rate)
     task = clip.task if item.task is None else item.task
     clip = with_side(clip, item.side)

@@ -17,14 +17,14 @@ import numpy as np
 from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.datasets.clip import NOTES, SIDES, RobotClip
 from smooth_operator.datasets.quality import FIGURES, Dropped, Limits, select, worst
-from smooth_operator.datasets.retargeting import Recipe
+from smooth_operator.datasets.request import DATASET, DatasetRequest
 from smooth_operator.datasets.store import Kept, Store
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
-from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.parallel import run_tasks
-from smooth_operator.planning import PROGRAM
+from smooth_operator.planning import PROGRAM, RetargetRequest
 from smooth_operator.reporting.report_page import Html, Plots, templates, write_report_page
 from smooth_operator.result_cache import key_digest, outside_code
 from smooth_operator.source_digest import code_digest
@@ -174,9 +174,6 @@ def _histograms(figures: FigureTable, limits: Mapping[str, Any]) -> Figure | Non
     return drawn
 
 
-DATASET: Final = "dataset"
-"""Folder of the data set, in the folder of results."""
-
 REPORT: Final = "report.json"
 EPISODES: Final = "episodes.jsonl"
 _STATE: Final = "dataset.json"
@@ -246,74 +243,21 @@ class Summary:
         return {"program": PROGRAM, "version": package_version(), **counts}
 
 
-@dataclass(frozen=True)
-class DatasetRequest:
-    """Sources, recipe and output of a data set.
-
-    Attributes:
-        sources: folders, files, patterns, lists of paths (``.txt``, ``.csv``, ``.jsonl``) and
-            addresses of object storage.
-        output: folder of the results.
-        recipe: hand, method and frame of each clip.
-        layout: name of the reader; None for the one that recognises each file.
-        limits: least quality of an episode.
-        format: name of the output format, of ``WRITERS``.
-        writing: settings of that format; the joints of the hand are filled in.
-        shard: (i, n) for the i-th of n runs that share the work, from 1; it retargets its items and
-            writes no data set.
-        merge: retarget nothing; write the data set from what other runs have finished.
-        workers: as in ``run_tasks``.
-        cluster: as there.
-        mirror: with the format ``npz``, the files stand in ``output`` itself, at the paths that the
-            recordings have in their source; there is no page.
-        again: retarget also what is finished.
-
-    Raises:
-        ConfigError: ``workers`` is negative; only the format ``npz`` mirrors its sources.
-    """
-
-    sources: tuple[str, ...]
-    output: Path
-    recipe: Recipe
-    layout: str | None = None
-    limits: Limits = field(default_factory=Limits)
-    format: str = "lerobot"
-    writing: WritingOptions = field(default_factory=WritingOptions)
-    shard: tuple[int, int] | None = None
-    merge: bool = False
-    workers: int | None = None
-    cluster: str | None = None
-    mirror: bool = False
-    again: bool = False
-
-    def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 0:
-            raise ConfigError(f"workers must be 0 or more, not {self.workers}")
-        if self.mirror and self.format != "npz":
-            raise ConfigError(f"only the format npz mirrors its sources, not {self.format}")
-
-    @property
-    def data(self) -> Path:
-        """Folder of the data set."""
-        return self.output if self.mirror else self.output / DATASET
-
-    @property
-    def work(self) -> Path:
-        """Folder with the retargeted clips; hidden where results stand beside it."""
-        return self.output / (".work" if self.mirror else "work")
-
-
 @dataclass(frozen=True, eq=False)
 class Order:
     """A data set that is to be written.
 
     Attributes:
         request: the request for it.
+        asked: hand, method and settings of its commands.
+        writing: options of the format.
         items: name and place of each finished item, by name.
         store: folder of the packs.
     """
 
     request: DatasetRequest
+    asked: RetargetRequest
+    writing: WritingOptions
     items: Sequence[tuple[str, Kept]]
     store: Path
 
@@ -324,7 +268,7 @@ class Order:
         request = self.request
         writer = WRITERS[request.format].target.partition(":")[0]
         code = [code_digest(*_CODE), outside_code(writer)]
-        return key_digest([code, request.limits, request.format, request.writing, content])
+        return key_digest([code, Limits.of(request), request.format, self.writing, content])
 
 
 @dataclass(eq=False)
@@ -379,7 +323,7 @@ def write_episodes(
     if not order.items:
         _account(order, summary, FigureTable())
         return summary
-    order = _with_writing(order, _fitted(order))
+    order = replace(order, writing=_fitted(order))
     _prepare(order)
     parts = _parts(order)
     done: dict[int, Part] = {}
@@ -403,7 +347,7 @@ def write_episodes(
             lines.write(b"".join(part.lines))
     if summary.episodes == 0 and not order.request.mirror:  # it would be taken for a data set
         shutil.rmtree(order.request.data, ignore_errors=True)
-        summary.notes += _nothing_kept(summary, figures, order.request.limits)
+        summary.notes += _nothing_kept(summary, figures, Limits.of(order.request))
     _mark(order, whole=True)
     _account(order, summary, figures)
     return summary
@@ -447,9 +391,10 @@ def _parts(order: Order) -> list[Order]:
         frames += item[1].frames
     count = len(groups)
     return [
-        _with_writing(
-            replace(order, items=group),
-            replace(order.request.writing, part=number, parts=count, apart=count > 1),
+        replace(
+            order,
+            items=group,
+            writing=replace(order.writing, part=number, parts=count, apart=count > 1),
         )
         for number, group in enumerate(groups)
     ]
@@ -468,16 +413,17 @@ def write_part(order: Order, written: Callable[[int], None] = lambda done: None)
     """
     request = order.request
     part = Part(Summary(request.output), items=len(order.items))
+    limits = Limits.of(request)
     reasons: Counter[str] = Counter()
     notes: Counter[str] = Counter()
     with (
         contextlib.closing(Store(order.store)) as store,
-        WRITERS.load(request.format).open(request.data, request.writing) as writer,
+        WRITERS.load(request.format).open(request.data, order.writing) as writer,
     ):
         for done, (_, pack) in enumerate(order.items, 1):
             for clip in store.read(pack):
                 notes.update(clip.clip.meta.get(NOTES, ()))
-                for episode in select(clip, order.request.limits):
+                for episode in select(clip, limits):
                     episode = _written(episode, writer)
                     _count(part.summary, reasons, episode)
                     part.figures.add(episode)
@@ -538,20 +484,15 @@ def _line(clip: RobotClip, episode: RobotClip | Dropped) -> dict[str, Any]:
     }
 
 
-def _with_writing(order: Order, writing: WritingOptions) -> Order:
-    return replace(order, request=replace(order.request, writing=writing))
-
-
 def _fitted(order: Order) -> WritingOptions:
     """The settings with the joints, camera and objects that clips have."""
-    writing, packs = order.request.writing, [pack for _, pack in order.items]
+    writing, packs = order.writing, [pack for _, pack in order.items]
     if writing.joints:
         return writing
     sides: set[Side] = {side for pack in packs for side in pack.sides}
-    request = order.request.recipe.request
     return replace(
         writing,
-        joints={side: request.load_hand(side).joint_names for side in SIDES if side in sides},
+        joints={side: order.asked.load_hand(side).joint_names for side in SIDES if side in sides},
         camera=any(pack.camera for pack in packs),
         objects=min(writing.objects, max((pack.objects for pack in packs), default=0)),
     )
@@ -590,7 +531,7 @@ def hand_in(output: Path) -> str | None:
 
 def _state(order: Order) -> dict[str, Any] | None:
     try:
-        state = read_json(order.request.work / _STATE)
+        state = read_json(order.request.packs / _STATE)
     except (OSError, ValueError):
         return None
     return state if isinstance(state, dict) and state.get("program") == PROGRAM else None
@@ -598,22 +539,22 @@ def _state(order: Order) -> dict[str, Any] | None:
 
 def _mark(order: Order, *, whole: bool) -> None:
     content = {"program": PROGRAM, "identity": order.identity, "whole": whole}
-    order.request.work.mkdir(parents=True, exist_ok=True)
-    write_json(order.request.work / _STATE, content)
+    order.request.packs.mkdir(parents=True, exist_ok=True)
+    write_json(order.request.packs / _STATE, content)
 
 
 def _account(order: Order, summary: Summary, figures: FigureTable) -> None:
     """``report.json`` and ``report.html``."""
-    request = order.request.recipe.request
+    request = order.asked
     content = {
         **summary.as_json(),
         "hand": request.hand_name,
         "method": request.method,
         "preset": request.preset,
         "seed": request.seed,
-        "frame": order.request.recipe.frame,
+        "frame": order.request.frame,
         "format": order.request.format,
-        "limits": order.request.limits,
+        "limits": Limits.of(order.request),
         "figures": figures.percentiles(),
     }
     write_json(order.request.output / REPORT, content, indent=2)
