@@ -44,6 +44,7 @@ CORE = {
 """Core: module -> level. It imports nothing of what follows."""
 
 SHARED = {
+    "reporter": 0,
     "signals": 0,
     "atomic_files": 3,
     "formats": 3,

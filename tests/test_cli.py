@@ -424,7 +424,7 @@ def test_a_real_recording(run, shared, tmp_path):
 
 
 def test_a_stop_says_in_one_line_how_to_go_on(run, glove, tmp_path, monkeypatch):
-    def stop(*_: object) -> None:
+    def stop(*_: object, **more: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("smooth_operator.cli.dataset.make_dataset", stop)

@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,10 @@ import pytest
 from made_clips import CLIPS, LAYOUT
 
 from smooth_operator.datasets import writing
-from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.datasets.pipeline import DatasetRequest, make_dataset
 from smooth_operator.datasets.registry import DATASETS, ClipRef, ReadingOptions
 from smooth_operator.datasets.sources import Item, each_item
+from smooth_operator.reporter import Reporter
 
 NEEDS_ARROW = "needs pyarrow: in the clone, pip install '.[cluster]'"
 OPTIONS = ReadingOptions()
@@ -86,9 +88,14 @@ def test_workers_write_the_parts_of_a_large_data_set(
 def test_a_run_that_is_killed_while_it_writes_goes_on(tmp_path, source, monkeypatch):
     pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
 
-    class Stop(Progress):
-        def written(self, done: int, count: int) -> None:
-            raise KeyboardInterrupt
+    class Stop(Reporter):
+        @contextmanager
+        def counting(self, name: str, total: int, unit: str, **_: Any) -> Iterator[Any]:
+            def advance(*_: Any, **more: Any) -> None:
+                if unit == "clips written":
+                    raise KeyboardInterrupt
+
+            yield advance
 
     monkeypatch.setattr(writing, "PART_FRAMES", 60)
     make_dataset(request(source, tmp_path / "whole"))

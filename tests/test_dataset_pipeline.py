@@ -22,7 +22,7 @@ from smooth_operator.cli import main
 from smooth_operator.cli.dataset import _print
 from smooth_operator.datasets import pipeline
 from smooth_operator.datasets.clip import CAMERA, SIDES, Clip, RobotClip, in_frame
-from smooth_operator.datasets.pipeline import DatasetRequest, Progress, make_dataset
+from smooth_operator.datasets.pipeline import DatasetRequest, make_dataset
 from smooth_operator.datasets.quality import (
     REACHED,
     Dropped,
@@ -34,7 +34,6 @@ from smooth_operator.datasets.quality import (
 from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.datasets.sources import (
-    Found,
     find_items,
     in_shard,
     is_manifest,
@@ -45,6 +44,7 @@ from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, OutputError, RecordingError
 from smooth_operator.landmarks import BASES
 from smooth_operator.planning import RetargetRequest
+from smooth_operator.reporter import Reporter
 from smooth_operator.result_cache import content_digest
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.alignment import AlignmentConfig
@@ -105,15 +105,17 @@ def request(folder: Path, output: Path, **more: Any) -> DatasetRequest:
     return DatasetRequest(output=output, **own | more)
 
 
-def make(request: DatasetRequest, progress: Progress | None = None) -> Summary:
-    return make_dataset(request, progress, asked=ASKED)
+def make(request: DatasetRequest, reporter: Reporter | None = None) -> Summary:
+    return make_dataset(request, reporter, asked=ASKED)
 
 
-class Counting(Progress):
+class Counting(Reporter):
     kept = items = 0
 
-    def looked(self, found: Found, items: int, kept: int) -> None:
-        self.items, self.kept = items, kept
+    def note(self, text: str, *, matters: bool = False) -> None:
+        if counts := re.match(r"(\d+) to retarget, (\d+) done already", text):
+            self.kept = int(counts[2])
+            self.items = self.kept + int(counts[1])
 
 
 def contents(output: Path) -> dict[str, bytes]:
@@ -202,12 +204,14 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from test_dataset_pipeline import request
-from smooth_operator.datasets.pipeline import Progress
+from contextlib import contextmanager
+from smooth_operator.reporter import Reporter
 from test_dataset_pipeline import make
 
-class Say(Progress):
-    def retargeted(self, entries):
-        print(len(entries), flush=True)
+class Say(Reporter):
+    @contextmanager
+    def counting(self, *_, **__):
+        yield lambda count, **_: print(count, flush=True)
 
 if __name__ == "__main__":
     make(request(Path(sys.argv[2]), Path(sys.argv[3])), Say())

@@ -3,6 +3,7 @@
 import functools
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -18,14 +19,15 @@ import pytest
 from smooth_operator import Retargeter, read_commands, read_recording
 from smooth_operator.atomic_files import claimed
 from smooth_operator.datasets import pipeline
-from smooth_operator.datasets.pipeline import Progress, make_dataset
+from smooth_operator.datasets.pipeline import make_dataset
 from smooth_operator.datasets.request import MirrorRequest
-from smooth_operator.datasets.sources import Found, find_items
-from smooth_operator.datasets.work import Entry, Job
+from smooth_operator.datasets.sources import find_items
+from smooth_operator.datasets.work import Job, Results
 from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
 from smooth_operator.offline.execution import checked
 from smooth_operator.planning import RetargetRequest, make_request
+from smooth_operator.reporter import Reporter
 from smooth_operator.retargeting.batching import BLOCK
 from smooth_operator.retargeting.presets import PRESETS
 from smooth_operator.retargeting.sbr.method import SbrConfig
@@ -71,13 +73,15 @@ def folder(tmp_path_factory) -> Path:
     return at
 
 
-class Count(Progress):
+class Count(Reporter):
     """Number of recordings, and of those that were kept."""
 
     items = kept = 0
 
-    def looked(self, found: Found, items: int, kept: int) -> None:
-        self.items, self.kept = items, kept
+    def note(self, text: str, *, matters: bool = False) -> None:
+        if counts := re.match(r"(\d+) to retarget, (\d+) done already", text):
+            self.kept = int(counts[2])
+            self.items = self.kept + int(counts[1])
 
 
 def wanted(folder: Path, output: Path, **more: Any) -> MirrorRequest:
@@ -89,11 +93,11 @@ def do(
     folder: Path,
     output: Path,
     asked: RetargetRequest = ASKED,
-    progress: Progress | None = None,
+    reporter: Reporter | None = None,
     again: bool = False,
     **more: Any,
 ) -> Summary:
-    return make_dataset(wanted(folder, output, **more), progress, asked=asked, again=again)
+    return make_dataset(wanted(folder, output, **more), reporter, asked=asked, again=again)
 
 
 def contents(output: Path) -> Bytes:
@@ -155,7 +159,7 @@ def test_with_the_default_method_too(tmp_path):
         assert (commands.status == 0).all()
 
 
-def killed_once(job: Job) -> list[Entry]:
+def killed_once(job: Job) -> Results:
     """``do_job``, but the process that first packs ``c`` is killed in the middle of it."""
     mark = job.folder / "killed"
     if any(item.name == "deep/c" for item in job.items) and not mark.exists():
@@ -178,7 +182,7 @@ def test_a_killed_worker_loses_nothing(folder, expected, tmp_path, monkeypatch):
     assert contents(tmp_path / "out") == expected
 
 
-def not_the_last(job: Job) -> list[Entry]:
+def not_the_last(job: Job) -> Results:
     """``do_job``, but ``e`` does not end."""
     if any(item.name == "e" for item in job.items):
         time.sleep(600)
@@ -189,17 +193,20 @@ RUN = """
 import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
+from contextlib import contextmanager
 from smooth_operator.datasets import pipeline
+from smooth_operator.reporter import Reporter
 from test_retarget_folder import do, not_the_last
 
-class Say(pipeline.Progress):
-    def retargeted(self, entries):
-        print(len(entries), flush=True)
+class Say(Reporter):
+    @contextmanager
+    def counting(self, *_, **__):
+        yield lambda count, **_: print(count, flush=True)
 
 if __name__ == "__main__":
     pipeline._FEW_ITEMS = 1
     pipeline.do_job = not_the_last
-    do(Path(sys.argv[2]), Path(sys.argv[3]), progress=Say(), workers=1)
+    do(Path(sys.argv[2]), Path(sys.argv[3]), reporter=Say(), workers=1)
 """
 
 
@@ -222,7 +229,7 @@ def test_a_killed_run_is_resumed(folder, expected, tmp_path):
     (output / "deep" / "c.json").write_bytes(expected["deep/c.json"])
     (output / "deep" / ".c.npz.00000000-7.0123abcd.tmp").write_bytes(b"half")
     count = Count()
-    do(folder, output, progress=count)
+    do(folder, output, reporter=count)
     assert count.kept >= packs
     assert contents(output) == expected
 
@@ -381,7 +388,7 @@ def test_refused_before_any_work(tmp_path):
     (output / "beside.json").write_text("{}", encoding="utf-8")
     (output / "deep").write_text("mine", encoding="utf-8")
     count = Count()
-    summary = do(recordings, output, progress=count)
+    summary = do(recordings, output, reporter=count)
     assert count.items == summary.episodes == 1
     reasons = summary.failed
     assert "one.npy and one.npz would both become one.npz" in reasons["one"]

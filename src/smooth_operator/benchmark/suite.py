@@ -9,9 +9,9 @@ Files are whole or not there.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -43,6 +43,7 @@ from smooth_operator.metrics import Metric
 from smooth_operator.metrics.table import add_metrics
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.planning import PROGRAM, read_configuration
+from smooth_operator.reporter import Reporter
 from smooth_operator.result_cache import (
     Job,
     Note,
@@ -184,14 +185,8 @@ def _digest(commands: CommandTrajectory) -> str:
     return total.hexdigest()
 
 
-Advance: TypeAlias = Callable[[str, str | None], None]
-"""Called with the label of a cell that is done, and why it failed or None."""
-
 RowKey: TypeAlias = tuple[str, str, str, str, str]
 """``Cell.key``."""
-
-Track: TypeAlias = Callable[[str, int, int], AbstractContextManager[Advance]]
-"""Opens the display of a phase: its name, how many cells it has, how many were done before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,12 +206,6 @@ class Finished:
     reason: str | None
     latency: Latency | None
     fresh: bool
-
-
-@contextmanager
-def silent(name: str, total: int, done: int) -> Iterator[Advance]:
-    """A display that shows nothing."""
-    yield lambda label, reason: None
 
 
 def plan_cells(settings: Settings) -> list[Cell]:
@@ -242,7 +231,7 @@ def plan_cells(settings: Settings) -> list[Cell]:
 
 
 def run_suite(
-    settings: Settings, cells: Sequence[Cell], track: Track = silent, note: Note = no_note
+    settings: Settings, cells: Sequence[Cell], reporter: Reporter | None = None
 ) -> list[Finished]:
     """Measures all cells; those that an earlier run in the folder has finished are taken from it.
 
@@ -251,7 +240,7 @@ def run_suite(
 
     Args:
         cells: result of ``plan_cells``.
-        note: called with kept cells that can't be used.
+        reporter: is told what is done, and which kept cells can't be used.
 
     Returns:
         The result of each cell, in their order.
@@ -260,17 +249,18 @@ def run_suite(
         OutputError: a result can't be written.
         ConfigError: the workers can't be.
     """
-    store = BenchmarkFolder(settings, note)
+    reporter = Reporter() if reporter is None else reporter
+    store = BenchmarkFolder(settings, partial(reporter.note, matters=True))
     reasons = {c.key: c.source.error for c in cells if c.source.error is not None}
     jobs = [store.job(cell) for cell in cells if cell.key not in reasons]
     results, missing = find_results(jobs, store.measured)
     measured: dict[RowKey, Measured] = {r.job.task.key: r.value for r in results}  # type: ignore[misc]
     before = set(measured)
-    _measure_quality(store, missing, measured, reasons, track)
+    _measure_quality(store, missing, measured, reasons, reporter)
     latencies: dict[tuple[str, ...], Latency] = {}
     if settings.latency_frames:
         alive = [cell for cell in cells if cell.key in measured]
-        _measure_latency(store, alive, latencies, track)
+        _measure_latency(store, alive, latencies, reporter)
     return [
         Finished(
             cell,
@@ -288,7 +278,7 @@ def _measure_quality(
     jobs: Sequence[Job[Cell]],
     measured: dict[RowKey, Measured],
     reasons: dict[RowKey, str],
-    track: Track,
+    reporter: Reporter,
 ) -> None:
     settings = store.settings
 
@@ -296,14 +286,15 @@ def _measure_quality(
         tasks = [(cell, settings) for cell in cells]
         return run_tasks(measure_cell, tasks, workers=settings.workers, cluster=settings.cluster)
 
-    with track("quality", len(measured) + len(jobs), len(measured)) as advance:
+    done = len(measured)
+    with reporter.counting("quality", done + len(jobs), "cells", done=done) as advance:
         for result in compute_results(longest_first(jobs), store.measured, execute, _to_keep):
             cell = result.job.task
             if result.value is None:
                 reasons[cell.key] = result.error or "it returned nothing"
             else:
                 measured[cell.key] = result.value
-            advance(cell.label, reasons.get(cell.key))
+            advance(label=cell.label, reason=reasons.get(cell.key))
 
 
 def _to_keep(job: Job[Cell], result: TaskResult[Measured]) -> Measured | None:
@@ -323,7 +314,7 @@ def _measure_latency(
     store: BenchmarkFolder,
     cells: Sequence[Cell],
     latencies: dict[tuple[str, ...], Latency],
-    track: Track,
+    reporter: Reporter,
 ) -> None:
     settings = store.settings
     # By hand first: its retargeters then serve one recording after the other.
@@ -337,11 +328,11 @@ def _measure_latency(
             latencies |= {c.key: ms for c, ms in zip(group, loaded, strict=True) if ms is not None}
         else:
             todo.append(group)
-    left = sum(len(group) for group in todo)
-    with track("latency, alone", len(cells), len(cells) - left) as advance:
+    done = len(cells) - sum(len(group) for group in todo)
+    with reporter.counting("latency, alone", len(cells), "cells", done=done) as advance:
         for group in todo:
             measured = measure_latency(
-                group, settings.latency_frames, settings.seed, lambda c: advance(c.label, None)
+                group, settings.latency_frames, settings.seed, lambda c: advance(label=c.label)
             )
             for cell, latency in zip(group, measured, strict=True):
                 latencies[cell.key] = latency

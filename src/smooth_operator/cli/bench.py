@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from rich.console import Console
@@ -36,7 +35,7 @@ from smooth_operator.benchmark.ranking import (
     shown_value,
 )
 from smooth_operator.benchmark.ranking import verdict as verdict_of
-from smooth_operator.benchmark.suite import REPORT, RESULTS, Advance, Row
+from smooth_operator.benchmark.suite import REPORT, RESULTS, Row
 from smooth_operator.calibration.operator_file import read_operator
 from smooth_operator.cli.bench_options import Bench
 from smooth_operator.cli.console import Progressing, output_console, plain_table
@@ -204,12 +203,7 @@ def bench(options: Bench) -> None:
     _say_what_is_odd(cells, progress)
     with folder_for(options.output), claimed(options.output):
         try:
-            finished = run_suite(
-                settings,
-                cells,
-                cell_progress(progress),
-                lambda text: progress.note(text, matters=True),
-            )
+            finished = run_suite(settings, cells, progress)
         except KeyboardInterrupt:
             raise stopped(options.output) from None
         rows = make_rows(finished, settings)
@@ -269,35 +263,3 @@ def _say_what_is_odd(cells: Sequence[Cell], progress: Progressing) -> None:
         notes |= {*cell.config.notes(hand), *filter(None, [stand_in_note(hand)])}
     for note in sorted(notes):
         progress.note(note, matters=True)
-
-
-def cell_progress(
-    progress: Progressing,
-    what: str = "cells",
-) -> Callable[[str, int, int], contextlib.AbstractContextManager[Advance]]:
-    """Progress display: a bar with the remaining time on a terminal, otherwise one line per
-    cell."""
-
-    @contextlib.contextmanager
-    def phase(name: str, total: int, done: int) -> Iterator[Advance]:
-        if done:
-            progress.note(f"{name}: {done} of {total} {what} are unchanged and not measured again")
-        if done == total:
-            yield lambda label, reason: None
-            return
-        with progress.counter(what) as bar:
-            task = bar.add_task(name, total=total - done)
-            left = total - done
-
-            def advance(label: str, reason: str | None) -> None:
-                nonlocal left
-                left -= 1
-                bar.advance(task)
-                if reason is not None:
-                    progress.note(f"failed: {label}: {reason}", matters=True)
-                elif progress.lines:
-                    progress.note(f"{name}: {label} ({left} to go)")
-
-            yield advance
-
-    return phase

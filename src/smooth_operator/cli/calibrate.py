@@ -73,8 +73,8 @@ def calibrate_recording(options: Calibrate) -> None:
     from smooth_operator.cli.prompting import ask
     from smooth_operator.formats.environment import environment
     from smooth_operator.io.jsonable import to_json
-    from smooth_operator.offline.calibration_picture import draw_calibration
     from smooth_operator.planning import PROGRAM
+    from smooth_operator.reporting.calibration_picture import draw_calibration
     from smooth_operator.teleop.components import build_source
 
     progress = Progressing(options.quiet)

@@ -22,6 +22,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from smooth_operator.reporter import Advance, Reporter
 from smooth_operator.terminal import open_console
 
 _REDRAW_S: Final = 0.1
@@ -81,7 +82,7 @@ SUMMARY: Final = (
 speed."""
 
 
-class Progressing:
+class Progressing(Reporter):
     """Prints notes and a progress bar on standard error.
 
     Args:
@@ -164,6 +165,33 @@ class Progressing:
             "redirect_stderr": False,
         }
         return Progress(*columns, **settings | options)
+
+    @contextlib.contextmanager
+    def counting(
+        self, name: str, total: int, unit: str, *, done: int = 0, in_files: bool = False
+    ) -> Iterator[Advance]:
+        """On a terminal a bar with the time that is left, elsewhere a line for each label."""
+        if done:
+            self.note(f"{name}: {done} of {total} {unit} are unchanged and not measured again")
+        left = total - done
+        if not left:
+            yield lambda count=1, **_: None
+            return
+        with self.counter(unit, extra="{task.fields[extra]}", in_files=in_files) as bar:
+            task = bar.add_task(name, total=left, extra="")
+
+            def advance(
+                count: int = 1, *, label: str = "", reason: str | None = None, extra: str = ""
+            ) -> None:
+                nonlocal left
+                left -= count
+                bar.update(task, advance=count, extra=extra)
+                if reason is not None:
+                    self.note(f"failed: {label}: {reason}", matters=True)
+                elif label and self.lines:
+                    self.note(f"{name}: {label} ({left} to go)")
+
+            yield advance
 
     def frames(self, text: str) -> Callable[[Iterable[int]], Iterator[int]]:
         """Shows a bar while the caller iterates over frames.

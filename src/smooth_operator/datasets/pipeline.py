@@ -29,12 +29,12 @@ from smooth_operator.atomic_files import claimed, remove_leftovers
 from smooth_operator.datasets.quality import Limits
 from smooth_operator.datasets.request import DatasetRequest as DatasetRequest
 from smooth_operator.datasets.retargeting import Recipe, SourceFile
-from smooth_operator.datasets.sources import Found, Item, find_items, in_shard, parse_shard
+from smooth_operator.datasets.sources import Item, find_items, in_shard, parse_shard
 from smooth_operator.datasets.store import Kept, Store, clear_unfinished
 from smooth_operator.datasets.work import (
-    Entry,
     Job,
     ReadClip,
+    Results,
     do_job,
     finish_job,
     read_job,
@@ -48,6 +48,7 @@ from smooth_operator.formats.foreign import foreign_suffix
 from smooth_operator.offline.execution import request_notes
 from smooth_operator.parallel import run_groups, usable_cores
 from smooth_operator.planning import RetargetRequest, read_configuration
+from smooth_operator.reporter import Reporter
 
 BATCH: Final = 2048
 """Hands that are retargeted together: two for each lane, so that short and long ones balance."""
@@ -152,7 +153,7 @@ def only_cpus_in_children() -> Iterator[None]:
 
 def entries_of_gpu(
     jobs: Sequence[Job], split: Callable[[Job], Sequence[Job]], use: GpuUse, **options: Any
-) -> Generator[list[Entry]]:
+) -> Generator[Results]:
     """Results of jobs: workers read the clips, this process retargets ``BATCH`` hands together.
 
     While a batch is retargeted and packed by a thread, the next is read. One process uses one GPU;
@@ -166,27 +167,27 @@ def entries_of_gpu(
         OutputError: a pack can't be written.
     """
 
-    def finish(waiting: list[tuple[Job, list[ReadClip], dict[str, str]]]) -> list[Entry]:
+    def finish(waiting: list[tuple[Job, list[ReadClip], dict[str, str]]]) -> Results:
         started = time.perf_counter()
         job = replace(waiting[0][0], items=tuple(i for part, *_ in waiting for i in part.items))
         clips = [clip for _, read, _ in waiting for clip in read]
         reasons = {name: why for *_, own in waiting for name, why in own.items()}
-        entries = finish_job(job, clips, reasons)
+        done = finish_job(job, clips, reasons)
         use.retargeting += time.perf_counter() - started
-        use.frames += sum(0 if each.kept is None else each.kept.frames for each in entries)
-        return entries
+        use.frames += sum(each.frames for each in done.values() if isinstance(each, Kept))
+        return done
 
     with (
         use.measured(),
         ThreadPoolExecutor(1) as thread,
         contextlib.closing(run_groups(read_job, jobs, split, **options)) as results,
     ):
-        batches: list[Future[list[Entry]]] = []
+        batches: list[Future[Results]] = []
         waiting: list[tuple[Job, list[ReadClip], dict[str, str]]] = []
         hands = 0
         for job, result in results:
             if result.value is None:
-                yield [Entry(item.name, None, result.error) for item in job.items]
+                yield _lost(job, result.error)
                 continue
             waiting.append((job, *result.value))
             hands += sum(len(each.clip.hands) for each in result.value[0])
@@ -207,25 +208,9 @@ _MOST_BYTES: Final = 256_000_000  # read for a pack, unless one file has more
 _SHARE: Final = 50  # packs a worker makes at least, so that a killed run loses 2 % at most
 
 
-class Progress:
-    """Receives the state of the work and does nothing; derive from it to show progress."""
-
-    def told(self, note: str) -> None:
-        """Called before the search, with each note on what the method lacks on the hand."""
-
-    def looked(self, found: Found, items: int, kept: int) -> None:
-        """Called after the search, with the number of items, and of those that are done already."""
-
-    def retargeted(self, entries: Sequence[Entry]) -> None:
-        """Called after each pack."""
-
-    def written(self, done: int, count: int) -> None:
-        """Called while the data set is written, with the number of items done, and of all."""
-
-
 def make_dataset(
     request: DatasetRequest,
-    progress: Progress | None = None,
+    reporter: Reporter | None = None,
     *,
     asked: RetargetRequest | None = None,
     again: bool = False,
@@ -238,7 +223,7 @@ def make_dataset(
 
     Args:
         request: sources, robot hand, limits, format and output.
-        progress: receives the state of the work.
+        reporter: is told the state of the work.
         asked: hand, method, settings and frames in place of the request's own: for the description
             of a hand, or a configuration that no preset has.
         again: retarget also what is finished.
@@ -249,13 +234,13 @@ def make_dataset(
     Raises:
         SmoothOperatorError: nothing can be made at all: the hand, the method, a source, the folder.
     """
-    progress = Progress() if progress is None else progress
+    reporter = Reporter() if reporter is None else reporter
     shard = _checked_share(request)
     recipe, writing = Recipe.of(request, asked), WritingOptions.of(request)
     Limits.of(request)  # refuses those that can't be
     check_output(request, recipe.request.hand_name)
     for note in request_notes(recipe.request):
-        progress.told(note)
+        reporter.note(note, matters=True)
     survey = find_items(request.sources, layout=request.layout, leave_out=request.output)
     if not survey.items and not survey.refused:
         kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
@@ -297,8 +282,12 @@ def make_dataset(
             reasons |= refused(items, request.output, REPORT)
             items = [item for item in items if item.name not in reasons]
         finished = {} if again else _finished(Store(work), items, recipe)
-        progress.looked(survey, len(items), len(finished))
         left = [item for item in items if item.name not in finished]
+        line = f"{len(left)} to retarget, {len(finished)} done already"
+        if survey.passed_over:
+            kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
+            line += f"; skipped (unknown format): {kinds}"
+        reporter.note(line)
         if request.merge:
             missing = "no run has finished it yet; leave out --merge to retarget it now"
             reasons |= {item.name: missing for item in left}
@@ -306,14 +295,15 @@ def make_dataset(
             with (
                 only_cpus_in_children(),
                 contextlib.closing(
-                    _retargeted(left, own, request, recipe, progress, gpu)
+                    _retargeted(left, own, request, recipe, reporter, gpu)
                 ) as entries,
             ):
-                for entry in entries:  # whatever happens here, the workers end
-                    if entry.kept is None:
-                        reasons[entry.item] = entry.reason or "no clip is in it"
-                    else:
-                        finished[entry.item] = entry.kept
+                for each in entries:  # whatever happens here, the workers end
+                    for item, kept in each.items():
+                        if isinstance(kept, str):
+                            reasons[item] = kept
+                        else:
+                            finished[item] = kept
         if shard is not None:
             return Summary.of_shard(request.output, shard, finished, reasons)
         if not request.merge:
@@ -330,7 +320,7 @@ def make_dataset(
             ),
             reasons,
             survey.passed_over,
-            progress.written,
+            reporter,
             [] if gpu is None or gpu.frames == 0 else [gpu.sentence()],
         )
         if request.mirror:  # the results of other settings and other code are replaced
@@ -408,10 +398,10 @@ def _retargeted(
     folder: Path,
     request: DatasetRequest,
     recipe: Recipe,
-    progress: Progress,
+    reporter: Reporter,
     gpu: GpuUse | None,
-) -> Generator[Entry]:
-    """Entries of all items; those of a worker that died are tried once more, each alone."""
+) -> Generator[Results]:
+    """Results of all items; those of a worker that died are tried once more, each alone."""
 
     def split(job: Job) -> list[Job]:
         return [replace(job, items=(item,)) for item in job.items]
@@ -419,17 +409,38 @@ def _retargeted(
     options: dict[str, Any] = {"workers": request.workers, "cluster": request.cluster, "retries": 1}
     jobs = list(_jobs(items, folder, recipe, request.workers))
     jobs.sort(key=lambda job: -sum(item.size for item in job.items))  # the longest first
+    with (
+        contextlib.closing(_packs(jobs, split, gpu, **options)) as packs,
+        reporter.counting("", len(items), "clips", in_files=True) as advance,
+    ):
+        frames = failed = 0
+        for done in packs:
+            kept = [each for each in done.values() if isinstance(each, Kept)]
+            frames += sum(each.frames for each in kept)
+            failed += len(done) - len(kept)
+            advance(len(done), extra=f"{frames} frames, {failed} failed")
+            yield done
+
+
+def _packs(
+    jobs: Sequence[Job],
+    split: Callable[[Job], Sequence[Job]],
+    gpu: GpuUse | None,
+    **options: Any,
+) -> Generator[Results]:
+    """Results of each pack, made by workers, or by a GPU from what workers read."""
     if gpu is not None:
-        for entries in entries_of_gpu(jobs, split, gpu, **options):
-            progress.retargeted(entries)
-            yield from entries
+        yield from entries_of_gpu(jobs, split, gpu, **options)
         return
-    for job, result in run_groups(do_job, jobs, split, **options):
-        if result.error is not None and result.error.startswith(OutputError.__name__):
-            raise OutputError(result.error.partition(": ")[2])  # no space: nothing would go on
-        entries = result.value or [Entry(item.name, None, result.error) for item in job.items]
-        progress.retargeted(entries)
-        yield from entries
+    with contextlib.closing(run_groups(do_job, jobs, split, **options)) as results:
+        for job, result in results:
+            if result.error is not None and result.error.startswith(OutputError.__name__):
+                raise OutputError(result.error.partition(": ")[2])  # no space: nothing would go on
+            yield result.value or _lost(job, result.error)
+
+
+def _lost(job: Job, error: str | None) -> Results:
+    return {item.name: error or "it returned nothing" for item in job.items}
 
 
 def _jobs(

@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import parent_process
 from pathlib import Path
+from typing import TypeAlias
 
 from smooth_operator.datasets.clip import RATE, Clip, clip_part, with_side
 from smooth_operator.datasets.registry import DATASETS, ClipRef
@@ -41,19 +42,8 @@ class Job:
     folder: Path
 
 
-@dataclass(frozen=True)
-class Entry:
-    """The result of one item.
-
-    Attributes:
-        item: name of the item.
-        kept: place of its clips; None if it failed.
-        reason: reason of a failure.
-    """
-
-    item: str
-    kept: Kept | None = None
-    reason: str | None = None
+Results: TypeAlias = dict[str, Kept | str]
+"""Name of item -> the place of its clips, or why there are none."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +65,7 @@ class ReadClip:
     rate: float | None = None
 
 
-def do_job(job: Job) -> list[Entry]:
+def do_job(job: Job) -> Results:
     """Reads, retargets and writes the clips of a job, in a worker.
 
     An item that can't be read or retargeted is an answer like another, and touches no other.
@@ -104,7 +94,7 @@ def read_job(job: Job) -> tuple[list[ReadClip], dict[str, str]]:
     return clips, reasons
 
 
-def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> list[Entry]:
+def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> Results:
     """Retargets the clips of a job and writes them to a pack.
 
     Raises:
@@ -112,7 +102,8 @@ def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> list
     """
     finished = _retargeted(clips, job, reasons)
     packs = write_pack(job.folder, finished) if finished else {}
-    return [Entry(i.name, packs.get(i.name), reasons.get(i.name)) for i in job.items]
+    missing = {item.name: reasons.get(item.name, "no clip is in it") for item in job.items}
+    return {**missing, **packs}
 
 
 def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:

@@ -25,6 +25,7 @@ from smooth_operator.io.documents import read_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.parallel import run_tasks
 from smooth_operator.planning import PROGRAM, RetargetRequest
+from smooth_operator.reporter import Reporter
 from smooth_operator.reporting.report_page import Html, Plots, templates, write_report_page
 from smooth_operator.result_cache import key_digest, outside_code
 from smooth_operator.source_digest import code_digest
@@ -292,7 +293,7 @@ def write_episodes(
     order: Order,
     failed: Mapping[str, str],
     passed_over: Mapping[str, int],
-    written: Callable[[int, int], None] = lambda done, count: None,
+    reporter: Reporter | None = None,
     notes: Sequence[str] = (),
 ) -> Summary:
     """Writes the data set and the report; goes on where a run was stopped at this same data set.
@@ -304,7 +305,7 @@ def write_episodes(
         order: settings of the data set.
         failed: name -> why a clip is missing, for the report.
         passed_over: suffix -> files that no reader knows, for the report.
-        written: is called with the number of items that are done, and of all.
+        reporter: is told what is written.
         notes: notes of the run, for the report.
 
     Raises:
@@ -327,18 +328,23 @@ def write_episodes(
     _prepare(order)
     parts = _parts(order)
     done: dict[int, Part] = {}
-    if len(parts) == 1:
-        done[0] = write_part(parts[0], lambda at: written(at, len(order.items)))
-    else:
-        request = order.request
-        with contextlib.closing(
-            run_tasks(write_part, parts, workers=request.workers, cluster=request.cluster)
-        ) as results:
-            for result in results:
-                if result.value is None:
-                    raise OutputError(f"a part of the data set can't be written: {result.error}")
-                done[result.index] = result.value
-                written(sum(part.items for part in done.values()), len(order.items))
+    reporter = Reporter() if reporter is None else reporter
+    with reporter.counting("", len(order.items), "clips written", in_files=True) as advance:
+        if len(parts) == 1:
+            done[0] = write_part(parts[0], advance)
+        else:
+            options: dict[str, Any] = {
+                "workers": order.request.workers,
+                "cluster": order.request.cluster,
+            }
+            with contextlib.closing(run_tasks(write_part, parts, **options)) as results:
+                for result in results:
+                    if result.value is None:
+                        raise OutputError(
+                            f"a part of the data set can't be written: {result.error}"
+                        )
+                    done[result.index] = result.value
+                    advance(result.value.items)
     figures = FigureTable()
     with atomic_write(order.request.output / EPISODES) as lines:
         for _, part in sorted(done.items()):
@@ -400,12 +406,12 @@ def _parts(order: Order) -> list[Order]:
     ]
 
 
-def write_part(order: Order, written: Callable[[int], None] = lambda done: None) -> Part:
+def write_part(order: Order, written: Callable[[], None] = lambda: None) -> Part:
     """Writes the episodes of some items, in a worker.
 
     Args:
         order: the items.
-        written: is called with the number of items that are done.
+        written: is called after each item.
 
     Raises:
         OutputError: they can't be written.
@@ -420,7 +426,7 @@ def write_part(order: Order, written: Callable[[int], None] = lambda done: None)
         contextlib.closing(Store(order.store)) as store,
         WRITERS.load(request.format).open(request.data, order.writing) as writer,
     ):
-        for done, (_, pack) in enumerate(order.items, 1):
+        for _, pack in order.items:
             for clip in store.read(pack):
                 notes.update(clip.clip.meta.get(NOTES, ()))
                 for episode in select(clip, limits):
@@ -428,7 +434,7 @@ def write_part(order: Order, written: Callable[[int], None] = lambda done: None)
                     _count(part.summary, reasons, episode)
                     part.figures.add(episode)
                     part.lines.append(to_json(_line(clip, episode)).encode() + b"\n")
-            written(done)
+            written()
     read = [f"{count} clip{'s' * (count > 1)}: {text}" for text, count in sorted(notes.items())]
     part.summary.notes = [*read, *writer.notes]
     part.summary.written_frames = getattr(writer, "frames", part.summary.episode_frames)

@@ -39,6 +39,9 @@ class TeleopRequest(MethodRequest):
     """Hand side. both drives two robot hands. Default: right, or the only side that the robot hand
     has."""
 
+    preset: Annotated[str | None, arg(metavar="NAME")] = None
+    """Preset of the method. Default: its first one."""
+
     scale: Annotated[float | Literal["frame"] | None, arg(metavar="frame|FLOAT")] = None
     """Robot/human size ratio: frame (estimated in each frame) or a number. Default: from the
     preset."""

@@ -30,6 +30,7 @@ from smooth_operator.planning import (
     resolve,
     resolve_config,
 )
+from smooth_operator.reporter import Reporter
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.presets import default_preset, method_config, method_names
 from smooth_operator.retargeting.retargeter import Retargeter
@@ -37,7 +38,7 @@ from smooth_operator.signals import Ending, ended_by_signals
 from smooth_operator.teleop.arm.settings import ArmSettings, read_arm
 from smooth_operator.teleop.components import build_sink, build_source
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
-from smooth_operator.teleop.control.reporter import LoggingReporter, Reporter, summarise
+from smooth_operator.teleop.control.reporter import LoggingReporter, summarise
 from smooth_operator.teleop.control.rpc import RpcHandlers
 from smooth_operator.teleop.control.switches import StopInput, keyboard, stopped_by
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task

@@ -11,7 +11,7 @@ from rich.text import Text
 from smooth_operator.atomic_files import claimed
 from smooth_operator.benchmark.cells import only_side
 from smooth_operator.benchmark.suite import REPORT
-from smooth_operator.cli.bench import SOME_FAILED, cell_progress, comma_words
+from smooth_operator.cli.bench import SOME_FAILED, comma_words
 from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.errors import require
@@ -64,8 +64,7 @@ def physics(options: Physics) -> None:
             outcomes = run_cases(
                 settings,
                 planned,
-                cell_progress(progress, "cases"),
-                lambda text: progress.note(text, matters=True),
+                progress,
             )
         except KeyboardInterrupt:
             raise stopped(options.output) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, Final
@@ -16,20 +17,19 @@ from smooth_operator.benchmark.cells import (
     outside_code,
     select_methods,
 )
-from smooth_operator.benchmark.suite import CONFIG, Track, check_folder, silent
+from smooth_operator.benchmark.suite import CONFIG, check_folder
 from smooth_operator.errors import UnknownNameError
 from smooth_operator.formats.environment import environment
 from smooth_operator.parallel import TaskResult, run_tasks
 from smooth_operator.planning import PROGRAM
+from smooth_operator.reporter import Reporter
 from smooth_operator.result_cache import (
     Job,
     JobResult,
-    Note,
     ResultLog,
     compute_results,
     content_digest,
     find_results,
-    no_note,
 )
 from smooth_operator_research.code import research_digest
 from smooth_operator_research.physics.measure import (
@@ -126,8 +126,7 @@ def plan_cases(settings: PhysicsSettings) -> dict[str, list[Case]]:
 def run_cases(
     settings: PhysicsSettings,
     planned: Mapping[str, Sequence[Case]],
-    track: Track = silent,
-    note: Note = no_note,
+    reporter: Reporter | None = None,
 ) -> list[MeasureOutcome]:
     """Runs all cases but those that an earlier run in the folder has finished.
 
@@ -136,8 +135,7 @@ def run_cases(
 
     Args:
         planned: result of ``plan_cases``.
-        track: shows the progress.
-        note: called with kept results that can't be used.
+        reporter: is told what is done, and which kept results can't be used.
 
     Returns:
         What each measure came to, its rows in the order of the cases.
@@ -148,12 +146,13 @@ def run_cases(
     """
     config = {"program": PROGRAM, "command": COMMAND, "settings": settings, **environment()}
     write_json(settings.output / CONFIG, config, indent=2)
-    log = ResultLog(settings.output / CASES, note)
-    return [_run_measure(name, cases, settings, log, track) for name, cases in planned.items()]
+    reporter = Reporter() if reporter is None else reporter
+    log = ResultLog(settings.output / CASES, partial(reporter.note, matters=True))
+    return [_run_measure(name, cases, settings, log, reporter) for name, cases in planned.items()]
 
 
 def _run_measure(
-    name: str, cases: Sequence[Case], settings: PhysicsSettings, log: ResultLog, track: Track
+    name: str, cases: Sequence[Case], settings: PhysicsSettings, log: ResultLog, reporter: Reporter
 ) -> MeasureOutcome:
     measure = find_measure(name)
     results, missing = find_results([_job(measure, case) for case in cases], log)
@@ -162,10 +161,10 @@ def _run_measure(
     def execute(tasks: Sequence[Case]) -> Iterable[TaskResult[Measured]]:
         return run_tasks(run_case, tasks, workers=settings.workers, cluster=settings.cluster)
 
-    with track(name, len(cases), len(results)) as advance:
+    with reporter.counting(name, len(cases), "cases", done=len(results)) as advance:
         for result in compute_results(missing, log, execute, _to_keep):
             done[result.job.task.key] = result
-            advance(result.job.label, result.error)
+            advance(label=result.job.label, reason=result.error)
     rows: list[Row] = []
     clips: dict[tuple[str, str, str], dict[str, Clip]] = {}
     for case in cases:

@@ -6,26 +6,16 @@ import contextlib
 import json
 import logging
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager
-from typing import Any, Protocol
+from typing import Any
 
 from smooth_operator.io.jsonable import to_json
+from smooth_operator.reporter import Reporter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
 _LOG = logging.getLogger("smooth_operator.teleop")
 
 
-class Reporter(Protocol):
-    """Shows lines to a person."""
-
-    def note(self, text: str, *, matters: bool = False) -> None:
-        """Show a line; with ``matters`` also in quiet mode."""
-
-    def waiting(self, text: str) -> AbstractContextManager[None]:
-        """Show a message while the block runs."""
-
-
-class LoggingReporter:
+class LoggingReporter(Reporter):
     """Writes lines to the logger ``smooth_operator.teleop``, important ones as warnings."""
 
     def note(self, text: str, *, matters: bool = False) -> None:

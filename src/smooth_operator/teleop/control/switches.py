@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
-from smooth_operator.teleop.control.reporter import Reporter
+from smooth_operator.reporter import Reporter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
 STOP_KEYS: Final = (" ", "\x1b", "x", "X")

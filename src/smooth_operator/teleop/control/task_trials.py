@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError
-from smooth_operator.teleop.control.reporter import Reporter
+from smooth_operator.reporter import Reporter
 from smooth_operator.teleop.sinks.sink import Sink, simulated_hands
 from smooth_operator.types import Side
 
