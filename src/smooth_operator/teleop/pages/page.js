@@ -1,7 +1,21 @@
-// What every 3D page needs besides its library: names for a screen reader, and a view without notices.
+// What every 3D page needs besides its library: title and icon of the tab, names for a screen reader,
+// and a view without notices.
 (() => {
-  if (window.smoothOperatorPage) return; // sent again after a reconnection
-  window.smoothOperatorPage = true;
+  // Five fingers in their colours.
+  const ICON =
+    "data:image/svg+xml,<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 16 16'>" +
+    "<g stroke-width='2.4' stroke-linecap='round'>" +
+    "<path stroke='%23d55e00' d='M2.2 9.5 5 12'/><path stroke='%2356b4e9' d='M5 4v5'/>" +
+    "<path stroke='%23009e73' d='M8 2.4V9'/><path stroke='%23cc79a7' d='M11 3.2V9'/>" +
+    "<path stroke='%230072b2' d='M13.8 6v4'/></g>" +
+    "<path fill='%23888' d='M4 9h10.5v3l-2 3H7z'/></svg>";
+  let named = "";
+  const nameTab = () => {
+    const title = document.querySelector("[data-title]")?.dataset.title;
+    if (!title || title === named) return;
+    document.title = named = title;
+    document.querySelector("link[rel~=icon]")?.setAttribute("href", ICON);
+  };
 
   const ICONS = { adjustments: "Settings of the page", "list-search": "All commands" };
 
@@ -29,6 +43,7 @@
   };
 
   setInterval(() => {
+    nameTab();
     nameControls();
     // The live page says in its panel that the browser is slow, and this lies over the hands.
     for (const notice of document.querySelectorAll(".mantine-Notification-root"))

@@ -3,8 +3,6 @@
 // The page's library takes Space for a click on the control that has the focus, so it is caught before
 // and passed on as the hotkey K.
 (() => {
-  if (window.smoothOperatorPlayer) return; // sent again after a reconnection
-  window.smoothOperatorPlayer = true;
   const caught = (event) => {
     if (event.key !== " " || !event.isTrusted) return;
     const at = event.target;

@@ -19,6 +19,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.metrics import Trace
 from smooth_operator.metrics.pinches import pinched_frames
+from smooth_operator.teleop.pages.front import GuardedServer
 from smooth_operator.teleop.pages.hand_view import (
     Aiming,
     HandView,
@@ -207,7 +208,7 @@ class PlaybackServer(PageServer):
 
     # -- life ---------------------------------------------------------------------------------
 
-    def _build(self, server: viser.ViserServer) -> None:
+    def _build(self, server: GuardedServer) -> None:
         run_script(server, read_script(__package__, "player.js"))
         self._scene = Scene(server, self.runs)
         self._panel = Panel(server.gui, self.runs, self, self._clock.loop)

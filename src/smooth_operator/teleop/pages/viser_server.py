@@ -3,43 +3,28 @@
 from __future__ import annotations
 
 import atexit
-import contextlib
 import errno
-import http
-import json
+import html
 import os
 import re
 import secrets
 import socket
 import threading
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine
 from importlib import resources
 from typing import Any, Final, Self, TypeVar
-from weakref import WeakKeyDictionary
 
-import rich
 import viser
-from viser import _messages
-from viser.infra import _infra
 
 from smooth_operator.errors import ConfigError
+from smooth_operator.teleop.pages.front import GuardedServer
 from smooth_operator.terminal import print_note
 from smooth_operator.web.addresses import is_local, lan_addresses
 from smooth_operator.web.auth import TokenAuth
 from smooth_operator.web.browser import open_page
-from smooth_operator.web.files import shielded
-from smooth_operator.web.listening import quiet_options
-
-_TOKENS: Final[WeakKeyDictionary[viser.ViserServer, str | None]] = WeakKeyDictionary()
 
 
-ALIVE_PATH: Final = "/alive"
-"""Path that answers 204 while the clicks of a page arrive where they act, else 503."""
-
-
-def open_server(
-    host: str, port: int, alive: Callable[[], bool] = lambda: True
-) -> viser.ViserServer:
+def open_server(host: str, port: int, alive: Callable[[], bool] = lambda: True) -> GuardedServer:
     """A server on the first free port, without a word on standard output.
 
     Where other machines can reach it, it wants the token that is in ``page_url``.
@@ -49,56 +34,30 @@ def open_server(
         alive: answer to ``ALIVE_PATH``; from the server's thread.
 
     Raises:
-        ConfigError: if the address is not one of this machine's, no port is free, or this release
-            of viser can't be made to ask for the token.
+        ConfigError: if the address is not one of this machine's, or no port is free.
     """
-    port, auth = free_port(host, port), auth_for(host)
-    with _quiet_viser(), authenticated(auth, alive) as started:
-        server = viser.ViserServer(host=host, port=port, verbose=False)
-    if auth.tokens is not None and not started:
-        close_server(server)
-        raise ConfigError(
-            f"viser {viser.__version__} can't be made to ask for a token, so the page is not "
-            f"served to other machines on {host!r}; use --host 127.0.0.1, or install viser 1.1"
-        )
-    _TOKENS[server] = None if auth.tokens is None else auth.tokens["page"]
+    server = GuardedServer(host, free_port(host, port), auth_for(host), alive)
     run_script(server, read_script(__package__, "page.js"))
     return server
 
 
 def close_server(server: viser.ViserServer) -> None:
     """Closes the port."""
-    with _quiet_viser():
-        server.stop()
+    server.stop()
 
 
-def run_script(server: viser.ViserServer, source: str) -> None:
-    """Runs a script in every browser that opens the page, now or later.
-
-    viser does so for its plots and offers nothing of the kind to others; sent again to a browser
-    that has lost the connection, so a script has to look whether it has run.
+def run_script(server: GuardedServer, source: str) -> None:
+    """Runs a script in every browser that opens the page from now on.
 
     Args:
         server: result of ``open_server``.
     """
-    interface: Any = server.gui
-    interface._websock_interface.queue_message(_messages.RunJavascriptMessage(source=source))
+    server.front.scripts.append(source)
 
 
 def read_script(package: str, name: str) -> str:
     """A script among the files of a package."""
     return resources.files(package).joinpath(name).read_text("utf-8")
-
-
-_ICON: Final = (
-    "data:image/svg+xml,<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 16 16'>"
-    "<g stroke-width='2.4' stroke-linecap='round'>"
-    "<path stroke='%23d55e00' d='M2.2 9.5 5 12'/><path stroke='%2356b4e9' d='M5 4v5'/>"
-    "<path stroke='%23009e73' d='M8 2.4V9'/><path stroke='%23cc79a7' d='M11 3.2V9'/>"
-    "<path stroke='%230072b2' d='M13.8 6v4'/></g>"
-    "<path fill='%23888' d='M4 9h10.5v3l-2 3H7z'/></svg>"
-)
-"""Five fingers in their colours."""
 
 
 def name_panel(gui: viser.GuiApi, name: str) -> None:
@@ -107,20 +66,20 @@ def name_panel(gui: viser.GuiApi, name: str) -> None:
     gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
 
 
-def name_tab(server: viser.ViserServer, title: str) -> None:
-    """Gives a page its own title and icon in the browser's tab.
+def name_tab(server: GuardedServer, title: str) -> None:
+    """Gives a page its own title in the browser's tab, now or at any time later.
 
     Args:
         server: result of ``open_server``.
     """
-    script = (
-        f"document.title = {json.dumps(title)};"
-        f"document.querySelector('link[rel~=icon]')?.setAttribute('href', {json.dumps(_ICON)});"
-    )
-    run_script(server, script)
+    text = f'<i hidden data-title="{html.escape(title)}"></i>'
+    if server.tab is None:
+        server.tab = server.gui.add_html(text)
+    else:
+        server.tab.content = text
 
 
-def page_url(host: str, server: viser.ViserServer) -> str:
+def page_url(host: str, server: GuardedServer) -> str:
     """Address of a page, its token included.
 
     Args:
@@ -128,22 +87,11 @@ def page_url(host: str, server: viser.ViserServer) -> str:
             network is named, which works here, too.
         server: result of ``open_server``.
     """
-    port, token = int(server.get_port()), _TOKENS.get(server)
     if host in ("0.0.0.0", "::"):
         host = next(iter(lan_addresses()), "localhost")
+    port, token = server.get_port(), server.front.token
     base = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
     return base if token is None else f"{base}/?token={token}"
-
-
-@contextlib.contextmanager
-def _quiet_viser() -> Iterator[None]:
-    # viser announces itself on standard output through rich's global console, which is ours
-    console = rich.get_console()
-    before, console.quiet = console.quiet, True
-    try:
-        yield
-    finally:
-        console.quiet = before
 
 
 _SIGNS: Final = re.compile(r"^(?:i(?=mport)|e(?=xport))|[!-/:-@\[-`{-~]")
@@ -183,81 +131,9 @@ def from_person(action: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any,
     return callback
 
 
-_POLICY: Final = (
-    "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
-    "connect-src 'self' data: blob: ws: wss:; frame-src 'none'; object-src 'none'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-"""viser's page is one file with its script in it, and makes WebAssembly and workers from that. It
-loads nothing from elsewhere, and no page frames it."""
-_PATCHING = threading.Lock()
-
-
 def auth_for(host: str) -> TokenAuth:
     """Asks for a token unless only this machine reaches ``host``."""
     return TokenAuth(None if is_local(host) else {"page": secrets.token_urlsafe(24)})
-
-
-@contextlib.contextmanager
-def authenticated(auth: TokenAuth, alive: Callable[[], bool]) -> Iterator[list[str]]:
-    """Servers of viser that are started in this block refuse what ``auth`` refuses.
-
-    viser has no option for this. So the function that it starts its server with is wrapped, for
-    viser alone, while it starts.
-
-    Yields:
-        an entry for each server that was started so; look at it after the start.
-    """
-    with _PATCHING:
-        started: list[str] = []
-        viser: Any = _infra
-        plain = viser.websockets
-        server = plain.asyncio.server
-        asking = _Module(server, serve=_asking(auth, alive, started, server.serve))
-        viser.websockets = _Module(plain, asyncio=_Module(plain.asyncio, server=asking))
-        try:
-            yield started
-        finally:
-            viser.websockets = plain
-
-
-class _Module:
-    """A module with some names replaced."""
-
-    def __init__(self, module: Any, **replaced: Any) -> None:
-        self._module = module
-        self.__dict__.update(replaced)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._module, name)
-
-
-def _asking(
-    auth: TokenAuth, alive: Callable[[], bool], started: list[str], serve: Callable[..., Any]
-) -> Callable[..., Any]:
-    def serve_and_ask(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
-        def answer(connection: Any, request: Any) -> Any:
-            refusal = auth.refusal(connection, request) or _not_a_client(connection, request)
-            if refusal is None and request.path == ALIVE_PATH:
-                status = (
-                    http.HTTPStatus.NO_CONTENT if alive() else http.HTTPStatus.SERVICE_UNAVAILABLE
-                )
-                return connection.respond(status, "")
-            return refusal or process_request(connection, request)
-
-        started.append("viser")
-        options |= quiet_options("smooth_operator.page")
-        return serve(*args, process_request=shielded(answer, _POLICY), **options)
-
-    return serve_and_ask
-
-
-def _not_a_client(connection: Any, request: Any) -> Any:
-    """Refuses a WebSocket that is not of a page of viser, which would print a line for it."""
-    protocols = request.headers.get_all("Sec-WebSocket-Protocol")
-    if "Upgrade" not in request.headers or any("viser-v" in each for each in protocols):
-        return None
-    return connection.respond(http.HTTPStatus.BAD_REQUEST, "no client of this page\n")
 
 
 class PageServer:
@@ -271,7 +147,7 @@ class PageServer:
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
         self._host, self._wanted_port = host, port
-        self._server: viser.ViserServer | None = None
+        self._server: GuardedServer | None = None
         self._ended = threading.Event()
         self._error: BaseException | None = None
 
@@ -280,7 +156,7 @@ class PageServer:
         """Title of the browser's tab. Each page has its own."""
         raise NotImplementedError
 
-    def _build(self, server: viser.ViserServer) -> None:
+    def _build(self, server: GuardedServer) -> None:
         """Puts everything on the page; browsers see it at one time. Each page has its own."""
         raise NotImplementedError
 
@@ -346,7 +222,7 @@ class PageServer:
         """
         return page_url(self._host, self._serving())
 
-    def _serving(self) -> viser.ViserServer:
+    def _serving(self) -> GuardedServer:
         if self._server is None:
             raise ConfigError("the page is not being served; call start() first")
         return self._server

@@ -2,9 +2,6 @@
 //
 // A worker asks, since a browser without a graphics card keeps the page itself busy for seconds.
 (() => {
-  if (window.smoothOperatorConnection) return; // sent again after a reconnection
-  window.smoothOperatorConnection = true;
-
   const LIMIT_MS = 500; // without an answer
   const ask = (path, limit) => {
     let answered = performance.now(), lost = false;

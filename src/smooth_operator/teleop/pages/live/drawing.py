@@ -15,6 +15,7 @@ from smooth_operator.hand_files.vendor_model import hand_with_meshes
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.arm.settings import ArmSettings
+from smooth_operator.teleop.pages.front import GuardedServer
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
@@ -46,7 +47,7 @@ class LiveDrawing:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        server: GuardedServer,
         link: LoopLink,
         setup: Mapping[str, Any],
         stop: StopPanel,

@@ -3,9 +3,6 @@
 // The page's library ignores its hotkeys in text fields and buttons take Space for a click, so the
 // stop keys are caught before either, and passed on as the hotkey X from the document itself.
 (() => {
-  if (window.smoothOperatorKeys) return; // sent again after a reconnection
-  window.smoothOperatorKeys = true;
-
   const stops = (event) =>
     event.key === " " ||
     event.key === "Escape" ||

@@ -10,9 +10,9 @@ from typing import Final
 
 import viser
 
+from smooth_operator.teleop.pages.front import ALIVE_PATH, GuardedServer
 from smooth_operator.teleop.pages.live.live_page import LOADING
 from smooth_operator.teleop.pages.viser_server import (
-    ALIVE_PATH,
     add_hotkeys,
     from_person,
     read_script,
@@ -34,9 +34,7 @@ class StopPanel:
         attended: True if the terminal of the run has keys.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, do: Callable[[str], None], *, attended: bool
-    ) -> None:
+    def __init__(self, server: GuardedServer, do: Callable[[str], None], *, attended: bool) -> None:
         gui = server.gui
         self._do = do
         self._stop = gui.add_button(_STOP, color="red", icon=viser.Icon.HAND_STOP)

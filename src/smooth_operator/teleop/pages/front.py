@@ -1,0 +1,216 @@
+"""The port of a page, in front of viser's: checks every request, adds scripts, passes on the rest.
+
+viser has no option for either. So it listens on an address of this machine that nothing else knows,
+and a server of this package stands before it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http
+import http.client
+import secrets
+import socket
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, Final
+
+import msgspec
+import viser
+from websockets.asyncio.client import connect
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from smooth_operator.web.auth import TokenAuth
+from smooth_operator.web.files import shielded
+from smooth_operator.web.listening import quiet_options
+
+ALIVE_PATH: Final = "/alive"
+"""Path that answers 204 while the clicks of a page arrive where they act, else 503."""
+
+_POLICY: Final = (
+    "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
+    "connect-src 'self' data: blob: ws: wss:; frame-src 'none'; object-src 'none'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""viser's page is one file with its script in it, and makes WebAssembly and workers from that. It
+loads nothing from elsewhere, and no page frames it."""
+_LARGEST: Final = 50 << 20
+"""Largest message [bytes], as viser's own."""
+
+
+def hidden_address() -> str:
+    """A loopback address that other programs can't guess; macOS has only the usual one.
+
+    A page of another origin in this machine's browsers reaches loopback addresses, too.
+    """
+    if sys.platform == "darwin":
+        return "127.0.0.1"
+    return ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
+
+
+class GuardedServer(viser.ViserServer):
+    """A server of viser behind a port that asks for a token, or for a browser of this machine.
+
+    Args:
+        host: address to listen on.
+        port: a free port.
+        auth: what refuses a request.
+        alive: answer to ``ALIVE_PATH``; from a thread of the server.
+
+    Attributes:
+        front: the port.
+        tab: the element that holds the title of the browser's tab; None before there is one.
+    """
+
+    def __init__(
+        self, host: str, port: int, auth: TokenAuth, alive: Callable[[], bool] = lambda: True
+    ) -> None:
+        hidden = hidden_address()
+        super().__init__(host=hidden, port=0, verbose=False)
+        self.tab: viser.GuiHtmlHandle | None = None
+        self.front = Front((host, port), (hidden, super().get_port()), auth, alive)
+
+    def get_port(self) -> int:
+        """The port of the page."""
+        return self.front.port
+
+    def stop(self) -> None:
+        """Closes the port."""
+        self.front.stop()
+        super().stop()
+
+
+class Front:
+    """A port that passes on to another one what it doesn't refuse or answer itself.
+
+    Args:
+        place: host and port to listen on.
+        behind: host and port of viser.
+        auth: what refuses a request.
+        alive: answer to ``ALIVE_PATH``; from the front's thread.
+
+    Attributes:
+        port: as given.
+        token: of the page; None if only this machine can connect.
+        scripts: run in every browser that opens the page.
+    """
+
+    def __init__(
+        self,
+        place: tuple[str, int],
+        behind: tuple[str, int],
+        auth: TokenAuth,
+        alive: Callable[[], bool],
+    ) -> None:
+        self._host, self.port = place
+        self.token = None if auth.tokens is None else auth.tokens["page"]
+        self.scripts: list[str] = []
+        self._behind, self._auth, self._alive = behind, auth, alive
+        end: Future[Callable[[], object]] = Future()
+        self._thread = threading.Thread(target=self._serve, args=(end,), name="front", daemon=True)
+        self._thread.start()
+        self._end = end.result()
+
+    def stop(self) -> None:
+        """Closes the port."""
+        with contextlib.suppress(RuntimeError):  # closed already
+            self._end()
+        self._thread.join()
+
+    def _serve(self, end: Future[Callable[[], object]]) -> None:
+        try:
+            asyncio.run(self._listen(end))
+        except BaseException as error:
+            if end.done():
+                raise
+            end.set_exception(error)
+
+    async def _listen(self, end: Future[Callable[[], object]]) -> None:
+        loop, ended = asyncio.get_running_loop(), asyncio.Event()
+        async with serve(
+            self._relay,
+            self._host,
+            self.port,
+            process_request=shielded(self._answer, _POLICY),
+            select_subprotocol=lambda _, offered: next(iter(offered), None),
+            compression=None,
+            max_size=_LARGEST,
+            **quiet_options("smooth_operator.page"),
+        ):
+            end.set_result(lambda: loop.call_soon_threadsafe(ended.set))
+            await ended.wait()
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        refusal = self._auth.refusal(connection, request) or _not_a_client(connection, request)
+        if refusal is not None:
+            answer: Response = refusal
+            return answer
+        if request.path == ALIVE_PATH:
+            alive = self._alive()
+            return connection.respond(
+                http.HTTPStatus.NO_CONTENT if alive else http.HTTPStatus.SERVICE_UNAVAILABLE, ""
+            )
+        return None if "Upgrade" in request.headers else self._page(connection, request.path)
+
+    def _page(self, connection: ServerConnection, path: str) -> Response:
+        """A file of viser's page; scripts stand at the beginning of the page itself."""
+        viser_port = http.client.HTTPConnection(*self._behind, timeout=10.0)
+        with contextlib.closing(viser_port):
+            viser_port.request("GET", path)
+            found = viser_port.getresponse()
+            kind, body = found.headers.get_content_type(), found.read()
+        if kind == "text/html":
+            scripts = (f"<script>{each}</script>" for each in self.scripts)
+            body = body.replace(b"<head>", "".join(["<head>", *scripts]).encode(), 1)
+        response = connection.respond(http.HTTPStatus(found.status), "")
+        response.body = body
+        for name, value in {"Content-Type": kind, "Content-Length": str(len(body))}.items():
+            del response.headers[name]
+            response.headers[name] = value
+        return response
+
+    async def _relay(self, client: ServerConnection) -> None:
+        """Passes messages on in both directions, until one end closes."""
+        protocol = client.subprotocol
+        async with connect(
+            f"ws://{self._behind[0]}:{self._behind[1]}/",
+            sock=socket.create_connection(self._behind),  # by no proxy
+            subprotocols=None if protocol is None else [protocol],
+            compression=None,
+            max_size=None,
+        ) as page:
+            ways = [
+                asyncio.create_task(_pass_on(client, page, _is_message)),
+                asyncio.create_task(_pass_on(page, client, lambda _: True)),
+            ]
+            await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+            for way in ways:
+                way.cancel()
+
+
+async def _pass_on(source: Any, target: Any, passes: Callable[[str | bytes], bool]) -> None:
+    with contextlib.suppress(ConnectionClosed):
+        async for message in source:
+            if not passes(message):
+                return
+            await target.send(message)
+
+
+def _is_message(message: str | bytes) -> bool:
+    """Whether viser can read a message; it would print a traceback for another."""
+    with contextlib.suppress(msgspec.DecodeError, TypeError):
+        return "type" in msgspec.msgpack.decode(message)
+    return False
+
+
+def _not_a_client(connection: Any, request: Any) -> Any:
+    """Refuses a WebSocket that is not of a page of viser, which would print a line for it."""
+    protocols = request.headers.get_all("Sec-WebSocket-Protocol")
+    if "Upgrade" not in request.headers or any("viser-v" in each for each in protocols):
+        return None
+    return connection.respond(http.HTTPStatus.BAD_REQUEST, "no client of this page\n")
