@@ -63,7 +63,7 @@ def program() -> int:
     that came in an ``exec``. One that compiles for a run that has ended is not waited for.
     """
     global _status
-    status = main(set_up=_keep_machine_code)
+    status = main(set_up=_set_up)
     left = [thread for thread in threading.enumerate() if thread is not threading.current_thread()]
     if status == INTERRUPTED or any(thread.daemon for thread in left):
         _status = status
@@ -89,6 +89,18 @@ def _end() -> None:
 
 
 atexit.register(_end)  # before any other, and so called last
+
+
+def _set_up() -> None:
+    """Sets what a command may and a library may not: other libraries print nothing of their own."""
+    import rich
+
+    rich.get_console().quiet = True  # viser's; what commands print is on consoles of their own
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # Of a maker's model: the attributes are of masses, which kinematics does not need.
+    warnings.filterwarnings("ignore", "compiler attribute .* is deprecated", UserWarning)
+    _keep_machine_code()
 
 
 def _keep_machine_code() -> None:

@@ -11,7 +11,6 @@ import codecs
 import math
 import os
 import re
-import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -44,10 +43,6 @@ _FILES: Final = ("file", "filename", "fileright", "fileleft", "fileup", "filedow
                  "fileback")  # fmt: skip
 _FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
 _DOCUMENTS: Final = ("include", "model")
-
-
-# Of a maker's model: the attributes are of masses, which kinematics does not need.
-warnings.filterwarnings("ignore", "compiler attribute .* is deprecated", UserWarning)
 
 
 @dataclass(frozen=True)

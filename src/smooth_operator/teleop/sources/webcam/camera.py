@@ -28,13 +28,12 @@ _FAILURES: Final[list[str]] = []
 
 
 def opencv() -> Any:
-    """OpenCV's module, without its own messages, which this package words better.
+    """OpenCV's module.
 
     Raises:
         MissingExtraError: it is not installed.
         SourceError: it is installed, but can't be loaded; with the libraries that it needs.
     """
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened
     if _FAILURES:
         raise SourceError(_FAILURES[0])
     path = list(sys.path)
@@ -44,12 +43,8 @@ def opencv() -> Any:
         raise MissingExtraError("reading a camera or a video", "webcam") from error
     except ImportError as error:
         # OpenCV's loader leaves its folder on the path, where its `typing` hides Python's own from
-        # every process that is started later, and a mark that makes a second import fail otherwise.
+        # every process that is started later.
         sys.path[:] = path
-        for name in [name for name in sys.modules if name.partition(".")[0] == "cv2"]:
-            del sys.modules[name]
-        vars(sys).pop("OpenCV_LOADER", None)
-        sys.modules["cv2"] = None  # type: ignore[assignment]  # no library that uses it tries again
         advice = (
             SYSTEM_LIBRARIES
             if sys.platform == "linux"
@@ -57,7 +52,6 @@ def opencv() -> Any:
         )
         _FAILURES.append(f"OpenCV can't be loaded: {error}. {advice}")
         raise SourceError(_FAILURES[0]) from error
-    getattr(cv2.utils, "logging", cv2).setLogLevel(0)  # moved there in OpenCV 5; 0 is silent
     return cv2
 
 
