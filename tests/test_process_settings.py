@@ -57,17 +57,17 @@ def call():
         assert page.url.startswith("http://")
 """,
     "webcam": """
-from smooth_operator.errors import SmoothOperatorError
-from smooth_operator.teleop.sources.live import Mailbox
-from smooth_operator.teleop.sources.webcam.webcam_source import Webcam
+from pathlib import Path
+from smooth_operator.errors import SourceError
+from smooth_operator.teleop.sources.webcam import camera, webcam_source
 def call():
-    source = Webcam()
-    try:
-        source.prepare()
-        source.start(Mailbox())
-    except SmoothOperatorError:  # no camera here
-        return
-    source.stop()
+    for look in (lambda: camera.open_camera(97, 640, 480, 30.0),
+                 lambda: camera.VideoFile(Path(camera.__file__))):
+        try:
+            look()
+        except SourceError:
+            continue
+        raise AssertionError("there is no such camera, and no video in that file")
 """,
 }
 
@@ -125,8 +125,9 @@ def private_uses(tree: ast.AST, own: set[str]) -> Iterator[str]:
             names = [part for name in _names(node) for part in name.split(".")]
         else:
             continue
+        known = DOCUMENTED | own if isinstance(node, ast.Attribute) else DOCUMENTED
         for name in names:
-            if name.startswith("_") and not name.endswith("__") and name not in own | DOCUMENTED:
+            if name.startswith("_") and not name.endswith("__") and name not in known:
                 yield f"{name} (line {node.lineno})"
 
 

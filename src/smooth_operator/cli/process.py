@@ -129,7 +129,7 @@ def _forget_damaged(folder: Path) -> None:
         else:
             shown(message, *rest, **more)
 
-    warnings.showwarning = show  # its other arguments pass through
+    warnings.showwarning = show
 
 
 @contextlib.contextmanager

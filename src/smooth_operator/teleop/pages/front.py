@@ -204,7 +204,7 @@ async def _pass_on(source: Any, target: Any, passes: Callable[[str | bytes], boo
 def _is_message(message: str | bytes) -> bool:
     """Whether viser can read a message; it would print a traceback for another."""
     with contextlib.suppress(msgspec.DecodeError, TypeError):
-        return "type" in msgspec.msgpack.decode(message)
+        return isinstance(message, bytes) and "type" in msgspec.msgpack.decode(message)
     return False
 
 
