@@ -19,6 +19,7 @@ from concurrent.futures import Future
 from typing import Any, Final
 
 import msgspec
+import rich
 import viser
 from websockets.asyncio.client import connect
 from websockets.asyncio.server import ServerConnection, serve
@@ -71,7 +72,8 @@ class GuardedServer(viser.ViserServer):
         self, host: str, port: int, auth: TokenAuth, alive: Callable[[], bool] = lambda: True
     ) -> None:
         hidden = hidden_address()
-        super().__init__(host=hidden, port=0, verbose=False)
+        with rich.get_console().capture():  # of this thread alone: viser prints where it listens
+            super().__init__(host=hidden, port=0, verbose=False)
         self.tab: viser.GuiHtmlHandle | None = None
         self.front = Front((host, port), (hidden, super().get_port()), auth, alive)
 
@@ -80,7 +82,7 @@ class GuardedServer(viser.ViserServer):
         return self.front.port
 
     def stop(self) -> None:
-        """Closes the port."""
+        """Closes the port; viser prints a line from a thread of its own."""
         self.front.stop()
         super().stop()
 

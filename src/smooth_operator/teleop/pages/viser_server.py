@@ -25,7 +25,7 @@ from smooth_operator.web.browser import open_page
 
 
 def open_server(host: str, port: int, alive: Callable[[], bool] = lambda: True) -> GuardedServer:
-    """A server on the first free port, without a word on standard output.
+    """A server on the first free port.
 
     Where other machines can reach it, it wants the token that is in ``page_url``.
 
