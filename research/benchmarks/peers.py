@@ -4,7 +4,7 @@
         --dex-python PYTHON --dex-urdf FOLDER --authors FOLDER
 
     # PYTHON is dex/bin/python, FOLDER is dex-urdf/robots/hands
-    python -m venv dex && dex/bin/python -m pip install "dex-retargeting==0.5.0" torch
+    python -m venv dex && dex/bin/python -m pip install "dex-retargeting==0.5.0" torch six
     git clone https://github.com/dexsuite/dex-urdf
 
 Every program runs in a process of its own, in the environment that an option names; processes take
@@ -63,7 +63,7 @@ QUIET = {
 BEYOND_RAD = 1e-3
 DEX_HANDS = ("leap_hand", "shadow_hand", "allegro_hand")
 ALLEGRO_ZERO_RAD = 0.263
-"""Zero of the thumb's first joint in our model, which follows the MJCF, in the URDF's angle."""
+"""Angle of the thumb's first joint in our model, which follows the MJCF, at the URDF's zero."""
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def in_our_joints(hand: Hand, names: list[str], q: np.ndarray) -> tuple[list[str
     if hand.name == "allegro_hand":
         ours = {f"joint_{i}.0": name for i, name in enumerate(hand.joint_names)}
         return [ours[name] for name in names], np.where(
-            np.array(names) == "joint_12.0", q - ALLEGRO_ZERO_RAD, q
+            np.array(names) == "joint_12.0", q + ALLEGRO_ZERO_RAD, q
         )
     return names, q
 
