@@ -59,11 +59,6 @@ def _abstract(*names: str) -> type:
     return abc.ABCMeta("Device", (_Device,), members)
 
 
-def _columns(features: dict[str, Any], prefix: str, use_video: bool = True) -> dict[str, Any]:
-    names = [name for name, kind in features.items() if kind is float]
-    return {f"{prefix}.state": {"dtype": "float32", "shape": (len(names),), "names": names}}
-
-
 _COMMON = ("is_connected", "is_calibrated", "connect", "calibrate", "configure", "disconnect")
 
 
@@ -107,7 +102,6 @@ def _modules() -> dict[str, ModuleType]:
         "lerobot.robots.config": {"RobotConfig": RobotConfig},
         "lerobot.robots.robot": {"Robot": robot},
         "lerobot.utils": {},
-        "lerobot.utils.feature_utils": {"hw_to_dataset_features": _columns},
         "lerobot.utils.errors": {
             "DeviceNotConnectedError": NotConnected,
             "DeviceAlreadyConnectedError": AlreadyConnected,

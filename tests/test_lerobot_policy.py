@@ -102,9 +102,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         try:
             for name, more in (
                 ("plain", {}),
-                ("joints", {"robot.environment_state": "joints"}),
-                ("object", {"robot.environment_state": "object",
-                            "robot.sinks": "['mujoco:task=card']"}),
                 ("seen", {"robot.cameras": CAMERA}),
             ):  # fmt: skip
                 if name == "seen" and not can_draw():
@@ -144,43 +141,21 @@ def test_act_is_trained_on_a_recording_with_a_simulated_camera(recorded):
     assert "Rollout finished" in text
 
 
-@pytest.mark.parametrize(("name", "options"), [("plain", []), ("joints", ["--environment-state"])])
-def test_a_log_merges_with_a_recording_by_lerobots_tool(recorded, name, options):
+def test_a_log_merges_with_a_recording_by_lerobots_tool(recorded):
     command = ["convert", str(recorded / "take.mcap"), "--columns", "robot", "--fps", str(FPS)]
-    output, merged = recorded / f"{name}-log", recorded / f"{name}-both"
-    assert main([*command, *options, "--task", TASK, "--output", str(output)]) == 0
-    own, log = load(recorded / name), load(output)
+    output, merged = recorded / "plain-log", recorded / "plain-both"
+    assert main([*command, "--task", TASK, "--output", str(output)]) == 0
+    own, log = load(recorded / "plain"), load(output)
     assert log.features == own.features
     assert log.meta.robot_type == own.meta.robot_type == "smooth_hand"
     run("lerobot_edit_dataset", recorded, {
         "new_repo_id": f"test/{merged.name}", "new_root": merged, "operation.type": "merge",
-        "operation.repo_ids": f"[test/{name}, test/{output.name}]",
-        "operation.roots": f"[{recorded / name}, {output}]", "push_to_hub": "false",
+        "operation.repo_ids": f"[test/plain, test/{output.name}]",
+        "operation.roots": f"[{recorded / 'plain'}, {output}]", "push_to_hub": "false",
     })  # fmt: skip
     both = load(merged)
     assert (both.num_episodes, len(both)) == (2, len(own) + len(log))
     np.testing.assert_array_equal(both[len(own)]["action"], log[0]["action"])
-
-
-def test_act_is_trained_on_the_environments_state_and_moves_the_robot(recorded):
-    model = train(recorded, recorded / "joints", "joints-policy")
-    inputs = json.loads((model / "config.json").read_text())["input_features"]
-    assert inputs["observation.environment_state"]["shape"] == [20]
-    text = run("lerobot_rollout", recorded, {
-        "policy.path": model, "policy.device": "cpu", "robot.type": "smooth_hand",
-        "robot.hand": "mimic_p050", "robot.environment_state": "joints", "task": TASK, "fps": FPS,
-        "duration": 2, "play_sounds": "false",
-    })  # fmt: skip
-    assert "Rollout finished" in text
-
-
-def test_a_policy_of_a_recording_at_a_task_is_evaluated_in_it(recorded):
-    """The object's pose of the recorder is that of the environment, by name and size."""
-    from lerobot_env_smooth_hand.environment import OBJECT_NAMES
-
-    names = load(recorded / "object").features["observation.environment_state"]["names"]
-    assert tuple(names) == OBJECT_NAMES
-    evaluate(recorded, train(recorded, recorded / "object", "object-policy"), "object-evaluation")
 
 
 def test_a_policy_is_evaluated_in_the_environment(recorded):

@@ -313,40 +313,9 @@ def test_joints_that_follow_others_may_be_among_the_keys(robot):
     assert abs(follows - action["index_pp2mp.pos"]) < 0.1
 
 
-def test_the_environment_state_is_a_column_of_its_own(robot):
-    hand = load_hand("mimic_p050")
-    joints = robot(environment_state="joints", unit="degrees")
-    from lerobot.utils.feature_utils import hw_to_dataset_features  # the robot replaced it
-
-    own = [f"{name}.pos" for name in hand.actuated_names]
-    every = [f"environment.{name}.pos" for name in hand.joint_names]
-    columns = hw_to_dataset_features(joints.observation_features, "observation")
-    assert columns["observation.state"]["names"] == own
-    assert columns["observation.environment_state"]["names"] == every
-    assert columns["observation.environment_state"]["shape"] == (len(every),)
-    joints.connect()
-    seen = joints.get_observation()
-    assert [seen[f"environment.{key}"] for key in own] == [seen[key] for key in own]
-    joints.disconnect()
-
-    item = robot(environment_state="object", sinks=["mujoco:task=card"])
-    columns = hw_to_dataset_features(item.observation_features, "observation")
-    names = columns["observation.environment_state"]["names"]
-    assert names[:4] == [f"environment.object_{name}.pos" for name in ("x", "y", "z", "qw")]
-    item.connect()
-    seen = item.get_observation()
-    state = item._sinks[0].scene_state("right")
-    np.testing.assert_allclose([seen[n] for n in names[:3]], state.position, atol=5e-3)
-    plain = robot()
-    columns = hw_to_dataset_features(plain.observation_features, "observation")
-    assert "observation.environment_state" not in columns
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"environment_state": "all"}, "environment_state must be one of none, joints, object"),
-        ({"environment_state": "object"}, "needs an object: name a task in --robot.sinks"),
         ({"side": "up"}, "side must be one of"),
         ({"unit": "deg"}, "unit must be one of degrees, radians"),
         ({"sinks": []}, "name at least one"),

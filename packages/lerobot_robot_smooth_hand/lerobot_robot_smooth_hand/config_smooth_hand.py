@@ -33,10 +33,6 @@ class SmoothHandConfig(RobotConfig):
         currents: observe the current of each actuator too, ``index.current`` in the driver's unit.
         unmeasured: what the observation of a joint is that the hand does not measure: ``refuse``
             to connect, or the ``command``.
-        environment_state: ``none``, or record ``observation.environment_state`` too: ``joints``,
-            the measured positions of all joints, as ``smooth-operator convert`` writes it, or
-            ``object``, position [m] and quaternion wxyz of the object in the sink
-            ``mujoco:task=...``, as the environment ``smooth_hand`` observes it.
         velocity: largest velocity of any joint [rad/s].
         acceleration: largest acceleration of any joint [rad/s^2].
         stale_s: a measurement older than this is an error, not an observation [s].
@@ -54,7 +50,6 @@ class SmoothHandConfig(RobotConfig):
     arm: str = ""
     currents: bool = False
     unmeasured: str = "refuse"
-    environment_state: str = "none"
     velocity: float = 8.0
     acceleration: float = 1500.0
     stale_s: float = 1.0

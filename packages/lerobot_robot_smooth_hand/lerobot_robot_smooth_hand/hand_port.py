@@ -11,14 +11,11 @@ import numpy as np
 from lerobot.utils.errors import DeviceNotConnectedError
 
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
-from lerobot_robot_smooth_hand.environment_state import PREFIX
 from lerobot_robot_smooth_hand.wrist_port import WristPort
 from smooth_operator.hands.hand import Hand
-from smooth_operator.simulation.scenes.scene import OBJECT_POSE, object_pose
 from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.settings import LimitsConfig
-from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Mode, Tick, WristCommand
 from smooth_operator.types import JointCommand
@@ -78,14 +75,6 @@ class HandPort:
         if len(set(self.keys)) < len(self.keys):
             raise ValueError(f"joints: two joints have one key: {', '.join(self.keys)}")
         self._prefix = prefix
-        self.environment = tuple(
-            f"{PREFIX}{prefix}{name}"
-            for name in {
-                "none": (),
-                "joints": tuple(f"{name}.pos" for name in hand.joint_names),
-                "object": OBJECT_POSE,
-            }[config.environment_state]
-        )
         self.wrist = WristPort(config.wrist, prefix, self.side, arm, self._factor)
         commanded = [name for name in names if name in hand.actuated_names]
         self._given = [f"{prefix}{names[name]}.pos" for name in commanded]
@@ -191,21 +180,9 @@ class HandPort:
         commanded = self.hand.full_configuration(self._limiter.q)
         angles = self._factor * np.where(np.isfinite(angles), angles, commanded)
         values = dict(zip(self.keys, angles[self._measured].tolist(), strict=True))
-        if self.environment:
-            of_object = self._config.environment_state == "object"
-            environment = self._object(sinks) if of_object else angles
-            values |= dict(zip(self.environment, environment.tolist(), strict=True))
         if self._config.currents:
             values |= self._currents(state)
         return values | self.wrist.observation(sinks)
-
-    def _object(self, sinks: Sequence[Sink]) -> np.ndarray:
-        """(7,) pose of the task's object in the world."""
-        for sink in sinks:
-            if isinstance(sink, Simulation) and (scene := sink.scene_state(self.side)):
-                start = sink.scene_of(self.side).start[1]
-                return object_pose(scene.position, scene.quaternion, start)
-        raise DeviceNotConnectedError(f"the {self.side} hand's simulation has no object")
 
     def _currents(self, state: HandState) -> dict[str, float]:
         keys = [f"{self._prefix}{name}.current" for name in state.actuators]

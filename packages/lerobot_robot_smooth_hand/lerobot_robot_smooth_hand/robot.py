@@ -13,8 +13,6 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 
 from lerobot_robot_smooth_hand.camera import SmoothHandCamera
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
-from lerobot_robot_smooth_hand.environment_state import KINDS as ENVIRONMENTS
-from lerobot_robot_smooth_hand.environment_state import separate_environment_state
 from lerobot_robot_smooth_hand.hand_port import FACTORS, HandPort
 from lerobot_robot_smooth_hand.wrist_port import KINDS
 from smooth_operator.errors import require
@@ -23,7 +21,6 @@ from smooth_operator.settings import check_numbers
 from smooth_operator.signals import ended_by_signals
 from smooth_operator.teleop.arm.settings import read_arm
 from smooth_operator.teleop.components import build_sink
-from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.types import Side, as_side
 
@@ -64,15 +61,6 @@ class SmoothHand(Robot):
         self._opened = contextlib.ExitStack()
         for hand in self._hands:
             hand.currents(self._sinks)  # a driver without them is found out now
-        if config.environment_state == "object" and not any(
-            isinstance(sink, Simulation) and sink.task_now != "none" for sink in self._sinks
-        ):
-            raise ValueError(
-                "environment_state=object needs an object: name a task in --robot.sinks, such as "
-                "--robot.sinks=\"['mujoco:task=card']\", or take joints"
-            )
-        if config.environment_state != "none":
-            separate_environment_state()
         self.cameras: dict[str, Any] = _cameras(config)
 
     @property
@@ -86,7 +74,6 @@ class SmoothHand(Robot):
         features: dict[str, Any] = {key: float for hand in self._hands for key in hand.keys}
         for hand in self._hands:
             features |= dict.fromkeys((*hand.currents(self._sinks), *hand.wrist.observed), float)
-            features |= dict.fromkeys(hand.environment, float)
         for name, camera in self.config.cameras.items():
             features[name] = (camera.height, camera.width, 3)
         return features
@@ -199,7 +186,6 @@ def _hand_ports(config: SmoothHandConfig, arms: dict[Side, ArmOfHand]) -> list[H
         ("keys", ("actuated", "all")),
         ("wrist", tuple(KINDS)),
         ("unmeasured", ("refuse", "command")),
-        ("environment_state", ENVIRONMENTS),
     ):
         value = getattr(config, name)
         if value not in known:
