@@ -77,11 +77,14 @@ class Count(Reporter):
     """Number of recordings, and of those that were kept."""
 
     items = kept = 0
+    again = ""
 
     def note(self, text: str, *, matters: bool = False) -> None:
         if counts := re.match(r"(\d+) to retarget, (\d+) done already", text):
             self.kept = int(counts[2])
             self.items = self.kept + int(counts[1])
+        elif "again" in text:
+            self.again = text.partition(":")[0]
 
 
 def wanted(folder: Path, output: Path, **more: Any) -> MirrorRequest:
@@ -292,7 +295,9 @@ def test_another_request_is_another_result(copy, change, expected):
     for name in FRAMES:
         if name not in ("a", "e"):
             (recordings / f"{name}.npz").unlink()
-    assert kept(recordings, output, replace(ASKED, **change)) == 0
+    count = Count()
+    do(recordings, output, replace(ASKED, **change), count)
+    assert (count.kept, count.again) == (0, "making 2 results again")
     assert (output / "a.json").read_bytes() != expected["a.json"]
     assert (output / "b.npz").read_bytes() == expected["b.npz"]  # of no recording that is there
 

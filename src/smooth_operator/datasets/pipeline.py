@@ -43,7 +43,7 @@ from smooth_operator.datasets.work import (
 from smooth_operator.datasets.writers.npz import refused
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.datasets.writing import REPORT, Order, Summary, hand_in, write_episodes
-from smooth_operator.errors import ConfigError, OutputError, RecordingError
+from smooth_operator.errors import ConfigError, OutputError, RecordingError, counted
 from smooth_operator.formats.foreign import foreign_suffix
 from smooth_operator.offline.execution import request_notes
 from smooth_operator.parallel import run_groups, usable_cores
@@ -288,6 +288,13 @@ def make_dataset(
             kinds = ", ".join(f"{count} {suffix}" for suffix, count in survey.passed_over.items())
             line += f"; skipped (unknown format): {kinds}"
         reporter.note(line)
+        there = [item for item in left if (request.output / f"{item.name}.npz").exists()]
+        if request.mirror and there:
+            reporter.note(
+                f"making {counted(len(there), 'result')} again: the settings, the recording, the "
+                "robot hand or the code has changed",
+                matters=True,
+            )
         if request.merge:
             missing = "no run has finished it yet; leave out --merge to retarget it now"
             reasons |= {item.name: missing for item in left}
