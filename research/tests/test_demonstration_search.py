@@ -20,12 +20,9 @@ from smooth_operator_research.demonstrations.judging import (
     Candidate,
     World,
     excess,
-    joint_errors,
     judge,
-    tip_errors,
     tried,
 )
-from smooth_operator_research.demonstrations.perturbation import draw_perturbation
 from smooth_operator_research.demonstrations.search import Evolution, transferred
 
 pytestmark = [pytest.mark.weekly, pytest.mark.usefixtures("elsewhere")]
@@ -103,21 +100,28 @@ def test_progress_is_more_the_further_a_trial_gets(task):
     assert none < part < 1.0 <= all_ <= 1.1
 
 
-def test_joint_errors_move_the_fingertips_to_where_the_operator_shows_them():
-    """Up to what the damping leaves; none for the operator whose hand the robot's is."""
-    demonstration, hand = load_demonstration("cube"), load_hand("mimic_p050")
-    # Other bones alone move a straight finger's tip along the finger, where no joint moves it.
-    drawn = draw_perturbation(3, 1000)
-    world = replace(drawn, tracker=replace(drawn.tracker, shake=0.002))
-    tips, joints = tip_errors(demonstration, world), joint_errors(demonstration, world)
-    poses = np.stack([demonstration.pose(k / 100.0) for k in range(len(joints))])
-    moved = hand.tips(hand.full_configuration(poses + joints)) - hand.tips(
-        hand.full_configuration(poses)
-    )
-    assert np.linalg.norm(tips, axis=-1).mean() > 0.001
-    left = np.linalg.norm(moved - tips, axis=-1).mean() / np.linalg.norm(tips, axis=-1).mean()
-    assert left < 0.3
-    np.testing.assert_allclose(joint_errors(demonstration, draw_perturbation(0)), 0.0, atol=1e-9)
+def test_an_operator_before_a_tracker_takes_part():
+    """The same operator twice, another one, and none: the joints follow the demonstration."""
+    demonstration = load_demonstration("cube")
+    worlds = [World(1000, 1, 2, "headset"), World(1000, 1, 2, "headset"),
+              World(1000, 1, 3, "headset"), World(1000, 1)]  # fmt: skip
+    first, again, other, own = judge(Candidate(demonstration, tuple(worlds)))
+    assert first == again
+    assert len({first, other, own}) == 3
+
+
+def test_a_search_moves_what_it_may_within_its_bounds():
+    first = load_demonstration("card")
+    looking = search.Search(first, 1, 0, 4, sigma=0.5, kept=12, beyond=0.1)
+    candidates = [looking._of(point) for point in looking.state.candidates()]
+    low, high = first.robot.limits.T
+    for one in candidates:
+        np.testing.assert_array_equal(one.poses[:12], first.poses[:12])
+        np.testing.assert_array_equal(one.times[:12], first.times[:12])
+        assert (one.poses >= low - 0.101).all()
+        assert (one.poses <= high + 0.101).all()
+    moved = np.stack([one.poses[12:] for one in candidates])
+    assert ((moved < low) | (moved > high)).any()
 
 
 def test_self_penetration_counts_beyond_what_a_pinch_needs():
@@ -135,7 +139,7 @@ def test_self_penetration_counts_beyond_what_a_pinch_needs():
     amounts = [excess(replace(open_, poses=poses)) for poses in (open_.poses, deep, deeper)]
     assert amounts[0] == 0.0 < amounts[1] < amounts[2]
     judged = [
-        judge(Candidate(replace(open_, poses=poses), (World(0, 0),), ""))[0]
+        judge(Candidate(replace(open_, poses=poses), (World(0, 0),)))[0]
         for poses in (open_.poses, deeper)
     ]
     assert judged[1] < judged[0]

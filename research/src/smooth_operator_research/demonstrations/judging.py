@@ -14,14 +14,15 @@ from smooth_operator.hands.capsules import parts_apart
 from smooth_operator.hands.collision import owners
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.landmarks import FINGERS, TIPS
-from smooth_operator.retargeting.alignment import palm_alignment
+from smooth_operator.human.known_gaps import known_gaps
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.task_scenes import CardScene
 from smooth_operator.simulation.tasks.task import (
     GOAL,
     HOLD_S,
     OVER,
+    SCREWDRIVER_STILL,
     TOLERANCE,
     CardScorer,
     CubeScorer,
@@ -29,17 +30,21 @@ from smooth_operator.simulation.tasks.task import (
     pinches,
     task_named,
 )
-from smooth_operator.synthetic.tracker import TrackerStream
 from smooth_operator.types import as_side
 from smooth_operator_research.demonstrations.demonstration import (
-    PERIOD_S,
     Demonstration,
     DemonstrationLandmarks,
     own_commands,
-    read_demonstration,
 )
-from smooth_operator_research.demonstrations.perturbation import Perturbation, draw_perturbation
-from smooth_operator_research.demonstrations.trial_loop import Moment, perform
+from smooth_operator_research.demonstrations.perturbation import (
+    PerturbedLandmarks,
+    draw_perturbation,
+)
+from smooth_operator_research.demonstrations.trial_loop import (
+    Moment,
+    perform,
+    retargeted_commands,
+)
 
 PINCH: Final = 0.004
 """So deep may thumb and finger be inside each other [m]: pads give way, and a grip needs force."""
@@ -68,81 +73,12 @@ def _allowed(hand: Hand) -> Float[np.ndarray, " P"]:
     return np.where(pinch, PINCH, ELSEWHERE)
 
 
-_DAMPING: Final = 0.006  # of the inverse kinematics; joints move tips by 0.02 to 0.1 [m/rad]
-_STEP: Final = 1e-4  # of numerical derivatives [rad]
-_EVERY: Final = 5  # frames that share their derivatives
-
-
-def tip_errors(demonstration: Demonstration, world: Perturbation) -> Float[np.ndarray, "t f 3"]:
-    """Distance of the fingertips that the operator shows from the demonstration's.
-
-    The operator's bones differ from the robot's, and the tracker shakes. Its delay is left out: it
-    is the same for all that is shown.
-
-    Args:
-        world: who the operator is, and the tracker; the object does not matter.
-
-    Returns:
-        (t, f, 3) for each period of the demonstration and robot finger [m], in the palm frame.
-    """
-    hand = demonstration.robot
-    human, index = _human(demonstration)
-    shown = np.stack([world.operator(frame) for frame in human])
-    ticks = TrackerStream(world.tracker, 1.0 / PERIOD_S).next(len(shown))
-    shown = ticks.shown(shown)
-    aligned = np.asarray(palm_alignment(shown, hand).apply(shown))
-    last = np.maximum.accumulate(np.where(ticks.arrives, np.arange(len(aligned)), 0))
-    return np.asarray((aligned - human)[last][:, index])
-
-
-def joint_errors(demonstration: Demonstration, world: Perturbation) -> Float[np.ndarray, "t m"]:
-    """By how much each actuated joint is off if each fingertip goes where the operator's is.
-
-    Args:
-        world: see ``tip_errors``.
-
-    Returns:
-        (t, m) for each period of the demonstration [rad].
-    """
-    error = tip_errors(demonstration, world)
-    inverse = _inverse(demonstration)[np.arange(len(error)) // _EVERY]
-    return np.asarray(np.einsum("tmr,tr->tm", inverse, error.reshape(len(error), -1)))
-
-
-@lru_cache(maxsize=4)
-def _human(demonstration: Demonstration) -> tuple[Float[np.ndarray, "t 21 3"], list[int]]:
-    """(t, 21, 3) its landmarks [m], and which of them are the robot's fingertips."""
-    source, count = DemonstrationLandmarks(demonstration), _periods(demonstration)
-    frames = np.stack([source.at(k * PERIOD_S) for k in range(count)])
-    return frames, [TIPS[FINGERS.index(name)] for name in demonstration.robot.fingers]
-
-
-@lru_cache(maxsize=4)
-def _inverse(demonstration: Demonstration) -> Float[np.ndarray, "k m r"]:
-    """Damped inverse of the fingertips' derivatives, every few frames [rad/m]."""
-    hand, count = demonstration.robot, _periods(demonstration)
-    poses = np.stack([demonstration.pose(k * PERIOD_S) for k in range(0, count, _EVERY)])
-    slope = _slopes(hand, poses)
-    square = slope @ slope.swapaxes(1, 2) + _DAMPING**2 * np.eye(slope.shape[1])
-    return np.asarray(np.linalg.solve(square, slope).swapaxes(1, 2))
-
-
-def _slopes(hand: Hand, poses: Float[np.ndarray, "k m"]) -> Float[np.ndarray, "k r m"]:
-    moved = poses[:, None] + _STEP * np.eye(poses.shape[1])
-    tips = hand.tips(hand.full_configuration(moved)).reshape(*moved.shape[:2], -1)
-    here = hand.tips(hand.full_configuration(poses)).reshape(len(poses), 1, -1)
-    return np.asarray((tips - here).swapaxes(1, 2) / _STEP)
-
-
-def _periods(demonstration: Demonstration) -> int:
-    return int(np.ceil(demonstration.times[-1] / PERIOD_S))
-
-
 MARGIN: Final = 0.1
 """Extra merit of a success with the best margin."""
 
 _LIFT: Final = 0.005  # of the card above the table that counts in full [m]
 _LOST: Final = 0.5  # what progress is worth after a drop
+_LAST_S: Final = 1.5  # end of a trial in which a screwdriver's stillness counts [s]
 
 
 def progress(task: str, moments: Sequence[Moment]) -> float:
@@ -202,9 +138,13 @@ def _screwdriver(moments: Sequence[Moment]) -> tuple[float, float]:
     freed = float(not moments[-1].state.fixed)
     turned = max([0.0, *(1.0 - angle[held] / (np.pi / 2))])
     ends = max(0.0, 1.0 - angle[-1] / (np.pi / 2)) if held[-1] else 0.0
-    pointing = _share(np.array([scorer.pointing is not None for scorer in scorers]), moments)
-    part = 0.1 * _capped(4.0 * float(gripped.mean())) + 0.1 * freed + 0.1 * float(held.mean())
-    part += 0.15 * turned + 0.25 * ends + 0.3 * pointing
+    points = np.array([scorer.pointing is not None for scorer in scorers])
+    spin = np.array([np.linalg.norm(moment.state.spin) for moment in moments])
+    last = moments[-1].state.time - np.array([m.state.time for m in moments]) < _LAST_S
+    rest = float((held & (spin < SCREWDRIVER_STILL))[last].mean())
+    part = 0.1 * _capped(4.0 * float(gripped.mean())) + 0.1 * freed + 0.05 * float(held.mean())
+    part += 0.15 * turned + 0.25 * ends + 0.1 * rest + 0.1 * float(points[last].mean())
+    part += 0.15 * _share(points, moments)
     return part, _capped(1.0 - angle[-1] / np.radians(10.0))
 
 
@@ -248,12 +188,15 @@ class World(NamedTuple):
     Attributes:
         seed: seed of all that is drawn.
         number: object pose, friction and mass are those of this world; 0 leaves them as they are.
-        operator: bones, tracker noise and dropped frames are those of this one; 0 has none.
+        operator: bones, shake and lost frames are those of this one.
+        tracker: kind of tracker through which ``smooth`` sees the operator; None for the
+            demonstration's own joint positions, without an operator.
     """
 
     seed: int
     number: int
     operator: int = 0
+    tracker: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,16 +206,11 @@ class Candidate:
     Attributes:
         demonstration: the key poses.
         worlds: in which it is done.
-        centre: text of the demonstration by which the operators' errors are computed; the same for
-            all candidates of a generation, which are near it.
-        share: share of those errors that counts.
         margin: what a success with the best margin is worth more than one with none.
     """
 
     demonstration: Demonstration
     worlds: tuple[World, ...]
-    centre: str
-    share: float = 1.0
     margin: float = MARGIN
 
 
@@ -282,31 +220,35 @@ def judge(candidate: Candidate) -> list[float]:
     The self-penetration that it commands is taken off.
     """
     penalty = _OVERLAP * excess(candidate.demonstration)
+    source = DemonstrationLandmarks(candidate.demonstration)
     values = []
     for world in candidate.worlds:
-        errors = None
-        if world.operator:
-            errors = candidate.share * _errors(candidate.centre, world)
-        reached = tried(candidate.demonstration, world, errors)
+        reached = tried(candidate.demonstration, world, source)
         more = candidate.margin / MARGIN * (reached - 1.0)
         values.append((1.0 + more if reached >= 1.0 else (1.0 - _SUCCESS) * reached) - penalty)
     return values
 
 
 def tried(
-    demonstration: Demonstration, world: World, errors: Float[np.ndarray, "t m"] | None = None
+    demonstration: Demonstration, world: World, source: DemonstrationLandmarks | None = None
 ) -> float:
     """Progress of a demonstration in a world; see ``progress``.
 
     Args:
-        errors: (t, m) by how much each actuated joint is off, period by period [rad]; the last
-            holds on. None: not at all.
+        source: the demonstration's landmarks, where they are known already.
     """
     task = task_named(demonstration.task)
     physics = _physics(task.name, demonstration.hand, demonstration.side, world.seed, world.number)
     physics.restart()
+    if world.tracker is None:
+        commands = own_commands(demonstration)
+    else:
+        operator = draw_perturbation(world.operator, world.seed, tracker=world.tracker)
+        seen = PerturbedLandmarks(source or DemonstrationLandmarks(demonstration), operator)
+        retargeter = _retargeter(demonstration.hand, demonstration.side, world.tracker)
+        commands = retargeted_commands(retargeter, seen)
     seconds = float(demonstration.times[-1])
-    moments = list(perform(physics, task, own_commands(demonstration, errors), seconds=seconds))
+    moments = list(perform(physics, task, commands, seconds=seconds))
     return 0.0 if physics.resets else progress(task.name, moments)
 
 
@@ -320,12 +262,6 @@ def _physics(task: str, hand_name: str, side: str, seed: int, number: int) -> Sc
     return physics
 
 
-@lru_cache(maxsize=2)
-def _centre(text: str) -> Demonstration:
-    return read_demonstration(text)
-
-
-@lru_cache(maxsize=64)
-def _errors(centre: str, world: World) -> Float[np.ndarray, "t m"]:
-    drawn = draw_perturbation(world.operator, world.seed)
-    return joint_errors(_centre(centre), drawn)
+@lru_cache(maxsize=4)
+def _retargeter(hand: str, side: str, tracker: str) -> Retargeter:
+    return Retargeter(hand, side=side, pinch_gaps=known_gaps(tracker))

@@ -6,10 +6,11 @@ The first guess are the key poses of another hand, by fingertip inverse kinemati
 file. Separable CMA-ES (Ros and Hansen, "A Simple Modification in CMA-ES Achieving Linear Time and
 Space Complexity", PPSN 2008) then moves the key poses of thumb, index and middle finger and the
 times between them. Candidates are judged by how far they get in the unperturbed world and in
-perturbed ones, other ones in each generation: the object's pose, friction and mass differ, and the
-joints are off as if a retargeter followed an operator with other bones and a noisy tracker.
-Self-penetration of the commanded poses counts against a candidate. The seeds are not those of the
-benchmark's worlds. The search goes on where it stopped if its file ``--state`` exists.
+perturbed ones, other ones in each generation: the object's pose, friction and mass differ, and
+``smooth`` follows an operator with other bones through one of the ``--trackers``, as one practises
+with the tracker that one has. Self-penetration of the poses counts against a candidate. The seeds
+are not those of the benchmark's worlds. The search goes on where it stopped if its file ``--state``
+exists.
 """
 
 from __future__ import annotations
@@ -204,10 +205,13 @@ def _joints_of(hand: Hand) -> list[int]:
     return [int(k) for k in np.flatnonzero(np.abs(moved[:, index]).max(axis=(1, 2)) > 1e-6)]
 
 
-def _worlds(generation: int, count: int, seed: int) -> tuple[World, ...]:
+def _worlds(generation: int, count: int, seed: int, trackers: Sequence[str]) -> tuple[World, ...]:
     """The unperturbed world and others; objects come again, operators don't."""
-    numbers = generation * count + np.arange(count)
-    others = (World(seed, 1 + int(n) % _OBJECTS, 1 + int(n)) for n in numbers)
+    numbers = [int(n) for n in generation * count + np.arange(count)]
+    others = (
+        World(seed, 1 + n % _OBJECTS, 1 + n, trackers[n % len(trackers)] if trackers else None)
+        for n in numbers
+    )
     return (World(seed, 0), *others)
 
 
@@ -218,8 +222,10 @@ class Search:
         worlds: perturbed worlds of a generation.
         count: candidates in a generation.
         sigma: first standard deviation of a joint in a key pose [rad].
-        share: share of the operators' errors that counts.
+        trackers: kinds of trackers, in turn; none: the joints follow the demonstration exactly.
         margin: what a success with the best margin is worth more than one with none.
+        kept: key poses that stay as they are, from the first on; at least the first.
+        beyond: how far beyond the joints' limits a key pose may be [rad].
 
     Attributes:
         state: state of the evolution.
@@ -230,16 +236,18 @@ class Search:
 
     def __init__(
         self, first: Demonstration, worlds: int, seed: int, count: int,
-        sigma: float = _SIGMA, share: float = 1.0, margin: float = MARGIN,
+        sigma: float = _SIGMA, trackers: Sequence[str] = ("glove",), margin: float = MARGIN,
+        kept: int = 1, beyond: float = 0.0,
     ) -> None:  # fmt: skip
         hand = first.robot
-        self._hand, self._worlds, self._errors = hand, worlds, (share, margin)
+        self._worlds, self._trackers, self._margin, self._kept = worlds, trackers, margin, kept
+        self._bounds = hand.limits + np.array([-beyond, beyond])
         self.enough = 1.0 + _ENOUGH * margin
         self._free = _joints_of(hand)
         self.best: list[tuple[float, Demonstration]] = []
         self.merit = -np.inf
-        paces = np.zeros(len(first.times) - 1)
-        point = np.concatenate([first.poses[1:, self._free].ravel(), paces])
+        paces = np.zeros(len(first.times) - kept)
+        point = np.concatenate([first.poses[kept:, self._free].ravel(), paces])
         self.state = Evolution.begin(point, sigma, seed, count)
         self._base = first
 
@@ -254,13 +262,12 @@ class Search:
         points = self.state.candidates()
         points[0] = self.state.mean
         candidates = [self._of(point) for point in points]
-        worlds = _worlds(self.state.generation, self._worlds, WORLDS_SEED)
+        worlds = _worlds(self.state.generation, self._worlds, WORLDS_SEED, self._trackers)
         now = max(2, round(_FIRST * len(worlds)))
-        centre = demonstration_text(candidates[0])
-        early = self._judged(pool, candidates, worlds[:now], centre)
+        early = self._judged(pool, candidates, worlds[:now])
         half = np.argsort(-early.mean(axis=1), kind="stable")[: len(candidates) // 2]
         again = sorted({0, *half.tolist()})
-        late = self._judged(pool, [candidates[k] for k in again], worlds[now:], centre)
+        late = self._judged(pool, [candidates[k] for k in again], worlds[now:])
         whole = np.concatenate([early[again], late], axis=1).mean(axis=1)
         merits = early.mean(axis=1) - 10.0  # behind all that were judged in all worlds
         merits[half] = whole[np.searchsorted(again, half)]
@@ -277,16 +284,16 @@ class Search:
             it, and its merit there.
         """
         last = [self._of(self.state.mean), *(demonstration for _, demonstration in self.best)]
-        worlds = _worlds(0, _FINAL_WORLDS, FINAL_SEED)
-        merits = self._judged(pool, last, worlds, demonstration_text(last[0])).mean(axis=1)
+        worlds = _worlds(0, _FINAL_WORLDS, FINAL_SEED, self._trackers)
+        merits = self._judged(pool, last, worlds).mean(axis=1)
         top = int(np.argmax(merits))
         return last[top], float(merits[top])
 
     def _judged(
-        self, pool: _Pool, candidates: list[Demonstration], worlds: tuple[World, ...], centre: str
+        self, pool: _Pool, candidates: list[Demonstration], worlds: tuple[World, ...]
     ) -> Float[np.ndarray, "c w"]:
         values = np.zeros((len(candidates), len(worlds)))
-        tasks = [Candidate(one, worlds, centre, *self._errors) for one in candidates]
+        tasks = [Candidate(one, worlds, self._margin) for one in candidates]
         for result in pool.run(tasks):
             if result.value is None:
                 raise StudyError(f"a candidate can't be judged: {result.error}")
@@ -295,12 +302,13 @@ class Search:
 
     def _of(self, point: Float[np.ndarray, " n"]) -> Demonstration:
         base = self._base
-        count = len(base.times) - 1
+        count = len(base.times) - self._kept
         poses = base.poses.copy()
-        poses[1:, self._free] = point[:-count].reshape(count, -1)
-        poses = np.clip(poses, self._hand.limits[:, 0], self._hand.limits[:, 1])
-        pace = np.clip(np.exp(_PACE * point[-count:]), _FASTEST, 1.0 / _FASTEST)
-        times = np.concatenate([[0.0], np.cumsum(np.diff(base.times) * pace)])
+        poses[self._kept :, self._free] = point[:-count].reshape(count, -1)
+        poses = np.clip(poses, self._bounds[:, 0], self._bounds[:, 1])
+        lasts = np.diff(base.times)
+        lasts[-count:] *= np.clip(np.exp(_PACE * point[-count:]), _FASTEST, 1.0 / _FASTEST)
+        times = np.concatenate([[0.0], np.cumsum(lasts)])
         return replace(base, poses=np.round(poses, 3), times=np.round(times, 2))
 
     def save(self, path: Path) -> None:
@@ -353,8 +361,16 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--worlds", type=int, default=8, help="perturbed worlds of a generation")
     parser.add_argument("--sigma", type=float, default=_SIGMA, help="first step [rad]")
     parser.add_argument(
-        "--errors", type=float, default=1.0, help="share of the operators' errors; 0: none"
+        "--trackers", default="glove",
+        help="comma-separated, in turn; empty: the joints follow the demonstration exactly",
+    )  # fmt: skip
+    parser.add_argument(
+        "--keep", type=int, default=1, help="how many key poses, from the first on, stay"
     )
+    parser.add_argument(
+        "--beyond", type=float, default=0.0,
+        help="how far beyond the joints' limits the operator may go [rad]",
+    )  # fmt: skip
     parser.add_argument(
         "--margin", type=float, default=MARGIN,
         help="what a success with the best margin is worth more than one with none",
@@ -366,7 +382,8 @@ def main(arguments: list[str] | None = None) -> None:
     search = Search(
         _first(options.first, options.task, options.hand),
         options.worlds, options.seed, options.candidates,
-        options.sigma, options.errors, options.margin,
+        options.sigma, [one for one in options.trackers.split(",") if one], options.margin,
+        options.keep, options.beyond,
     )  # fmt: skip
     if options.state is not None and options.state.exists():
         search.resume(options.state)

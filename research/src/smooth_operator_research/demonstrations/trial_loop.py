@@ -182,6 +182,30 @@ def perform(
                 return
 
 
+def retargeted_commands(
+    retargeter: Retargeter, source: LandmarkSource, seed: int | None = None
+) -> Commands:
+    """The commands of a retargeter that follows a source of landmarks, for one trial.
+
+    Args:
+        seed: seed of the method's random numbers; None for the retargeter's own.
+    """
+    state = retargeter.init(seed)
+
+    def commands(
+        time: float, scene_state: SceneState, physics: ScenePhysics
+    ) -> Float[np.ndarray, " n"] | None:
+        nonlocal state
+        points = source.landmarks(time, scene_state, physics)
+        if points is None:
+            return None
+        frame = HandFrame(points, time, retargeter.hand.spec.side)
+        state, result = retargeter.step(state, frame)
+        return result.command.joint_positions
+
+    return commands
+
+
 def run_trial(
     retargeter: Retargeter,
     scene: Scene,
@@ -217,24 +241,20 @@ def run_trial(
     physics = ScenePhysics(retargeter.hand, scene)
     if prepare is not None:
         prepare(physics)
-    state = retargeter.init(seed)
     times: list[float] = []
     landmarks: list[Float[np.ndarray, "21 3"]] = []
 
-    def commands(
-        time: float, scene_state: SceneState, physics: ScenePhysics
-    ) -> Float[np.ndarray, " n"] | None:
-        nonlocal state
-        points = source.landmarks(time, scene_state, physics)
-        if time >= 0.0:
-            times.append(time)
-            landmarks.append(np.full((21, 3), np.nan) if points is None else points)
-        if points is None:
-            return None
-        frame = HandFrame(points, time, retargeter.hand.spec.side)
-        state, result = retargeter.step(state, frame)
-        return result.command.joint_positions
+    class Seen(LandmarkSource):
+        def landmarks(
+            self, time: float, state: SceneState, physics: ScenePhysics
+        ) -> Float[np.ndarray, "21 3"] | None:
+            points = source.landmarks(time, state, physics)
+            if time >= 0.0:
+                times.append(time)
+                landmarks.append(np.full((21, 3), np.nan) if points is None else points)
+            return points
 
+    commands = retargeted_commands(retargeter, Seen(), seed)
     positions, moments = [], []
     run = TaskRun(task, scene)
     for moment in perform(

@@ -270,7 +270,8 @@ DOWN: Final = np.radians(10.0)
 CLOSE: Final = np.radians(30.0)
 """Angle to the vertical up to which a trial scores 0.5 [rad]."""
 
-_SCREWDRIVER_STILL: Final = 0.5  # largest spin of a screwdriver at rest [rad/s]
+SCREWDRIVER_STILL: Final = 0.5
+"""Largest spin of a screwdriver at rest [rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +314,7 @@ class ScrewdriverScorer:
         angle = float(np.arctan2(np.hypot(blade[0], blade[1]), -blade[2]))
         touched = bool(np.any(state.force > PRESSES_N))
         held = touched and not state.fixed and state.support == 0.0
-        still = float(np.linalg.norm(state.spin)) < _SCREWDRIVER_STILL
+        still = float(np.linalg.norm(state.spin)) < SCREWDRIVER_STILL
         pointing = held_since(self.pointing, held and still and angle <= DOWN, state.time)
         return replace(
             self, angle=angle, held=held, pointing=pointing,
