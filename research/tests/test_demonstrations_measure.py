@@ -5,11 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smooth_operator import load_hand, method_config
+from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.errors import StudyError, UnknownNameError
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE
 from smooth_operator.simulation.scenes import SCENES
 from smooth_operator.synthetic.tracker import TRACKERS
+from smooth_operator_research.demonstrations.demonstration import load_demonstration
+from smooth_operator_research.demonstrations.practice import (
+    BEYOND,
+    _commands,
+    _without_noise,
+    practised,
+)
 from smooth_operator_research.physics.demonstrations import Demonstrations
 from smooth_operator_research.physics.measure import Case, Measured, PhysicsSettings
 from smooth_operator_research.physics.results import MeasureResults, Row
@@ -85,6 +92,22 @@ def test_the_pinch_gaps_of_a_webcam_are_known_of_a_camera():
     found = {kind: case.retargeter(kind).known_gaps for kind in ("camera", "headset")}
     assert found == {"camera": MEDIAPIPE, "headset": {}}
     assert tuple(MEDIAPIPE.values()) != TRACKERS["camera"].pinch_gaps
+
+
+def test_an_operator_who_has_practised_is_followed_to_the_demonstration():
+    """Behind a camera: the commands are nearer to the key poses, and the first pose stays."""
+    demonstration, retargeter = load_demonstration("cube"), Retargeter(pinch_gaps=MEDIAPIPE)
+    shown = practised(demonstration, retargeter, "camera")
+    np.testing.assert_array_equal(shown.times, demonstration.times)
+    np.testing.assert_array_equal(shown.poses[0], demonstration.poses[0])
+    low, high = demonstration.robot.limits.T
+    assert ((shown.poses >= low - BEYOND) & (shown.poses <= high + BEYOND)).all()
+    person = _without_noise(9, "camera")  # none of those who practise
+    off = [
+        np.abs(_commands(motion, retargeter, person) - demonstration.poses)[1:].mean()
+        for motion in (demonstration, shown)
+    ]
+    assert off[1] < 0.85 * off[0]
 
 
 def test_a_hand_without_a_demonstration_says_so():

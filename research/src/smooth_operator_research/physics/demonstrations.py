@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.retargeting.aligned_recording import align_recording
+from smooth_operator.human.aligned_recording import align_recording
+from smooth_operator.methods.retargeter import Retargeter
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.task import TASKS, rotation
 from smooth_operator.types import HandRecording, Side
@@ -27,6 +28,7 @@ from smooth_operator_research.demonstrations.perturbation import (
     PerturbedLandmarks,
     draw_perturbation,
 )
+from smooth_operator_research.demonstrations.practice import practised
 from smooth_operator_research.demonstrations.trial_loop import TrialTrace, perform, run_trial
 from smooth_operator_research.physics.measure import (
     Case,
@@ -67,8 +69,8 @@ class Demonstrations:
     name: Final = "demonstrations"
     title: Final = "Demonstrations"
     definition: Final = (
-        "An operator who does not look performs a demonstration of a task, the retargeter drives "
-        "the hand in physics: in how many perturbed worlds is the task done?"
+        "An operator who has practised with the retargeter and the tracker, and does not look, "
+        "performs a demonstration of a task in physics: in how many perturbed worlds is it done?"
     )
     page: Final = "docs/physics-measures.md#demonstrations"
     unit: Final = "world"
@@ -106,11 +108,14 @@ class Demonstrations:
         task = _task(name, case.hand_name, case.side)
         number, seed = case.unit.data
         world = draw_perturbation(number, seed, tracker=tracker)
+        retargeter, shown = case.retargeter(tracker if number else None), task.landmarks
+        if number:  # in world 0 the tracker is perfect and nothing is practised
+            shown = _practised(task, retargeter, tracker)
         result = run_trial(
-            case.retargeter(tracker if number else None),  # world 0 has a perfect tracker
+            retargeter,
             world.scene(task.scene),
             TASKS[name],
-            PerturbedLandmarks(task.landmarks, world),
+            PerturbedLandmarks(shown, world),
             seconds=task.seconds,
             seed=case.seed,
             prepare=world.prepare,
@@ -152,6 +157,12 @@ def _task(name: str, hand_name: str, side: Side) -> _Task:
     demonstration = replace(load_demonstration(name, hand_name), side=side)
     hand = demonstration.robot
     return _Task(demonstration, scene_for(name, hand), DemonstrationLandmarks(demonstration))
+
+
+@lru_cache(maxsize=16)
+def _practised(task: _Task, retargeter: Retargeter, tracker: str) -> DemonstrationLandmarks:
+    """What the operator shows after practising; kept in the process for the next world."""
+    return DemonstrationLandmarks(practised(task.demonstration, retargeter, tracker))
 
 
 @lru_cache(maxsize=512)
