@@ -48,6 +48,17 @@ def test_a_file_is_read_as_it_was_written(task):
         np.testing.assert_array_equal(again.times, demonstration.times)
 
 
+def test_an_operator_before_a_headset_has_a_screwdriver_of_his_own():
+    common, own = (load_demonstration("screwdriver", tracker=one) for one in ("glove", "headset"))
+    np.testing.assert_array_equal(common.times, load_demonstration("screwdriver").times)
+    low, high = own.robot.limits.T
+    assert ((own.poses < low) | (own.poses > high)).any()  # the person pushes on
+    np.testing.assert_array_equal(
+        load_demonstration("card", tracker="headset").poses, load_demonstration("card").poses
+    )
+    assert read_demonstration(demonstration_text(own)).times[-1] == own.times[-1]
+
+
 def test_what_is_not_there_is_said():
     with pytest.raises(StudyError, match=r"schunk_svh.*mimic_p050"):
         load_demonstration("card", "schunk_svh")

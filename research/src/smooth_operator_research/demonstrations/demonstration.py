@@ -80,11 +80,15 @@ def demonstrated_hands(task: str) -> list[str]:
     return sorted(hands, key=lambda name: (name != DEFAULT_HAND, name))
 
 
-def load_demonstration(task: str, hand: str | None = None) -> Demonstration:
+def load_demonstration(
+    task: str, hand: str | None = None, tracker: str | None = None
+) -> Demonstration:
     """The demonstration of a task.
 
     Args:
         hand: name of the robot hand; None for the default one.
+        tracker: kind of tracker that the operator is before, for which some tasks have a
+            demonstration of their own; None for the common one.
 
     Raises:
         UnknownNameError: there is no such task.
@@ -97,7 +101,8 @@ def load_demonstration(task: str, hand: str | None = None) -> Demonstration:
             f"hand {name!r} has no demonstration of task {task!r}; the hands with one are "
             f"{', '.join(names)} (smooth_operator_research.demonstrations.search makes one)"
         )
-    return read_demonstration((_FOLDER / name / f"{task}.json").read_text(encoding="utf-8"))
+    own, common = (_FOLDER / name / f"{stem}.json" for stem in (f"{task}-{tracker}", task))
+    return read_demonstration((own if own.is_file() else common).read_text(encoding="utf-8"))
 
 
 def read_demonstration(text: str) -> Demonstration:
