@@ -14,8 +14,8 @@ from smooth_operator.hands.capsules import parts_apart
 from smooth_operator.hands.collision import owners
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.human.known_gaps import known_gaps
-from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.retargeting.known_gaps import known_gaps
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.task_scenes import CardScene
 from smooth_operator.simulation.tasks.task import (

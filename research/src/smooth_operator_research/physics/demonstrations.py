@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.hands.hand import Hand
-from smooth_operator.human.aligned_recording import align_recording
-from smooth_operator.methods.retargeter import Retargeter
+from smooth_operator.retargeting.aligned_recording import align_recording
+from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.simulation.scenes import Scene, ScenePart, ScenePhysics, scene_for
 from smooth_operator.simulation.tasks.task import TASKS, rotation
 from smooth_operator.types import HandRecording, Side
