@@ -46,7 +46,7 @@ WORLDS: Final = 100
 
 QUICK_WORLDS: Final = 5
 PRACTISED: Final = ("headset", "camera")
-"""Trackers with which the operator has practised; behind a glove practice changes nothing."""
+"""Trackers with which the operator has practised; with mimic nothing is gained behind a glove."""
 
 STAYS_S: Final = 2.0
 """The operator stays in the last pose for so long [s]: a goal must be met for half a second, and
