@@ -89,7 +89,7 @@ def test_everything_that_can_be_measured_is():
 
 def test_commands_of_other_frames_or_joints_are_refused():
     recording, commands, hand = run("right")
-    with pytest.raises(RecordingError, match="29 frames are not those that the 30 commands"):
+    with pytest.raises(RecordingError, match="29 frames are not those of the 30 commands"):
         assemble_trace(recording[1:], commands, hand)
     shifted = replace(commands, stamps=commands.stamps + 1e-3)
     with pytest.raises(RecordingError, match="time stamps differ"):

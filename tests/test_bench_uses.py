@@ -76,7 +76,7 @@ def test_where_no_method_serves_a_use_the_reason_is_said():
         for name, gap in (("a", 0.8), ("b", 0.7))
     ]
     sentence = ranking.verdict(colliding)
-    assert "for pinching and grasping none (every method has over 5 %" in sentence
+    assert "for pinching and grasping none (every method has more than 5 %" in sentence
     assert "no method reaches a motion preservation of 0.9" in sentence
 
 
@@ -84,7 +84,7 @@ def test_without_a_pinch_no_method_is_named_for_it():
     lines = [line(n, c, 1.0, 0.95, 1e-6, None, 0.0, 0.1, 1.0) for n, c in (("a", 0.9), ("b", 0.8))]
     grasping = ranking.find_uses(lines)[1]
     assert grasping.methods == ()
-    assert grasping.figures == "no share of pinches that touch was measured"
+    assert grasping.figures == "no fraction of pinches that touch was measured"
 
 
 def test_the_sentence_names_what_the_table_marks():

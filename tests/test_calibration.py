@@ -100,7 +100,7 @@ def test_pinches_that_prompts_mark_calibrate_like_those_of_a_search(exact, found
     flat = replace(segments[0], start=0, stop=30)  # the hand is open, whatever was asked for
     opened = calibrate(exact, [flat])
     assert opened.operator.pinch_gaps == {}
-    assert "this is no pinch" in opened.findings[0].note
+    assert "this is not a pinch" in opened.findings[0].note
 
 
 def test_the_wrong_side_is_noticed(exact, found):
@@ -150,9 +150,9 @@ def test_a_bad_file_says_what_is_wrong_with_it(tmp_path):
         with pytest.raises(ConfigError, match=message):
             read_operator(path)
 
-    refused("damaged, or no JSON", '{"format": ')
-    refused("describes no operator", [1, 2])
-    refused("describes no operator", {"program": "smooth-operator"})
+    refused("damaged, or not JSON", '{"format": ')
+    refused("does not describe an operator", [1, 2])
+    refused("does not describe an operator", {"program": "smooth-operator"})
     refused("version 2 of the format.*upgrade", good | {"version": 2})
     refused("source: is missing", {k: v for k, v in good.items() if k != "source"})
     refused(r"sourse: no such entry. Did you mean 'source'\?", good | {"sourse": "x"})

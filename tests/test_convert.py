@@ -176,7 +176,7 @@ def test_one_frame_one_joint_one_stage(tmp_path, to):
     value = replace(value, commands=commands, stages_ms={"solve": np.array([0.5])})
     path = tmp_path / NAMES[to]
     if to == "lerobot":
-        with pytest.raises(ConfigError, match="say it with --fps"):
+        with pytest.raises(ConfigError, match="set it with --fps"):
             write_dataset(path, [lambda: value])
         write_dataset(path, [lambda: value], fps=30)
     else:
@@ -210,7 +210,7 @@ def test_commands_on_a_clock_of_their_own(tmp_path, to):
     assert_same(value, read_episode(path))
     recording = read_recording(path)
     np.testing.assert_array_equal(recording.stamps, value.recording.stamps)
-    with pytest.raises(RecordingError, match=r"20 commands answer no frame.*\.mcap or \.h5"):
+    with pytest.raises(RecordingError, match=r"20 commands belong to no frame.*\.mcap or \.h5"):
         write_dataset(tmp_path / "d", [lambda: value])
     assert not (tmp_path / "d").exists()
 
@@ -268,7 +268,7 @@ def bad_commands(kind):
         ("1e15", "command 5 has 'middle' at 1e[+]15 rad"),
         ("huge and held", "command 5 has 'middle' at 1e[+]15 rad"),
         ("twice", "commands 5 and 6 have the same stamp"),
-        ("back", "the stamps go backwards at command 6"),
+        ("back", "the timestamps go backwards at command 6"),
         ("span", "1e[+]10 s, at most 1e[+]09 s"),
     ],
 )
@@ -391,7 +391,7 @@ def test_hdf5_of_others_needs_the_documented_arrays_only(tmp_path):
     path = tmp_path / "other.h5"
     with h5py.File(path, "w") as file:
         file["hand/landmarks"] = hand().landmarks.astype(np.float32)
-    with pytest.raises(RecordingError, match="40 frames and no time stamps; say how many"):
+    with pytest.raises(RecordingError, match="40 frames and no timestamps; give the number"):
         read_recording(path)
     with pytest.raises(RecordingError, match="by its shape this is a right hand"):
         read_recording(path, rate=50.0, side="left")
@@ -548,7 +548,7 @@ def test_a_dataset_of_another_tool_is_checked_as_other_files_are(tmp_path):
         read(1e3 * landmarks, "right", "units")
     points = np.empty_like(landmarks)
     points[:, LAYOUTS["mano"]] = landmarks
-    with pytest.raises(RecordingError, match="say --layout mano"):
+    with pytest.raises(RecordingError, match="use --layout mano"):
         read(points, "right", "order")
     back = read_episode(tmp_path / "order", layout="mano").recording
     np.testing.assert_array_equal(back.landmarks, landmarks)
@@ -743,7 +743,7 @@ def test_the_rate_is_of_those_without_stamps(tmp_path, run):
     np.save(folder / "b.npy", hand(rich=False).landmarks)
     out = tmp_path / "out"
     status, err = run(folder, "--to", "npz", "--output", out)
-    assert (status, "no time stamps; say how many" in err) == (2, True)
+    assert (status, "no timestamps; give the number" in err) == (2, True)
     assert run(folder, "--to", "npz", "--rate", 30, "--output", out, "--overwrite")[0] == 0
     kept, counted = (read_episode(out / f"{name}.npz").recording for name in "ab")
     np.testing.assert_array_equal(kept.stamps, read_recording(stamped).stamps)
@@ -879,10 +879,10 @@ def test_damaged_hdf5(tmp_path):
         ("hand/landmarks", np.zeros((40, 20, 3)), r"shape \(any, 21, 3\), not \(40, 20, 3\)"),
         ("hand/landmarks", None, "lacks the array /hand/landmarks"),
         ("hand/stamps", np.zeros(3), r"shape \(40\), not \(3,\)"),
-        ("hand/stamps", np.zeros(40), "these are no times"),
+        ("hand/stamps", np.zeros(40), "they are not times"),
         ("hand/valid", np.zeros((40, 21)), "must hold true or false"),
         ("commands/joint_names", ["a"], "joint_names must have shape"),
-        ("commands/joint_names", ["a", "a", "b"], "a joint name comes twice"),
+        ("commands/joint_names", ["a", "a", "b"], "a joint name occurs twice"),
         ("commands/status", np.full(40, 77), "status .77. is not one of"),
         ("commands/stamps", np.full(40, np.nan), "command 0 is nan"),
         ("commands/latency_ms", ["x"] * 40, "must hold numbers"),
@@ -910,7 +910,7 @@ def test_hdf5_of_another_program_or_time(tmp_path):
     with pytest.raises(RecordingError, match="no group 'hand' or 'commands', but observations"):
         read_recording(path)
     path = write(tmp_path, episode(parts="commands"), "hdf5")
-    with pytest.raises(RecordingError, match="holds commands, but no hand frames"):
+    with pytest.raises(RecordingError, match="contains commands, but no hand frames"):
         read_recording(path)
     with h5py.File(path, "r+") as file:
         file.attrs["version"] = 9
@@ -940,7 +940,11 @@ ROWS = "meta/episodes/chunk-000/file-000.parquet"
     [
         ("meta/info.json", lambda p: p.write_text("{"), "can't be read as the description"),
         ("meta/info.json", lambda p: p.write_text("[]"), "can't be read as the description"),
-        ("meta/info.json", lambda p: edit(p, codebase_version="v2.1"), "version v2.1, v3.0 is"),
+        (
+            "meta/info.json",
+            lambda p: edit(p, codebase_version="v2.1"),
+            "v2.1, but only v3.0",
+        ),
         ("meta/info.json", lambda p: edit(p, features={}), "with no columns: it holds no human"),
         ("meta/info.json", lambda p: edit(p, data_path="../{chunk_index}"), "out of the dataset"),
         ("meta/info.json", lambda p: edit(p, data_path="{x}"), "do not say where episode 0 is"),
@@ -983,9 +987,9 @@ def test_wrong_datasets(tmp_path, name, change, match):
 
 def test_read_recording_names_the_way_out_of_a_dataset(tmp_path):
     root = write(tmp_path, episode(), "lerobot")
-    with pytest.raises(RecordingError, match="LeRobot dataset; convert an episode of it first"):
+    with pytest.raises(RecordingError, match="LeRobot dataset; convert one of its episodes first"):
         read_recording(root)
-    with pytest.raises(RecordingError, match="this is a Parquet file; give the whole"):
+    with pytest.raises(RecordingError, match="this is a Parquet file; pass the whole"):
         read_recording(root / DATA)
 
 

@@ -63,7 +63,7 @@ def test_a_recording_of_tracking_streamer(tmp_path):
         check(found, 1e-7, "avp")
         np.testing.assert_allclose(found.stamps, np.arange(FRAMES) / 60)
         assert found.metacarpals is not None
-    with pytest.raises(RecordingError, match="both hands; say --side right"):
+    with pytest.raises(RecordingError, match="both hands; choose one with --side right"):
         read_recording(path)
     path.write_text("\n".join(avp_lines(("left",))))
     assert read_recording(path).side == "left"  # the right one was never seen

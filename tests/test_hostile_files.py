@@ -161,7 +161,7 @@ def test_pipes_and_sockets_are_not_opened(tmp_path, capsys):
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(tmp_path / "s.npz"))
         for name, kind in (("x.npz", "a pipe"), ("s.npz", "a socket")):
-            with pytest.raises(RecordingError, match=f"it is {kind}, not a plain file"):
+            with pytest.raises(RecordingError, match=f"it is {kind}, not a regular file"):
                 read_recording(tmp_path / name)
             with pytest.raises(DocumentError, match=kind):
                 read_text(tmp_path / name)
@@ -193,14 +193,14 @@ def test_hdf5_links_to_other_files_are_refused(tmp_path):
         with h5py.File(path, "r+") as file:
             del file[name]
             file[name] = h5py.ExternalLink("secret.h5", f"/{name}")
-        with pytest.raises(RecordingError, match="is a link to another place"):
+        with pytest.raises(RecordingError, match="is a link, and links are not followed"):
             read_episode(path)
     path = good(tmp_path, "outside.h5")
     with h5py.File(path, "r+") as file:
         shape = file["hand/stamps"].shape
         del file["hand/stamps"]
         file["hand"].create_dataset("stamps", shape, "f8", external=[("/etc/hostname", 0, 96)])
-    with pytest.raises(RecordingError, match="stand in other files"):
+    with pytest.raises(RecordingError, match="are stored in other files"):
         read_episode(path)
 
 

@@ -123,7 +123,7 @@ def test_what_is_not_known_is_not_valid():
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        (b"Right wrist:, 1, 2, 3", "7 numbers, not 3: the line is cut off"),
+        (b"Right wrist:, 1, 2, 3", "7 numbers, not 3: the line is truncated"),
         (b"Right landmarks:, 1, 2", "63 numbers, not 2"),
         (b"Right wrist:, 1, 2, 3, x, 0, 0, 1", "one is 'x'"),
         (b"Right wrist:, 1_0, 2, 3, 0, 0, 0, 1", "one is '1_0'"),

@@ -113,7 +113,7 @@ def test_what_the_package_has_not_is_said(root, capsys):
         drawn_on(load_hand("mimic_p050"), "menagerie")
     with pytest.raises(HandModelError, match="no model of the left hand 'shadow_dexee'"):
         drawn_on(load_hand("shadow_dexee", "left"), "menagerie")
-    with pytest.raises(HandModelError, match=r"can't be had.*MENAGERIE_ROOT"):
+    with pytest.raises(HandModelError, match=r"can't be downloaded.*MENAGERIE_ROOT"):
         drawn_on(load_hand("shadow_hand"), "menagerie")
     status = main(["hands", "show", "orca_v2", "--model", "menagerie", "--no-view"])
     assert status == 2

@@ -138,7 +138,7 @@ def test_what_goes_wrong_with_one_touches_no_other(workers):
     ]
     if workers:
         tasks += ["die", "unsendable", Unreadable(), "d"]
-        died = "WorkerDied: the process that worked on it died 2 times (signal SIGKILL)"
+        died = "WorkerDied: its worker process died 2 times (signal SIGKILL)"
         unread = "ValueError: invalid literal for int"
         expected += [died, "the result can't be sent back", unread, None]
     results = by_index(run_tasks(misbehave, tasks, workers=workers, retries=1))
@@ -307,7 +307,7 @@ def test_a_worker_has_one_thread_and_all_cores(tmp_path, monkeypatch):
     [
         ({"workers": -1}, "workers must be 0 or more, not -1"),
         ({"retries": -1}, "retries must be 0 or more, not -1"),
-        ({"workers": 0, "cluster": "local"}, "a cluster needs workers"),
+        ({"workers": 0, "cluster": "local"}, "a cluster needs at least one worker"),
     ],
 )
 def test_impossible_numbers(options, reason):
@@ -383,7 +383,7 @@ def test_ray_is_the_pool(tmp_path):
     assert before == (print, sys.excepthook, signal.getsignal(signal.SIGTERM))
     assert [r.value for r in results] == ["a", None, "alive", None, None]
     assert [r.attempts for r in results] == [1, 1, 2, 1, 3]
-    assert (results[4].error or "").startswith("WorkerDied: the process that worked on it died 3")
+    assert (results[4].error or "").startswith("WorkerDied: its worker process died 3")
     assert results[1].error == "ValueError: the first line and the second"
     assert (results[3].error or "").startswith("MissingExtraError: this needs")
 

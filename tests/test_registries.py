@@ -223,7 +223,7 @@ def test_a_plugins_reader_recognises_its_files(broken, monkeypatch, tmp_path, ca
     (tmp_path / "b.rows").write_text("1,2,three")
     with pytest.raises(RecordingError, match=r"b\.rows: can't be read as a \.rows file: could not"):
         read_recording(tmp_path / "b.rows")
-    with pytest.raises(ConfigError, match="must give a HandRecording, not str"):
+    with pytest.raises(ConfigError, match="must return a HandRecording, not str"):
         read_recording(tmp_path / "a.wrong")
     with pytest.raises(RecordingError, match="this is a pickle"):
         read_recording(tmp_path / "a.pkl")
@@ -278,7 +278,7 @@ def test_a_plugins_metric_is_measured_and_shown(broken, monkeypatch, capsys):
     assert "metric 'fails' is skipped: ZeroDivisionError: no frames" in notes
     assert "metric 'cracked' is skipped: broken_plugin:CONFIG" in notes
     assert "SEVERAL can't be a metric: it must be a Metric called 'other'" in notes
-    with pytest.raises(ConfigError, match=r"extra must not give metrics .* travel"):
+    with pytest.raises(ConfigError, match=r"extra must not contain metrics .* travel"):
         evaluate(trace, extra={"travel": 1.0})
     assert columns()[-1] is TRAVEL
     print_metrics("title", values)

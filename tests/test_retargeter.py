@@ -337,7 +337,7 @@ def test_a_call_notices_units_order_and_side():
     shuffled = landmarks[:5, np.random.default_rng(2).permutation(21)]
     for points in shuffled[:4]:
         assert usual(points).status == Status.IMPLAUSIBLE_HAND
-    with pytest.raises(RecordingError, match="no hand, in this order or in any other"):
+    with pytest.raises(RecordingError, match="do not form a hand in this or any other"):
         usual(shuffled[4])
     usual.reset()
 
@@ -573,7 +573,7 @@ def test_a_scale_is_calibrated_once(frames):
     assert scale == pytest.approx(1 / 1.15)
     fixed = palm_alignment(frames * 1.3, hand, AlignmentConfig(scale))
     np.testing.assert_array_equal(fixed.scale, scale)
-    with pytest.raises(RecordingError, match="to calibrate a scale on"):
+    with pytest.raises(RecordingError, match="from which to calibrate a scale"):
         calibrate_scale(recording[:2], hand)
 
 

@@ -704,7 +704,7 @@ def test_a_trial_with_the_keys_of_teleop(tmp_path, capsys):
     trials.end()
     said = capsys.readouterr().err
     assert "Screwdriver pivot: Hold" in said
-    assert "a trial has one reset" in said
+    assert "a trial has only one reset" in said
     assert "right: 0 after" in said
     (outcome,) = trials.summary()["trials"]["right"]
     assert (outcome["ended"], outcome["resets"]) == ("finished", 1)

@@ -185,7 +185,7 @@ def test_a_bad_frame_takes_its_time_too(motion):
 def test_a_step_without_time_is_refused(motion):
     retargeter = Retargeter(method="smooth")
     for frame in (motion.landmarks[0], HandFrame(motion.landmarks[0])):
-        with pytest.raises(ConfigError, match=r"no stamp, and step\(\) has no clock.*rate=30"):
+        with pytest.raises(ConfigError, match=r"no timestamp, and step\(\) has no clock.*rate=30"):
             retargeter.step(retargeter.init(), frame)
     retargeter(motion.landmarks[0])
     with pytest.raises(ConfigError, match=r"with and without stamps are mixed.*reset\(\)"):

@@ -35,7 +35,7 @@ def test_a_verdict_has_no_part_for_collision_that_was_not_measured():
         line("close", 0.97, 1.2, 0.92, 4e-6, 0.8, None, 0.09, 0.6),
     ]
     verdict = ranking.verdict(lines)
-    assert "for pinching and grasping close (share of pinches that touch 80.0 %)" in verdict
+    assert "for pinching and grasping close (fraction of pinches that touch 80.0 %)" in verdict
     assert "self-collision" not in verdict
 
 

@@ -179,7 +179,7 @@ def test_ambiguous_parameters_are_refused(tmp_path, models):
         ({"hand_pose": pose[:, :12], "use_pca": False}, "12 numbers, 45 without use_pca"),
         ({"transl": None}, "it lacks transl"),
         ({"transl": layouts.PLACE["right"][:3]}, "different numbers of frames"),
-        ({"fps": None}, "no time stamps"),
+        ({"fps": None}, "no timestamps"),
         ({"world": "upside_down"}, "world must be camera or one of z_up"),
         ({"side": "left"}, "left hand: the fingers bend out of the back of the hand in "),
         ({"transl": np.full((8, 3), np.nan)}, "no frame has a hand"),

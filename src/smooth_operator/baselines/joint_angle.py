@@ -296,10 +296,10 @@ def _check_landmarks(hand: Hand, joints_mapped: set[str]) -> None:
         joints = [name for name in _joints_of(hand, finger) if name not in joints_mapped]
         if points and joints:
             raise HandModelError(
-                f"hand {hand.name!r}: joint angles of the {finger} can't be measured without the "
-                f"points {points}, so there is no map to its joints {joints}; give the finger all "
-                "four points in its description, or a JointMap row for each of these joints in "
-                "HandSpec.joint_map"
+                f"hand {hand.name!r}: joint angles of the {finger} can't be measured without "
+                f"the points {points}, so they can't be mapped to its joints {joints}; add "
+                "all four points of the finger to the description, or a JointMap row for "
+                "each of these joints to HandSpec.joint_map"
             )
 
 

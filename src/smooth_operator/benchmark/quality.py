@@ -66,13 +66,19 @@ def measure_cell(task: tuple[Cell, Settings]) -> Measured:
 
 
 PER_FINGER: Final = (
-    Metric("tip_error_mm", "mm", "down", "distance of the robot's tip from the aligned human's"),
+    Metric(
+        "tip_error_mm", "mm", "down", "distance between the robot's tip and the aligned human's"
+    ),
     Metric("thumb_cosine", "", "->1", "direction of the thumb-to-tip vector"),
     Metric("reach_cosine", "", "->1", "direction of the wrist-to-tip vector"),
     Metric("motion_preservation", "", "->1", "direction of the tip's motion"),
     Metric("flatness", "m²", "down", "squared second difference of the tip, at this rate"),
-    Metric("pinch_touch_share", "", "up", "share of the human's pinches in which surfaces touch"),
-    Metric("workspace_utilisation", "", "up", "share of the tip's reachable set in use"),
+    Metric(
+        "pinch_touch_share", "", "up", "fraction of the human's pinches in which surfaces touch"
+    ),
+    Metric(
+        "workspace_utilisation", "", "up", "fraction of the tip's reachable set that was visited"
+    ),
 )
 """Figures of each finger. All follow the sound definition, whichever the run's metrics do."""
 
@@ -151,7 +157,7 @@ class Latency:
             "warm_up": self.warm_up,
             "load_average": self.load,
             "other_processes": self.others,
-            "measured": "alone, methods taking turns",
+            "measured": "alone, methods alternating",
             "reason": self.reason,
         }
 
@@ -223,7 +229,7 @@ class _Run:
 def _built(cell: Cell, seed: int) -> Retargeter:
     built, _ = built_for(cell.plan(seed))
     if not isinstance(built, Retargeter):
-        raise ConfigError("it is solved for the whole recording, so no frame has a latency")
+        raise ConfigError("it solves whole recordings, so single frames have no latency")
     return built
 
 

@@ -199,8 +199,8 @@ def footnotes(rows: Iterable[Row]) -> list[str]:
     recordings = dict.fromkeys(row["recording"] for row in measured)
     return [
         *(
-            f"– self-collision of {hand}: not measured, since no two of its parts could touch "
-            "each other. It has no rank and no part in the choice of a method."
+            f"– self-collision of {hand}: not measured, because no two of its parts can "
+            "touch each other. It is not ranked and not used to choose a method."
             for hand in hands
         ),
         *(
@@ -271,16 +271,16 @@ FEW: Final = 5
 """Recordings below which the page warns that the order may be another on others."""
 
 RULES: Final = (
-    "Overall is the mean rank over the columns of the table, where equal figures share a rank. "
-    "Looks: the least extension error. Grasping: the most pinches that touch, of the "
-    f"methods with at most {100 * COLLISION_LIMIT:.0f} % of frames in self-collision, or of all "
-    "where self-collision was not measured. Directions: the cosine similarity nearest 1. Calm "
-    "motion: the least flatness of the methods with a motion preservation of at least "
-    f"{MOTION_FLOOR:g}. Speed: the least median latency."
+    "Overall is the mean rank over the columns of the table; equal values share a rank. "
+    "Looks: the smallest extension error. Grasping: the most pinches that touch, among the "
+    f"methods with at most {100 * COLLISION_LIMIT:.0f} % of frames in self-collision (among "
+    "all methods if self-collision was not measured). Directions: the cosine similarity "
+    "closest to 1. Calm motion: the smallest flatness among the methods with a motion "
+    f"preservation of at least {MOTION_FLOOR:g}. Speed: the smallest median latency."
 )
 """How the methods are chosen, for a person."""
 
-RANK: Final = Metric("mean_rank", "", "down", "mean rank over these columns; 1 is first in all")
+RANK: Final = Metric("mean_rank", "", "down", "mean rank over these columns; 1 means first in all")
 """Column of the mean rank."""
 
 _EXTENSION: Final = _BY_NAME["finger_extension_error"]
@@ -340,7 +340,9 @@ def find_uses(lines: Sequence[Line]) -> list[Use]:
     measured = any(line.values.get(_COLLISION.name) is not None for line in running)
     free = [line for line in running if _at_most(line, _COLLISION, COLLISION_LIMIT)]
     moving = [line for line in running if _at_least(line, _MOTION, MOTION_FLOOR)]
-    crowded = f"every method has over {100 * COLLISION_LIMIT:.0f} % of frames in self-collision"
+    crowded = (
+        f"every method has more than {100 * COLLISION_LIMIT:.0f} % of frames in self-collision"
+    )
     still = f"no method reaches a motion preservation of {MOTION_FLOOR:g}"
     return [
         _use("looks", running, running, _EXTENSION, (_EXTENSION, _FINGERS), ""),
@@ -395,7 +397,7 @@ def _use(
     if better:
         other = barred[better[0]]
         why = ", ".join(f"{_words(m)} {_with_unit(m, other)}" for m in shown)
-        figures += f"; {other.method} does not count: {why}"
+        figures += f"; {other.method} is excluded: {why}"
     return Use(name, tuple(measured[i].method for i in sorted(tops)), figures)
 
 
@@ -403,7 +405,7 @@ def _words(metric: Metric) -> str:
     return {
         "finger_extension_error": "extension error",
         "finger_direction_error_deg": "fingers off by",
-        "pinch_touch_share": "share of pinches that touch",
+        "pinch_touch_share": "fraction of pinches that touch",
         "self_collision.share": "self-collision",
         "latency_ms.p50": "median latency",
     }.get(metric.name, metric.name.replace("_", " "))

@@ -200,10 +200,11 @@ def parse_request(
             tracker = option.lower()
         else:
             raise ConfigError(
-                f"{text!r}: {option!r} is no setting of a recording; after the @ stand a range of "
-                "frames (:500), a rate (60hz), a side (left), an order of landmarks (mano), a "
-                f"tracker ({', '.join(TRACKERS)}, mediapipe) or, for the built-in operator, the "
-                "length of its hand (17.5cm) and its tempo (1.2x), with commas between them"
+                f"{text!r}: {option!r} is not a setting of a recording; after the @ you can "
+                "write a range of frames (:500), a rate (60hz), a side (left), an order of "
+                f"landmarks (mano), a tracker ({', '.join(TRACKERS)}, mediapipe) or, for the "
+                "built-in operator, the length of its hand (17.5cm) and its tempo (1.2x), "
+                "separated by commas"
             )
     if frames is not None:
         frame_slice(frames, None)  # a text that is no range is refused before anything is read
@@ -215,7 +216,7 @@ def parse_request(
         return Request(None, int(seed), frames, own_rate, side, length, speed, tracker=tracker)
     if length is not None or speed != 1.0:
         raise ConfigError(
-            f"{text!r}: length and tempo are for the built-in operator, as in "
+            f"{text!r}: length and tempo are only for the built-in operator, as in "
             f"{SYNTHETIC}:3@17.5cm,1.2x"
         )
     return Request(
@@ -237,7 +238,7 @@ def load_sources(requests: Iterable[Request]) -> list[Source]:
     unique = dict.fromkeys(one for request in requests for one in _expanded(request))
     sources = [_load(request) for request in unique]
     if all(source.recording is None for source in sources):
-        first = sources[0].error if sources else "no recording is named"
+        first = sources[0].error if sources else "no recording was given"
         more = f" (nor can the {len(sources) - 1} others be read)" if len(sources) > 1 else ""
         raise RecordingError(f"{first}{more}")
     names = unique_names([(source.name, source.request.path) for source in sources])
@@ -319,7 +320,7 @@ def _load(request: Request) -> Source:
         chosen = recording[cut]
         valid = chosen.valid
         if valid is None or not valid.any():
-            raise RecordingError(f"{request.path}: no landmark in these frames is valid")
+            raise RecordingError(f"{request.path}: these frames contain no valid landmark")
     except SmoothOperatorError as error:
         return Source(request, name, error=str(error))
     return Source(
@@ -337,8 +338,8 @@ def _read(request: Request) -> HandRecording:
         return replace(recording, name=recording.name + _suffix(request))
     if request.path.is_dir() and not is_dataset(request.path):
         raise RecordingError(
-            f"{request.path}: no recordings in it or in its folders; expected names that end in "
-            f"{', '.join(recording_suffixes())}"
+            f"{request.path}: the folder and its subfolders contain no recordings; expected "
+            f"names that end in {', '.join(recording_suffixes())}"
         )
     path = request.path
 

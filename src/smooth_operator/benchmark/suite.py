@@ -78,15 +78,15 @@ def check_folder(
     if not folder.exists():
         return
     if not folder.is_dir():
-        raise OutputError(f"can't write into {str(folder)!r}: a file stands there; name a folder")
+        raise OutputError(f"can't write into {str(folder)!r}: it is a file; name a folder")
     try:
         empty = not any(folder.iterdir())
     except OSError as error:
         raise output_error(folder, error) from error
     if not empty and (read_configuration(folder / CONFIG) or {}).get("command") != command:
         raise OutputError(
-            f"can't write into {str(folder)!r}: it holds something other than {former}; give "
-            "another folder with --output"
+            f"can't write into {str(folder)!r}: it contains files that are not from "
+            f"{former}; name another folder with --output"
         )
 
 
@@ -102,7 +102,7 @@ class MeasuredCache(ResultCache):
         commands = read_commands(path.with_suffix(".npz"))
         # The two files are written one after the other, and a crash may come between them.
         if record["commands"] != _digest(commands):
-            raise DocumentError(f"it is not of {path.stem}.npz")
+            raise DocumentError(f"it does not belong to {path.stem}.npz")
         return record, Measured(
             commands, dict(record["metrics"]), dict(record["fingers"]), content, record["seconds"]
         )
@@ -455,7 +455,7 @@ def read_results(path: Path) -> list[Row]:
     except OSError as error:
         raise RecordingError(f"{path}: can't be read: {error.strerror or error}") from error
     except ValueError as error:
-        raise RecordingError(f"{path}: damaged, or no JSON ({error}); {expected}") from None
+        raise RecordingError(f"{path}: damaged, or not JSON ({error}); {expected}") from None
     if not isinstance(rows, list):
         raise RecordingError(f"{path}: it holds a {type(rows).__name__}, not a list; {expected}")
     for i, row in enumerate(rows):
@@ -465,5 +465,7 @@ def read_results(path: Path) -> list[Row]:
         if missing:
             raise RecordingError(f"{path}: row {i} lacks {', '.join(missing)}; {expected}")
         if not isinstance(row.get("metrics"), (dict, type(None))):
-            raise RecordingError(f"{path}: the metrics of row {i} are no object; {expected}")
+            raise RecordingError(
+                f"{path}: the metrics of row {i} are not a JSON object; {expected}"
+            )
     return rows

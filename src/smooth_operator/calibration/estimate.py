@@ -83,7 +83,9 @@ def calibrate(recording: HandRecording, segments: Sequence[Segment] | None = Non
         frames = np.concatenate(rows) if rows else np.empty(0, int)
         gap = features.gaps[frames[features.good[frames]], i]
         if len(gap) and np.median(gap) > MOST * features.palm_length:
-            apart = f"thumb and finger stay {1e3 * np.median(gap):.0f} mm apart: this is no pinch"
+            apart = (
+                f"thumb and finger stay {1e3 * np.median(gap):.0f} mm apart: this is not a pinch"
+            )
             finding = replace(finding, note=apart)
         elif len(gap):
             gaps[finger] = gap[gap <= np.percentile(gap, 80)]
@@ -99,7 +101,9 @@ def _finding(finger: str, segments: Sequence[Segment]) -> Finding:
     sure = max((s.confidence for s in mine), default=0.0)
     note = ""
     if not mine:
-        note = "not found: its gap stays that of the tracker, or is estimated while one works"
+        note = (
+            "not found: its gap stays that of the tracker, or is estimated while the operator works"
+        )
     elif sure < SURE:
         note = "found, but short or indistinct: hold it longer and more clearly"
     return Finding(finger, mine, sure, note)

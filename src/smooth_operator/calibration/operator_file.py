@@ -49,7 +49,8 @@ class OperatorProfile:
         """Raises ConfigError unless the profile is of a hand of this side."""
         if side != self.side:
             raise ConfigError(
-                f"this operator's file is of a {self.side} hand, and can't serve the {side} one"
+                f"this operator file is for the {self.side} hand and can't be used for the "
+                f"{side} one"
             )
 
 
@@ -84,9 +85,9 @@ def read_operator(path: Path) -> OperatorProfile:
     except OSError as error:
         raise ConfigError(f"{path}: can't be read: {error.strerror or error}") from error
     except DocumentError as error:
-        raise ConfigError(f"{path}: damaged, or no JSON ({error}); {_EXPECTED}") from None
+        raise ConfigError(f"{path}: damaged, or not JSON ({error}); {_EXPECTED}") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise ConfigError(f"{path}: it describes no operator; {_EXPECTED}")
+        raise ConfigError(f"{path}: it does not describe an operator; {_EXPECTED}")
     version = content.get("version")
     if version != VERSION:
         raise ConfigError(

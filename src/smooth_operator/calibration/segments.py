@@ -58,8 +58,8 @@ def measure_features(recording: HandRecording) -> Features:
             good = whole & (np.abs(sizes - usual) <= BONE_TOLERANCE * usual).all(axis=1)
     if good.sum() < MIN_FRAMES:
         raise RecordingError(
-            f"{recording.name}: {int(good.sum())} of {len(recording)} frames show a whole hand; a "
-            f"calibration needs {MIN_FRAMES} at least, and better two minutes of them"
+            f"{recording.name}: {int(good.sum())} of {len(recording)} frames show a whole "
+            f"hand; a calibration needs at least {MIN_FRAMES}, preferably two minutes"
         )
     points = np.where(good[:, None, None], points, np.nan)
     # The reader of the recording has checked the order of landmarks.

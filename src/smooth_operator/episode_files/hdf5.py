@@ -179,7 +179,7 @@ def read_hdf5_recording(
     """
     recording = read_hdf5_episode(path, rate=rate, side=side).recording
     if recording is None:
-        raise RecordingError(f"{path}: the file holds commands, but no hand frames")
+        raise RecordingError(f"{path}: the file contains commands, but no hand frames")
     return replace(recording, name=path.stem)
 
 

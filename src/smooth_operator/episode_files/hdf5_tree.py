@@ -137,7 +137,7 @@ def read_tree(path: Path, *, head: bool = False) -> dict[str, Hdf5Group]:
             return dict(_groups(file, most, head, h5py))
     except _RefusedError as error:
         raise RecordingError(
-            f"{path}: {error}; save it again with its data within it, or as .npz"
+            f"{path}: {error}; save it again with all data inside the file, or as .npz"
         ) from error
     except Exception as error:  # h5py promises no list of what damaged bytes raise
         raise damaged(path, f"HDF5: {str(error)[:300] or type(error).__name__}") from error
@@ -187,7 +187,7 @@ def _names(group: Any, most: int) -> list[str]:
 def _linked(group: Any, name: str, h5py: Any) -> Any:
     link = group.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
-        raise _RefusedError(f"its {name!r} is a link to another place, which is not followed")
+        raise _RefusedError(f"its {name!r} is a link, and links are not followed")
     return group[name]
 
 
@@ -196,7 +196,9 @@ def _array(data: Any, left: list[int], h5py: Any) -> Hdf5Array:
     if shape is None:  # an array without a space
         raise _RefusedError(f"its array {data.name} is empty")
     if data.external or data.is_virtual:
-        raise _RefusedError(f"the data of {data.name} stand in other files, which are not read")
+        raise _RefusedError(
+            f"the data of {data.name} are stored in other files, which are not read"
+        )
     words = h5py.check_string_dtype(dtype) is not None
     each = max(dtype.itemsize, _TEXT_BYTES if words else 8)
     takes = max(math.prod(shape), math.prod(data.chunks or ())) * each
@@ -209,7 +211,7 @@ def _array(data: Any, left: list[int], h5py: Any) -> Hdf5Array:
     texts: list[str | None] | None = None
     if words:
         if math.prod(shape) > _MOST_WORDS:
-            raise _RefusedError(f"its array {data.name} holds more than {_MOST_WORDS} texts")
+            raise _RefusedError(f"its array {data.name} holds more than {_MOST_WORDS} strings")
         texts = [_text(item) for item in np.ravel(data[()])]
     elif dtype.kind in "fiub":
         kind = {"f": "<f8", "b": "|b1", "i": "<i8", "u": "<i8"}[dtype.kind]

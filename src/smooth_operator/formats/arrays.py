@@ -94,9 +94,9 @@ _NPY_MAGIC = np.lib.format.MAGIC_PREFIX
 _MOST_MEMBERS = 1000  # of a zip; a recording has a dozen
 
 PICKLE_REMEDY = (
-    "pickles can run any code when they are read and are never opened here. Convert it once, where "
-    "you trust the file: numpy.savez('recording.npz', landmarks=<array of shape (T, 21, 3), in "
-    "metres>, timestamps=<array of shape (T,), in seconds>, side='right')"
+    "pickles can run any code when they are read, so they are never opened here. If you "
+    "trust the file, convert it once: numpy.savez('recording.npz', landmarks=<array of shape "
+    "(T, 21, 3), in metres>, timestamps=<array of shape (T,), in seconds>, side='right')"
 )
 
 
@@ -163,7 +163,7 @@ class StoredArray:
         """
         if self.shape not in ((), (1,)):
             raise RecordingError(
-                f"{self.path}: array {self.name!r} must hold one text, not {self.shape} of them"
+                f"{self.path}: array {self.name!r} must hold one string, not {self.shape} of them"
             )
         return self.texts()[0]
 
@@ -184,7 +184,7 @@ class StoredArray:
             native = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
             codes = native.reshape(-1).view(np.uint32) if array.dtype.itemsize else np.zeros(0)
             if ((codes > sys.maxunicode) | ((codes >= 0xD800) & (codes < 0xE000))).any():
-                raise damaged(self.path, f"array {brief(self.name)} holds what is no text")
+                raise damaged(self.path, f"array {brief(self.name)} holds values that are not text")
         return [str(item) for item in array.ravel()]
 
 
@@ -235,8 +235,8 @@ def _members(archive: zipfile.ZipFile, path: Path, allowance: Allowance) -> dict
     members = archive.infolist()
     if len(members) > _MOST_MEMBERS:
         raise RecordingError(
-            f"{path}: it holds {len(members)} files, at most {_MOST_MEMBERS} are read; save one "
-            "recording by itself"
+            f"{path}: it holds {len(members)} files, but at most {_MOST_MEMBERS} can be "
+            "read; save each recording in its own file"
         )
     pickles = [m.filename for m in members if m.filename.endswith((".pkl", ".pickle"))]
     if pickles:

@@ -52,7 +52,7 @@ def check_recording(recording: HandRecording, where: str) -> None:
         RecordingError: with the reason; it names the file, ``where``.
     """
     if not len(recording):
-        raise RecordingError(f"{where}: the recording holds no frames")
+        raise RecordingError(f"{where}: the recording contains no frames")
     check_stamps(recording.stamps, where, recording.landmarks)
     assert recording.valid is not None  # filled in by HandRecording
     check_units(recording.landmarks, recording.valid, where)
@@ -75,20 +75,20 @@ def check_units(
     """
     if not valid.any():
         raise RecordingError(
-            f"{where}: no landmark of any frame is a finite number; the tracker never saw the hand"
+            f"{where}: no landmark of any frame is finite; the tracker never saw the hand"
         )
     middle = index("middle_mcp")
     both = valid[:, WRIST] & valid[:, middle]
     if not both.any():
         raise RecordingError(
-            f"{where}: no frame has both the wrist and the middle finger's MCP, so neither the "
-            "units nor the palm can be found; record again with the whole hand in view"
+            f"{where}: no frame has both the wrist and the middle finger's MCP, so the units "
+            "and the palm can't be determined; record again with the whole hand in view"
         )
     place = float(np.median(np.abs(landmarks[both, WRIST]).max(axis=1)))
     if place > _FARTHEST_M:
         raise RecordingError(
-            f"{where}: the wrist is {place:.3g} m from the origin (median), and no tracker's world "
-            f"is larger than {_FARTHEST_M:g} m; the numbers are damaged, or in another unit"
+            f"{where}: the wrist is {place:.3g} m from the origin (median), but no tracker covers "
+            f"more than {_FARTHEST_M:g} m; the numbers are damaged, or in another unit"
         )
     palm = float(
         np.median(np.linalg.norm(landmarks[both, middle] - landmarks[both, WRIST], axis=1))
@@ -99,7 +99,7 @@ def check_units(
     whole = landmarks[valid.all(axis=1)]
     if of_a_picture(whole):
         raise RecordingError(f"{where}: {OF_A_PICTURE.what}; {OF_A_PICTURE.mend}")
-    hint = _length_hint(palm) if keeps_lengths(whole) else "its bones change their lengths, too"
+    hint = _length_hint(palm) if keeps_lengths(whole) else "the lengths of its bones also change"
     raise RecordingError(
         f"{where}: the distance from the wrist to the middle finger's MCP is {palm:.4g} (median), "
         f"but a hand in metres has {low} to {high}; {hint}"
@@ -130,9 +130,10 @@ def _length_hint(palm: float) -> str:
         likely = " or ".join(f"{unit} (multiply by {_LENGTH_UNITS[unit]:g})" for unit in units)
         return f"it looks like {likely}"
     return (
-        "no common unit fits. Landmarks in shares of a hand must be scaled to the operator's (for "
-        f"a palm of {_TYPICAL_PALM_M} m: multiply by {_TYPICAL_PALM_M / palm:.3g}), those of a "
-        "picture can't be; otherwise look at the order of the landmarks"
+        "no common unit fits. Landmarks in fractions of a hand must be scaled to the "
+        f"operator's hand (for a palm of {_TYPICAL_PALM_M} m: multiply by "
+        f"{_TYPICAL_PALM_M / palm:.3g}); landmarks in image coordinates can't be used; "
+        "otherwise check the order of the landmarks"
     )
 
 
@@ -179,26 +180,27 @@ def reading_notes(recording: HandRecording, where: str) -> list[str]:
         notes.append(side_note(where))
     damaged = recording.meta.get("damaged_lines", 0)
     if damaged:
-        notes.append(f"{where}: {damaged} lines are damaged and left out")
+        notes.append(f"{where}: {damaged} lines are damaged and were skipped")
     ignored = recording.meta.get("ignored")
     if ignored:
         notes.append(
-            f"{where}: not read: {listed(ignored)}; what is read beside the landmarks are valid "
-            "(T,) or (T, 21), T_world_wrist (T, 7) or (T, 4, 4), metacarpals (T, 4, 3) and "
-            "orientations (T, 21, 4)"
+            f"{where}: ignored: {listed(ignored)}; besides the landmarks, these arrays are "
+            "read: valid (T,) or (T, 21), T_world_wrist (T, 7) or (T, 4, 4), metacarpals "
+            "(T, 4, 3) and orientations (T, 21, 4)"
         )
     motion = finger_motion(recording)
     if motion is not None and motion < STIFF_M:
         notes.append(
-            f"{where}: the fingers never move ({1e3 * motion:.1f} mm in {recording.duration:.0f} "
-            "s); was the hand recorded without gloves, or one pose copied?"
+            f"{where}: the fingers never move ({1e3 * motion:.1f} mm in "
+            f"{recording.duration:.0f} s); check whether the glove was worn, and whether one "
+            "pose was copied"
         )
     odd = recording.meta.get("implausible_frames", 0)
     if odd:
         notes.append(
-            f"{where}: {odd} of {len(recording)} frames have a palm or a landmark that is too "
-            "large, too small or too far away for the hand; what is wrong in them counts as not "
-            "seen"
+            f"{where}: {odd} of {len(recording)} frames have a palm or a landmark that is "
+            "too large, too small or too far away for a hand; these landmarks are treated "
+            "as not seen"
         )
     return notes
 
@@ -252,11 +254,11 @@ def check_stamps(
         hint = (
             f"these look like {units[0]} (multiply by {_TIME_UNITS[units[0]]:g})"
             if units
-            else "and no other common unit fits these; check where they come from"
+            else "and no other common unit fits; check how the timestamps were written"
         )
         raise RecordingError(
-            f"{where}: by its stamps the recording has {rate:.4g} frames a second, expected "
-            f"{low:g} to {high:g}; stamps are in seconds, {hint}"
+            f"{where}: by its timestamps the recording has {rate:.4g} frames per "
+            f"second, expected {low:g} to {high:g}; timestamps must be in seconds, {hint}"
         )
     check_span(stamps, where)
 
@@ -282,8 +284,8 @@ def check_times(
     if not finite.all():
         first = int(np.argmin(finite))
         raise RecordingError(
-            f"{where}: the stamp of {what} {first} is {stamps[first]} ({np.sum(~finite)} of "
-            f"{len(stamps)} are not finite); every {what} needs a time in seconds"
+            f"{where}: the timestamp of {what} {first} is {stamps[first]} ({np.sum(~finite)} "
+            f"of {len(stamps)} are not finite); every {what} needs a time in seconds"
         )
     if len(stamps) < 2:
         return
@@ -291,10 +293,10 @@ def check_times(
     if (steps < 0).any():
         i = int(np.argmax(steps < 0)) + 1
         raise RecordingError(
-            f"{where}: the stamps go backwards at {what} {i}: {float(stamps[i - 1])!r} s, then "
-            f"{float(stamps[i])!r} s ({np.sum(steps < 0)} such steps). Either the {what}s are "
-            f"shuffled, or recordings were joined; sort the {what}s by time, or split the file "
-            "there"
+            f"{where}: the timestamps go backwards at {what} {i}: {float(stamps[i - 1])!r} "
+            f"s, then {float(stamps[i])!r} s ({np.sum(steps < 0)} such steps). The {what}s "
+            f"are shuffled, or recordings were joined: sort the {what}s by time, or split "
+            "the file there"
         )
     if (steps == 0).any():
         raise RecordingError(f"{where}: {_repeats(stamps, steps == 0, what, poses)}")
@@ -309,9 +311,9 @@ def check_span(stamps: Float[np.ndarray, " T"], where: str) -> None:
     span = float(stamps[-1]) - float(stamps[0]) if len(stamps) else 0.0
     if span > LONGEST_S:
         raise RecordingError(
-            f"{where}: from the first stamp to the last there are {span:.3g} s, at most "
-            f"{LONGEST_S:g} s (32 years) are read; one of the stamps is damaged, or they are in "
-            "another unit than seconds"
+            f"{where}: from the first timestamp to the last there are {span:.3g} s, at most "
+            f"{LONGEST_S:g} s (32 years) are accepted; a timestamp is damaged, or the unit "
+            "is not seconds"
         )
 
 
@@ -323,20 +325,20 @@ def _repeats(
     count, steps = int(same.sum()), len(same)
     if count == steps and steps > 1:
         return (
-            f"all {len(stamps)} stamps are {float(stamps[0])!r}, so these are no times; say how "
-            f"many {what}s a second it has, e.g. --rate 30 (in Python: rate=30)"
+            f"all {len(stamps)} timestamps are {float(stamps[0])!r}, so they are not times; give "
+            f"the number of {what}s per second, e.g. --rate 30 (in Python: rate=30)"
         )
     repeats = "1 repeat" if count == 1 else f"{count} repeats"
-    first = f"{what}s {i - 1} and {i} have the same stamp, {float(stamps[i])!r} s ({repeats})"
+    first = f"{what}s {i - 1} and {i} have the same timestamp, {float(stamps[i])!r} s ({repeats})"
     moved = np.zeros(steps, bool)
     if poses is not None:
         both = np.diff(np.asarray(poses, np.float64).reshape(len(poses), -1), axis=0)
         moved = same & (np.abs(both) > 0).any(axis=1)  # NaN: not seen, so nothing has moved
     if moved.sum() > count / 2:
         return (
-            f"{first}, and the hand differs in {int(moved.sum())} of these pairs: the stamps have "
-            f"a lower rate than the {what}s, so they are not the times of the {what}s; save "
-            f"the file without them and say how many {what}s a second it has, e.g. --rate 30"
+            f"{first}, and the hand differs in {int(moved.sum())} of these pairs, so the "
+            f"timestamps are not the times of the {what}s; save the file without timestamps "
+            f"and give the number of {what}s per second, e.g. --rate 30"
         )
     return (
         f"{first}; drop the repeated {what}s: keep = numpy.diff(timestamps, prepend=-numpy.inf) > 0"
@@ -353,8 +355,8 @@ def stamps_from_rate(count: int, rate: float | None, where: str) -> Float[np.nda
     check_frame_rate(rate)
     if rate is None and count > 1:
         raise RecordingError(
-            f"{where}: the recording has {count} frames and no time stamps; say how many frames a "
-            "second it has, e.g. --rate 100 (in Python: rate=100)"
+            f"{where}: the recording has {count} frames and no timestamps; give the number "
+            "of frames per second, e.g. --rate 100 (in Python: rate=100)"
         )
     return np.arange(count) / (rate or 1.0)
 
@@ -370,8 +372,8 @@ def check_rate(stamps: Float[np.ndarray, " T"], rate: float | None, where: str) 
     own = 1.0 / float(np.median(np.diff(stamps)))
     if not 0.9 * own <= rate <= 1.1 * own:  # NaN too
         raise RecordingError(
-            f"{where}: the file has its own stamps, of {own:.4g} frames a second, which contradict "
-            f"--rate {rate:g}; leave --rate out"
+            f"{where}: the file has its own timestamps, of {own:.4g} frames per second, "
+            f"which contradict --rate {rate:g}; remove --rate"
         )
 
 
@@ -402,7 +404,7 @@ def check_side(labels: Iterable[str], requested: Side | None, where: str) -> tup
     side = sides.pop()
     if requested is not None and requested != side:
         raise RecordingError(
-            f"{where}: it is a recording of a {side} hand, but side {requested!r} was asked for; "
+            f"{where}: it is a recording of a {side} hand, but side {requested!r} was requested; "
             f"use --side {side}, or another recording"
         )
     return side, False
@@ -457,7 +459,7 @@ def frame_slice(text: str, length: int | None) -> slice:
 def _hint(text: str) -> str:
     if re.fullmatch(r"\s*\d+\s*", text, re.ASCII):
         number = int(text)
-        return f"; the one frame {number} is '{number}:{number + 1}'"
+        return f"; to select only frame {number}, write '{number}:{number + 1}'"
     if text.count(":") > 1:
         return "; a step is not supported"
     return ""

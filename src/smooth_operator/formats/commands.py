@@ -139,14 +139,14 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
     path = Path(path)
     if file_kind(path) != "npz":
         raise RecordingError(
-            f"{path}: not a file of commands; expected the OUT.npz of a retargeting"
+            f"{path}: not a file of commands; expected the OUT.npz that retarget writes"
         )
     arrays = open_arrays(path)
     missing = [key for key in _KEYS if key not in arrays]
     if missing:
         raise RecordingError(
             f"{path}: not a file of commands: it lacks {', '.join(missing)} (it holds "
-            f"{arrays.describe()}); expected the OUT.npz of a retargeting"
+            f"{arrays.describe()}); expected the OUT.npz that retarget writes"
         )
     _check_shapes({key: arrays[key].shape for key in _KEYS}, str(path))
     commands = CommandTrajectory(

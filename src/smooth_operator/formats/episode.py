@@ -52,7 +52,9 @@ class StateTrajectory:
         if self.touch is not None and len(self.touch) != count:
             raise RecordingError(f"touch must have {count} rows, not {len(self.touch)}")
         if not (np.isfinite(self.stamps).all() and (np.diff(self.stamps) >= 0).all()):
-            raise RecordingError("the stamps of measured joints must be finite, and never go back")
+            raise RecordingError(
+                "the timestamps of measured joints must be finite and must not decrease"
+            )
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -207,13 +209,14 @@ class Episode:
 
     def __post_init__(self) -> None:
         if self.recording is None and self.commands is None:
-            raise RecordingError(f"{self.name}: it holds neither hand frames nor commands")
+            raise RecordingError(f"{self.name}: it contains neither hand frames nor commands")
         if self.commands is not None:
             check_commands(self.commands, self.name)
         count = 0 if self.commands is None else len(self.commands)
         if self.wrist is not None and len(self.wrist) != count:
             raise RecordingError(
-                f"{self.name}: a wrist is commanded {len(self.wrist)} times, the fingers {count}"
+                f"{self.name}: it has {len(self.wrist)} commands of the wrist, but {count} "
+                "of the fingers"
             )
         for stage, values in self.stages_ms.items():
             if np.shape(values) != (count,):
@@ -302,12 +305,12 @@ class Episode:
         """
         if other.commands is None:
             raise RecordingError(
-                f"{where}: it holds no commands; give the OUT.npz of a retargeting"
+                f"{where}: it contains no commands; name the OUT.npz that retarget wrote"
             )
         if self.recording is None or self.commands is not None:
             raise RecordingError(
-                f"{self.name}: commands of another file can be added to a recording only, and it "
-                + ("holds no hand frames" if self.recording is None else "has commands already")
+                f"{self.name}: commands of another file can only be added to a recording, but this "
+                + ("contains no hand frames" if self.recording is None else "already has commands")
             )
         both = replace(
             self,
@@ -323,9 +326,9 @@ class Episode:
         if not answered.all():
             raise RecordingError(
                 f"{where} was not made from {self.name}: {int(answered.sum())} of its "
-                f"{len(answered)} "
-                "time stamps are those of frames in it; give the recording that it was made from, "
-                "with the same --rate if it holds no stamps"
+                f"{len(answered)} timestamps match frames of the recording; name the "
+                "recording that it was made from, with the same --rate if it has no "
+                "timestamps"
             )
         return both
 
@@ -353,7 +356,7 @@ def check_commands(commands: CommandTrajectory, where: str) -> None:
                 f"{np.shape(getattr(commands, name))}"
             )
     if len(set(commands.joint_names)) != joints:
-        raise RecordingError(f"{where}: a joint name comes twice: {listed(commands.joint_names)}")
+        raise RecordingError(f"{where}: a joint name occurs twice: {listed(commands.joint_names)}")
     stamps = np.asarray(commands.stamps, np.float64)
     check_times(stamps, where, "command")
     check_span(stamps, where)
@@ -382,7 +385,8 @@ def _check_positions(commands: CommandTrajectory, where: str) -> None:
         return
     row, joint = (int(index) for index in np.argwhere(bad)[0])
     raise RecordingError(
-        f"{where}: command {row} has {commands.joint_names[joint]!r} at {positions[row, joint]:g} "
-        f"rad ({int(bad.any(axis=1).sum())} of {len(bad)} commands have such a joint); expected "
-        f"are finite numbers up to {MOST_RAD:g} rad, or NaN with a status other than OK"
+        f"{where}: command {row} has {commands.joint_names[joint]!r} at "
+        f"{positions[row, joint]:g} rad ({int(bad.any(axis=1).sum())} of {len(bad)} commands "
+        f"have such a joint); expected finite numbers up to {MOST_RAD:g} rad, or NaN with a "
+        "status other than OK"
     )

@@ -18,26 +18,27 @@ SAVE: Final = (
 
 _HEAD_BYTES: Final = 4096
 _SKELETON: Final = (
-    "a skeleton in motion; compute the places of a hand's joints by forward kinematics, in metres "
-    f"(such files are often in centimetres or inches), and save 21 of them with {SAVE}. Its "
-    "fingers move only if gloves or a hand tracker were worn"
+    "a skeleton animation; compute the positions of a hand's joints by forward kinematics, "
+    "in metres (such files are often in centimetres or inches), and save 21 of them with "
+    f"{SAVE}. The fingers move only if the hands were tracked during the recording"
 )
 _MARKERS: Final = (
-    "markers on the skin, not joints of a hand; fit the joints of a hand to them with the program "
-    f"that recorded them, and save 21 of them with {SAVE}"
+    "it has markers on the skin, not joints of a hand; fit the joints of a hand to the "
+    f"markers with the program that recorded them, and save 21 joints with {SAVE}"
 )
 _BAG: Final = (
     "play it (ros2 bag play FOLDER) and read the topic of the hand live: smooth-operator teleop "
     "--source ros2"
 )
-_ROBOT: Final = "it holds no human hand, so there is nothing to retarget"
+_ROBOT: Final = "it contains no human hand, so there is nothing to retarget"
 _TABLE: Final = (
-    "a table, not a recording; read its points into an array, put them in metres and in the order "
-    f"of the 21 landmarks, and save them with {SAVE}"
+    "a table, not a recording; read its points into an array, convert them to metres and to "
+    f"the order of the 21 landmarks, and save them with {SAVE}"
 )
 _ARIA: Final = (
-    "Aria's table of hand tracking; save the points of a hand, in the order of its columns, with "
-    f"{SAVE}, the stamps divided by 1e6, and say --layout aria to retarget or convert"
+    "Aria's table of hand tracking; save the points of a hand, in the order of its columns, "
+    f"with {SAVE}, with timestamps divided by 1e6, and use --layout aria for retarget or "
+    "convert"
 )
 
 _STARTS: Final[tuple[tuple[bytes, str], ...]] = (
@@ -66,8 +67,7 @@ _SUFFIXES: Final = {
     ".tsv": _TABLE,
 }
 _PARQUET: Final = (
-    "a Parquet file; give the whole LeRobot dataset folder that it is from to 'smooth-operator "
-    "convert'"
+    "a Parquet file; pass the whole folder of its LeRobot dataset to 'smooth-operator convert'"
 )
 _JSON_ROBOT: Final = re.compile(rb'"(states|actions)"\s*:\s*\{')
 _BODIES: Final = {72: "SMPL", 156: "SMPL-H", 165: "SMPL-X"}
@@ -163,6 +163,7 @@ def body_parameters(shapes: Mapping[str, tuple[int, ...]]) -> str | None:
         return None
     body = _BODIES[shape[1]]
     return (
-        f"parameters of a whole body ({body}, {shape[1]} numbers a frame), not of a hand; make "
-        f"joints of them with the library smplx, and save the 21 of a hand with {SAVE}"
+        f"parameters of a whole body ({body}, {shape[1]} numbers per frame), not of a hand; "
+        "compute joints from them with the library smplx, and save the 21 of a hand with "
+        f"{SAVE}"
     )

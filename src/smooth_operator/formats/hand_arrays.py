@@ -41,15 +41,15 @@ def validity(
     shapes = [(count,), (count, 1), (count, NUM_LANDMARKS), (count, nodes)]
     if stored.shape not in shapes:
         raise RecordingError(
-            f"{stored.path}: the flags {brief(stored.name)} must have shape ({count},), one a "
-            f"frame, or ({count}, {nodes}), one a landmark, not {stored.shape}"
+            f"{stored.path}: the flags {brief(stored.name)} must have shape ({count},), one "
+            f"per frame, or ({count}, {nodes}), one per landmark, not {stored.shape}"
         )
     values = stored.load()
     if values.dtype.kind not in "bfiu" or not np.isin(values, (0, 1)).all():
         raise RecordingError(
-            f"{stored.path}: the flags {brief(stored.name)} must be true or false, or 1 or 0, not "
-            f"{_content(values)}; if they are confidences, decide which count as seen: "
-            "valid = confidence > 0.3"
+            f"{stored.path}: the flags {brief(stored.name)} must be true or false, or 1 or "
+            f"0, not {_content(values)}; if they are confidences, apply a threshold: valid = "
+            "confidence > 0.3"
         )
     flags = values.astype(bool)
     if flags.shape == (count, nodes) and flags.ndim == 2 and nodes > 1:
@@ -86,9 +86,10 @@ def pose_rows(stored: StoredArray, count: int, order: str = "wxyz") -> Float[np.
             first = int(np.argmax(wrong))
             turned = is_rigid(np.swapaxes(matrices[first], -1, -2))
             raise RecordingError(
-                f"{name} of frame {first} is no rotation and position ({int(wrong.sum())} of "
-                f"{count} frames); expected are 4 x 4 matrices with the last row 0 0 0 1, without "
-                "a scale" + ("; these are transposed: array.swapaxes(-1, -2)" if turned else "")
+                f"{name} of frame {first} is not a rotation and position ({int(wrong.sum())} "
+                f"of {count} frames); expected 4 x 4 matrices with the last row 0 0 0 1 and "
+                "without scaling"
+                + ("; these are transposed: array.swapaxes(-1, -2)" if turned else "")
             )
         rows = np.full((count, 7), np.nan)
         rows[known] = from_matrices(matrices[known])
@@ -107,9 +108,9 @@ def pose_rows(stored: StoredArray, count: int, order: str = "wxyz") -> Float[np.
     if wrong.any():
         first = int(np.argmax(wrong))
         raise RecordingError(
-            f"{name} of frame {first} has a quaternion of length {lengths[first]:.3g}, so it is no "
-            f"rotation ({int(wrong.sum())} of {count} frames); expected are x y z [m] and a unit "
-            f"quaternion {' '.join(order)}, or 4 x 4 matrices"
+            f"{name} of frame {first} has a quaternion of length {lengths[first]:.3g}, so it "
+            f"is not a rotation ({int(wrong.sum())} of {count} frames); expected x y z [m] "
+            f"and a unit quaternion {' '.join(order)}, or 4 x 4 matrices"
         )
     return unit_poses(rows)
 
@@ -148,7 +149,7 @@ def shares(values: np.ndarray, where: str) -> Float[np.ndarray, " T"]:
         scales = [
             text
             for text, limit, fits in (
-                ("levels (1 low, 2 high: give each its share)", 3.0, (finite % 1 == 0).all()),
+                ("levels (1 low, 2 high: assign a fraction to each)", 3.0, (finite % 1 == 0).all()),
                 ("percent (divide by 100)", 100.0, most > 3.0),
                 ("bytes (divide by 255)", 255.0, most > 3.0 and (finite % 1 == 0).all()),
             )
@@ -156,7 +157,8 @@ def shares(values: np.ndarray, where: str) -> Float[np.ndarray, " T"]:
         ]
         likely = f"they may be {' or '.join(scales)}" if scales else "no common scale fits"
         raise RecordingError(
-            f"{where}: confidences must be shares from 0 to 1, and these reach {most:g}; {likely}"
+            f"{where}: confidences must be fractions from 0 to 1, but these reach {most:g}; "
+            f"{likely}"
         )
     return np.where(np.isfinite(result), np.clip(result, 0.0, 1.0), np.nan)
 

@@ -146,7 +146,8 @@ def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) ->
         suspicion.side is not None and side is None and not recording.meta.get("side_assumed")
     )
     remedy = (
-        f"the file says {recording.side}: correct that, or mirror it back: points * (-1, 1, 1)"
+        f"the file says {recording.side}: correct the side, or mirror the points back: "
+        "points * (-1, 1, 1)"
         if labelled
         else suspicion.remedy
     )
@@ -294,13 +295,15 @@ def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:
     if not named and hands:
         names = [name for name in hands if side in (None, _SIDE_OF[name])] or hands
         if len(names) > 1:
-            raise RecordingError(f"{path}: it holds both hands; say --side right or --side left")
+            raise RecordingError(
+                f"{path}: it contains both hands; choose one with --side right or --side left"
+            )
         return arrays[names[0]]
     if len(named) == 1:
         return named[0]
     if len(named) > 1:
         raise RecordingError(
-            f"{path}: it holds both 'landmarks' and 'joints'; keep the one that is meant"
+            f"{path}: it contains both 'landmarks' and 'joints'; keep only one of them"
         )
     cubes = [item for item in arrays.values() if len(item.shape) == 3]
     if len(cubes) == 1:
@@ -311,7 +314,8 @@ def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:
         what, first = "recordings" if cubes else "single poses", names[0][:40]
         raise RecordingError(
             f"{path}: it holds {len(names)} {what}, not one recording: {listed(names)}; save "
-            f"one by itself: numpy.save('{first}.npy', numpy.load('{path.name}')['{first}'])"
+            f"one in its own file: numpy.save('{first}.npy', "
+            f"numpy.load('{path.name}')['{first}'])"
         )
     if poses:
         return poses[0]
@@ -319,7 +323,8 @@ def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:
     if body is not None:
         raise RecordingError(f"{path}: these are {body}")
     raise RecordingError(
-        f"{path}: no array of landmarks in it, but {arrays.describe()}. What is read: {readable()}"
+        f"{path}: it has no array of landmarks, only {arrays.describe()}. Readable files: "
+        f"{readable()}"
     )
 
 
@@ -338,13 +343,13 @@ def _frames(item: StoredArray) -> Float[np.ndarray, "T n 3"]:
     if len(shape) == 2 and shape[0] in NODE_LAYOUTS and shape[1] == 3:
         return item.numbers()[None]
     if len(shape) == 3 and shape[0] == 0:
-        raise RecordingError(f"{item.path}: the recording holds no frames, its shape is {shape}")
+        raise RecordingError(f"{item.path}: the recording contains no frames; its shape is {shape}")
     if len(shape) == 3 and shape[1] in NODE_LAYOUTS and shape[2] == 3:
         return item.numbers()
     raise RecordingError(
-        f"{item.path}: landmarks must have shape (T, 21, 3), or 25 (MANUS, WebXR), 26 (OpenXR) or "
-        f"27 (with the forearm) nodes in place of 21, or be 4 x 4 transforms (T, 25, 4, 4), not "
-        f"{shape}{_shape_hint(shape)}"
+        f"{item.path}: landmarks must have shape (T, 21, 3), or 25 (MANUS, WebXR), 26 "
+        "(OpenXR) or 27 (with the forearm) nodes instead of 21, or be 4 x 4 transforms (T, "
+        f"25, 4, 4), not {shape}{_shape_hint(shape)}"
     )
 
 
@@ -356,11 +361,13 @@ def _shape_hint(shape: tuple[int, ...]) -> str:
     if len(shape) == 3 and shape[1] in NODE_LAYOUTS and shape[2] > 3:
         return "; if x, y, z come first: array[..., :3]"
     if len(shape) == 3 and shape[1:] == (16, 3):
-        return "; MANO's 16 joints have no tips: add those of its mesh, then say --layout mano"
+        return (
+            "; MANO's 16 joints have no fingertips: add those of its mesh, then use --layout mano"
+        )
     if shape[-2:] == (4, 4):
-        return "; of transforms, save those of the hand's joints: array[..., :3, 3] are positions"
+        return "; from transforms, save the positions of the hand's joints: array[..., :3, 3]"
     if len(shape) == 4:
-        return "; if there are several hands in it, save one: array[:, 0]"
+        return "; if it contains several hands, save one of them: array[:, 0]"
     return ""
 
 
@@ -374,7 +381,7 @@ def _stamps(arrays: StoredArrays, count: int, rate: float | None) -> Float[np.nd
         stamps = stamps[None]
     if stamps.shape != (count,):
         raise RecordingError(
-            f"{where}: {keys[0]!r} must have one stamp for each of the {count} frames, "
+            f"{where}: {keys[0]!r} must have one timestamp for each of the {count} frames, "
             f"not shape {stamps.shape}"
         )
     return own_stamps(stamps, rate, where)
@@ -406,7 +413,9 @@ def manus_nodes(
     where = str(arrays.path)
     item = arrays["data"]
     if item.shape[0] == 0:
-        raise RecordingError(f"{where}: the recording holds no frames, its shape is {item.shape}")
+        raise RecordingError(
+            f"{where}: the recording contains no frames; its shape is {item.shape}"
+        )
     meta: dict[str, Any] = {"format": "manus"}
     assumed = []
 
@@ -417,8 +426,8 @@ def manus_nodes(
         assumed.append("keypoint_ids")
     else:
         raise RecordingError(
-            f"{where}: a MANUS recording has {_NUM_NODES} nodes, this one {item.shape[1]} and no "
-            "'keypoint_ids' to say which they are; export it again with the ids"
+            f"{where}: a MANUS recording has {_NUM_NODES} nodes, this one {item.shape[1]} "
+            "and no 'keypoint_ids' to identify them; export it again with the ids"
         )
 
     if "quaternion_order" not in arrays:

@@ -49,8 +49,8 @@ class Reader:
     def __post_init__(self) -> None:
         if not (self.magic or self.suffixes):
             raise ConfigError(
-                f"a reader of {self.what} must have magic (first bytes) or suffixes: nothing else "
-                "says which files are its own"
+                f"a reader of {self.what} must have magic (first bytes) or suffixes, to "
+                "recognise its files"
             )
 
     def recognises(self, path: Path, head: bytes) -> bool:
@@ -83,7 +83,7 @@ class Reader:
             raise RecordingError(f"{path}: can't be read as {self.what}: {error}") from error
         if not isinstance(recording, HandRecording):
             raise ConfigError(
-                f"the reader of {self.what} must give a HandRecording, not "
+                f"the reader of {self.what} must return a HandRecording, not "
                 f"{type(recording).__name__}"
             )
         return recording
@@ -196,7 +196,7 @@ def file_kind(path: Path) -> str:
         with path.open("rb") as stream:
             head = stream.read(128)
     except DocumentError as error:
-        raise RecordingError(f"{path}: {error}; give the file of a recording") from None
+        raise RecordingError(f"{path}: {error}; name the file of a recording") from None
     except FileNotFoundError:
         raise RecordingError(f"{path}: no such file; check the name and the folder") from None
     except IsADirectoryError:
@@ -221,9 +221,9 @@ def file_kind(path: Path) -> str:
                 return name
     if is_video_head(head):
         raise RecordingError(
-            f"{path}: this is a video; track the hand in it first: smooth-operator convert {path} "
-            f"--output {path.with_suffix('.npz').name}; or drive a hand from it live: "
-            f"smooth-operator teleop --source video:{path} (extra webcam)"
+            f"{path}: this is a video; track the hand in it first: smooth-operator convert "
+            f"{path} --output {path.with_suffix('.npz').name}; or drive a hand from it live: "
+            f"smooth-operator teleop --source video:{path} (webcam extra)"
         )
     if any(magic.startswith(head) for reader in built_in for magic in reader.magic):
         raise RecordingError(
@@ -236,7 +236,7 @@ def file_kind(path: Path) -> str:
     if kind is not None:
         raise RecordingError(f"{path}: this is {kind}")
     raise RecordingError(
-        f"{path}: not a recording: it starts with {head[:8]!r}. What is read: {readable()}"
+        f"{path}: not a recording: it starts with {head[:8]!r}. Readable files: {readable()}"
     )
 
 
@@ -255,7 +255,7 @@ def _is_a_folder(path: Path) -> RecordingError:
         if foreign is not None:
             return RecordingError(f"{path}: this is {foreign}")
         return RecordingError(
-            f"{path}: this is a LeRobot dataset; convert an episode of it first: smooth-operator "
-            f"convert {path} --episode 0 --output episode.npz"
+            f"{path}: this is a LeRobot dataset; convert one of its episodes first: "
+            f"smooth-operator convert {path} --episode 0 --output episode.npz"
         )
-    return RecordingError(f"{path}: this is a folder; give one of the files in it")
+    return RecordingError(f"{path}: this is a folder; name one of the files in it")

@@ -91,7 +91,7 @@ def removable(name: str, side: Side | None = None) -> tuple[Path, ...]:
     if name not in own:
         if name in HANDS:
             raise HandModelError(
-                f"{name!r} is {origin(name)} and can't be removed; yours are: "
+                f"{name!r} is {origin(name)} and can't be removed; your own hands: "
                 f"{', '.join(own) or 'none'}"
             )
         raise UnknownNameError("hand of your own", name, own)

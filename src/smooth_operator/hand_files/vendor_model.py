@@ -48,21 +48,21 @@ def on_model(hand: Hand, path: str | Path) -> Hand:
     path = Path(path)
     if hand.spec.mirror:
         raise HandModelError(
-            f"the {hand.spec.side} hand {hand.name!r} is a mirror image, so there is no model that "
-            "it was made from; ask for the other side"
+            f"the {hand.spec.side} hand {hand.name!r} is a mirror image, so it has no model "
+            "of its own; use the other side"
         )
     model = load_model(path).model
     names = {model.joint(j).name for j in range(model.njnt)}
     if missing := [name for name in hand.joint_names if name not in names]:
         raise HandModelError(
             f"{path} lacks the joints {', '.join(missing)} of the {hand.spec.side} hand "
-            f"{hand.name!r}; give a model of that hand and side"
+            f"{hand.name!r}; name a model of that hand and side"
         )
     other = load_hand_spec(_carried(hand, model, path))
     distance = _difference(hand, other)
     if not distance < _SAME:
         raise HandModelError(
-            f"{path} is another hand than the {hand.spec.side} {hand.name!r}: at equal joint "
+            f"{path} is not the {hand.spec.side} {hand.name!r}: at equal joint "
             f"positions their landmarks are up to {distance * 1e3:.1f} mm apart"
         )
     return other
@@ -110,7 +110,7 @@ def _palm(hand: Hand, model: mujoco.MjModel) -> str:
     best = min(range(1, model.nbody), key=lambda body: (round(apart(body) / _SAME, 2), -body))
     if not apart(best) < _SAME or not model.body(best).name:
         raise HandModelError(
-            f"no body of that model is the palm of {hand.name!r}: its fingers start elsewhere"
+            f"no body of that model matches the palm of {hand.name!r}: the fingers differ"
         )
     return str(model.body(best).name)
 
@@ -128,7 +128,9 @@ def _relative(model: mujoco.MjModel, base: int, body: int) -> _Frame:
 
 def _name(model: mujoco.MjModel, body: int, path: Path) -> str:
     if not (name := model.body(body).name):
-        raise HandModelError(f"{path}: body {body} has a joint of the hand but no name; name it")
+        raise HandModelError(
+            f"{path}: body {body} has a joint of the hand but no name; give it a name"
+        )
     return str(name)
 
 
@@ -231,8 +233,8 @@ def menagerie_file(hand: Hand) -> Path:
     if entry is None:
         names = ", ".join(f"{name} ({side})" for name, side in _ENTRIES)
         raise HandModelError(
-            f"Menagerie has no model of the {hand.spec.side} hand {hand.name!r}, only of {names}; "
-            "name a file of yours instead of the word menagerie"
+            f"Menagerie has no model of the {hand.spec.side} hand {hand.name!r}, only of "
+            f"{names}; name a model file instead of the word menagerie"
         )
     package = _package()
     robot, xml = entry
@@ -240,8 +242,9 @@ def menagerie_file(hand: Hand) -> Path:
         return Path(package.get(robot).xml(xml))
     except (package.MenagerieError, OSError) as error:
         raise HandModelError(
-            f"the model {robot!r} of Menagerie can't be had: {error}. Try again with a network, "
-            "or set MENAGERIE_ROOT to a checkout of github.com/google-deepmind/mujoco_menagerie"
+            f"the model {robot!r} of Menagerie can't be downloaded: {error}. Try again with "
+            "a network, or set MENAGERIE_ROOT to a checkout of "
+            "github.com/google-deepmind/mujoco_menagerie"
         ) from error
 
 

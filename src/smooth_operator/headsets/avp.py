@@ -152,7 +152,8 @@ def read_hands(data: bytes, stamp: float | None = None) -> tuple[HandFrame, ...]
         read = update.FromString(data)
     except damaged as error:
         raise RecordingError(
-            f"the message is no HandUpdate of Tracking Streamer, or is damaged or cut off: {error}"
+            "the message is not a HandUpdate of Tracking Streamer, or is damaged or "
+            f"truncated: {error}"
         ) from error
     frames = (_hand(read.left_hand, "left", stamp), _hand(read.right_hand, "right", stamp))
     return tuple(frame for frame in frames if frame is not None)

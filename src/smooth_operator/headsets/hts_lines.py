@@ -90,8 +90,8 @@ def parse_line(data: bytes | str) -> HtsLine:
     match = _LINE.fullmatch(text.strip())
     if match is None or (match["who"].lower() == "head") != (match["kind"].lower() == "pose"):
         raise RecordingError(
-            "a line must begin with 'Right wrist:', 'Right landmarks:', the same of 'Left', or "
-            f"'Head pose:', not {brief(text)}"
+            "a line must begin with 'Right wrist:', 'Right landmarks:', 'Left wrist:', "
+            f"'Left landmarks:' or 'Head pose:', not {brief(text)}"
         )
     kind: Any = match["kind"].lower()
     meta = {key.lower(): int(value) for key, value in _META.findall(match["meta"] or "")}
@@ -112,7 +112,8 @@ def _values(text: str, count: int, what: str) -> Float[np.ndarray, " n"]:
         words = [word.strip() for word in text.strip().strip(",").split(", ")]
     if len(words) != count:
         raise RecordingError(
-            f"'{what}' must have {count} numbers, not {len(words)}: the line is cut off or damaged"
+            f"'{what}' must have {count} numbers, not {len(words)}: the line is truncated or "
+            "damaged"
         )
     bad = next((word for word in words if _NUMBER.fullmatch(word) is None), None)
     if bad is not None:

@@ -98,8 +98,8 @@ class _Collected:
         sides = self._seen()
         if len(sides) > 1:
             raise RecordingError(
-                f"{self._path}: it holds both hands; say --side right or --side left (in Python: "
-                "side='right')"
+                f"{self._path}: it contains both hands; choose one with --side right or "
+                "--side left (in Python: side='right')"
             )
         frames = self._frames[sides[0]]
         if all(frame.stamp is not None for frame in frames):
@@ -132,7 +132,7 @@ class _Collected:
         if not sides:
             which = "hand" if self._side is None else f"{self._side} hand"
             why = f"; {self._damaged} lines can't be read: {self._reason}" if self._damaged else ""
-            raise RecordingError(f"{self._path}: there is no {which} in it{why}")
+            raise RecordingError(f"{self._path}: it contains no {which}{why}")
         return sides
 
     def _made(self, side: Side, stamps: Float[np.ndarray, " T"], form: str) -> HandRecording:

@@ -126,20 +126,20 @@ class Doubt:
         """Remedy for a file: the option on the command line, or the Python code."""
         if self.side is not None:
             return (
-                f"say --side {self.side} (in Python: side={self.side!r}); if it was mirrored, "
-                "mirror it back: points * (-1, 1, 1)"
+                f"use --side {self.side} (in Python: side={self.side!r}); if the recording "
+                "was mirrored, mirror it back: points * (-1, 1, 1)"
             )
         if self.layout is not None:
             return f"say --layout {self.layout} (in Python: layout={self.layout!r})"
-        return self.mend or f"put them in order: points[:, {list(self.order or ())}]"
+        return self.mend or f"reorder them: points[:, {list(self.order or ())}]"
 
     @property
     def in_python(self) -> str:
         """Remedy for the points of a frame in a program."""
         if self.side is not None:
             return (
-                f"load the {self.side} robot hand and say HandFrame(..., side={self.side!r}), or "
-                "mirror the points: points * (-1, 1, 1)"
+                f"load the {self.side} robot hand and use HandFrame(..., "
+                f"side={self.side!r}), or mirror the points: points * (-1, 1, 1)"
             )
         if self.layout is not None:
             return f"smooth_operator.io.anatomy.in_our_order(points, layout={self.layout!r})"
@@ -150,13 +150,17 @@ class Doubt:
         """Problem and remedy in a few words, for frames that come one by one."""
         if self.side is not None:
             return (
-                f"by its shape it is a {self.side} hand; say side={self.side}, or do not mirror it"
+                f"judging by its shape, it is a {self.side} hand; use side={self.side}, or "
+                "do not mirror it"
             )
         if self.layout is not None:
-            return f"landmarks in the order {self.layout!r}; give the source layout={self.layout}"
+            return (
+                f"landmarks in the order {self.layout!r}; set layout= of the source: "
+                f"layout={self.layout}"
+            )
         if self.mend:
             return f"{self.what}; {self.mend}"
-        return f"landmarks in another order; put them in order: points[{list(self.order or ())}]"
+        return f"landmarks are in another order; reorder them: points[{list(self.order or ())}]"
 
 
 def layout_order(name: str | None) -> tuple[int, ...]:
@@ -220,8 +224,8 @@ def of_a_picture(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
 
 
 OF_A_PICTURE: Final = Doubt(
-    "these are image landmarks: x and y are places in a picture and the wrist's z is 0, so no "
-    "factor makes metres of them",
+    "these are image landmarks: x and y are positions in an image and the wrist's z is 0, so "
+    "they can't be converted to metres",
     mend="save the tracker's world landmarks, which are in metres",
 )
 
@@ -314,7 +318,8 @@ def _other_side(landmarks: Float[np.ndarray, "T 21 3"], side: Side) -> Doubt | N
 def _of_the_other(side: Side) -> Doubt:
     other: Side = "left" if side == "right" else "right"
     return Doubt(
-        f"by its shape this is a {other} hand: fingers and thumb bend to the back of a {side} one",
+        f"judging by its shape, this is a {other} hand: fingers and thumb would bend to the "
+        f"back of a {side} hand",
         side=other,
     )
 
@@ -456,20 +461,22 @@ def _other_order(points: Float[np.ndarray, "T 21 3"], layout: str | None) -> Dou
         if misfits[0] <= NO_HAND and keeps_lengths(points[:, stated]):
             return None
         return Doubt(
-            "by the lengths between them the points are no hand, in this order or in any other "
-            "that is known",
-            mend=f"say their order (layout {', '.join(LAYOUTS)}), or put them in that of "
+            "judging by the distances between them, the points do not form a hand in this or "
+            "any other known order",
+            mend=f"name their order (layout {', '.join(LAYOUTS)}), or reorder them as in "
             "smooth_operator.landmarks.LANDMARKS, in metres along three axes",
         )
     order = tuple(orders[best].tolist())
     name = next((name for name, named in LAYOUTS.items() if named == order), None)
     if name is None:
-        looks = f"the points come in the order {_described(order)}"
+        looks = f"the points are in the order {_described(order)}"
     else:
         looks = f"the points are in the order {name!r} ({_described(order)})"
     was = next((name for name, named in LAYOUTS.items() if named == stated), "given")
     return Doubt(
-        f"by the lengths between them {looks}, not in {was!r} ({_described(stated)})", name, order
+        f"judging by the distances between them, {looks}, not in {was!r} ({_described(stated)})",
+        name,
+        order,
     )
 
 

@@ -54,7 +54,7 @@ class Entries:
         for name in self.values:
             if name not in names:
                 hint = did_you_mean(name, names)
-                raise self.error(name, f"no such entry.{hint} Known here: {', '.join(names)}")
+                raise self.error(name, f"no such entry.{hint} Known entries: {', '.join(names)}")
 
     def check_format(self, version: int) -> None:
         """Refuses a file whose entry ``format`` is another version of its format."""
@@ -74,11 +74,11 @@ class Entries:
         """
         value = self._get(name, default, "a text")
         if not isinstance(value, str):
-            raise self.error(name, f"expected a text, not {brief(value)}")
+            raise self.error(name, f"expected a string, not {brief(value)}")
         if not lines and not value.isprintable():
-            raise self.error(name, f"expected a text on one line, not {brief(value)}")
+            raise self.error(name, f"expected a string on one line, not {brief(value)}")
         if not empty and not value:
-            raise self.error(name, "expected a text, not an empty text")
+            raise self.error(name, "expected a string, not an empty one")
         return value
 
     def choice(self, name: str, options: Sequence[_T], default: _T | None = None) -> _T:
@@ -90,7 +90,7 @@ class Entries:
         raise self.error(name, f"expected {' or '.join(map(repr, options))}, not {brief(value)}")
 
     def texts(
-        self, name: str, default: Sequence[str] | None = None, *, what: str = "a list of texts"
+        self, name: str, default: Sequence[str] | None = None, *, what: str = "a list of strings"
     ) -> list[str]:
         """A list of texts; messages call it ``what``."""
         value = self._get(name, default, what)

@@ -52,8 +52,8 @@ def assemble_trace(
     """
     if not np.array_equal(recording.stamps, commands.stamps):
         raise RecordingError(
-            f"{recording.name}: the {len(recording)} frames are not those that the "
-            f"{len(commands)} commands answer; their time stamps differ"
+            f"{recording.name}: the {len(recording)} frames are not those of the "
+            f"{len(commands)} commands; their timestamps differ"
         )
     if commands.joint_names != hand.joint_names:
         raise RecordingError(

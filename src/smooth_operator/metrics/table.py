@@ -100,12 +100,12 @@ class Metric:
 
 
 GROUPS: Final[Mapping[str, str]] = {
-    "posture": "Posture: is the robot hand open and closed as the human hand is?",
-    "grasping": "Grasping: do pinches close, and do fingers stay out of each other?",
-    "motion": "Motion: does the robot hand move as the human hand does?",
+    "posture": "Posture: does the robot hand open and close like the human hand?",
+    "grasping": "Grasping: do pinches close, and do fingers avoid self-collision?",
+    "motion": "Motion: does the robot hand move like the human hand?",
     "smoothness": "Smoothness: does it move without jitter?",
     "accuracy": "Accuracy: do the vectors between wrist and fingertips agree, as in the paper?",
-    "reach": "Reach: how much of its range is in use?",
+    "reach": "Reach: how much of its workspace does the robot hand use?",
     "latency": "Latency: how long does a command take?",
     "run": "Run: what was measured?",
 }
@@ -255,17 +255,17 @@ METRICS: Final[tuple[Metric, ...]] = (
            lambda t: accuracy.cosine_similarity(t.human_keyvectors, t.robot_keyvectors),
            published=lambda t: published.cosine_similarity(_fitted(t)[1], t.robot_keyvectors),
            short="cosine, all"),
-    Metric("scale_ratio", "", "->1", "length of the thumb-to-tip vectors, robot over human",
+    Metric("scale_ratio", "", "->1", "ratio of thumb-to-tip vector lengths, robot to human",
            "accuracy",
            lambda t: accuracy.scale_ratio(*_thumb(t)),
            published=lambda t: published.scale_ratio(*_fitted_thumb(t)), short="scale"),
     Metric("tracking_loss", "", "down", "mean of the method's own tracking objective", "accuracy"),
     Metric("finger_extension_error", "", "down",
-           "extension of the long fingers, robot against human: 1 is straight", "posture",
+           "difference of finger extension, robot to human; 1 is straight", "posture",
            lambda t: posture.extension_error(*_extensions(t)), short="extension"),
-    Metric("flat_extension_lack", "", "down", "extension that lacks while the human hand is flat",
+    Metric("flat_extension_lack", "", "down", "missing extension while the human hand is flat",
            "posture", lambda t: posture.flat_extension_lack(*_extensions(t))),
-    Metric("fist_extension_excess", "", "down", "extension too much while the human makes a fist",
+    Metric("fist_extension_excess", "", "down", "excess extension while the human hand is a fist",
            "posture", lambda t: posture.fist_extension_excess(*_extensions(t))),
     Metric("finger_direction_error_deg", "°", "down", "base-to-tip direction of the long fingers",
            "posture", lambda t: summary.mean(_directions(t)[:, 1:]), short="fingers"),
@@ -277,17 +277,17 @@ METRICS: Final[tuple[Metric, ...]] = (
            "posture", _spread_error),
     Metric("common_shift_mm", "mm", "down", "error that all wrist-to-tip vectors share", "posture",
            lambda t: summary.scaled(posture.common_shift(t.human_reaches, t.robot_reaches), 1e3)),
-    Metric("pinch_touch_share", "", "up", "share of the human's pinches in which surfaces touch",
+    Metric("pinch_touch_share", "", "up", "fraction of the human's pinches in which surfaces touch",
            "grasping", lambda t: pinches.touching_share(_pinch_distances(t)), short="touch"),
-    Metric("pinch_deep_share", "", "down", "share of them with surfaces over 2 mm inside",
+    Metric("pinch_deep_share", "", "down", "fraction of pinches that overlap by more than 2 mm",
            "grasping", lambda t: pinches.deep_share(_pinch_distances(t)), short="deep"),
-    Metric("pinch_touch_share_per_finger", "", "up", "share that touch, for each finger",
+    Metric("pinch_touch_share_per_finger", "", "up", "fraction of pinches that touch, per finger",
            "grasping", _touching_by_finger),
-    Metric("self_collision.share", "", "down", "share of frames with links over 2 mm inside",
+    Metric("self_collision.share", "", "down", "fraction of frames that overlap by over 2 mm",
            "grasping", _of(_self_collision, "share"), short="collision"),
-    Metric("self_collision.mean_depth_mm", "mm", "down", "depth of overlap, mean over frames",
+    Metric("self_collision.mean_depth_mm", "mm", "down", "overlap depth, mean over frames",
            "grasping", _of(_self_collision, "mean_depth_mm")),
-    Metric("self_collision.max_depth_mm", "mm", "down", "depth of overlap, deepest", "grasping",
+    Metric("self_collision.max_depth_mm", "mm", "down", "overlap depth, maximum", "grasping",
            _of(_self_collision, "max_depth_mm")),
     Metric("motion_preservation", "", "->1", "direction of the fingertips' motion", "motion",
            lambda t: consistency.motion_preservation(t.human_reaches, t.robot_reaches),
@@ -297,17 +297,17 @@ METRICS: Final[tuple[Metric, ...]] = (
            "motion", lambda t: _lag(t)[1]),
     Metric("lag_ms", "ms", "down", "delay of the robot's fingertip motion behind the human's",
            "motion", lambda t: _lag(t)[0]),
-    Metric("frozen_share", "", "down", "share of human motion that the robot sits out", "motion",
+    Metric("frozen_share", "", "down", "fraction of human motion without robot motion", "motion",
            lambda t: consistency.frozen_share(t.human_reaches, t.joint_positions)),
-    Metric("step_gain", "", "->1", "robot step over human step of over 3 mm, median", "motion",
+    Metric("step_gain", "", "->1", "ratio of robot to human steps over 3 mm, median", "motion",
            lambda t: summary.median(posture.step_gains(*_steps(t)))),
-    Metric("stalled_share", "", "down", "share of those steps answered by less than a third",
+    Metric("stalled_share", "", "down", "fraction of those steps with a ratio under a third",
            "motion", lambda t: posture.stalled_share(posture.step_gains(*_steps(t)))),
-    Metric("settling_s", "s", "down", "until a finger is as open as the human's, opened fast",
+    Metric("settling_s", "s", "down", "time until a finger is as open as the human's",
            "motion", _settling),
-    Metric("jumps_per_1000", "", "down", "frames with a tip 12 mm beyond the human's step x gain",
+    Metric("jumps_per_1000", "", "down", "tip steps 12 mm over the human's step x gain",
            "smoothness", _jumps, short="jumps"),
-    Metric("shake_at_rest", "", "down", "fingertip steps over the human's while that tip rests",
+    Metric("shake_at_rest", "", "down", "robot/human tip steps while the human's tip rests",
            "smoothness",
            lambda t: consistency.shake_at_rest(t.human_reaches, t.robot_reaches, t.stamps)),
     Metric("flatness", "m²", "down", "squared second difference of fingertips, at this rate",
@@ -320,13 +320,13 @@ METRICS: Final[tuple[Metric, ...]] = (
            lambda t: joints.joint_acceleration(t.joint_positions, t.stamps)),
     Metric("max_joint_step", "rad", "down", "largest change of a joint in one frame", "smoothness",
            lambda t: joints.max_joint_step(t.joint_positions)),
-    Metric("workspace_utilisation", "", "up", "share of the reachable fingertip set in use",
+    Metric("workspace_utilisation", "", "up", "fraction of the reachable tip set that was visited",
            "reach", _mean_workspace, short="workspace"),
     Metric("workspace_utilisation_per_finger", "", "up", "the same for each finger", "reach",
            _workspace),
-    Metric("limit_violation_rad", "rad", "down", "furthest command beyond a joint limit", "reach",
+    Metric("limit_violation_rad", "rad", "down", "largest excess beyond a joint limit", "reach",
            lambda t: _limit_violation(t)[0]),
-    Metric("limit_violation_share", "", "down", "share of frames beyond a joint limit", "reach",
+    Metric("limit_violation_share", "", "down", "fraction of frames beyond a joint limit", "reach",
            lambda t: _limit_violation(t)[1]),
     Metric("latency_ms.mean", "ms", "down", "time per command, mean", "latency",
            _of(_latency, "mean")),
@@ -342,9 +342,9 @@ METRICS: Final[tuple[Metric, ...]] = (
     Metric("rate_hz", "Hz", "", "median frame rate", "run", lambda t: t.rate_hz),
     Metric("status", "", "", "frames by status", "run",
            lambda t: service.status_counts(t.status)),
-    Metric("definition", "", "", "which definitions these figures follow", "run",
+    Metric("definition", "", "", "definitions that were used", "run",
            lambda t: "sound", published=lambda t: "paper"),
-    Metric("human_fit", "", "", "what the human hand was fitted to before comparing", "run",
+    Metric("human_fit", "", "", "alignment of the human hand before comparing", "run",
            lambda t: "palm",
            published=lambda t: "palm" if t.robot_landmarks is None else "robot pose"),
 )
@@ -374,7 +374,7 @@ def find_metric(name: str) -> Metric:
             return metric
     raise ConfigError(
         f"{REGISTRY.find(name).target} can't be a metric: it must be a Metric called "
-        f"{name!r}, or a tuple of metrics in which one is called so"
+        f"{name!r}, or a tuple of metrics that contains one of that name"
     )
 
 
@@ -451,7 +451,7 @@ def evaluate(
     computed = {metric.key for metric in metrics if metric.compute is not None}
     if clash := sorted(set(finite) & computed):
         raise ConfigError(
-            f"extra must not give metrics that are computed from the trace: {', '.join(clash)}"
+            f"extra must not contain metrics that are computed from the trace: {', '.join(clash)}"
         )
     return values | finite
 

@@ -96,8 +96,8 @@ class Trace:
         if not (np.isfinite(self.stamps).all() and (steps > 0).all()):
             at = int(np.argmin(np.isfinite(self.stamps[1:]) & (steps > 0))) + 1
             raise RecordingError(
-                f"stamps must be finite and strictly increasing; frame {at} is not: "
-                "sort the frames and drop repeated ones before measuring"
+                f"timestamps must be finite and strictly increasing, but that of frame {at} "
+                "is not: sort the frames and drop repeated ones before measuring"
             )
 
     def _take(

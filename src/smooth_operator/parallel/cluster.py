@@ -104,7 +104,7 @@ def _results(
                     value, error, seconds = ForkingPickler.loads(row["answer"])
                     yield TaskResult(row["index"], value, error, seconds, row["attempts"])
         except ray.exceptions.RayError as failure:
-            raise WorkerError(f"the cluster gave up: {describe(failure)[:2000]}") from failure
+            raise WorkerError(f"the cluster failed: {describe(failure)[:2000]}") from failure
 
 
 class Starts:
@@ -204,9 +204,9 @@ def connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
             except Exception as error:  # Ray raises ConnectionError, RuntimeError and others
                 raise WorkerError(
                     f"can't reach the Ray cluster {cluster!r} ({describe(error)}); expected "
-                    "'auto', the address of a running one ('ray start --head' prints it), or "
-                    "'local'. To an address Ray sends the cluster's token (by default it asks for "
-                    "one) only with RAY_AUTH_MODE=token in the environment"
+                    "'auto', the address of a running one ('ray start --head' prints it), "
+                    "or 'local'. Ray sends the cluster's token, which clusters require by "
+                    "default, only if RAY_AUTH_MODE=token is set in the environment"
                 ) from error
             yield
         finally:

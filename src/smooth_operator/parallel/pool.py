@@ -98,7 +98,7 @@ def run_tasks(
     if cluster is None:
         return _in_pool(PersistentPool(function, workers, retries), tasks)
     if workers == 0:
-        raise ConfigError("a cluster needs workers: give 1 or more, or leave them out for all")
+        raise ConfigError("a cluster needs at least one worker; omit the number to use all")
     _check(workers, retries)
     from smooth_operator.parallel.cluster import run_on_cluster
 
@@ -268,8 +268,8 @@ class PersistentPool(Generic[T, R]):
         print(text, end="", file=sys.stderr)
         if "bootstrapping phase" in text:  # message of multiprocessing
             return (
-                "a script that starts workers needs 'if __name__ == \"__main__\":' around what it "
-                "does"
+                "a script that starts workers needs 'if __name__ == \"__main__\":' around "
+                "its main code"
             )
         last = ["", *(line.strip() for line in text.split("\n") if line.strip())][-1]
         return last[-300:] or "each worker needs memory for its own libraries: use fewer workers"

@@ -76,10 +76,7 @@ def describe(error: BaseException) -> str:
 def death(attempts: int, how: str) -> str:
     """The error of a task whose workers died."""
     times = "once" if attempts == 1 else f"{attempts} times"
-    return (
-        f"{DIED}: the process that worked on it died {times} ({how}); if memory ran out, "
-        "use fewer workers"
-    )
+    return f"{DIED}: its worker process died {times} ({how}); if memory ran out, use fewer workers"
 
 
 @contextmanager

@@ -52,8 +52,8 @@ def calibrate_scale(recording: HandRecording, hand: Hand) -> float:
         if usable.any():
             return float(np.median(np.asarray(fit.scale)[usable]))
     raise RecordingError(
-        f"{recording.name}: no frame has valid, non-collinear palm landmarks "
-        "to calibrate a scale on"
+        f"{recording.name}: no frame has valid, non-collinear palm landmarks from which to "
+        "calibrate a scale"
     )
 
 

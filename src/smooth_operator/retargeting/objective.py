@@ -94,9 +94,10 @@ class Objective:
         lacking = [LANDMARKS[i] for i in layout.landmarks if LANDMARKS[i] not in keypoints]
         if lacking:
             raise ConfigError(
-                f"{type(self.config.targets).__name__} needs counterparts of {lacking} on the "
-                f"robot, and hand {self.hand.name!r} has only {sorted(keypoints)}: add the "
-                "points to its description, or choose another method"
+                f"{type(self.config.targets).__name__} needs points on the robot that "
+                f"correspond to {lacking}, but hand {self.hand.name!r} has only "
+                f"{sorted(keypoints)}: add the points to its description, or choose another "
+                "method"
             )
         return layout
 

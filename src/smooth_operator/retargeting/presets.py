@@ -127,7 +127,7 @@ def _elsewhere(preset: str) -> str:
     """Whose preset it is, if not that of the method: who names none gets the default one."""
     owners = [method for method, presets in loadable_presets().items() if preset in presets]
     return (
-        f"{preset!r} is a preset of {', '.join(owners)}: choose that method too." if owners else ""
+        f"{preset!r} is a preset of {', '.join(owners)}: also choose that method." if owners else ""
     )
 
 
@@ -137,8 +137,8 @@ def _from_file(method: str, path: Path) -> MethodConfig:
     file = read_preset_file(path)
     if file.method != method:
         raise ConfigError(
-            f"{path} is a preset of method {brief(file.method)}, not of {method!r}: choose "
-            "that method too"
+            f"{path} is a preset of method {brief(file.method)}, not of {method!r}: also "
+            "choose that method"
         )
     if file.base.endswith(_FILE):
         raise ConfigError(f"{path}: its base must be the name of a preset, not {brief(file.base)}")

@@ -32,7 +32,7 @@ METHODS: Final = Registry(
         "ako": Entry(f"{_BASELINES}.slsqp_method:AKO_PRESETS", "published or fast"),
         "geort": Entry(
             f"{_BASELINES}.geort.method:GEORT_PRESETS",
-            "default, or the file of a model that you trained",
+            "default, or the file of your trained model",
         ),
     },
 )

@@ -229,7 +229,7 @@ class Retargeter:
         if side != self.hand.spec.side:
             raise ConfigError(
                 f"a {side} human hand can't drive the {self.hand.spec.side} hand "
-                f"{self.hand.name!r}: load the {side} one, or mirror the landmarks"
+                f"{self.hand.name!r}: load the {side} robot hand, or mirror the landmarks"
             )
 
     def program_landmarks(
@@ -256,8 +256,9 @@ class Retargeter:
         stamped = frame.stamp is not None
         if self._stamped not in (None, stamped):
             raise ConfigError(
-                "frames with and without stamps are mixed, so the time between them is not known; "
-                "give all of them stamps or none, or call reset() in between"
+                "frames with and without timestamps are mixed, so the time between them is "
+                "unknown; use timestamps for all frames or for none, or call reset() in "
+                "between"
             )
         if not stamped and self.rate is None:
             frame = replace(frame, stamp=self._clock())
@@ -290,8 +291,8 @@ class Retargeter:
             return frame.stamp
         if self.rate is None:
             raise ConfigError(
-                "the frame has no stamp, and step() has no clock: give it the time of the "
-                "measurement, HandFrame(landmarks, stamp=seconds), or say the frame rate, "
+                "the frame has no timestamp, and step() has no clock: set the time of the "
+                "measurement, HandFrame(landmarks, stamp=seconds), or the frame rate, "
                 "Retargeter(..., rate=30)"
             )
         return 0.0 if state.stamp is None else state.stamp + 1.0 / self.rate
@@ -321,8 +322,9 @@ class Retargeter:
             state, result = self.step(state, HandFrame(landmarks, stamp, side))
             if result.status != Status.OK:
                 raise HandModelError(
-                    f"{self!r} gives no command for a flat human hand ({result.status.name}): "
-                    f"run `smooth-operator hands check` on the hand, or choose another method"
+                    f"{self!r} finds no command for a flat human hand "
+                    f"({result.status.name}): run `smooth-operator hands check` on the hand, "
+                    "or choose another method"
                 )
         return time.perf_counter() - start
 

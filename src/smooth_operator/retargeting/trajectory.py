@@ -89,9 +89,9 @@ class TrajectoryMethodConfig(MethodConfig):
             ConfigError: always.
         """
         raise ConfigError(
-            "this preset looks at the whole recording, the future included, so it can't answer "
-            "frame by frame: use it with `smooth-operator retarget`, and choose another preset for "
-            "live use"
+            "this preset uses the whole recording, including future frames, so it can't run "
+            "frame by frame: use it with `smooth-operator retarget`, and choose another "
+            "preset for live use"
         )
 
     def with_alignment(self, **changes: Any) -> TrajectoryMethodConfig:

@@ -58,7 +58,7 @@ class SimulatedCamera:
         view = view or View()
         if not (16 <= width <= 4096 and 16 <= height <= 4096):
             raise ConfigError(
-                f"camera: a picture has 16 to 4096 pixels a side, not {width} x {height}"
+                f"camera: width and height must be 16 to 4096 pixels, not {width} x {height}"
             )
         if view.distance is not None and not 0.01 <= view.distance <= 10.0:
             raise ConfigError(f"camera: the distance must be 0.01 to 10 m, not {view.distance}")

@@ -156,8 +156,8 @@ class SyntheticOperator:
         ticks = round(duration * self._rate) if math.isfinite(duration) else 0
         if ticks < 1:
             raise ConfigError(
-                f"duration must be finite and hold one frame at least, {1.0 / self._rate:g} s at "
-                f"{self._rate:g} Hz, not {duration!r} s"
+                "duration must be finite and contain at least one frame, "
+                f"{1.0 / self._rate:g} s at {self._rate:g} Hz, not {duration!r} s"
             )
         return ticks
 

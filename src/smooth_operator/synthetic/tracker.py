@@ -26,7 +26,7 @@ def check_seed(name: str, value: int) -> None:
     except TypeError:
         good = False
     if not good:
-        raise ConfigError(f"{name} must be a whole number from 0 on, not {value!r}")
+        raise ConfigError(f"{name} must be a whole number of at least 0, not {value!r}")
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ class TokenAuth:
         """A response that refuses or redirects; None to let the request pass."""
         if not same_origin(request):
             return connection.respond(
-                http.HTTPStatus.FORBIDDEN, "this page may not be used from another one\n"
+                http.HTTPStatus.FORBIDDEN, "requests from another site are refused\n"
             )
         if self.tokens is None:
             if names_this_machine(request):
@@ -68,7 +68,7 @@ class TokenAuth:
             return _welcome(connection, url.path, f"{_cookie_name(role, port)}={token}")
         return connection.respond(
             http.HTTPStatus.UNAUTHORIZED,
-            f"this page needs its token: open the whole address that {self.shown_by} shows\n",
+            f"this page needs its token: open the complete address that {self.shown_by} shows\n",
         )
 
 

@@ -227,8 +227,8 @@ def finger_joints(hand: Hand) -> tuple[tuple[int, ...], ...]:
     for finger, row in zip(hand.fingers, own, strict=True):
         if not row.any():
             raise HandModelError(
-                f"GeoRT can't serve hand {hand.name!r}: no joint moves its {finger} tip alone, and "
-                "each finger has its own network; use another method, such as sbr"
+                f"GeoRT can't serve hand {hand.name!r}: no joint moves only its {finger} "
+                "tip, but each finger needs its own network; use another method, such as sbr"
             )
     return tuple(tuple(int(i) for i in np.flatnonzero(row)) for row in own)
 
@@ -362,7 +362,7 @@ def read_geort_model(path: str | Path) -> GeortModel:
     path = Path(path)
     expectation = "expected the model.npz that `smooth-operator train geort` writes"
     if not path.is_file():
-        raise ConfigError(f"{path}: there is no such GeoRT model; {expectation}")
+        raise ConfigError(f"{path}: no such GeoRT model; {expectation}")
     try:
         return _read(open_arrays(path))
     except (RecordingError, KeyError, TypeError, ValueError) as error:
@@ -374,7 +374,7 @@ def read_geort_model(path: str | Path) -> GeortModel:
 def _read(arrays: StoredArrays) -> GeortModel:
     about = parse_json(arrays["about"].text())
     if not isinstance(about, dict):
-        raise ValueError(f"its description is no object, but {brief(about)}")
+        raise ValueError(f"its description must be a JSON object, not {brief(about)}")
     if about["format"] != FORMAT or about["version"] != VERSION:
         raise ValueError(
             f"format {brief(about['format'])} version {brief(about['version'])}, not {FORMAT!r} "
@@ -385,7 +385,7 @@ def _read(arrays: StoredArrays) -> GeortModel:
         raise ValueError("its joints must be a list for each finger, its training an object")
     joints = tuple(_words(names, "joints") for names in about["joints"])
     if len(named) != len(joints) or not joints:
-        raise ValueError(f"it has {len(named)} fingers, but the joints of {len(joints)}")
+        raise ValueError(f"it has {len(named)} fingers, but joints for {len(joints)}")
     fingers, outputs = len(named), max(map(len, joints))
     if len(arrays["w2"].shape) != 3:
         raise ValueError(f"w2 must have three axes, not the shape {arrays['w2'].shape}")
@@ -408,10 +408,10 @@ def _read(arrays: StoredArrays) -> GeortModel:
     for name, shape in shapes.items():
         values[name] = value = arrays[name].numbers()
         if value.shape != shape or not np.isfinite(value).all():
-            raise ValueError(f"{name} must be finite and of shape {shape}, it is {value.shape}")
+            raise ValueError(f"{name} must be finite and have shape {shape}, it is {value.shape}")
     limits = tuple(np.asarray(pairs, float).reshape(-1, 2) for pairs in about["limits"])
     if [len(names) for names in joints] != [len(pairs) for pairs in limits]:
-        raise ValueError("joints and limits do not fit each other")
+        raise ValueError("the numbers of joints and limits differ")
     if not all(np.isfinite(pairs).all() for pairs in limits):
         raise ValueError("its limits must be finite numbers")
     return GeortModel(

@@ -276,9 +276,10 @@ class GeortTrainer:
             train.block_until_ready()
             if not np.isfinite(np.asarray(train)).all():
                 raise SmoothOperatorError(
-                    f"training diverged in epoch {epoch + 1}: the losses are {train.tolist()}; "
-                    f"try a learning rate below {self.settings.learning_rate:g}, or look for "
-                    "far-off landmarks in the recording"
+                    f"training diverged in epoch {epoch + 1}: the losses are "
+                    f"{train.tolist()}; try a learning rate below "
+                    f"{self.settings.learning_rate:g}, or check the recording for outliers "
+                    "among the landmarks"
                 )
             state = TrainingState(
                 weights,
@@ -507,8 +508,8 @@ class TrainingSession:
             return read_checkpoint(checkpoint, self.trainer)
         if checkpoint.exists():
             raise OutputError(
-                f"{self.folder}: there is a training already: go on with it (--resume), or name "
-                "another folder"
+                f"{self.folder}: the folder already contains a training: continue it with "
+                "--resume, or name another folder"
             )
         existing = [n for n in (MODEL, ABOUT, CURVES) if (self.folder / n).exists()]
         if existing:
@@ -586,8 +587,8 @@ def read_checkpoint(path: Path, trainer: GeortTrainer) -> TrainingState:
         raise ConfigError(f"{path}: not a checkpoint of GeoRT's training ({error})") from error
     if different:
         raise ConfigError(
-            f"{path}: this checkpoint is of another training: {'; '.join(different)}. Resume with "
-            "what it was started with, or train into another folder"
+            f"{path}: this checkpoint is of another training: {'; '.join(different)}. Resume "
+            "it with the settings of its start, or train into another folder"
         )
     for leaf, expected in zip(leaves, shapes, strict=True):
         if leaf.shape != expected.shape or leaf.dtype != expected.dtype:

@@ -91,7 +91,9 @@ class GeortTraining:
         for name, least in (("epochs", 1), ("batch", 1), ("reach", 1), ("seed", 0)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise ConfigError(f"{name} must be a whole number from {least} on, not {value!r}")
+                raise ConfigError(
+                    f"{name} must be a whole number of at least {least}, not {value!r}"
+                )
         for name in ("weight_decay", "direction", "coverage", "curvature", "pinch", "surround"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
@@ -102,13 +104,13 @@ class GeortTraining:
                 raise ConfigError(f"{name} must be above 0 and at most {most:g}, not {value!r}")
         if self.margin is not None and not 0 < self.margin <= 1:
             raise ConfigError(
-                f"margin must be above 0 and at most 1 m, or None for the whole reach, not "
-                f"{self.margin!r}"
+                "margin must be above 0 and at most 1 m, or None for the whole workspace, "
+                f"not {self.margin!r}"
             )
         for name in ("ramp", "validation"):
             value = getattr(self, name)
             if not 0 <= value < 1:
-                raise ConfigError(f"{name} must be a share from 0 to below 1, not {value!r}")
+                raise ConfigError(f"{name} must be a fraction from 0 to below 1, not {value!r}")
 
 
 REACH_POSES: Final = 65_536
@@ -185,7 +187,7 @@ def training_data(
         RecordingError: there is no recording, one is of the other hand, or a finger hardly moves.
     """
     if not recordings:
-        raise RecordingError("training needs one recording at least")
+        raise RecordingError("training needs at least one recording")
     sets, apart = [], []
     for recording in recordings:
         tips = _tips(recording, hand, settings.alignment)
@@ -202,10 +204,10 @@ def training_data(
     few = [f for f, n in zip(hand.fingers, points.counts, strict=True) if n < FEWEST_POINTS]
     if few:
         raise RecordingError(
-            f"{', '.join(names['train'])}: the tips of {', '.join(few)} hardly move: they visit "
-            f"{points.counts.tolist()} cells of {VOXEL * 1e3:g} mm (fingers {hand.fingers}), "
-            f"expected {FEWEST_POINTS} at least; record a hand that opens, closes, spreads and "
-            "pinches for half a minute"
+            f"{', '.join(names['train'])}: the tips of {', '.join(few)} hardly move: they "
+            f"visit {points.counts.tolist()} cells of {VOXEL * 1e3:g} mm (fingers "
+            f"{hand.fingers}), expected at least {FEWEST_POINTS}; record a hand that opens, "
+            "closes, spreads and pinches for half a minute"
         )
     held = _point_set(validation, settings.pinch_distance)
     return TrainingData(
@@ -222,7 +224,7 @@ def _tips(
 ) -> Float[np.ndarray, "T F 3"]:
     if recording.side != hand.spec.side:
         raise RecordingError(
-            f"{recording.name}: it is of a {recording.side} hand, but {hand.name!r} is a "
+            f"{recording.name}: it shows a {recording.side} hand, but {hand.name!r} is a "
             f"{hand.spec.side} one; load that side of the robot"
         )
     return align_recording(recording, hand, alignment)[:, list(human_tips(hand))]

@@ -140,8 +140,9 @@ PAPER_TABLE: Final[dict[str, dict[str, float]]] = {
 here under the median."""
 
 PAPER_NOTE: Final = (
-    "The paper's figures are from other data (14 operators at about 100 Hz, mimic P0.50 right, an "
-    "RTX 4090) and follow its own definitions: read them as a reference, not as a row to beat."
+    "The paper's numbers were measured on other data (14 operators at about 100 Hz, mimic "
+    "P0.50 right, an RTX 4090) with its own definitions. They are a reference and can't be "
+    "compared directly."
 )
 
 
@@ -216,7 +217,7 @@ def write_report(
             "recordings": settings.recordings,
             "hands": settings.hands,
             "methods": settings.methods,
-            "frames": settings.frames or "all, but where a recording says otherwise",
+            "frames": settings.frames or "all, except where a recording has its own setting",
             "seed": settings.seed,
             "definition": settings.definition,
             "latency frames": settings.latency_frames,
@@ -230,7 +231,7 @@ def write_report(
         "Retargeting benchmark",
         _heading(rows, len(failed)),
         [(name.capitalize(), name, Html(str(getattr(content, name)()))) for name in names],
-        "Made by smooth-operator bench. Figures: results.json; plots as files: plots/; "
+        "Made by smooth-operator bench. Numbers: results.json; plots as files: plots/; "
         "commands of each cell: cells/.",
         styles=(here / "player.css",),
         scripts=(here / "player.js", SORTING),
@@ -258,11 +259,11 @@ def _hand(
     good = [row for row in rows if row["status"] == "ok"]
     count, several = len({row_unit(row) for row in good}), len({r["recording"] for r in good}) > 1
     lines, trackers = overall(rows), ranking.by_tracker(rows)
-    mind = f" {counted(count, 'recording')}: on others the order may be another."
+    mind = f" {counted(count, 'recording')}; the ranking may differ on other recordings."
     with styled():
         drawn = figures.tradeoff_figure(rows, colors)
     caption = "Accuracy against smoothness: the lower left corner is best. "
-    caption += "Small: a recording each; large: their mean. " if several else ""
+    caption += "Small symbols: single recordings; large symbols: their mean. " if several else ""
     caption += "Both axes are logarithmic."
     return {
         "title": f"{hand}: mean over {ranking.sample_text(rows)}" if several else hand,
@@ -288,8 +289,8 @@ def _sheets(
     for (hand, side), own in panels_by_hand(panels.values()).items():
         name = f"{hand} {side}"
         caption = (
-            f"{name}: the frames that show each pose best, from the palm and from the thumb's "
-            "side. Every hand stands upright on its own wrist."
+            f"{name}: the frames that show each pose best, seen from the palm and from the "
+            "thumb's side. Every hand is drawn upright in the frame of its own wrist."
         )
         yield name, plots.picture(contact_sheet(own, shape), f"sheet-{hand}-{side}", caption)
 
@@ -310,7 +311,7 @@ def _timing(
     busy = bool(shares) and max(shares) > BUSY
     parts = [f"other processes took up to {100 * max(shares):.0f} % of the cores"] if shares else []
     parts += [f"load average {min(loads):.2f} to {max(loads):.2f}"] if loads else []
-    warning = ": the machine was busy, so take these for upper bounds" if busy else ""
+    warning = ": the machine was busy, so these are upper bounds" if busy else ""
     drawings = []
     for hand in ranking.by_hand(rows):
         samples: dict[str, list[np.ndarray]] = {}
@@ -320,8 +321,8 @@ def _timing(
         with styled():
             drawn = figures.latency_figure(samples, colors)
         caption = (
-            f"Each dot is a frame on {hand}, all recordings together; the lines are means of the "
-            "recordings' percentiles, as in the table; the number is the median."
+            f"Each dot is a frame on {hand}, from all recordings. The lines are means of the "
+            "recordings' percentiles, as in the table. The number is the median."
         )
         drawings.append(plots.element(drawn, f"latency-{hand}", caption))
     text = f"Meanwhile {', '.join(parts)}{warning}." if parts else ""
@@ -352,10 +353,11 @@ def _recordings(
             content["tips"] = plots.element(
                 tips,
                 f"fingertips-{stem}",
-                f"Fingertips in the palm frame over the {figures.TRAJECTORY_SECONDS:g} s in which "
-                "the human's travel furthest; the human (grey) as the first method saw it.",
+                f"Fingertips in the palm frame over the {figures.TRAJECTORY_SECONDS:g} s in "
+                "which the human's fingertips travel the farthest. The human hand (grey) is "
+                "aligned as for the first method.",
             )
-            caption = "Joint positions in the same stretch; dashed: their limits."
+            caption = "Joint positions in the same period; dashed lines are the joint limits."
             content["joints"] = plots.element(joints, f"joints-{stem}", caption)
         yield content
 
@@ -378,7 +380,7 @@ def _facts(row: Row) -> str:
     if source["rate_hz"]:
         facts.append(f"{source['rate_hz']:.4g} Hz, {source['duration_s']:.3g} s")
     if source["side_assumed"]:
-        facts.append("taken for a right hand, since it does not say")
+        facts.append("assumed to be a right hand, because the recording has no side")
     return "; ".join(facts) + "." if facts else ""
 
 

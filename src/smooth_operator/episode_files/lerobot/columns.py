@@ -96,7 +96,7 @@ _ENVIRONMENT_STATE: Final = "observation.environment_state"
 COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "observation.state": (
         "float32",
-        "m, landmarks; rad, measured joint positions, where those are its names",
+        "m, landmarks; rad, measured joint positions, if its names are those of joints",
     ),
     _ENVIRONMENT_STATE: ("float32", "rad, measured positions of all joints"),
     "action": ("float32", "rad, joint positions; m and quaternion wxyz, wrist"),
@@ -108,7 +108,7 @@ COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "orientations": ("float64", "quaternions wxyz"),
     "human_wrist": ("float64", "m, quaternion wxyz, in its world"),
     "wrist_command": ("float64", "m, quaternion wxyz, of the robot hand in the robot's base"),
-    "wrist_engaged": ("bool", "whether the operator's wrist moved the robot's"),
+    "wrist_engaged": ("bool", "true if the operator's wrist moved the robot's"),
     "wrist_valid": ("bool", "whether the operator's wrist was known"),
     "arm_positions": ("float64", "rad, commanded joint positions of the arm"),
     "arm_measured": ("float64", "rad, measured joint positions of the arm"),
@@ -118,7 +118,7 @@ COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     ),
     "joint_positions": ("float64", "rad, as action, without loss"),
     "command_stamp": ("float64", "s, NaN in a frame without a command"),
-    "status": ("int64", "why the command is what it is; -1 in a frame without a command"),
+    "status": ("int64", "status of the command; -1 in a frame without a command"),
     "latency_ms": ("float64", "ms, from landmarks to command"),
     "stages_ms": ("float64", "ms, parts of the latency"),
     "measured_positions": ("float64", "rad, measured, the newest at stamp"),
@@ -225,8 +225,8 @@ def widened(layout: Layout, other: Layout, names: tuple[str, str]) -> Layout:
         if (column in layout) != (column in other):
             has, lacks = names if column in layout else names[::-1]
             raise RecordingError(
-                f"{has} holds {what} and {lacks} holds none; the episodes of one LeRobot "
-                "dataset must be alike, so convert them into two"
+                f"{has} has {what} but {lacks} has none; the episodes of one LeRobot dataset "
+                "must have the same columns, so convert them into two datasets"
             )
     first, second = layout.get("joint_positions"), other.get("joint_positions")
     for column, what in (
@@ -236,7 +236,7 @@ def widened(layout: Layout, other: Layout, names: tuple[str, str]) -> Layout:
             f"{', '.join(second or ())}); write the commands of each robot hand",
         ),
         ("measured_positions", "measured different joints; write each robot hand"),
-        ("arm_positions", "have different arms, or one has none; write each robot"),
+        ("arm_positions", "have different arms, or only one has an arm; write each robot"),
     ):
         if layout.get(column) != other.get(column):
             raise RecordingError(f"{names[0]} and {names[1]} {what} to its own LeRobot dataset")
@@ -284,7 +284,7 @@ def episode_columns(
     """
     count = len(episode)
     if not count:
-        raise RecordingError(f"{episode.name}: it holds no frames; leave it out")
+        raise RecordingError(f"{episode.name}: it contains no frames; remove it")
     recording, commands = episode.recording, episode.commands
     columns: dict[str, np.ndarray] = {"stamp": episode.stamps}
     if recording is not None:
@@ -358,10 +358,14 @@ def _rows(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
         rows = rows[frames]
     lost, doubled = int((rows < 0).sum()), bool((np.diff(rows) <= 0).any())
     if lost or doubled:
-        what = f"{lost} commands answer no frame" if lost else "several commands answer one frame"
+        what = (
+            f"{lost} commands belong to no frame"
+            if lost
+            else "several commands belong to one frame"
+        )
         raise RecordingError(
-            f"{episode.name}: {what}, and a row of a LeRobot dataset holds one frame and its one "
-            "command; convert it to .mcap or .h5, which hold them apart"
+            f"{episode.name}: {what}, but a row of a LeRobot dataset holds one frame and one "
+            "command; convert it to .mcap or .h5, which store them separately"
         )
     return rows, frames
 
@@ -383,7 +387,7 @@ def robot_layout(episode: Episode, wrist: bool, environment_state: bool) -> Layo
             ("measured joints; record it with a sink that measures, such as mujoco",
              episode.states is not None),
             ("name of its robot hand", isinstance(config.get("hand"), str)),
-            ("a commanded wrist; leave it out with --columns robot",
+            ("a commanded wrist; use --columns robot to omit it",
              not wrist or episode.wrist is not None),
         ) if not there), None,
     )  # fmt: skip
@@ -391,8 +395,8 @@ def robot_layout(episode: Episode, wrist: bool, environment_state: bool) -> Layo
         raise RecordingError(f"{episode.name}: the columns of a robot need {lacks}")
     if wrist and episode.arm is not None:
         raise RecordingError(
-            f"{episode.name}: the measured wrist of a hand on an arm is not in a log; take "
-            "--columns robot, or record with lerobot-record"
+            f"{episode.name}: a log does not contain the measured wrist of a hand on an arm; "
+            "use --columns robot, or record with lerobot-record"
         )
     assert episode.commands is not None and episode.states is not None  # noqa: PT018
     side = config.get("side", "right") if episode.recording is None else episode.recording.side
@@ -430,11 +434,13 @@ def robot_columns(
     action, stamps = action[valid], np.asarray(commands.stamps, np.float64)[valid]
     measured = np.isfinite(states.positions).all(axis=1)
     if not len(stamps) or not measured.any():
-        raise RecordingError(f"{episode.name}: no command of it, or no measurement, is whole")
+        raise RecordingError(
+            f"{episode.name}: it has no complete command or no complete measurement"
+        )
     begin = max(float(stamps[0]), float(states.stamps[measured][0]))
     count = int(np.floor((float(stamps[-1]) - begin) * fps + 1e-6)) + 1
     if count < 1:
-        raise RecordingError(f"{episode.name}: its commands end before it is measured")
+        raise RecordingError(f"{episode.name}: its commands end before its first measurement")
     moments = begin + np.arange(count) / fps
     newest = np.searchsorted(stamps, moments + 1e-9, side="right") - 1
     rows = np.searchsorted(states.stamps[measured], moments + 1e-9, side="right") - 1

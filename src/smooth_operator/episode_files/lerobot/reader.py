@@ -116,8 +116,9 @@ def open_dataset(path: Path) -> Dataset:
         ) from error
     if not version.startswith("v3."):
         raise RecordingError(
-            f"{path}: a LeRobot dataset of version {version[:20]}, v3.0 is read here; LeRobot's "
-            "own converter takes v2.1: python -m lerobot.scripts.convert_dataset_v21_to_v30"
+            f"{path}: a LeRobot dataset of version {version[:20]}, but only v3.0 can be "
+            "read; LeRobot's own converter converts v2.1: python -m "
+            "lerobot.scripts.convert_dataset_v21_to_v30"
         )
     if "stamp" not in features:
         raise RecordingError(
@@ -170,8 +171,8 @@ def read_dataset_episode(
     table = read_table(file, [("episode_index", "=", number)])
     if table.num_rows != row.get("length", table.num_rows) or not table.num_rows:
         raise RecordingError(
-            f"{file}: it holds {table.num_rows} frames of episode {number}, and the metadata say "
-            f"{row.get('length')}; the dataset is incomplete, copy it again"
+            f"{file}: it holds {table.num_rows} frames of episode {number}, but the metadata "
+            f"say {row.get('length')}; the dataset is incomplete, copy it again"
         )
     if "frame_index" in table.column_names:
         order = numbers(table, "frame_index", 1, file)[:, 0].argsort(kind="stable")
@@ -263,7 +264,7 @@ def _names(feature: Mapping[str, Any]) -> list[str]:
     if isinstance(names, dict):  # of other programs' columns
         names = None
     if not isinstance(names, list | None) or not all(isinstance(n, str) for n in names or ()):
-        raise ValueError(f"names must be a list of texts, not {brief(names)}")
+        raise ValueError(f"names must be a list of strings, not {brief(names)}")
     return names or []
 
 

@@ -88,7 +88,7 @@ def numbers(table: Any, name: str, width: int, where: Path) -> np.ndarray:
     numeric = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)
     if not numeric or nulls or len(flat) != table.num_rows * width:
         raise RecordingError(
-            f"{where}: the column {name!r} must hold {width} numbers a row, not "
+            f"{where}: the column {name!r} must hold {width} numbers per row, not "
             f"{str(table.schema.field(name).type)[:80]}"
             + (f" with {nulls} nulls" if nulls else "")
             + "; copy the dataset again"

@@ -110,15 +110,19 @@ def write_dataset(
     """
     arrow()  # a missing extra costs a second, not the reading of everything
     if fps is not None and fps < 1:
-        raise ConfigError(f"fps must be a whole number of frames a second from 1, not {fps}")
+        raise ConfigError(f"fps must be a whole number of frames per second, at least 1, not {fps}")
     if environment_state and columns == "all":
-        raise ConfigError("the environment's state is one of the columns of a robot; ask for those")
+        raise ConfigError(
+            "the environment state needs the columns of a robot; set columns to robot"
+        )
     survey = _look(episodes, columns, environment_state)
     if fps is None and survey.robot is not None:
         fps = ROBOT_FPS
     if fps is None:
         if not survey.rates:
-            raise ConfigError("no episode has two frames, so none has a rate; say it with --fps")
+            raise ConfigError(
+                "no episode has two frames, so the frame rate is unknown; set it with --fps"
+            )
         fps = standard_fps(float(np.median(survey.rates)))
     notes = _Notes(fps)
     rows: list[dict[str, Any]] = []
@@ -174,8 +178,8 @@ def _card(info: dict[str, Any]) -> str:
     """The README, from ``meta/info.json``."""
     text = (
         f"A LeRobot dataset ({info['codebase_version']}), written by smooth-operator: "
-        f"{info['total_episodes']} episodes, {info['total_frames']} frames,\n"
-        f"{info['fps']} frames a second."
+        f"{info['total_episodes']} episodes, {info['total_frames']} frames,\n{info['fps']} "
+        "frames per second."
     )
     rows = []
     for name, feature in info["features"].items():
@@ -226,7 +230,7 @@ def _look(episodes: Sequence[Load], columns: Columns, environment_state: bool) -
             budget -= size
             survey.kept[number] = episode
     if survey is None:
-        raise RecordingError("there is no episode to write a dataset of")
+        raise RecordingError("there are no episodes to write")
     return survey
 
 
@@ -235,8 +239,8 @@ def _again(episodes: Sequence[Load], survey: _Survey) -> Iterator[Episode]:
         episode = survey.kept.pop(number, None) or load()
         if len(episode) != survey.lengths[number]:
             raise RecordingError(
-                f"{episode.name}: the file changed while it was being converted; try again when "
-                "nothing writes it"
+                f"{episode.name}: the file changed while it was being converted; try again "
+                "when no program writes to it"
             )
         yield episode
 
@@ -324,9 +328,9 @@ class _Notes:
         texts = []
         if self._drift > 1e-3:
             texts.append(
-                f"LeRobot needs regular timestamps (frame_index / {self._fps}): they differ by up "
-                f"to {self._drift:.3g} s from the recorded times, which are in the column 'stamp'; "
-                "another rate: --fps"
+                f"LeRobot needs regular timestamps (frame_index / {self._fps}): they differ "
+                f"by up to {self._drift:.3g} s from the recorded times, which are in the "
+                "column 'stamp'; use --fps to choose another rate"
             )
         for count, what, flag in (
             (self._missing, "missing landmarks (NaN in landmarks)", "landmarks_valid"),
@@ -334,8 +338,8 @@ class _Notes:
         ):
             if count:
                 texts.append(
-                    f"{count} of {self._frames} frames have {what}; leave them out when training, "
-                    f"by the column {flag!r}"
+                    f"{count} of {self._frames} frames have {what}; exclude them from training "
+                    f"with the column {flag!r}"
                 )
         if self._held:
             texts.append(

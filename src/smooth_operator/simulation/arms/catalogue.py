@@ -82,8 +82,8 @@ _UR5E: Final = ArmSpec(
     sources=("Universal Robots: DH parameters for calculations of kinematics and dynamics",
              "Universal Robots e-Series data sheet: ranges, 180 degrees/s",
              "Universal Robots: max. joint torques"),
-    notes=("accelerations are ours: the maker states none",
-           "the elbow keeps to 180 degrees, as in the maker's ROS description"),
+    notes=("accelerations are our choice: the vendor states none",
+           "the elbow is limited to 180 degrees, as in the vendor's ROS description"),
 )  # fmt: skip
 
 _XARM7: Final = ArmSpec(
@@ -145,7 +145,7 @@ _IIWA14: Final = ArmSpec(
     reach=0.82,
     back=0.1,
     sources=("KUKA LBR iiwa 14 R820 data sheet: axis data, dimensions, ranges, speeds",),
-    notes=("accelerations are ours: the maker states none",),
+    notes=("accelerations are our choice: the vendor states none",),
 )  # fmt: skip
 
 ARMS: Final[dict[str, ArmSpec]] = {arm.name: arm for arm in (_PANDA, _UR5E, _XARM7, _IIWA14)}

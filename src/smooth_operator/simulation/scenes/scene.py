@@ -115,8 +115,8 @@ def opposition(
     near = np.abs(np.linalg.norm(other - thumb, axis=1) - gap) < tolerance
     if near.sum() < 20:
         raise HandModelError(
-            f"hand {hand.name!r}: thumb and {finger} can't take hold of something "
-            f"{1e3 * gap:.0f} mm thick; choose another task or hand"
+            f"hand {hand.name!r}: thumb and {finger} can't grasp an object {1e3 * gap:.0f} "
+            "mm thick; choose another task or hand"
         )
     return np.asarray((thumb + other)[near] / 2)
 

@@ -338,17 +338,17 @@ def check_name(name: str, what: str) -> str:
     """
     if not _NAME.fullmatch(name) or len(name) > 64:
         raise StudyError(
-            f"{what} {name!r}: use up to 64 letters, digits and '_', '.', '-', and a letter or "
-            "digit first"
+            f"{what} {name!r}: use up to 64 letters, digits, '_', '.' and '-', starting with "
+            "a letter or digit"
         )
     return name
 
 
 def distinct(names: Sequence[str], what: str) -> None:
-    """Raises StudyError if a name comes twice."""
+    """Raises StudyError if a name occurs twice."""
     for name in names:
         if names.count(name) > 1:
-            raise StudyError(f"{what} need different names; {name!r} comes twice")
+            raise StudyError(f"{what} need different names; {name!r} occurs twice")
 
 
 def whole(value: int, least: int, most: int, what: str) -> None:
@@ -451,8 +451,8 @@ class Task:
 
 
 _DROPPED: Final = RubricLine("dropped", 0.0, "the object left the hand's workspace")
-_GAVE_UP: Final = RubricLine("not-done", 0.0, "the operator gave up, or the time was over")
-_RESET: Final = RubricLine("done-after-reset", 0.5, "done, after the one reset that is allowed")
+_GAVE_UP: Final = RubricLine("not-done", 0.0, "the operator gave up, or the time ran out")
+_RESET: Final = RubricLine("done-after-reset", 0.5, "done after the one allowed reset")
 
 CARD_PICKUP: Final = Task(
     "A",

@@ -163,7 +163,7 @@ class TaskSession:
             if paused == self._paused:
                 return
             if paused and not self.active:
-                raise StudyError("no trial is running that could be paused; begin one first")
+                raise StudyError("no trial is running; start one before you pause it")
             self._freeze(paused)
             self._pauses += paused
 
@@ -478,7 +478,7 @@ class TrialRunner:
         with self._lock:
             running = self._running()
             if not running:
-                raise StudyError("no trial is running; begin one first")
+                raise StudyError("no trial is running; start one first")
             for session in running.values():
                 session.finish()
 
@@ -491,7 +491,7 @@ class TrialRunner:
         with self._lock:
             sessions = self._all()
             if paused and not any(session.active for session in sessions):
-                raise StudyError("no trial is running that could be paused; begin one first")
+                raise StudyError("no trial is running; start one before you pause it")
             for side, session in self._sessions.items():
                 if paused != session.paused and (session.active or not paused):
                     session.pause(paused)

@@ -112,9 +112,9 @@ class TaskRun:
             StudyError: the trial does not run, or had its reset.
         """
         if self.phase is not Phase.RUNNING:
-            raise StudyError(f"the trial is {self.phase.value}; only one that runs has a reset")
+            raise StudyError(f"the trial is {self.phase.value}; only a running trial can be reset")
         if self.resets:
-            raise StudyError("a trial has one reset, and it is used; finish the trial")
+            raise StudyError("a trial has only one reset, which was already used; finish the trial")
         return replace(
             self,
             resets=1,
@@ -295,8 +295,8 @@ def read_trial(path: str | Path) -> TrialRecord:
     except (OSError, SmoothOperatorError, ValueError, KeyError, TypeError) as error:
         what = f"it has no {error}" if isinstance(error, KeyError) else str(error)[:300]
         raise StudyError(
-            f"{str(path)!r} can't be read as a trial in simulation: {what}; "
-            "expected an .npz that a task's session wrote"
+            f"{str(path)!r} can't be read as a simulated trial: {what}; expected an .npz "
+            "that a task session wrote"
         ) from error
 
 
