@@ -92,7 +92,7 @@ def test_commands_of_other_frames_or_joints_are_refused():
     with pytest.raises(RecordingError, match="29 frames are not those of the 30 commands"):
         assemble_trace(recording[1:], commands, hand)
     shifted = replace(commands, stamps=commands.stamps + 1e-3)
-    with pytest.raises(RecordingError, match="time stamps differ"):
+    with pytest.raises(RecordingError, match="timestamps differ"):
         assemble_trace(recording, shifted, hand)
     renamed = replace(commands, joint_names=commands.joint_names[::-1])
     with pytest.raises(RecordingError, match="not those of the hand 'mimic_p050'"):

@@ -221,7 +221,7 @@ def test_a_headset_that_is_not_there_is_said_and_waited_for():
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with started(port) as (source, _):
-        until(lambda: "is the app started" in source.health().detail)
+        until(lambda: "check that the app is running" in source.health().detail)
         assert source.health().state == "waiting"
     other = Headset(method="/other.Service/Method")
     with started(other.port) as (source, _):

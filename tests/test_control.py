@@ -203,7 +203,7 @@ def test_a_stop_overtakes_what_waits(running):
     say("stop")  # the release was for the first one
     until(lambda: running.loop.controls.waiting is False, LONG)
     assert [word for word, answer in answers if not answer["ok"]] == ["release"]
-    assert "stop came meanwhile" in answers[-1][1]["error"]
+    assert "stop arrived in the meantime" in answers[-1][1]["error"]
     while not board.idle:
         board.turn()
     assert len(answers) == 1004
@@ -320,7 +320,7 @@ def test_a_stop_key_stops_whoever_released_last(running, terminal, key):
     stays(running, Mode.STOPPED)
     terminal.press(key)  # again: it does not release
     stays(running, Mode.STOPPED)
-    assert terminal.press(b"p") == "STOPPED, which p does not change; u releases"
+    assert terminal.press(b"p") == "STOPPED; p has no effect, press u to release"
     stays(running, Mode.STOPPED)
     assert terminal.press(b"u") == "released"
     stays(running, Mode.WAITING)
@@ -408,7 +408,7 @@ def test_a_key_and_a_message_release_the_wrist_alone(loop):
         loop._change()
         assert pipeline.clutch.released is released
         assert not pipeline.supervisor.paused
-    assert said == ["wrist released; c engages it, the fingers go on", "wrist: engages"]
+    assert said == ["wrist released; press c to engage it; the fingers continue", "wrist: engages"]
     do = RpcHandlers(loop, SimpleNamespace()).by_command["wrist"]
     assert do({"engage": False}) == {"engage": False}
     loop._change()

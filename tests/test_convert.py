@@ -811,12 +811,15 @@ def test_outputs_that_make_no_sense(tmp_path, run):
     write_episode(a, episode(name="a"))
     write_episode(b, episode(name="b"))
     for arguments, match in (
-        ((a, "--output", tmp_path / "x.csv"), "names no format: use .mcap, .npz, .h5"),
-        ((a, "--output", tmp_path / "x.npz", "--to", "mcap"), "that of npz and --to says mcap"),
+        ((a, "--output", tmp_path / "x.csv"), "belongs to no format: use .mcap, .npz, .h5"),
+        (
+            (a, "--output", tmp_path / "x.npz", "--to", "mcap"),
+            "the suffix of npz, but --to is mcap",
+        ),
         ((a, b, "--output", tmp_path / "x.npz"), "2 episodes, which do not fit into"),
         ((a, "--fps", 30, "--output", tmp_path / "x.npz"), "--fps applies only to LeRobot"),
         ((a, "--fps", 0, "--output", tmp_path / "x"), "fps must be a whole number"),
-        ((a, "--episode", 0, "--output", tmp_path / "x.npz"), "--episode is of LeRobot datasets"),
+        ((a, "--episode", 0, "--output", tmp_path / "x.npz"), "--episode applies only to LeRobot"),
         ((a, b, "--commands", a, "--output", tmp_path / "x"), "holds the commands of one"),
         ((a, "--commands", tmp_path / "no", "--output", tmp_path / "x"), "no such file"),
         ((a, "--commands", tmp_path, "--output", tmp_path / "x"), "1 of 1 recordings have no"),
@@ -832,7 +835,7 @@ def test_outputs_that_make_no_sense(tmp_path, run):
         assert match in err.replace("\n", " "), (match, err)
     assert {p.name for p in tmp_path.iterdir()} == {"a.h5", "b.mcap"}
     (tmp_path / "empty").mkdir()
-    assert "no recording in this folder" in run(tmp_path / "empty", "--output", tmp_path / "x")[1]
+    assert "contain no recordings" in run(tmp_path / "empty", "--output", tmp_path / "x")[1]
 
 
 @pytest.mark.parametrize(

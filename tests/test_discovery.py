@@ -275,7 +275,7 @@ def test_a_published_coupling_that_the_limits_contradict_is_turned_round(shared)
     found = discover(shared / "hands_urdf/schunk_hand/schunk_svh_hand_left.urdf")
     doubted = [f.coupling.joint for f in found.coupled if f.confidence < 0.5]
     assert doubted == ["left_hand_j5"]
-    assert "the file says 1, for which its own limits leave no room" in because(found, "coupled")
+    assert "the file says 1, but its own limits leave no room" in because(found, "coupled")
     assert any("Check it on the hand" in note for note in found.notes)
     hand = load_hand_spec(found.spec)
     ours = load_hand("schunk_svh", "left")
@@ -519,11 +519,11 @@ XACRO = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="a"/
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (wheels(4), r"turn without limits \(wheels\?.*give a model"),
+        (wheels(4), r"rotate without limits \(wheels\?.*use a model"),
         (legs(), r"too long for fingers"),
-        (ARM, r"branches nowhere"),
+        (ARM, r"without branches"),
         (STATUE, r"no joints"),
-        ("<robot><link", r"not well-formed XML.*mend"),
+        ("<robot><link", r"not well-formed XML.*correct"),
         ("<html/>", r"starts with <html>.*expected"),
         (XACRO, r"xacro .* > hand.urdf"),
     ],

@@ -131,7 +131,7 @@ def test_a_palm_frame_at_the_thumb_is_no_wrist(tmp_path):
     found = found_in(tmp_path, tuple(parts))
     assert found.spec.palm == "palm"
     np.testing.assert_allclose(found.spec.wrist.offset, -start, atol=1e-6)
-    assert "'mount', which the palm is mounted on" in because(found, "wrist")
+    assert "'mount', on which the palm is mounted" in because(found, "wrist")
     plain = found_in(tmp_path, hand.parts)
     assert plain.spec.wrist.offset == (0.0, 0.0, 0.0)
     assert "origin of the palm" in because(plain, "wrist")

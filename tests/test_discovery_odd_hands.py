@@ -152,7 +152,7 @@ def test_bars_of_a_linkage_are_no_fingers_and_cost_none(tmp_path, draw, seed, si
     assert not joints & {joint for finger in found.fingers for joint in finger.joints}
     ends = [p.name for p in model.parts if p.name.startswith("bar")]
     ends = [name for name in ends if not any(p.parent == name for p in model.parts)]
-    (note,) = (n for n in found.notes if n.startswith("left out: "))
+    (note,) = (n for n in found.notes if n.startswith("not used: "))
     assert all(repr(name) in note for name in ends)
     assert sure(found, "palm") < SURE
 
@@ -201,9 +201,9 @@ def test_a_finger_whose_joints_lack_limits_is_not_lost(tmp_path):
     for name in names:
         text = text.replace(f'name="{parts[name].joint}" type="revolute"',
                             f'name="{parts[name].joint}" type="continuous"')  # fmt: skip
-    with pytest.raises(HandModelError, match=r"turns without limits.*--palm palm"):
+    with pytest.raises(HandModelError, match=r"rotates without limits.*--palm palm"):
         found_in(tmp_path, text)
     (tmp_path / "model.urdf").write_text(text)
     found = discover(tmp_path / "model.urdf", overrules=Overrules(palm="palm"))
     assert len(found.fingers) == 4
-    assert any("turns without limits" in note for note in found.notes)
+    assert any("rotates without limits" in note for note in found.notes)

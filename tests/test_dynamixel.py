@@ -53,7 +53,7 @@ def fast_retries(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def patiently(action: Callable[[], T], between: Callable[[], object] = int) -> T:
-    """What an action on the bus returns, tried again as a worker does: a busy machine is late."""
+    """What an action on the bus returns, retrying as a worker does: a busy machine is late."""
     for _ in range(5):
         with contextlib.suppress(WrongAnswerError):
             return action()
@@ -63,7 +63,7 @@ def patiently(action: Callable[[], T], between: Callable[[], object] = int) -> T
 
 def calm(sink: HardwareSink) -> bool:
     """Whether the hand follows; its note may still count what went wrong before."""
-    words = ("approaches", "waits", "rests", "emergency", "tried again", "no answer", "squeezes")
+    words = ("approaches", "waits", "rests", "emergency", "retrying", "no answer", "squeezes")
     return not any(word in sink.note for word in words)
 
 
@@ -246,7 +246,7 @@ def test_contact_stops_a_squeezing_finger(bank, hand):
         run.until(lambda: run.at(0.3))
         bank.servos[2].stop = bank.servos[2].position + 60
         run.tick = tick_at(hand, 0.9)
-        run.until(lambda: "squeezes no further: index_pip" in run.sink.note)
+        run.until(lambda: "contact limit reached: index_pip" in run.sink.note)
         run.until(lambda: bank.servos[2].get(116, 4) - bank.servos[2].position < 0.11 * 652)
         assert abs(bank.servos[6].get(116, 4) - bank.servos[2].get(116, 4)) > 300
 
@@ -280,7 +280,7 @@ def test_a_cable_pulled_in_motion_and_plugged_again(bank, hand, tmp_path):
         run.tick = tick_at(hand, 0.6)
         run.until(lambda: bank.servos[1].position > 2100)
         bank.unplug()
-        run.until(lambda: "it is tried again every second" in run.sink.note)
+        run.until(lambda: "retrying every second" in run.sink.note)
         assert "check cable and power" in run.sink.note
         assert run.sink.state("right") is None
         for servo in bank.servos.values():
@@ -305,7 +305,7 @@ def test_wrong_checksums_and_silence(bank, hand):
         run.until(lambda: run.sink.figures["device_lost"] >= 1)
         run.until(lambda: "no answer from the servos 7 (middle_dip)" in run.sink.note)
         bank.silent.clear()
-        run.until(lambda: run.at(0.4) and "tried again" not in run.sink.note)
+        run.until(lambda: run.at(0.4) and "retrying" not in run.sink.note)
 
 
 def test_a_servo_with_an_error_and_a_slow_bus_are_shown(bank, hand):

@@ -249,7 +249,7 @@ def test_a_hand_lost_in_motion_comes_back(rig):
         rig.lose()
         until(lambda: driven.statistics()["device_lost"] > before, "the loss")
         assert driven.sink.state("right") is None
-        assert "tried again" in driven.sink.note
+        assert "retrying" in driven.sink.note
         rig.back()
         wanted = driven.ask(0.5)
         until(
@@ -437,5 +437,5 @@ def test_a_blocked_motor_squeezes_no_further(rig):
         rig.stick(1)
         driven.ask(0.9)
         name = driven.table.names[1]
-        until(lambda: f"squeezes no further: {name}" in driven.sink.note, "the contact guard")
+        until(lambda: f"contact limit reached: {name}" in driven.sink.note, "the contact guard")
     assert rig.outside() == 0

@@ -105,7 +105,7 @@ def test_another_file_is_refused_and_thrown_away(server, cache):
 
 def test_half_a_file_is_never_taken_for_the_whole(server, cache):
     server.body = MODEL[: len(MODEL) // 2]
-    with pytest.raises(SourceError, match="can't be fetched"):
+    with pytest.raises(SourceError, match="can't be downloaded"):
         hand_model(url=server.url, sha256=HASH)
     assert left_behind(cache) == []
     server.body = MODEL
@@ -168,10 +168,10 @@ def test_a_given_file_must_be_a_hand_landmarker(tmp_path, monkeypatch):
         hand_model(tmp_path / "nowhere.task")
     other = tmp_path / "other.task"
     other.write_bytes(b"not an archive")
-    with pytest.raises(SourceError, match="is no MediaPipe hand landmarker"):
+    with pytest.raises(SourceError, match="is not a MediaPipe hand landmarker"):
         hand_model(other)
     with zipfile.ZipFile(other, "w") as file:
         file.writestr("face_detector.tflite", b"")
     monkeypatch.setenv(SWITCH, str(other))
-    with pytest.raises(SourceError, match=rf"^{SWITCH}: .*is no MediaPipe hand landmarker"):
+    with pytest.raises(SourceError, match=rf"^{SWITCH}: .*is not a MediaPipe hand landmarker"):
         hand_model()

@@ -259,7 +259,7 @@ def test_readings_that_never_agree_move_nothing(run):
     run.bus.wrong = lambda count, angles: far(1, 0.4 * (count % 3))(angles)
     worker = run(0.5)
     assert not run.bus.written
-    assert "m1: 3 readings of its position within a moment differ" in worker.statistics.latest
+    assert "m1: 3 consecutive readings of its position differ" in worker.statistics.latest
     assert "check its cable" in worker.statistics.latest
 
 
@@ -272,7 +272,10 @@ def test_a_start_far_beyond_the_ends_is_refused(run, offset):
         f"m1 is at {degrees(far(1, offset)(np.zeros(16)))[1]:.6g} deg" in worker.statistics.latest
     )
     assert "beyond its ends 120 and 240" in worker.statistics.latest
-    assert "is the servo a turn off, or the table's zero wrong?" in worker.statistics.latest
+    assert (
+        "the servo may be one turn off, or the table's zero may be wrong"
+        in worker.statistics.latest
+    )
 
 
 def test_a_start_a_little_beyond_the_ends_comes_in(run):
@@ -373,7 +376,7 @@ def test_the_guard_moves_no_command_without_a_new_reading(run, hand):
     moved = guard.step(wanted, reading, 0.01)
     assert radians(moved) == pytest.approx(SPEED * 0.01)
     assert guard.step(wanted, reading, 0.01) == pytest.approx(moved)
-    with pytest.raises(SinkError, match="a turn off"):
+    with pytest.raises(SinkError, match="one turn off"):
         guard.start(Reading(degrees(np.full(16, 7.0))))
 
 

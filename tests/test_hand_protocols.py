@@ -138,7 +138,7 @@ def test_linker_frames(monkeypatch):
         hand.close()
     monkeypatch.setattr("smooth_operator.teleop.hardware.drivers.linker._TIMEOUT", 0.1)
     right = LinkerDevice(table("linker_l20_right"), f"virtual:{wire}", "l20")
-    with pytest.raises(SinkError, match="not a left hand, whose identifier is 0x28"):
+    with pytest.raises(SinkError, match="not a left hand, which has the identifier 0x28"):
         right.open()
 
 

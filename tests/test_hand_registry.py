@@ -359,7 +359,7 @@ def test_choices_as_text():
         "thumb": "thumb", "index": "index", "pinky": "ring",
     }  # fmt: skip
     for text in ("", "thumb,,index", "thumb,index=", "=ring"):
-        with pytest.raises(HandModelError, match="no choice of fingers"):
+        with pytest.raises(HandModelError, match="is not a list of fingers"):
             parse_fingers(text)
     with pytest.raises(HandModelError, match="'index' twice"):
         parse_fingers("thumb,index,index=ring")

@@ -207,7 +207,7 @@ WRONG: dict[str, tuple[str, Callable[[Path], HandSpec], str]] = {
     "palm too large": (
         "shapes",
         lambda p: retold(load_hand("leap_hand").spec, p, palm_of_one_box),
-        "as large as the real parts",
+        "the size of the real parts",
     ),
     "axes": ("flexion", lambda p: retold(ALLEGRO, p, index_bends_back), "sign"),
 }

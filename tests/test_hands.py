@@ -178,9 +178,9 @@ def test_a_neutral_pose_is_brought_within_the_limits(tmp_path):
 @pytest.mark.parametrize(
     ("equality", "message"),
     [
-        ('<joint joint1="i3" joint2="i2" polycoef="0 1 0.5 0 0"/>', "not a line"),
-        ('<joint joint1="i3" polycoef="0.4 0 0 0 0"/>', "not a line"),
-        ('<joint joint1="i3" joint2="i2" polycoef="0.4 0 0 0 0"/>', "not a line"),
+        ('<joint joint1="i3" joint2="i2" polycoef="0 1 0.5 0 0"/>', "is not linear"),
+        ('<joint joint1="i3" polycoef="0.4 0 0 0 0"/>', "is not linear"),
+        ('<joint joint1="i3" joint2="i2" polycoef="0.4 0 0 0 0"/>', "is not linear"),
     ],
 )
 def test_couplings_that_are_not_lines_are_refused(tmp_path, equality, message):
@@ -365,7 +365,9 @@ def test_unknown_names(tmp_path):
     with pytest.raises(UnknownNameError, match=r"unknown hand 'mimic'.*mimic_p050"):
         load_hand("mimic")
     for model in ("my/leap_hand.urdf", "../leap_hand.XML", "hand.mjcf"):
-        with pytest.raises(HandModelError, match=f"{model} is a model; first: .* hands add"):
+        with pytest.raises(
+            HandModelError, match=f"{model} is a model file; add it first: .* hands add"
+        ):
             load_hand(model)
 
 
@@ -428,7 +430,7 @@ def test_descriptions_are_checked(names, align, message):
 
 
 def test_fingers_are_checked():
-    with pytest.raises(HandModelError, match="named after a human one"):
+    with pytest.raises(HandModelError, match="the name of a human finger"):
         finger("toe")
     with pytest.raises(HandModelError, match="needs a base point and a tip point"):
         FingerSpec("thumb", (None, None, None, Point("t2")))

@@ -59,7 +59,7 @@ def scaled(attribute: str, factor: float) -> str:
 
 # what it is: file name, content, what is said, options
 REFUSED: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
-    "broken XML": ("h.xml", "<mujoco><worldbody>", r"not well-formed.*mend it", ()),
+    "broken XML": ("h.xml", "<mujoco><worldbody>", r"not well-formed.*correct it", ()),
     "an empty file": ("h.urdf", "", r"not well-formed.*export the model again", ()),
     "another format": ("h.sdf", "<sdf><model/></sdf>", r"starts with <sdf>; expected <mujoco>", ()),
     "a template": (
@@ -71,13 +71,13 @@ REFUSED: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
     "an include that is not there": (
         "h.xml",
         '<mujoco><include file="nope.xml"/></mujoco>',
-        r"nope\.xml.*mend that in the file",
+        r"nope\.xml.*correct this in the file",
         (),
     ),
     "a parent that is not there": (
         "h.urdf",
         TEXT.replace('<parent link="palm"/>', '<parent link="ghost"/>', 1),
-        r"parent or child missing.*mend that",
+        r"parent or child missing.*correct this",
         (),
     ),
     "limits reversed": (
@@ -105,19 +105,19 @@ REFUSED: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
             lambda m: f'lower="{57.3 * float(m[1])}" upper="{57.3 * float(m[2])}"',
             TEXT,
         ),
-        r"more than two turns: are they degrees\?.*mend them",
+        r"more than two turns: are they degrees\?.*correct them",
         (),
     ),
     "no limits": (
         "h.urdf",
         re.sub(r"<limit [^>]*/>", "", TEXT),
-        r"turn without limits \(.*need their limits in the file",
+        r"rotate without limits \(.*need limits in the file",
         (),
     ),
     "equal limits": (
         "h.urdf",
         re.sub(r'upper="1.6"', 'upper="-0.1"', TEXT),
-        r"of a finger can't move: lower = upper = -?[\d.]+ in the file.*give them their range",
+        r"of a finger can't move: lower = upper = -?[\d.]+ in the file.*set their ranges there",
         (),
     ),
     "all limits equal": (
@@ -131,20 +131,20 @@ REFUSED: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
         re.sub(
             r"<collision>.*?</collision>", "", re.sub(r'xyz="[^"]*" rpy', 'xyz="0 0 0" rpy', TEXT)
         ),
-        r"all at one point \(.*\): a placeholder, whose joints lack their origins\. A hand",
+        r"all at one point \(.*\): the model is a placeholder.* no origins\. The palm",
         (),
     ),
     "millimetres": ("h.urdf", scaled("xyz", 1000.0), r"a model that is not in metres", ()),
     "a tip link twice": (
         "h.urdf",
         TEXT.replace("</robot>", f'<link name="{LAST}"/></robot>'),
-        r"names the link .* twice; give each its own name",
+        r"names the link .* twice; use a different name for each",
         (),
     ),
     "a tip given twice": (
         "h.urdf",
         TEXT,
-        r"--tip names 'index' twice; give each finger one tip",
+        r"--tip names 'index' twice; set one tip per finger",
         ("--tip", f"index={LAST}:0,0,0.01", "--tip", f"index={LAST}:0,0,0.02"),
     ),
     "a tip on another finger": (
@@ -156,11 +156,11 @@ REFUSED: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
     "a ball joint": (
         "h.xml",
         re.sub(joint_of(JOINT.joint), f'<joint name="{JOINT.joint}" type="ball"/>', XML),
-        r"is a ball or free joint.*write it as hinges",
+        r"is a ball or free joint.*replace it by hinges",
         (),
     ),
-    "a mobile robot": ("h.xml", ROVER, r"4 that turn without limits \(wheels\?", ()),
-    "an arm": ("h.xml", ARM_ONLY, r"no fingers found: .*name its palm with --palm", ()),
+    "a mobile robot": ("h.xml", ROVER, r"4 that rotate without limits \(wheels\?", ()),
+    "an arm": ("h.xml", ARM_ONLY, r"no fingers found: .*name the palm with --palm", ()),
     "no joints": ("h.urdf", '<robot name="r"><link name="a"/></robot>', r"no joints", ()),
     "a coupling to nothing": (
         "h.xml",
@@ -168,7 +168,7 @@ REFUSED: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
             "<equality>",
             f'<equality><joint joint1="{JOINT.joint}" joint2="ghost" polycoef="0 1 0 0 0"/>',
         ),
-        r"ghost.*mend that",
+        r"ghost.*correct this",
         (),
     ),
 }
@@ -246,7 +246,7 @@ def test_a_path_that_is_not_utf8(run, tmp_path):
         Path(os.fsdecode(folder + name)).write_text(TEXT)
         status, out, err = run(os.fsdecode(folder + name), "--name", "raw")
         assert (status, out, "Traceback" in err) == (2, "", False), err
-        assert "is not text in UTF-8; rename the file or its folder" in err
+        assert "is not UTF-8 text; rename the file or its folder" in err
 
 
 def test_names_that_no_file_can_have(run, tmp_path):
@@ -335,7 +335,7 @@ def test_a_sign_that_can_not_be_is_turned_with_a_warning(run, tmp_path):
     assert row["confidence"] < 0.5
     assert all(c["confidence"] > 0.9 for c in said["coupled"] if c is not row)
     assert "coupled" in said["unsure"]
-    assert any("sign is taken to be wrong" in note for note in said["notes"])
+    assert any("is assumed to be wrong" in note for note in said["notes"])
     hand = load_hand("turned", said["side"])
     every = hand.full_configuration(hand.limits.T)
     at = hand.joint_names.index(part.joint)

@@ -63,7 +63,7 @@ def test_the_dialogue_finds_joint_ends_and_sense(table, hand):
     assert first.command(np.deg2rad(40.0)) == pytest.approx(156.0)
     assert first.command(np.deg2rad(-30.0)) == pytest.approx(212.0)
     assert second == table.actuators[1]
-    assert any("something blocks it" in line for line in said)
+    assert any("it is blocked" in line for line in said)
     assert any(line.startswith("joints of mimic_p050") for line in said)
     assert "2 of 2" in made.source
     assert fake.calls[-2][0] == "relax"
@@ -79,7 +79,7 @@ def test_the_last_command_ends_the_question(table, hand):
     with ActuatorMover(FakeHand(table), table, seconds=0.02) as mover:
         made = TableCheck(mover, hand, ask, said.append).run(table)
     assert made.actuators[0].ends == table.actuators[0].ends
-    assert sum("is reached: taken as the end" in line for line in said) == 2
+    assert sum("is reached: used as the end" in line for line in said) == 2
 
 
 @pytest.mark.parametrize("given", [("q",), ("s", "s"), ("", "q"), ("", "k", "q")])

@@ -33,7 +33,7 @@ PERIOD = 0.01
 
 def calm(sink: HardwareSink) -> bool:
     """Whether the hand follows; its note may still count what went wrong before."""
-    words = ("approaches", "waits", "rests", "emergency", "tried again", "no answer", "squeezes")
+    words = ("approaches", "waits", "rests", "emergency", "retrying", "no answer", "squeezes")
     return not any(word in sink.note for word in words)
 
 
@@ -180,7 +180,7 @@ def test_a_device_lost_in_motion_is_opened_again_and_approached_slowly(make, han
         until(lambda: driven.fake.count("write") > 3)
         driven.fake.gone.set()
         until(lambda: sink.note)
-        until(lambda: "the cable was pulled; it is tried again every second" in sink.note)
+        until(lambda: "the cable was pulled; retrying every second" in sink.note)
         assert sink.state("right") is None
         driven.fake.positions[:] = 180.0  # it fell back
         written = driven.fake.count("write")
@@ -188,7 +188,7 @@ def test_a_device_lost_in_motion_is_opened_again_and_approached_slowly(make, han
         until(lambda: driven.fake.count("write") > written)
         first = driven.fake.commands()[written]
         assert np.abs(first - 180.0).max() <= np.rad2deg(5.0) * 2 * PERIOD + 1e-6
-        until(lambda: "tried again" not in sink.note and "approaches" not in sink.note)
+        until(lambda: "retrying" not in sink.note and "approaches" not in sink.note)
         assert not driven.errors
         assert sink.figures["device_lost"] >= 1
 
@@ -230,7 +230,7 @@ def test_wrong_answers_are_counted_and_many_are_a_lost_device(make, hand, monkey
         until(lambda: sink.figures["device_lost"] == 1)
         assert "a wrong checksum" in sink.note
         driven.fake.wrong = 0
-        until(lambda: "tried again" not in sink.note)
+        until(lambda: "retrying" not in sink.note)
 
 
 def test_a_wrong_answer_while_it_opens_is_asked_for_again(make, hand):
@@ -262,7 +262,7 @@ def test_a_limit_that_is_gone_is_a_lost_device_and_one_wrong_reading_is_not(
         assert sink.figures["device_lost"] == 0
         driven.fake.limit = 900.0
         until(lambda: sink.figures["device_lost"] == 1)
-        assert "the hand restarted: limit of no. 1 is 900, not 500; it is tried" in sink.note
+        assert "the hand restarted: limit of no. 1 is 900, not 500; retrying" in sink.note
         until(lambda: calm(sink))
         assert driven.fake.limit == 500.0
 
@@ -356,7 +356,7 @@ def test_a_joint_that_squeezes_goes_no_further_and_opens_again(make, hand):
         until(lambda: calm(sink))
         driven.fake.blocked[0] = 195.0  # an object, 15 degrees in
         driven.tick = tick_at(hand, 55.0)
-        until(lambda: "squeezes no further: m0" in sink.note)
+        until(lambda: "contact limit reached: m0" in sink.note)
         until(lambda: driven.fake.commands()[-1, 0] < 195.0 + np.rad2deg(0.11))
         until(lambda: driven.fake.commands()[-1, 2] == pytest.approx(235.0))  # the others go on
         driven.tick = tick_at(hand, 5.0)  # the operator opens
@@ -364,7 +364,7 @@ def test_a_joint_that_squeezes_goes_no_further_and_opens_again(make, hand):
         until(lambda: "squeezes" not in sink.note)
         # and an object that is gone: it closes again
         driven.tick = tick_at(hand, 55.0)
-        until(lambda: "squeezes no further: m0" in sink.note)
+        until(lambda: "contact limit reached: m0" in sink.note)
         driven.fake.blocked.clear()
         driven.fake.pushed[0] = 206.0
         driven.fake.currents[:] = 0.0
@@ -428,7 +428,7 @@ def test_a_bus_is_free_while_its_device_is_lost(make, tmp_path, hand):
         taken: list[BusLock] = []
 
         def take() -> bool:
-            with contextlib.suppress(SinkError):  # it was just tried again
+            with contextlib.suppress(SinkError):  # it was just retrying
                 taken.append(BusLock(str(tmp_path / "port")))
             return bool(taken)
 

@@ -317,7 +317,7 @@ def test_one_source_hears_both_protocols():
     source, mailbox = started("hts:port=0")
     try:
         udp, tcp = ports(source)
-        assert source.health().detail.endswith("for Wi-Fi say hts:0.0.0.0")
+        assert source.health().detail.endswith("for Wi-Fi use hts:0.0.0.0")
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
             one.sendto(app.hts_packet("right", POSE, RIGHT), udp)
             until(lambda: mailbox.received == 1)

@@ -225,14 +225,14 @@ def test_the_legend_names_each_hand_by_its_sign():
     assert shown[:3] == [
         (css(PALM), "● human hand, as tracked"),
         (css(PALM), "■ robot command"),
-        (css(SIMULATED), "■ simulated or measured robot, where it differs"),
+        (css(SIMULATED), "■ simulated or measured robot, if it differs"),
     ]
-    assert shown[3] == (css(HIGHLIGHT), "● tip and line of a pinch")
-    assert "where the method wants the fingertip" in shown[4][1]
+    assert shown[3] == (css(HIGHLIGHT), "● fingertip and line of a pinch")
+    assert "fingertip target of the method" in shown[4][1]
     assert [text for _, text in shown[5:]] == ["⬤ thumb", "⬤ index"]
     assert chips(live_texts.legend(fingers, simulated=True, task=True))[1:3] == [
         (css(PALM), "■ simulated robot"),
-        (css(SIMULATED), "■ robot command, where it differs"),
+        (css(SIMULATED), "■ robot command, if it differs"),
     ]
     assert len(chips(live_texts.legend(fingers, simulated=False, task=False))) == 6
 
@@ -353,7 +353,7 @@ def test_takes_are_recorded_named_kept_and_discarded(stage):
     assert [file.name for file in folder.iterdir()] == ["pour_water.mcap"]
     second = record(stage)
     page.do("keep", "pour water")
-    assert "there is a take pour_water.mcap already" in stage.see()["controls"]["message"]
+    assert "there is already a take pour_water.mcap" in stage.see()["controls"]["message"]
     page.do("discard")
     assert not second.exists()
     assert (take(stage)["kept"], take(stage)["last"]) == (1, [])
@@ -1085,7 +1085,7 @@ def test_a_page_that_dies_harms_nothing(stage, capfd):
         first = len(stage.ticks)
         eventually(lambda: len(stage.ticks) > first + 10)
         assert stage.mode().moves
-        assert "the loop goes on without it" in capfd.readouterr().err
+        assert "the loop continues without it" in capfd.readouterr().err
     finally:
         page._session = None  # the stage's own, which others use
         page.stop()

@@ -136,11 +136,11 @@ def test_meshes_of_another_unit_are_left_out(scale, fits, tmp_path):
     assert found.spec.side == plain.spec.side
     assert [f.joints for f in found.fingers] == [f.joints for f in plain.fingers]
     (note,) = found.notes
-    assert re.search(rf"times as large as the links .* write scale {fits} where", note), note
+    assert re.search(rf"times as large as the links .* set scale {fits} where", note), note
     hand = load_hand_spec(found.spec)
     assert hand.model.ngeom == 0
     assert len(hand.unreadable) == hand.model.nbody - 1
-    assert "write scale" in stand_in_note(hand)
+    assert "set scale" in stand_in_note(hand)
     assert max(np.ptp(c.ends, axis=0).max() for c in stand_ins(hand).capsules) < 0.2
 
 

@@ -171,7 +171,7 @@ def test_stamps_in_another_unit_are_found_by_their_pace(said, sent):
                 refused.append(str(error))
         if unit == said:
             assert 60 < len(refused) < 90
-            assert f"give the source stamp_unit={right[sent]}" in refused[-1]
+            assert f"set stamp_unit={right[sent]}" in refused[-1]
         else:
             assert not refused
 

@@ -164,7 +164,7 @@ def started(text: str) -> tuple[PicoSource, Kept, tuple[str, int]]:
 def test_a_headset_connects_repeats_itself_and_comes_back():
     source, mailbox, where = started("pico:port=0")
     try:
-        assert source.health().detail.endswith("say pico:0.0.0.0")
+        assert source.health().detail.endswith("use pico:0.0.0.0")
         first, second = both(), both(STAMP + 14_000_000, move=0.001)
         with socket.create_connection(where, timeout=60) as headset:
             headset.sendall(app.pico_packet(0x19, b"SN|-1") + app.pico_packet(0x6C, b"SN|1.0|1"))

@@ -183,7 +183,7 @@ def test_partial_logs(tmp_path):
         pass
     log = read_log(tmp_path / "empty.mcap")
     assert (log.recording, log.commands, log.config, log.truncated) == (None, None, None, False)
-    with pytest.raises(RecordingError, match="holds no hand frames"):
+    with pytest.raises(RecordingError, match="contains no hand frames"):
         read_recording(tmp_path / "empty.mcap")
 
     with LogWriter(tmp_path / "config.mcap") as writer:
@@ -318,12 +318,12 @@ def test_writer_refuses_what_could_not_be_read(tmp_path):
     with LogWriter(tmp_path / "a.mcap") as log:
         log.write_hand(hands[1])
         for stamp in (hands.stamps[1], hands.stamps[0], np.nan, np.inf):
-            with pytest.raises(RecordingError, match="stamps must increase"):
+            with pytest.raises(RecordingError, match="timestamps must increase"):
                 log.write_hand(HandFrame(hands.landmarks[0], stamp))
-        with pytest.raises(RecordingError, match="log of a right hand, the frame is of a left"):
+        with pytest.raises(RecordingError, match="log of a right hand, but the frame is of a left"):
             log.write_hand(HandFrame(hands.landmarks[0], hands.stamps[2], "left"))
         log.write_command(command(1.0), Status.OK, 1.0)
-        with pytest.raises(RecordingError, match="joints of the command are not those"):
+        with pytest.raises(RecordingError, match="joints of the command differ from those"):
             log.write_command(JointCommand(np.zeros(1), ("x",), 1.0), Status.OK, 1.0)
         with pytest.raises(RecordingError, match="one position for each of its 2 joints"):
             log.write_command(JointCommand(np.zeros(3), NAMES, 1.0), Status.OK, 1.0)
@@ -409,7 +409,7 @@ def test_disk_that_fills_up_on_the_way(tmp_path, monkeypatch):
     monkeypatch.setattr(Writer, "flush", full)
     with log, pytest.raises(OutputError, match="no space is left on the device; free some"):
         log.write_hand(hands[10])
-    with pytest.raises(OutputError, match="gave up on an error"):
+    with pytest.raises(OutputError, match="stopped after an error"):
         log.write_hand(hands[11])
     monkeypatch.undo()
     assert_same(hands[:10], read_recording(tmp_path / "a.mcap"))

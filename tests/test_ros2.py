@@ -319,7 +319,7 @@ def test_a_table_gives_names_order_and_commands(hand, recorded, tmp_path):
         Ros2Sink(table=str(file)).connect({"right": hand}, {})
     with pytest.raises(ConfigError, match=r"there is no table nowhere_right\.toml"):
         Ros2Sink(table="nowhere").connect({"right": hand}, {})
-    with pytest.raises(ConfigError, match="the table says names and order"):
+    with pytest.raises(ConfigError, match="the table determines names and order"):
         Ros2Sink(table="x", prefix="r_")
 
 
@@ -411,7 +411,7 @@ def test_a_command_that_is_not_finite_is_not_sent(hand, recorded):
 
 
 def test_wrong_names_and_settings_say_what_is_expected(hand, recorded):
-    with pytest.raises(UnknownNameError, match=r"no_such.*joints= takes all, actuated"):
+    with pytest.raises(UnknownNameError, match=r"no_such.*joints= must be all, actuated"):
         Ros2Sink(joints="no_such").connect({"right": hand}, {})
     with pytest.raises(SinkError, match="two hands on one topic"):
         Ros2Sink("/joints").connect({"right": hand, "left": hand}, {})
@@ -604,8 +604,8 @@ def test_a_wrist_that_is_old_or_unknown_is_not_valid():
 def test_settings_of_the_source_that_contradict_each_other():
     for text, words in {
         "ros2:/p,side=both": "put {side} into the topic",
-        "ros2:/p,wrist=/w": "give both or none",
-        "ros2:/p,frame=wrist": "give both or none",
+        "ros2:/p,wrist=/w": "set both or neither",
+        "ros2:/p,frame=wrist": "set both or neither",
         "ros2:/{side}/p,side=both,frame=wrist,wrist=/w": "two wrists",
         "ros2:/{hand}/p": "can't be a topic",
         "ros2:/p,right_glove=3,left_glove=3": "both '3'",
@@ -646,6 +646,6 @@ def test_network_and_domain_come_from_the_setting_else_from_ros_variables(monkey
 def test_one_domain_has_one_network_in_a_process(domain):
     end = Endpoint("the ros2 sink", SinkError, domain=domain, **LOCAL)
     first = Transport(end)
-    with pytest.raises(ConfigError, match="in use here with network 'localhost'"):
+    with pytest.raises(ConfigError, match="already used in this process with network 'localhost'"):
         Transport(replace(end, network="subnet"))
     first.close()

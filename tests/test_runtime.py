@@ -155,8 +155,8 @@ def test_only_newer_frames_count(motion):
     answers = [
         supervisor.admits(arrived(frame, 5.0, session, stamp=stamp), 5.0) for stamp, session in seen
     ]
-    assert answers == [None, "a stamp that came before", None, "out of order", None, None, None]
-    assert supervisor.refused == {"a stamp that came before": 1, "out of order": 1}
+    assert answers == [None, "a repeated timestamp", None, "out of order", None, None, None]
+    assert supervisor.refused == {"a repeated timestamp": 1, "out of order": 1}
 
 
 def test_a_frame_that_waited_too_long_is_refused(motion):
@@ -242,7 +242,7 @@ def test_a_session_of_the_other_hand_or_in_another_order_is_refused(retargeter, 
     mano = np.argsort(LAYOUTS["mano"])
     faults = {
         "by its shape it is a left hand": lambda points: points * [-1.0, 1.0, 1.0],
-        "landmarks in the order 'mano'; give the source layout=mano": lambda points: points[mano],
+        "landmarks in the order 'mano'; for a source, set layout=mano": lambda points: points[mano],
     }
     for why, fault in faults.items():
         stage = Stage(retargeter)

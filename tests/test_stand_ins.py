@@ -148,7 +148,7 @@ def test_it_is_said_where_a_hand_is_added(shared, tmp_path, monkeypatch, capfd):
     file = shared / "hands_urdf" / "leap_hand" / "leap_hand_right.urdf"
     assert main(["hands", "add", str(file), "--name", "bare_leap"]) == 0
     said = capfd.readouterr().out
-    assert "could not be read; estimated capsules along their bones take their place" in said
+    assert "could not be read; estimated capsules along their bones replace them" in said
     added = load_hand("bare_leap", "right")  # with the map of the built-in hand's thumb
     assert added.spec.joint_map == load_hand("leap_hand").spec.joint_map
     recording = tmp_path / "r.npz"

@@ -314,7 +314,7 @@ def test_the_status_line_says_frame_time_reason_and_latency():
     assert "solved in 1.25 ms" in line
     assert Status.DEGENERATE_PALM.reason in line
     assert "status 99" in player.status_line([playback], 8)
-    assert "no solving time" in player.status_line([playback], 8)
+    assert "solving time unknown" in player.status_line([playback], 8)
 
 
 @pytest.mark.parametrize(
@@ -341,7 +341,7 @@ def test_runs_of_other_frames_or_fingers_do_not_stand_side_by_side(playback):
         PlaybackServer([make_playback(60), make_playback(61)])
     fingers, tips = playback.trace.fingers[:-1], playback.trace.robot_tips[:, :-1]
     four = {"fingers": fingers, "robot_tips": tips}
-    with pytest.raises(RecordingError, match="of the same fingers"):
+    with pytest.raises(RecordingError, match="with the same fingers"):
         PlaybackServer([make_playback(), make_playback(**four)])
     with pytest.raises(RecordingError, match="nothing to play"):
         PlaybackServer([])

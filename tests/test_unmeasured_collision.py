@@ -26,7 +26,7 @@ def test_a_hand_that_lost_shapes_is_measured_by_estimates(lost, tmp_path):
     real = penetration_depths(whole, whole.full_configuration(q))
     ours = penetration_depths(hand, hand.full_configuration(q))
     assert (ours[real > 0.006] > 0).mean() > 0.8
-    assert "figures of self-collision" in stand_in_note(hand)
+    assert "self-collision metrics" in stand_in_note(hand)
 
 
 def test_a_verdict_has_no_part_for_collision_that_was_not_measured():

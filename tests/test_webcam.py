@@ -135,7 +135,7 @@ def test_pictures_that_are_late_are_left_out_unless_every_one_is_wanted(
         received[every] = mailbox.received
     assert received[True] == 20
     assert 1 <= received[False] <= 12
-    assert "left out since they were late" in source.health().detail
+    assert "skipped because they were late" in source.health().detail
 
 
 def test_a_video_that_loops_begins_a_new_session(fake, tmp_path):
@@ -379,7 +379,7 @@ def test_the_command_line_converts_a_video(media, clip, tmp_path, monkeypatch):
 @pytest.mark.shared
 def test_a_hand_that_is_not_there_is_an_error(media, clip):
     config = PictureConfig(model=media / "hand_landmarker.task")
-    with pytest.raises(RecordingError, match="no left hand is on any of its 40 pictures"):
+    with pytest.raises(RecordingError, match="no left hand is in any of its 40 pictures"):
         track_video(clip, side="left", config=config)
 
 

@@ -392,7 +392,7 @@ def test_pings_bring_the_clock_of_the_host_and_the_state_of_the_link(host):
     assert before < pong["host"] < time.perf_counter()
     state = host.source.link
     assert (state.round_trip_s, state.clock_offset_s, state.tracking) == (0.004, 71.5, True)
-    eventually(lambda: "no hands come" in host.source.health().detail)
+    eventually(lambda: "no hands are sent" in host.source.health().detail)
     link.send(message(right=np.full((25, 8), np.nan, "<f4")))  # a hand that is out of sight
     assert not np.isfinite(host.arrival("right").frame.landmarks).any()
     link.send(message(right=joints()))

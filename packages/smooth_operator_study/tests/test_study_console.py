@@ -341,7 +341,7 @@ def test_no_trial_starts_while_the_hand_is_gone(store):
     service = SessionService(store, operator="P01", teleop=teleop)
     walk(service, store, "start_trial")
     teleop.gone = True
-    with pytest.raises(StudyError, match=r"the trial does not start: .*nobody answers"):
+    with pytest.raises(StudyError, match=r"the trial does not start: .*no answer from"):
         service.carry_out(command(store.progress("P01"), "start_trial"), "experimenter")
     assert store.progress("P01").step.what == "start_trial"
 

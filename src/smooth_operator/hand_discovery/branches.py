@@ -111,11 +111,12 @@ class Branches:
         hands = self._below(self.leaves)
         if not hands:
             why = "; ".join(self.reasons) or (
-                f"it has {len(self.leaves)} chain of joints that branches nowhere"
+                f"it has {len(self.leaves)} chain of joints, without branches"
             )
             raise HandModelError(
-                f"no fingers found: {why}. A hand is a body from which two to five chains of "
-                "limited joints branch; give a model that has one, or name its palm with --palm"
+                f"no fingers found: {why}. The palm must be a body from which two to five "
+                "chains of limited joints branch; use a model that has one, or name the "
+                "palm with --palm"
             )
         return tuple(hands)
 
@@ -138,9 +139,9 @@ class Branches:
             hand = HandTree(body, chains, hand.left_out)
         if not 2 <= len(hand.chains) <= 5:
             raise HandModelError(
-                f"{len(hand.chains)} chains of limited joints hang from the palm {palm!r}; "
-                "expected two to five: name another body with --palm, or up to five fingers with "
-                "--finger"
+                f"{len(hand.chains)} chains of limited joints branch from the palm {palm!r}; "
+                "expected two to five: name another body with --palm, or up to five fingers "
+                "with --finger"
             )
         return hand
 
@@ -250,7 +251,11 @@ class Branches:
             branch = [c for c in branch if c not in strays]
         for chain in fixed:
             pinned = [self._skeleton.joint_names[j] in self._skeleton.pinned for j in chain.joints]
-            why = "can't move: lower = upper in the file" if any(pinned) else "turns without limits"
+            why = (
+                "can't move, because lower = upper in the file"
+                if any(pinned)
+                else "rotates without limits"
+            )
             like = len(chain.joints) > 1 and chain.length > _FINGER_SIZE * median > 0
             left_out.append(LeftOut(chain.last, f"{self._name(chain)} {why}", like))
         branch = [
@@ -330,7 +335,7 @@ class Branches:
                 f"{len(chains)} chains with limited joints"
                 + f" and {pinned} whose joints can't move, with lower = upper in the file"
                 * bool(pinned)
-                + f" and {wheels} that turn without limits (wheels? joints of fingers need their "
+                + f" and {wheels} that rotate without limits (wheels? finger joints need "
                 "limits in the file)" * bool(wheels)
             )
         if len(chains) > 5:
@@ -345,8 +350,8 @@ class Branches:
             )
         if max(lengths) < _POINT:
             return (
-                f"{len(chains)} chains whose links are all at one point ({names}): a placeholder, "
-                "whose joints lack their origins"
+                f"{len(chains)} chains whose links are all at one point ({names}): the model "
+                "is a placeholder, whose joints have no origins"
             )
         if max(lengths) < _LENGTHS[0]:
             return (
@@ -355,8 +360,8 @@ class Branches:
             )
         if max(lengths) > _UNLIKE * min(lengths):
             return (
-                f"{len(chains)} chains of {min(lengths):.3f} to {max(lengths):.3f} m ({names}), "
-                "too unlike for fingers"
+                f"{len(chains)} chains of {min(lengths):.3f} to {max(lengths):.3f} m "
+                f"({names}), too different in length for fingers"
             )
         bases = np.array([c.base for c in chains])
         apart = float(np.linalg.norm(bases[:, None] - bases[None], axis=-1).max())
@@ -473,7 +478,7 @@ def find_tip(skeleton: Skeleton, chain: Chain, at: Placement) -> Tip:
         confidence = 0.8
         if says_tip(name):
             confidence += 0.1
-            evidence.append("its name says so")
+            evidence.append("by its name")
         if end is not None:
             apart = float(np.linalg.norm(world - end.far))
             evidence.append(f"{apart * 1e3:.1f} mm from the far end of the shape")
@@ -487,15 +492,18 @@ def find_tip(skeleton: Skeleton, chain: Chain, at: Placement) -> Tip:
         confidence = 0.75
         if end.nail:
             evidence.append(
-                "a little behind it: the back juts out like a nail, and the pad is meant"
+                "slightly behind it: the back protrudes like a nail, and the tip should be "
+                "on the pad"
             )
             confidence = 0.6
         if frames:
-            evidence.append(f"{frames[0][1]!r} is not there: it lies at the joint or half-way")
+            evidence.append(
+                f"{frames[0][1]!r} is not used: it lies at the joint or in the middle of the link"
+            )
         point = skeleton.point(body, at.local(body, end.tip))
         return _tip(point, confidence, evidence, end.tip)
     guess, confidence, why = _extrapolated(skeleton, chain, at)
-    evidence = ["no site, no tip link and no shape at the end of the finger", why]
+    evidence = ["the end of the finger has no site, tip link or shape", why]
     return _tip(
         skeleton.point(chain.last, at.local(chain.last, guess)), confidence, evidence, guess
     )
@@ -534,13 +542,21 @@ def _extrapolated(skeleton: Skeleton, chain: Chain, at: Placement) -> tuple[np.n
     reach = 2 * float(np.linalg.norm(mass))
     weighs = float(skeleton.model.body_mass[chain.last]) > _WEIGHS
     if weighs and reach > 5e-3 and 0.25 * before < reach < 2.5 * max(before, 0.02):
-        return anchor + 2 * mass, 0.35, "guessed as twice as far as the last link's centre of mass"
+        return (
+            anchor + 2 * mass,
+            0.35,
+            "guessed at twice the distance of the last link's centre of mass",
+        )
     if before > 5e-3:
-        return anchor + 0.8 * step, 0.2, "guessed as 0.8 of the link before, straight on"
+        return (
+            anchor + 0.8 * step,
+            0.2,
+            "guessed in line with the previous link, at 0.8 of its length",
+        )
     out = anchor - at.bodies[chain.palm]
     if np.linalg.norm(out) < 5e-3:
-        return anchor, 0.1, "there is no link before to guess from: the last joint itself"
-    return anchor + 0.5 * out, 0.1, "guessed as half the way from palm to joint, straight on"
+        return anchor, 0.1, "no previous link to guess from: the last joint is used"
+    return anchor + 0.5 * out, 0.1, "guessed in line with palm and joint, at half their distance"
 
 
 _NAIL: Final = 0.06  # shift of the very end of a shape, of its thickness, that makes a nail

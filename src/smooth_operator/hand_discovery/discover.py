@@ -116,9 +116,9 @@ def discover(
     if lost and overrules.palm is None:
         palm = skeleton.body_name(analysis.tree.palm)
         raise HandModelError(
-            f"{'; '.join(out.why for out in lost)}, but hangs from the palm {palm!r} as a finger "
-            "does: give its joints limits in the file, or if it is no finger, name the palm: "
-            f"--palm {palm}"
+            f"{'; '.join(out.why for out in lost)}, but it branches from the palm {palm!r} "
+            "like a finger: add limits to its joints in the file, or, if it is not a "
+            f"finger, name the palm: --palm {palm}"
         )
     return _described(analysis, path, name, overrules, notes, len(trees))
 
@@ -140,7 +140,7 @@ def _choose(
     )
     fits = [tree for tree, layout in layouts if layout.side == side]
     if len(fits) != 1:
-        hint = "give --side right or --side left" if side is None else "name one with --palm"
+        hint = "use --side right or --side left" if side is None else "name one with --palm"
         raise HandModelError(f"{path} holds {len(trees)} hands ({choices}); {hint}")
     return _Analysis(skeleton, fits[0], side, overrules)
 
@@ -191,7 +191,7 @@ def _described(
         wrist=wrist,
         fingers=fingers,
         align=_align(names),
-        source=f"worked out from {path.name}",
+        source=f"derived from {path.name}",
         neutral=neutral,
     )
     moved = frozenset(j for chain in chains for j in chain.joints)
@@ -213,7 +213,7 @@ def _described(
     thumb_joints = " → ".join(descriptions[0].joints)
     sure_order = 1.0 if set(names) <= set(analysis.chosen.values()) else layout.order_confidence
     other = "left" if layout.side == "right" else "right"
-    overrule = "any body or joint of the right one"
+    overrule = "a body or joint of the right finger"
     findings = (
         Finding(
             "side", layout.side, layout.side_confidence, layout.side_evidence, f"--side {other}"
@@ -286,7 +286,7 @@ def _chosen(skeleton: Skeleton, chains: tuple[Chain, ...], overrules: Overrules)
         i = holding[0]
         if i in out:
             raise HandModelError(
-                f"{where!r} is given as {finger}, but it is of the same finger as {out[i]}"
+                f"{where!r} is assigned to {finger}, but it belongs to the same finger as {out[i]}"
             )
         out[i] = finger
     return out
@@ -303,18 +303,19 @@ def _check_joints(skeleton: Skeleton, chain: Chain) -> None:
         name = skeleton.joint_names[j]
         if not skeleton.moves[j]:
             raise HandModelError(
-                f"joint {name!r} of a finger is a ball or free joint; a hand's joints must be "
-                "hinges or slides: write it as hinges in the file"
+                f"joint {name!r} of a finger is a ball or free joint; a hand's joints must "
+                "be hinges or slides: replace it by hinges in the file"
             )
         if not skeleton.bounded[j] and j not in skeleton.leaders:
             if name in skeleton.pinned:
                 raise HandModelError(
                     f"joint {name!r} of a finger can't move: lower = upper = "
-                    f"{skeleton.pinned[name]:g} in the file, as for {len(skeleton.pinned)} joints; "
-                    "give them their range there, or make joints that stand still fixed"
+                    f"{skeleton.pinned[name]:g} in the file, which is so for "
+                    f"{len(skeleton.pinned)} joints; set their ranges there, or make joints "
+                    "that never move fixed"
                 )
             raise HandModelError(
-                f"joint {name!r} of a finger has no limits; give it some in the file (URDF: "
+                f"joint {name!r} of a finger has no limits; add them to the file (URDF: "
                 '<limit lower="…" upper="…"/>, MJCF: range="… …")'
             )
         low, high = skeleton.limits[j]
@@ -322,7 +323,7 @@ def _check_joints(skeleton: Skeleton, chain: Chain) -> None:
             raise HandModelError(
                 f"joint {name!r} of a finger has the limits {low:g} to {high:g} rad, more than two "
                 "turns: are they degrees? A URDF's are radians, and so are an MJCF's under "
-                '<compiler angle="radian"/>; mend them in the file'
+                '<compiler angle="radian"/>; correct them in the file'
             )
 
 
@@ -399,24 +400,24 @@ def find_couplings(
         confidence = _DECLARED
         if c.joint in tendons:
             confidence = _TENDON
-            text += " on a tendon (how they share its travel is taken from its coefficients)"
+            text += " on a tendon (its coefficients determine how the joints share its travel)"
         if c.turned:
             confidence = _CONTRADICTED
             text += f" with the factor {c.multiplier:g}: {_turned(c)}"
         elif _contradicted(skeleton, c.joint):
             confidence = _CONTRADICTED
             text += (
-                f" with the factor {c.multiplier:g}, as declared, which its own limits do not "
-                "allow: mend the factor or the limits in the file"
+                f" with the factor {c.multiplier:g}, as declared, but its own limits do not "
+                "allow this: correct the factor or the limits in the file"
             )
         couplings.append(FoundCoupling(c, confidence))
         notes.append(text)
     overrule = "edit the model file"
     if not couplings:
-        return (), Finding("coupled", "none", 0.9, ("the file declares none",), overrule)
+        return (), Finding("coupled", "none", 0.9, ("the file declares no couplings",), overrule)
     least = min(f.confidence for f in couplings)
     return tuple(couplings), Finding(
-        "coupled", f"{len(couplings)} joints", least, (*notes, "as the file declares"), overrule
+        "coupled", f"{len(couplings)} joints", least, (*notes, "as declared in the file"), overrule
     )
 
 
@@ -424,9 +425,9 @@ def _chain_notes(skeleton: Skeleton, tree: HandTree) -> Iterator[str]:
     """Notes about chains that are no fingers, and about fingers whose limits say nothing."""
     if tree.left_out:
         yield (
-            f"left out: {'; '.join(out.why for out in tree.left_out)}. If one of them is a "
-            "finger, add --finger NAME=BODY with its body. Joints that move no finger stay at "
-            "neutral"
+            f"not used: {'; '.join(out.why for out in tree.left_out)}. If one of them is a "
+            "finger, add --finger NAME=BODY with its body. Joints that do not move a finger "
+            "stay at neutral"
         )
     names = [
         skeleton.joint_names[j]
@@ -435,16 +436,17 @@ def _chain_notes(skeleton: Skeleton, tree: HandTree) -> Iterator[str]:
     ]
     if names:
         yield (
-            f"joints of fingers can make a full turn in the file: {', '.join(names)}; give them "
-            "the limits of the real hand there"
+            "joints of fingers can make a full turn according to the file: "
+            f"{', '.join(names)}; set the limits of the real hand there"
         )
 
 
 def coupling_notes(couplings: tuple[FoundCoupling, ...]) -> tuple[str, ...]:
     """Warnings: couplings that are not as the file has them."""
     return tuple(
-        f"joint {c.joint!r} follows {c.follows!r} with the factor {c.multiplier:g}: {_turned(c)}. "
-        "Check it on the hand; if it is the limits that are wrong, mend them in the file"
+        f"joint {c.joint!r} follows {c.follows!r} with the factor {c.multiplier:g}: "
+        f"{_turned(c)}. Check it on the hand; if the limits are wrong, correct them in the "
+        "file"
         for c in (f.coupling for f in couplings)
         if c.turned
     )
@@ -452,8 +454,8 @@ def coupling_notes(couplings: tuple[FoundCoupling, ...]) -> tuple[str, ...]:
 
 def _turned(coupling: Coupling) -> str:
     return (
-        f"the file says {-coupling.multiplier:g}, for which its own limits leave no room, so the "
-        "sign is taken to be wrong there"
+        f"the file says {-coupling.multiplier:g}, but its own limits leave no room for that, "
+        "so the sign in the file is assumed to be wrong"
     )
 
 
@@ -495,9 +497,11 @@ def _palm_finding(
         palm_sure = 0.85
     above = [j for b in skeleton.path(tree.palm) for j in skeleton.joints_of(b)]
     if above:
-        palm_why.append(f"{len(above)} joints lead to it: an arm or wrist, no part of the hand")
+        palm_why.append(
+            f"{len(above)} joints lead to it: an arm or wrist, which is not part of the hand"
+        )
     if hands > 1:
-        palm_why.append(f"one of {hands} hands in the file, chosen by side")
+        palm_why.append(f"one of {hands} hands in the file, selected by its side")
     if tree.left_out:
         palm_why.append("left out: " + "; ".join(out.why for out in tree.left_out))
         palm_sure -= 0.2

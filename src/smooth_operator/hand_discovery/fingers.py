@@ -160,7 +160,7 @@ class _Bend:
 def check_flexion(axes: FlexionAxes | None) -> Check:
     """Checks that all fingers close towards one side."""
     if axes is None:
-        return Check("flexion", "skipped", "no finger bends clearly enough to tell a direction")
+        return Check("flexion", "skipped", "no finger bends enough to determine a direction")
     cosines = axes.closing @ axes.palmar
     figures = {n: round(float(c), 3) for n, c in zip(axes.names, cosines, strict=True)}
     text = f"all fingers close towards one side (cosine {cosines.min():.2f} or more)"
@@ -168,14 +168,15 @@ def check_flexion(axes: FlexionAxes | None) -> Check:
     if against := [n for n, c in figures.items() if c < _AGREE]:
         return check(
             "failed",
-            f"{', '.join(against)}: closes away from the side to which the others close",
-            "turn the sign of its flexion axes in the model, or of its limits",
+            f"{', '.join(against)}: closes in the direction opposite to the others",
+            "change the sign of its flexion axes or of its limits in the model",
         )
     if skew := [n for n, c in figures.items() if c < _SKEW]:
         return check(
             "warning",
-            f"{', '.join(skew)}: closes across the others (cosine {cosines.min():.2f})",
-            "look at the axes of that finger, and at its tip",
+            f"{', '.join(skew)}: closes sideways relative to the others (cosine "
+            f"{cosines.min():.2f})",
+            "check the axes and the tip of that finger",
         )
     return check("ok", text)
 
@@ -184,7 +185,7 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
     """Checks that thumb, order of fingers and closing direction agree with the declared side."""
     hand = samples.hand
     if axes is None or "thumb" not in sound:
-        return Check("side", "skipped", "not checked: fingertips or axes have to be mended first")
+        return Check("side", "skipped", "not checked: correct the fingertips or axes first")
     sign = 1.0 if hand.spec.side == "right" else -1.0
     across = sign * axes.lateral / axes.length
     thumb = hand.fingers.index("thumb")
@@ -201,26 +202,26 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
     text = f"thumb {figures['thumb_mm']:+.0f} mm" + (
         f", {first} {figures['first_finger_mm']:+.0f} mm from {last}" if order else ""
     )
-    text += f" to where they are on a {hand.spec.side} hand"
+    text += f" to their positions on a {hand.spec.side} hand"
     other = "left" if hand.spec.side == "right" else "right"
     check = partial(Check, "side", figures=figures)
     if (order < -_CLEAR and thumb_offset < _CLEAR) or (thumb_offset < -_CLEAR and order <= _CLEAR):
         return check(
             "failed",
             text,
-            f'this is a {other} hand: side = "{other}" (or, of a model of the other hand, '
-            "mirror = true)",
+            f'this is a {other} hand: set side = "{other}" (or mirror = true, if the model is of '
+            "the other hand)",
         )
     if order < -_CLEAR:
         return check(
             "failed",
             text,
-            f"the fingers are named in the wrong order: {first} should be next to the thumb",
+            f"the names of the fingers are in the wrong order: {first} should be next to the thumb",
         )
     if thumb_offset < -_CLEAR:
         return check("warning", text, "the thumb is on the little finger's side: is it the thumb?")
     if max(thumb_offset, order) < _CLEAR:
-        return check("ok", f"{text}: it may serve as either")
+        return check("ok", f"{text}: it can be used as either")
     return check("ok", text)
 
 
@@ -266,7 +267,7 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
         elif away > _BESIDE:
             distant[finger.name] = 1e3 * away
     sound = tuple(name for name in hand.fingers if name not in faults)
-    advice = "give the tip as a body of the finger's last link, with an offset in metres to its pad"
+    advice = "set the tip to a body of the finger's last link, with an offset in metres to its pad"
     check = partial(Check, "fingertips", figures=figures)
     if faults:
         summary = "; ".join(f"{name} tip {text}" for name, text in faults.items())
@@ -276,7 +277,7 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
             f"{', '.join(distant)}: up to {max(distant.values()):.0f} mm away from the shapes of "
             "the link"
         )
-        advice = f"if the model doesn't just lack the fingertips' shapes, {advice}"
+        advice = f"unless the model simply has no fingertip shapes, {advice}"
         return check("warning", summary, advice), sound
     own = [place["own"] for place in figures.values() if "own" in place]
     summary = "each moves with its finger"
@@ -285,7 +286,7 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
             f", {min(own):.1f} to {max(own):.1f} mm from its link's shapes (negative: inside)"
         )
     else:
-        summary += "; the model has no shapes of the last links to compare with"
+        summary += "; the model has no shapes of the last links for comparison"
     return check("ok", summary), sound
 
 

@@ -102,7 +102,7 @@ def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
     hand = samples.hand
     others = [name for name in hand.fingers if name != "thumb" and name in sound]
     if "thumb" not in sound or not others:
-        return Check("pinches", "skipped", "not checked: fingertips have to be mended first")
+        return Check("pinches", "skipped", "not checked: correct the fingertips first")
     gaps = {name: closest_pinch(samples, name) for name in others}
     figures = {name: round(1e3 * gap, 2) for name, gap in gaps.items()}
     text = "thumb to " + ", ".join(f"{name} {1e3 * gap:.1f}" for name, gap in gaps.items()) + " mm"
@@ -114,12 +114,12 @@ def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
         return check(
             "failed",
             text,
-            "the thumb meets no finger: look at its limits and tip, and whether it is the thumb",
+            "the thumb reaches no finger: check its limits and tip, and that it is the thumb",
         )
     return check(
         "warning",
         text,
-        f"no pinch with {', '.join(apart)}: some hands can't; if yours can, look at limits, tips",
+        f"no pinch with {', '.join(apart)}: some hands can't; if yours can, check limits and tips",
     )
 
 
@@ -226,7 +226,7 @@ def round_trip(
         ConfigError: poses is less than one.
     """
     if poses < 1:
-        raise ConfigError(f"a round trip needs one pose or more, not {poses}")
+        raise ConfigError(f"a round trip needs at least one pose, not {poses}")
     hand = retargeter.hand
     targets = reachable_poses(hand, poses, seed)
     share = np.append(np.linspace(0, 1, _APPROACH), np.ones(_HOLD))[:, None]
@@ -284,14 +284,14 @@ def check_method(
         preset = "fast" if "fast" in PRESETS[method] else None
         retargeter = Retargeter(hand, config=method_config(method, preset).without_pull())
     except SmoothOperatorError as error:
-        return Check(name, "skipped", f"not served: {error}")
+        return Check(name, "skipped", f"not supported: {error}")
     trip = round_trip(retargeter, poses=poses, seed=seed, track=track)
     verdict, advice = _judge(method, trip)
     text = f"fingertips off by {trip.median:.2f} mm, median; 95 % within {trip.p95:.1f} mm"
     if trip.limit_violations:
         text += f"; {trip.limit_violations} frames outside the limits"
     if (trip.frozen or 0.0) > _FROZEN:
-        text += f"; the hand stood still in {100 * (trip.frozen or 0):.0f} % of the motion"
+        text += f"; the hand did not move in {100 * (trip.frozen or 0):.0f} % of the motion"
     if trip.ok < 1:
         text += f"; {100 * (1 - trip.ok):.0f} % of the frames refused"
     figures = {
@@ -307,25 +307,28 @@ def check_method(
 
 def _judge(method: str, trip: RoundTrip) -> tuple[Verdict, str]:
     if trip.limit_violations:
-        return "failed", "please report this: no command may leave the limits"
+        return "failed", "please report this: commands must never exceed the limits"
     if trip.ok < 1:
-        return "failed", "look at the palm frame: frames of the hand itself are refused"
+        return "failed", "check the palm frame: landmarks of the hand itself are refused"
     if (trip.frozen or 0.0) > _FROZEN:
-        return "failed", "the method can't move this hand: look at limits and couplings"
+        return "failed", "the method can't move this hand: check limits and couplings"
     if method == DEFAULT_METHOD and trip.median > _BAD_MM:
         return "warning", (
-            "poses of the hand itself are followed loosely: look at the model's shapes, which may "
-            "keep its parts apart (hands show), and at palm frame and tips"
+            "poses of the hand itself are reproduced inaccurately: check the model's shapes, "
+            "which may keep its parts apart (hands show), the palm frame and the tips"
         )
     if method not in (*_FOLLOWS_TIPS, DEFAULT_METHOD):
         return "unjudged", "for information: this method does not aim at a pose's fingertips"
     if method == DEFAULT_METHOD or trip.median <= GOOD_MM:
         return "ok", ""
     if method == MEASURE and trip.median > _BAD_MM:
-        return "failed", "poses of the hand itself can't be followed: look at palm frame and tips"
+        return (
+            "failed",
+            "poses of the hand itself can't be reproduced: check the palm frame and the tips",
+        )
     return "warning", (
-        "poses of the hand itself are followed loosely: look at the palm frame, and whether other "
-        "joints reach the same tips"
+        "poses of the hand itself are reproduced inaccurately: check the palm frame, and "
+        "whether other joint positions reach the same tips"
     )
 
 
@@ -416,4 +419,4 @@ def _named(track: Track, name: str) -> Callable[[Iterable[int]], Iterable[int]]:
 
 
 def _after(name: str, cause: Check) -> Check:
-    return Check(name, "skipped", f"not checked: mend {cause.name!r} first")
+    return Check(name, "skipped", f"not checked: correct {cause.name!r} first")

@@ -50,13 +50,13 @@ def check_joint_map(hand: Hand) -> Check:
     """Checks that ``joint_angle`` points the robot's thumb about where the human's points."""
     away = mapped_thumb_error(hand)
     if away is None:
-        return Check("joint map", "skipped", "not checked: there is no map to the thumb's joints")
+        return Check("joint map", "skipped", "not checked: there is no joint map for the thumb")
     text = f"joint_angle points the thumb {away:.0f}° away from the human's, median"
     figures = {"thumb_deg": round(away, 1)}
     if away <= _AWAY_DEG:
         return Check("joint map", "ok", text, figures=figures)
     advice = (
-        "give [joint_map] rows for the thumb's joints in the spec file, or use another method: "
-        "only joint_angle uses this map"
+        "add [joint_map] rows for the thumb's joints to the spec file, or use another "
+        "method: only joint_angle uses this map"
     )
     return Check("joint map", "failed", text, advice, figures)

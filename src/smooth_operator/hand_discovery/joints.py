@@ -53,13 +53,13 @@ def check_ranges(hand: Hand) -> Check:
     if beyond.any():
         return check(
             "failed",
-            f"{text}: {those(beyond)} can go further than any finger",
-            "limits are in radians (metres of a slide): are these in degrees (millimetres)?",
+            f"{text}: {those(beyond)} have a larger range than any finger",
+            "limits must be in radians (metres for a slide): are these in degrees (millimetres)?",
         )
     if len(turns) and turns.max() < _NARROW:
         return check(
             "failed",
-            f"{text}: no joint turns by more than {np.degrees(_NARROW):.0f} degrees",
+            f"{text}: no joint rotates by more than {np.degrees(_NARROW):.0f} degrees",
             "limits in radians were read as degrees: an MJCF file in radians needs "
             '<compiler angle="radian"/>',
         )
@@ -68,8 +68,8 @@ def check_ranges(hand: Hand) -> Check:
         return check(
             "warning",
             f"{text}; unusual: {those(odd)}",
-            "compare the limits of these joints with the data sheet, and those of joints that "
-            "follow them",
+            "compare the limits of these joints, and of the joints that follow them, with "
+            "the data sheet",
         )
     return check("ok", text)
 
@@ -94,15 +94,15 @@ def check_motion(samples: Samples) -> Check:
         return check(
             "failed",
             f"{_list(dead)}: no landmark moves with it",
-            "the finger's tip lies on the joint's axis or before it: give the tip on the last "
-            "link, past its last joint",
+            "the finger's tip lies on the joint's axis or before it: set a tip on the last "
+            "link, beyond its last joint",
         )
     if idle:
         return check(
             "warning",
             f"{_list(idle)}: no landmark moves with it",
-            "it belongs to no finger of the description, and stays at neutral: name its finger, "
-            "if it has one",
+            "it belongs to no finger of the description and stays at neutral: if it moves a "
+            "finger, add that finger",
         )
     if slight := [name for name, distance in moved.items() if distance < _SLIGHT]:
         return check(
@@ -133,19 +133,19 @@ def check_neutral(hand: Hand) -> Check:
     if outside:
         far = max(outside, key=lambda n: abs(outside[n]))
         texts.append(f"outside the limits: {_list(list(outside))} ({far} = {outside[far]:g})")
-        advice.append("give [neutral] values within the limits, in radians")
+        advice.append("set [neutral] values within the limits, in radians")
         verdicts.append("failed")
     else:
         texts.append(f"{len(neutral)} joints given, within the limits")
     if deepest > _TOUCH:
         one, other = max(overlaps, key=lambda pair: overlaps[pair])
         texts.append(f"{one} and {other} are {1e3 * deepest:.0f} mm inside each other")
-        advice.append("choose a [neutral] in which nothing touches, or look at these shapes")
+        advice.append("choose a [neutral] in which nothing touches, or check these shapes")
         # a mesh collides as its convex hull, which is larger than the part
         exact = not hand.model.nmesh
         verdicts.append("failed" if deepest > _DEEP and exact else "warning")
     elif not _has_shapes(hand):
-        texts.append("no shapes to touch each other")
+        texts.append("no shapes that could touch")
     else:
         texts.append("nothing touches" if deepest <= 0 else f"overlap {1e3 * deepest:.1f} mm")
     return Check("neutral pose", worst(*verdicts), "; ".join(texts), "; ".join(advice), figures)
@@ -166,18 +166,16 @@ def check_shapes(samples: Samples) -> Check:
     texts, advice, verdicts = [f"{solid} shapes that collide"], [], list[Verdict]()
     if links:
         texts.append(
-            f"those of {_list(list(links))} can't be read or are missing: estimated capsules along "
-            "the bones take their place"
+            f"those of {_list(list(links))} can't be read or are missing; estimated capsules "
+            "along the bones replace them"
         )
-        advice.append("put the mesh files where the model file names them, and add the hand again")
+        advice.append("put the mesh files at the paths in the model file, and add the hand again")
         verdicts.append("warning")
     if crowded:
         most = max(crowded.values())
-        texts.append(
-            f"in up to {most:.0%} of random poses {_list(list(crowded))} are inside each other"
-        )
+        texts.append(f"in up to {most:.0%} of random poses {_list(list(crowded))} overlap")
         advice.append(
-            "make these shapes as large as the real parts; if the parts can't touch, exclude the "
+            "make these shapes the size of the real parts; if the parts can't touch, exclude the "
             'pair in the model file: <exclude body1="..." body2="..."/>'
         )
         verdicts.append("failed")
@@ -246,21 +244,21 @@ def check_palm(samples: Samples) -> Check:
         return check(
             "failed",
             text,
-            "these landmarks lie on a line, so they fix no direction: name others in align, or "
-            "give the finger bases and the wrist their places",
+            "these landmarks lie on a line, so they do not determine a rotation: name others "
+            "in align, or correct the positions of the finger bases and the wrist",
         )
     if travel > _MOVES:
         return check(
             "warning",
             f"{text}; they move by {1e3 * travel:.0f} mm with the joints",
-            "put the bases that align onto a body fixed to the palm, at their place in the "
-            "neutral pose: a human's knuckles don't move in the palm",
+            "attach the aligned bases to a body fixed to the palm, at their positions in the "
+            "neutral pose: a human's knuckles don't move relative to the palm",
         )
     if condition < _POOR:
         return check(
             "warning",
             text,
-            "nearly a line: noise of the tracker will turn the hand; name landmarks in align that "
+            "nearly a line: tracker noise will rotate the hand; name landmarks in align that "
             "are further apart",
         )
     return check("ok", text)
@@ -285,11 +283,11 @@ def check_size(samples: Samples) -> Check:
         return check(
             "failed",
             text,
-            "no hand is of that size: model and offsets are in metres (a mesh's scale, or a wrist "
-            "on the wrong body, can also do it)",
+            "no hand has that size: model and offsets must be in metres (a wrong mesh scale "
+            "or a wrist on the wrong body can also be the cause)",
         )
     if not _USUAL[0] < reach < _USUAL[1]:
-        return check("warning", text, "unusual: look at the wrist and the units of the model")
+        return check("warning", text, "unusual: check the wrist and the units of the model")
     return check("ok", text)
 
 

@@ -168,7 +168,7 @@ class Overrules:
                     )
                 if names.count(name) > 1:
                     raise HandModelError(
-                        f"--{what} names {name!r} twice; give each finger one {what}"
+                        f"--{what} names {name!r} twice; set one {what} per finger"
                     )
 
 
@@ -273,7 +273,7 @@ def find_wrist(
     ]
     for name, place in frames:
         if says_wrist(name) and 0.2 * length < behind(place) < 2.5 * length:
-            why = f"{name!r} is fixed to the palm, behind the knuckles, and its name says so"
+            why = f"{name!r} fixed to the palm behind the knuckles, with a matching name"
             return _fixed(skeleton, at, palm, place), 0.85, (why,)
     expected = knuckles - _WRIST * length * layout.forward
     clouds = [at.world(b, cloud) for b in rigid for cloud in skeleton.clouds.get(b, ())]
@@ -293,10 +293,10 @@ def find_wrist(
         if clear > _CLEAR * length and 0.5 * length < behind(origin) < 2.2 * length:
             what = "the palm"
             if body != palm:
-                what = f"{skeleton.body_name(body)!r}, which the palm is mounted on"
+                what = f"{skeleton.body_name(body)!r}, on which the palm is mounted"
             why = f"origin of {what}, about as far behind the knuckles as a human wrist"
             return _fixed(skeleton, at, palm, origin), 0.6, (why,)
-    why = "nothing marks it: as far behind the knuckles as a human wrist"
+    why = "the model does not mark it: placed as far behind the knuckles as a human wrist"
     return _fixed(skeleton, at, palm, expected), 0.35, (why,)
 
 
@@ -348,9 +348,9 @@ def bases_finding(moved: dict[str, float]) -> Finding:
     why = "no joint moves them"
     if moved:
         why = (
-            f"joints move {'that' if len(moved) == 1 else 'those'} of {', '.join(moved)}, by up "
-            f"to {max(moved.values()) * 1e3:.0f} mm; put where they lie in the neutral pose, as a "
-            "human's knuckles don't move in the palm"
+            f"joints move {'that' if len(moved) == 1 else 'those'} of {', '.join(moved)}, by "
+            f"up to {max(moved.values()) * 1e3:.0f} mm; fixed at their positions in the "
+            "neutral pose, because a human's knuckles don't move relative to the palm"
         )
     return Finding(
         "bases",

@@ -160,7 +160,10 @@ def _bending(
         score = (room if np.isfinite(room) else 0.0) + 0.6 * toward
         sense = 1 if score >= 0 else -1
         clear = min(0.3, 0.3 * abs(score))
-        reason = "a single hinge: by its limits, and by what brings the tip to the others"
+        reason = (
+            "a single hinge: judged by its limits and by the direction that moves the tip to the "
+            "others"
+        )
     straight = _straightened(skeleton, chain, joints, local)
     at = skeleton.place(straight)
     axis = sense * at.axes[hinges[-1]]
@@ -306,18 +309,18 @@ def find_thumb(
     if count > 2:
         if meets > 0.05:
             met = sum(opposed[best, i] > 0.05 for i in range(count) if i != best)
-            evidence.append(f"it meets {met} of {count - 1} fingertips pad to pad")
+            evidence.append(f"it reaches {met} of {count - 1} fingertips pad to pad")
         angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
         evidence.append(f"it closes about an axis {angle:.0f}° from the others'")
     if behind > 0.1:
         evidence.append(f"its base is {behind * length * 1e3:.0f} mm behind the others'")
     if named:
-        evidence.append("its names say so (weak evidence)")
+        evidence.append("its names match (weak evidence)")
     if labels.count("thumb") == 1 and not named:
-        evidence.append("though names call another finger the thumb")
+        evidence.append("although names call another finger the thumb")
         margin -= 0.2
     if count == 2:
-        evidence.append("of two fingers, which is the thumb is a matter of taste")
+        evidence.append("with only two fingers, either can be called the thumb")
         confidence = 0.35 + 0.35 * float(np.clip(margin, 0, 1))
     else:
         confidence = 0.4 + 0.8 * float(np.clip(margin, 0, 0.72))
@@ -417,12 +420,12 @@ def find_layout(
     if by_base * np.sign(by_reach) < _BASE:
         confidence = _UNCLEAR
         evidence.append(
-            "the two disagree: the fingers stand around the middle, it may be a gripper without a "
-            "side"
+            "the two disagree: the fingers are arranged around the middle, so it may be a "
+            "gripper without a side"
         )
     if clear < 0.3:
         confidence = _UNCLEAR
-        evidence = ["the thumb is opposite the middle of the palm: the hand may serve as either"]
+        evidence = ["the thumb is opposite the middle of the palm: the hand can be used as either"]
         if side_said is not None:
             side = side_said
         elif side_given is None:
@@ -430,16 +433,16 @@ def find_layout(
             evidence.append("right is assumed")
     if side_said == side:
         confidence = min(confidence + (0.3 if clear < 0.3 else 0.05), 0.98)
-        evidence.append(f"names say {side} (weak evidence)")
+        evidence.append(f"names indicate {side} (weak evidence)")
     elif side_said is not None:
         confidence = max(confidence - 0.25, 0.1)
-        evidence.append(f"though names say {side_said}")
+        evidence.append(f"although names indicate {side_said}")
     if side_given is not None:
         if side_given != side and clear >= 0.3:
-            evidence.append(f"given as {side_given}, though the shape says {side}")
+            evidence.append(f"set to {side_given}, although the shape indicates {side}")
             confidence = 0.4
         else:
-            evidence.append("given with --side")
+            evidence.append("set with --side")
             confidence = max(confidence, 0.95)
         side = side_given
 
@@ -456,7 +459,7 @@ def find_layout(
     ]
     if clear < 0.3 and len(others) > 1:
         ordered = min(ordered, 0.4)
-        reasons.append("which end is the thumb's follows from the side, which is not clear")
+        reasons.append("the thumb's end depends on the side, which is not certain")
     if clear < 0.3 and _spoken([labels[i] for i in others]):
         # what the shape leaves open, names may decide
         ranked = sorted(others, key=lambda i: FINGERS.index(labels[i] or ""))
@@ -487,11 +490,11 @@ def _names(labels: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]
     count = len(labels)
     named = _spoken(labels)
     if named and list(named) == sorted(named, key=FINGERS.index):
-        return named, 0.95, ["named as the model's own names say"]
+        return named, 0.95, ["named according to the model's own names"]
     names = FINGERS[1 : 1 + count]
     if count == 4:
         return names, 0.95, []
-    drives = f"driven by {', '.join(names)}; any other may drive them"
+    drives = f"driven by {', '.join(names)}; other human fingers can drive them as well"
     return names, 0.85 if count == 3 else 0.75, [drives]
 
 
@@ -552,14 +555,14 @@ def find_neutral(
         for j in turning:
             start = skeleton.reference[j]
             q[j] = start + _TURNED * (turned[j] - start)
-    notes = ["fingers bent by a fifth of their range, the thumb turned towards them"]
+    notes = ["fingers bent by a fifth of their range, with the thumb turned towards them"]
     depth = finger_overlap(skeleton, chains, skeleton.coupled(q))
     if depth > _DEEP:
         knuckles = {bend.joints[0]: bend.senses[0] for bend in bends if bend.joints}
         q, less = _opened(skeleton, chains, {j: s for j, s in knuckles.items() if j in named}, q)
         notes.append(
-            f"fingers would be {1e3 * depth:.0f} mm inside each other so; with their knuckles "
-            f"opened it is {1e3 * less:.0f} mm"
+            f"fingers would be {1e3 * depth:.0f} mm inside each other in this pose; with "
+            f"open knuckles it is {1e3 * less:.0f} mm"
         )
     return {skeleton.joint_names[j]: round(float(q[j]), 4) for j in sorted(named)}, tuple(notes)
 

@@ -194,8 +194,9 @@ class Skeleton:
             if c.joint not in index or c.follows not in index:
                 absent = c.joint if c.joint not in index else c.follows
                 raise HandModelError(
-                    f"joint {c.joint!r} is said to follow {c.follows!r}, but the model has no "
-                    f"joint {absent!r}; mend the name in the file's mimic or equality element"
+                    f"joint {c.joint!r} should follow {c.follows!r}, but the model has no "
+                    f"joint {absent!r}; correct the name in the file's mimic or equality "
+                    "element"
                 )
             direct[index[c.joint]] = (index[c.follows], c.multiplier, c.offset)
         resolved = {}
@@ -205,8 +206,8 @@ class Skeleton:
             while leader in direct:
                 if leader in visited:
                     raise HandModelError(
-                        f"joint {self.joint_names[joint]!r} follows itself through others; "
-                        "remove one of the couplings from the file"
+                        f"joint {self.joint_names[joint]!r} follows itself through other "
+                        "joints; remove one of the couplings from the file"
                     )
                 visited.add(leader)
                 leader, further, shift = direct[leader]
@@ -309,16 +310,16 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
     model = loaded.model
     if not model.njnt:
         raise HandModelError(
-            f"{path} has no joints, so no fingers; give the model of a hand whose joints can move "
-            "(a file of meshes or a scene is not enough)"
+            f"{path} has no joints, so it has no fingers; use the model of a hand with "
+            "movable joints (a mesh file or a scene is not enough)"
         )
     clouds = {b: list(shapes) for b, shapes in geom_points(model).items()}
     notes = []
     meshes = [m for m in root.iter("mesh") if m.get("filename") or m.get("file")]
     if loaded.oversize:
         notes.append(
-            f"{loaded.why}. They are left out. Fingertips and wrist are estimated more reliably "
-            "with meshes, or correct the points with --tip and --wrist"
+            f"{loaded.why}. They are not used. Fingertips and wrist are estimated more "
+            "reliably with meshes, or correct the points with --tip and --wrist"
         )
     elif meshes and not model.nmesh:
         points: dict[str, list[np.ndarray]] = {}
@@ -329,9 +330,10 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
             clouds.setdefault(_body(model, name), []).extend(shapes)
         if missing:
             notes.append(
-                f"{missing} of {len(meshes)} meshes could not be read. Joints are unaffected, but "
-                "fingertips and wrist are estimated more reliably with meshes: put them where the "
-                "file names them, or correct the points with --tip and --wrist"
+                f"{missing} of {len(meshes)} meshes could not be read. Joints are "
+                "unaffected, but fingertips and wrist are estimated more reliably with "
+                "meshes: put them at the paths in the file, or correct the points with "
+                "--tip and --wrist"
             )
     bodies, joints = (
         sum(not e.get("name") for world in root.iter("worldbody") for e in world.iter(tag))
@@ -339,9 +341,9 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
     )
     if bodies or joints:
         notes.append(
-            f"{bodies} bodies and {joints} joints have no name in the file, and are called body_1, "
-            "joint_1 and so on, in its order; name the joints there, or no driver knows what a "
-            "command is for"
+            f"{bodies} bodies and {joints} joints have no name in the file, and are called "
+            "body_1, joint_1 and so on, in its order; name the joints there, so that "
+            "drivers can assign the commands"
         )
     loops = sum(
         int(kind) in (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
@@ -349,8 +351,9 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
     )
     if loops:
         notes.append(
-            f"{loops} closed loops (equality connect or weld) are left out: fingers driven by bars "
-            "will not move as the real ones do; describe them with joint couplings instead"
+            f"{loops} closed loops (equality connect or weld) are ignored: fingers driven by "
+            "bars will not move like the real ones; describe them with joint couplings "
+            "instead"
         )
     shapes_of = {b: tuple(shapes) for b, shapes in clouds.items()}
     return Skeleton(model, loaded.couplings, shapes_of, pinned), tuple(notes)
@@ -381,8 +384,8 @@ def _check_names(root: ElementTree.Element, path: Path) -> None:
         twice = sorted(name for name, n in count.items() if name and n > 1)
         if twice:
             raise HandModelError(
-                f"{path} names the {tag} {', '.join(map(repr, twice))} twice; give each its own "
-                "name, so that fingertips and joints can be distinguished"
+                f"{path} names the {tag} {', '.join(map(repr, twice))} twice; use a "
+                "different name for each, so that fingertips and joints can be distinguished"
             )
 
 

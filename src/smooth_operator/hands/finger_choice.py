@@ -21,8 +21,9 @@ def parse_fingers(text: str) -> dict[str, str]:
         robot, sign, human = (word.strip() for word in part.partition("="))
         if not robot or (sign and not human):
             raise HandModelError(
-                f"{text!r} is no choice of fingers; expected robot fingers with commas between, "
-                "each with '=' and a human finger if another drives it: thumb,index,pinky=ring"
+                f"{text!r} is not a list of fingers; expected robot fingers separated by "
+                "commas, each optionally followed by '=' and the human finger that drives "
+                "it: thumb,index,pinky=ring"
             )
         if robot in choice:
             raise HandModelError(f"{text!r} names the finger {robot!r} twice")

@@ -363,8 +363,8 @@ def _limits(
     for j, (low, high) in zip(actuated, limits, strict=True):
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise HandModelError(
-                f"joint '{names[j]}' has the limits [{low:g}, {high:g}]; expected a finite range "
-                "with the lower end first (check the model's range and its coupled joints)"
+                f"joint '{names[j]}' has the limits [{low:g}, {high:g}]; expected a finite "
+                "range, lower limit first (check the model's range and its coupled joints)"
             )
     return limits
 

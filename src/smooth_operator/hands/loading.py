@@ -116,8 +116,8 @@ def _check_finite(model: mujoco.MjModel, path: Path) -> None:
             broken = np.flatnonzero(~np.isfinite(getattr(model, f"{kind}_{field}")).all(axis=1))
             if len(broken):
                 raise HandModelError(
-                    f"{path}: the {field} of {getattr(model, kind)(int(broken[0])).name!r} is not "
-                    "made of finite numbers; mend them in the file"
+                    f"{path}: the {field} of {getattr(model, kind)(int(broken[0])).name!r} "
+                    "contains numbers that are not finite; correct them in the file"
                 )
 
 
@@ -229,8 +229,8 @@ def _urdf_mimics(root: ElementTree.Element, path: Path) -> tuple[Coupling, ...]:
                 ) from error
             if not (math.isfinite(multiplier) and math.isfinite(offset)):
                 raise HandModelError(
-                    f"{path}: mimic of joint {name!r}: multiplier and offset must be finite, not "
-                    f"{multiplier} and {offset}; mend them in the file"
+                    f"{path}: mimic of joint {name!r}: multiplier and offset must be finite, "
+                    f"not {multiplier} and {offset}; correct them in the file"
                 )
             couplings.append(Coupling(name, mimic.get("joint", ""), multiplier, offset))
     return tuple(couplings)
@@ -286,8 +286,8 @@ def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
         c0, c1, *higher = (float(c) for c in model.eq_data[i, :5])
         if second < 0 or c1 == 0 or any(higher):
             raise HandModelError(
-                f"the coupling of joints {names} is not a line q1 = a + b q2 with b != 0; "
-                "only linear couplings can be used"
+                f"the coupling of joints {names} is not linear, q1 = a + b q2 with b != 0; "
+                "only linear couplings are supported"
             )
         zero1, zero2 = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (first, second))
         offset = zero1 + c0 - c1 * zero2
@@ -360,8 +360,8 @@ def mirror_spec(spec: mujoco.MjSpec) -> None:
     """
     if list(spec.meshes):
         raise HandModelError(
-            "a model with meshes can't be mirrored; name the side that it is of (--side left or "
-            "right, or a recording of that side), or add a model of the other side"
+            "a model with meshes can't be mirrored; use the side of the model (--side left "
+            "or right, or a recording of that side), or add a model of the other side"
         )
     for element in [*spec.bodies, *spec.geoms, *spec.sites, *spec.cameras]:
         element.pos = element.pos * (-1, 1, 1)

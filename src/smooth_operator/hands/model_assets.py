@@ -74,7 +74,7 @@ def model_path(path: Path) -> Path:
         str(whole).encode("utf-8")
     except UnicodeEncodeError:
         raise HandModelError(
-            f"the path {brief(str(whole))} is not text in UTF-8; rename the file or its folder"
+            f"the path {brief(str(whole))} is not UTF-8 text; rename the file or its folder"
         ) from None
     return whole
 
@@ -171,8 +171,9 @@ class _Reader:
         if count > MOST_ELEMENTS or len(self.names) > MOST_NAMES:
             raise HandModelError(
                 f"{self.model} has more than {MOST_ELEMENTS // BODY} bodies, {MOST_ELEMENTS} "
-                f"elements or {MOST_NAMES} names of files, with the copies that replicate, "
-                "composite, flexcomp and attach make; give a model of the hand alone"
+                f"elements or {MOST_NAMES} names of files, counting the copies that "
+                "replicate, composite, flexcomp and attach make; use a model of the hand "
+                "alone"
             )
 
     def _name(self, element: ElementTree.Element, name: str, path: Path, times: float) -> None:
@@ -223,8 +224,8 @@ class _Reader:
             if place.is_dir() or not isinstance(error, DocumentError):
                 return False
             raise HandModelError(
-                f"{self.model} names {brief(name)}: {error}; expected a mesh, texture or model "
-                "file: put one there, or take the name out of the model"
+                f"{self.model} names {brief(name)}: {error}; expected a mesh, texture or "
+                "model file: put the file there, or remove its name from the model"
             ) from error
         return True
 
@@ -281,7 +282,7 @@ def read_model_xml(path: Path) -> ElementTree.Element:
         root = ElementTree.fromstring(decode_xml(data, path))
     except (ElementTree.ParseError, RecursionError) as error:
         raise HandModelError(
-            f"{path} is not well-formed XML ({error}); mend it there, or export the model again"
+            f"{path} is not well-formed XML ({error}); correct it there, or export the model again"
         ) from error
     if root.tag not in ("mujoco", "robot", "mujocoinclude"):
         raise HandModelError(
@@ -294,8 +295,8 @@ def read_model_xml(path: Path) -> ElementTree.Element:
             continue  # MuJoCo reports it
         if abs(count) > _MOST_HEIGHTS:
             raise HandModelError(
-                f"{path} has a terrain (hfield) of {count:.0e} points; expected {_MOST_HEIGHTS} at "
-                "most: take it out, a hand needs none"
+                f"{path} has a terrain (hfield) of {count:.0e} points; expected at most "
+                f"{_MOST_HEIGHTS}: remove it, because a hand does not need terrain"
             )
     return root
 
@@ -315,13 +316,14 @@ def decode_xml(data: bytes, path: Path) -> str:
             break
         except LookupError as error:
             raise HandModelError(
-                f"{path} declares the encoding {encoding!r}, which is not known; save it as UTF-8"
+                f"{path} declares the encoding {encoding!r}, which is unknown; save the file "
+                "as UTF-8"
             ) from error
         except ValueError:  # UnicodeDecodeError, and what some codecs raise in its place
             continue
     else:
         raise HandModelError(
-            f"{path} is not text in the encoding that it declares, {encoding}; save it as UTF-8"
+            f"{path} is not in its declared encoding, {encoding}; save it as UTF-8"
         )
     return _DECLARATION.sub("", text, count=1)
 

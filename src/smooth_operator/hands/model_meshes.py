@@ -58,9 +58,9 @@ def compile_with_meshes(
     why, dropped = [], frozenset(absent) or None
     if absent:
         why.append(
-            f"{len(absent)} mesh files are not where the model names them, or have over "
-            f"{MOST_MESH_BYTES / 1e6:.0f} MB ({brief(next(iter(absent.values())))} the first): put "
-            "them there, or correct the names"
+            f"{len(absent)} mesh files are not at the paths in the model, or are larger than "
+            f"{MOST_MESH_BYTES / 1e6:.0f} MB ({brief(next(iter(absent.values())))} first): "
+            "put them there, or correct the paths"
         )
     try:
         model, lost = _without(spec, dropped)
@@ -79,8 +79,8 @@ def compile_with_meshes(
                 raise refused("compile without its meshes", path, last) from last
         if unreadable:
             why.append(
-                f"MuJoCo can't read {len(unreadable)} meshes ({brief(min(unreadable))} the first): "
-                "export them as OBJ, or as binary STL of at most 200,000 triangles"
+                f"MuJoCo can't read {len(unreadable)} meshes ({brief(min(unreadable))} "
+                "first): export them as OBJ, or as binary STL of at most 200,000 triangles"
             )
     large, text = _oversize(model)
     if large:
@@ -164,9 +164,9 @@ def _oversize(model: mujoco.MjModel) -> tuple[frozenset[str], str]:
     scale = float(model.mesh_scale[model.geom_dataid[first], 0])
     return frozenset(model.mesh(int(m)).name for m in model.geom_dataid[large]), (
         f"meshes are about {factor:,.0f} times as large as the links (that of "
-        f"{model.body(int(bodies[first])).name!r} is {length[first]:.3g} m long, its whole chain "
-        f"{(up + down)[bodies[first]]:.2g} m): in the model, write scale {scale / factor:g} "
-        f"where it has {scale:g}"
+        f"{model.body(int(bodies[first])).name!r} is {length[first]:.3g} m long, its whole "
+        f"chain {(up + down)[bodies[first]]:.2g} m): in the model, set scale "
+        f"{scale / factor:g} where it has {scale:g}"
     )
 
 

@@ -19,7 +19,7 @@ def refused(what: str, path: Path, error: Exception) -> HandModelError:
     """The error for a model that MuJoCo can't read or compile, with MuJoCo's reason."""
     reason = re.sub(r"\b(XML )?Error: *", "", " ".join(str(error).split()))
     return HandModelError(
-        f"MuJoCo can't {what} {path}: {reason}; mend that in the file, or export the model again"
+        f"MuJoCo can't {what} {path}: {reason}; correct this in the file, or export the model again"
     )
 
 

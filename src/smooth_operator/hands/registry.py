@@ -99,11 +99,11 @@ class HandEntry:
         if (spec.name, spec.side) != (self.name, own):
             raise HandModelError(
                 f"{self.files[own]} describes the {spec.side} hand {spec.name!r}; expected the "
-                f"{own} hand {self.name!r}, as the file is called"
+                f"{own} hand {self.name!r}, the name of the file"
             )
         if not is_file(spec.model):
             raise HandModelError(
-                f"the model of hand {self.name!r} is not at {spec.model} any more; if it was "
+                f"the model of hand {self.name!r} is no longer at {spec.model}; if it was "
                 f"moved: smooth-operator hands add NEWPATH --name {self.name} --side {own} "
                 f"--overwrite, or correct 'model' in {self.files[own]}"
             )
@@ -149,7 +149,9 @@ def find_hand(name: str) -> HandEntry:
     if is_target(name):
         return _described(name, HANDS.load(name))
     if name.lower().endswith((".urdf", ".xml", ".mjcf", ".xacro")):
-        raise HandModelError(f"{name} is a model; first: smooth-operator hands add {name}")
+        raise HandModelError(
+            f"{name} is a model file; add it first: smooth-operator hands add {name}"
+        )
     raise UnknownNameError("hand", name, hand_names())
 
 
@@ -222,8 +224,8 @@ def _registered(name: str) -> HandEntry:
     entry = _described(name, HANDS.load(name))
     if entry.name != name:
         raise HandModelError(
-            f"{HANDS[name].target} describes the hand {entry.name!r}; expected {name!r}, as the "
-            "plugin's entry point is called"
+            f"{HANDS[name].target} describes the hand {entry.name!r}; expected {name!r}, the "
+            "name of the plugin's entry point"
         )
     return entry
 
@@ -257,6 +259,6 @@ def origin(name: str) -> str:
 def shadowing(name: str, file: Path) -> HandModelError:
     """Error for a file of the user with the name of another hand."""
     return HandModelError(
-        f"{name!r} is {origin(name)}, so {os.fspath(file)} can't describe another of that name; "
-        "give your hand its own name, in the file and as the file's name"
+        f"{name!r} is {origin(name)}, so {os.fspath(file)} can't describe another hand of "
+        "that name; choose a different name, in the file and for the file"
     )

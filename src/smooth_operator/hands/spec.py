@@ -50,7 +50,7 @@ class FingerSpec:
     def __post_init__(self) -> None:
         if self.name not in FINGERS:
             raise HandModelError(
-                f"a finger is named after a human one {FINGERS}, not {self.name!r}"
+                f"a finger must have the name of a human finger {FINGERS}, not {self.name!r}"
             )
         if self.points[0] is None or self.points[3] is None:
             raise HandModelError(f"finger {self.name!r} needs a base point and a tip point")
@@ -166,7 +166,8 @@ class HandSpec:
         mapped = [row.joint for row in self.joint_map]
         if twice := sorted({joint for joint in mapped if mapped.count(joint) > 1}):
             raise HandModelError(
-                f"hand {self.name!r}: joint_map has more than one row for {twice}; give one a joint"
+                f"hand {self.name!r}: joint_map has more than one row for {twice}; keep one "
+                "row per joint"
             )
 
 

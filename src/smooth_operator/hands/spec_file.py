@@ -90,13 +90,13 @@ def check_hand_name(name: str) -> str:
     """
     if len(name) > MOST_NAME:
         raise HandModelError(
-            f"a hand can't be named {brief(name)}: it has {len(name)} characters; expected at "
-            f"most {MOST_NAME}"
+            f"a hand can't be named {brief(name)}: the name has {len(name)} characters; "
+            f"expected at most {MOST_NAME}"
         )
     if not _NAME.fullmatch(name):
         raise HandModelError(
-            f"a hand can't be named {brief(name)}; use letters, digits, '_' and '-', and a "
-            "letter or digit first"
+            f"a hand can't be named {brief(name)}; use letters, digits, '_' and '-', "
+            "starting with a letter or digit"
         )
     return name
 
@@ -156,7 +156,9 @@ def _point(entries: Entries) -> Point:
     entries.only("body", "offset")
     offset = entries.numbers("offset", 3, (0.0, 0.0, 0.0), what="[x, y, z] in metres")
     if max(map(abs, offset)) > 1.0:
-        raise entries.error("offset", f"{list(offset)} is more than a metre: offsets are in metres")
+        raise entries.error(
+            "offset", f"{list(offset)} is more than a metre; offsets must be in metres"
+        )
     return Point(entries.text("body", empty=False, lines=True), offset)
 
 

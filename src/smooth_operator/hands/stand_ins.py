@@ -65,11 +65,11 @@ def stand_in_note(hand: Hand) -> str:
     if not links:
         return ""
     shown = ", ".join(links[:3]) + (f" and {len(links) - 3} more" if len(links) > 3 else "")
-    remedy = hand.why or "the model file names none, so give them to it"
+    remedy = hand.why or "add collision shapes to the model file, which has none"
     return (
-        f"{hand.name}: the collision shapes of {len(links)} links ({shown}) could not be read; "
-        "estimated capsules along their bones take their place, in 'smooth' and in the figures of "
-        f"self-collision. For the real shapes: {remedy}"
+        f"{hand.name}: the collision shapes of {len(links)} links ({shown}) could not be "
+        "read; estimated capsules along their bones replace them, in 'smooth' and in the "
+        f"self-collision metrics. To use the real shapes: {remedy}"
     )
 
 

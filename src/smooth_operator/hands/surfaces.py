@@ -51,7 +51,7 @@ def tip_surface_distances(
     shapes = (len(q), len(hand.joint_names)), (len(q), len(hand.fingers) - 1)
     if (q.shape, np.shape(wanted)) != shapes:
         raise HandModelError(
-            f"joint positions and wanted frames of hand {hand.name!r} must have the shapes "
+            f"joint positions and selected frames of hand {hand.name!r} must have the shapes "
             f"{shapes[0]} and {shapes[1]}, not {q.shape} and {np.shape(wanted)}"
         )
     thumb, *others = _pads(hand)

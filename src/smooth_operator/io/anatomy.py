@@ -154,10 +154,7 @@ class Doubt:
                 "do not mirror it"
             )
         if self.layout is not None:
-            return (
-                f"landmarks in the order {self.layout!r}; set layout= of the source: "
-                f"layout={self.layout}"
-            )
+            return f"landmarks in the order {self.layout!r}; for a source, set layout={self.layout}"
         if self.mend:
             return f"{self.what}; {self.mend}"
         return f"landmarks are in another order; reorder them: points[{list(self.order or ())}]"

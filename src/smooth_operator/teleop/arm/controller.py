@@ -547,8 +547,8 @@ class ArmController:
         raise ConfigError(
             f"arm {self.arm.name!r} can't reach the home pose of hand "
             f"{self.mount.hand.name!r}: {1e3 * command.position_error:.0f} mm and "
-            f"{command.rotation_error:.2f} rad are left; mount the hand at another roll, or "
-            "with a thinner adapter"
+            f"{command.rotation_error:.2f} rad remain; mount the hand at another roll angle, "
+            "or with a thinner adapter"
         )
 
 

@@ -133,7 +133,7 @@ class MethodSwitcher:
         return DriverSpec(method, preset, base, configs, dict(self.operators))
 
     def _want(self, spec: DriverSpec) -> Future[DriverSpec]:
-        self._settle(ConfigError("something else was asked for meanwhile"))
+        self._settle(ConfigError("another method was requested before this one was ready"))
         self._request = Future()
         self.target, self.error = spec, ""
         self._changed.notify_all()

@@ -82,18 +82,19 @@ def summarise(
         others = loop.mailbox.received_of
         if loop.pipelines.keys().isdisjoint(others):
             reason = (
-                f"all are of a {' and a '.join(others)} hand, and the robot's is a "
-                f"{' and a '.join(loop.pipelines)} one: choose another --side, or mirror the source"
+                f"all frames are of a {' and a '.join(others)} hand, but the robot has a "
+                f"{' and a '.join(loop.pipelines)} hand: choose another --side, or mirror "
+                "the source"
             )
         else:
-            reason = "the run ended before a method was compiled, or the robot was held"
+            reason = "the run ended before a method was compiled, or the robot was on hold"
         reporter.note(
             f"frames without a command: {loop.mailbox.received} in {seconds:.1f} s; {reason}",
             matters=True,
         )
     else:
         reporter.note(
-            f"no frame came from {loop.source.label} in {seconds:.1f} s; {health.detail}",
+            f"no frame arrived from {loop.source.label} in {seconds:.1f} s; {health.detail}",
             matters=True,
         )
     for side, delay in summary["motion_delay_ms"].items():

@@ -83,10 +83,16 @@ _MOST_RUNNING: Final = 16
 """Largest number of running commands; more are refused."""
 _MOST_QUEUED: Final = 4096
 """Largest number of waiting messages; more are refused."""
-_SILENT: Final = {"ok": False, "error": "the loop does not answer: it just starts, or hangs"}
-_TOO_MUCH: Final = {"ok": False, "error": "too many messages wait or are under way"}
+_SILENT: Final = {
+    "ok": False,
+    "error": "the loop does not answer: it is still starting, or it hangs",
+}
+_TOO_MUCH: Final = {"ok": False, "error": "too many messages are waiting or in progress"}
 _ENDED: Final = {"ok": False, "error": "the run has ended"}
-_OVERTAKEN: Final = {"ok": False, "error": "an emergency stop came meanwhile; release it again"}
+_OVERTAKEN: Final = {
+    "ok": False,
+    "error": "an emergency stop arrived in the meantime; release it again",
+}
 
 
 @dataclass(frozen=True)
@@ -378,7 +384,7 @@ def _listening(address: str) -> tuple[Any, Any]:
         socket.close()
         context.term()
         raise SourceError(
-            f"can't listen for switches on {address!r} ({error}); an address looks like "
+            f"can't listen for messages on {address!r} ({error}); an address looks like "
             "tcp://127.0.0.1:5558"
         ) from error
     return context, socket
@@ -471,7 +477,7 @@ class RpcHandlers:
     def _rate(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         rate = fields.get("rate")
         if isinstance(rate, bool) or not isinstance(rate, int | float):
-            raise ConfigError(f"rate: expected commands a second, not {rate!r}")
+            raise ConfigError(f"rate: expected commands per second, not {rate!r}")
         self._loop.pace(float(rate))
         return {"rate": self._loop.config.rate}
 
@@ -552,7 +558,7 @@ def _driven(spec: DriverSpec) -> dict[str, Any]:
 def _text(fields: Mapping[str, Any], name: str) -> str | None:
     value = fields.get(name)
     if value is not None and not (isinstance(value, str) and value):
-        raise ConfigError(f"{name}: expected a text, not {value!r}")
+        raise ConfigError(f"{name}: expected a string, not {value!r}")
     return value
 
 

@@ -42,7 +42,7 @@ def actions(
 
     def stop() -> None:
         controls.stop()
-        say("STOPPED; u releases")
+        say("STOPPED; press u to release")
 
     def release() -> None:
         if any(supervisor.stopped for supervisor in supervisors):
@@ -53,18 +53,22 @@ def actions(
 
     def pause() -> None:
         if any(supervisor.stopped for supervisor in supervisors):
-            say("STOPPED, which p does not change; u releases")
+            say("STOPPED; p has no effect, press u to release")
         elif any(supervisor.paused for supervisor in supervisors):
             controls.resume()
             say("resumed")
         else:
             controls.pause()
-            say("paused; p resumes")
+            say("paused; press p to resume")
 
     def follow() -> None:
         released = any(pipeline.clutch.released for pipeline in loop.pipelines.values())
         controls.follow(released)
-        say("wrist: engages" if released else "wrist released; c engages it, the fingers go on")
+        say(
+            "wrist: engages"
+            if released
+            else "wrist released; press c to engage it; the fingers continue"
+        )
 
     own = {
         "c": follow,

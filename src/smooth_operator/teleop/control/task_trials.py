@@ -159,7 +159,7 @@ def with_task(sinks: Sequence[str], task: str | None) -> tuple[str, ...]:
         return tuple(sinks)
     if any(sink.partition(":")[0] == "mujoco" for sink in sinks):
         raise ConfigError(
-            f"--task {task} brings its own simulation; leave out --sink mujoco, or --task and "
-            f"write --sink mujoco:task={task}"
+            f"--task {task} includes its own simulation; remove --sink mujoco, or replace "
+            f"--task by --sink mujoco:task={task}"
         )
     return (*sinks, f"mujoco:task={task}")

@@ -81,14 +81,14 @@ class Actuator:
                 )
                 raise ConfigError(
                     f"the map of actuator {self.name!r} is not monotonic: its {what} go from "
-                    f"{values[k]:g} to {values[k + 1]:g}; list the points by rising drive angle, "
-                    "with commands that always rise or always fall"
+                    f"{values[k]:g} to {values[k + 1]:g}; list the points by increasing "
+                    "drive angle, with commands that always increase or always decrease"
                 )
         low, high = self.ends
         if not (np.isfinite(self.ends).all() and low < high):
             raise ConfigError(
-                f"actuator {self.name!r}: ends must be the least command, then the greatest, not "
-                f"[{low:g}, {high:g}]"
+                f"actuator {self.name!r}: ends must be the minimum command, then the "
+                f"maximum, not [{low:g}, {high:g}]"
             )
 
     def command(self, angle: float) -> float:
@@ -155,8 +155,8 @@ class ActuatorMap:
         for limit in (self.limit, *(a.limit for a in self.actuators)):
             if limit is not None and not 0.0 < limit < np.inf:
                 raise ConfigError(
-                    f"{self.file}: limit must be over 0 and finite, not {limit:g}; leave it out to "
-                    "have the device's own"
+                    f"{self.file}: limit must be over 0 and finite, not {limit:g}; omit it "
+                    "to use the limit of the device"
                 )
         for settings in (self.settings, *(a.settings for a in self.actuators)):
             for name, value in settings.items():
@@ -224,8 +224,8 @@ class BoundMap:
                 if joint not in self.names and actuators.hand != hand.name:
                     raise ConfigError(
                         f"{Path(actuators.file).name} is the table of the hand "
-                        f"{actuators.hand!r}, and the run's hand is {hand.name!r}: choose --hand "
-                        f"{actuators.hand}, or another table with table=FILE"
+                        f"{actuators.hand!r}, but the run uses the hand {hand.name!r}: "
+                        f"choose --hand {actuators.hand}, or another table with table=FILE"
                     )
                 if joint not in self.names:
                     raise UnknownNameError(
@@ -367,8 +367,8 @@ def find_table(request: str, driver: str, side: Side) -> Path:
     have = ", ".join(path.name.removesuffix(".toml") for path in list_tables())
     raise ConfigError(
         f"there is no table {name}: give one as table=FILE.toml, put it into "
-        f"{user_tables_folder()}, or write it with smooth-operator hardware check. There are: "
-        f"{have or 'none'}"
+        f"{user_tables_folder()}, or write it with smooth-operator hardware check. Existing "
+        f"tables: {have or 'none'}"
     )
 
 
@@ -419,7 +419,7 @@ def _entries(path: Path) -> Entries:
     The base is the name of a file in the same folder, or of a built-in table. Entries of an
     actuator of the base are replaced one by one.
     """
-    hint = "; smooth-operator hardware check writes one"
+    hint = "; create one with smooth-operator hardware check"
     own = read_entries(path, "table of a hand", most_bytes=_MOST_BYTES, hint=hint)
     if "base" not in own.values:
         return own
@@ -427,7 +427,7 @@ def _entries(path: Path) -> Entries:
     folder = path.parent if (path.parent / name).is_file() else built_in_tables()
     base = read_entries(folder / name, "table", most_bytes=_MOST_BYTES)
     if "base" in base.values:
-        raise own.error("base", f"{name} has a base of its own; name one that is whole")
+        raise own.error("base", f"{name} has a base itself; name a table without a base")
     others = own.tables("actuators") if "actuators" in own.values else []
     changes = {each.text("name"): each.values for each in others}
     actuators = [
@@ -445,7 +445,7 @@ def _actuator(each: Entries, unit: str) -> Actuator:
     commands = sorted(command for _, command in points)
     ends = (commands[0], commands[-1]) if commands else (0.0, 0.0)
     if "ends" in each.values:
-        ends = each.numbers("ends", 2, what="two commands, the least and the greatest")
+        ends = each.numbers("ends", 2, what="two commands, the minimum and the maximum")
     return Actuator(
         name=name,
         joints=_joints(each),
@@ -459,7 +459,7 @@ def _actuator(each: Entries, unit: str) -> Actuator:
 
 def _joints(each: Entries) -> dict[str, float]:
     if ("joint" in each.values) == ("joints" in each.values):
-        raise each.error("joint", "give either joint, or joints with their weights")
+        raise each.error("joint", "set either joint, or joints with their weights")
     if "joint" in each.values:
         return {each.text("joint", empty=False): 1.0}
     table = each.table("joints")
@@ -469,7 +469,7 @@ def _joints(each: Entries) -> dict[str, float]:
 def _points(each: Entries, unit: str) -> tuple[tuple[float, float], ...]:
     """The points as they stand, or from ``zero``, ``sign`` and ``ends`` of an angle."""
     if ("points" in each.values) == ("zero" in each.values):
-        raise each.error("points", "give either points, or zero with sign and ends")
+        raise each.error("points", "set either points, or zero with sign and ends")
     if "points" in each.values:
         rows = each.values["points"]
         if not isinstance(rows, list) or not all(map(_is_pair, rows)):
@@ -480,7 +480,7 @@ def _points(each: Entries, unit: str) -> tuple[tuple[float, float], ...]:
     zero, sign = each.number("zero"), each.whole("sign", 1)
     if sign not in (1, -1):
         raise each.error("sign", f"expected 1 or -1, not {sign}")
-    low, high = each.numbers("ends", 2, what="two commands, the least and the greatest")
+    low, high = each.numbers("ends", 2, what="two commands, the minimum and the maximum")
     pairs = [(sign * (command - zero) / UNITS[unit], command) for command in (low, high)]
     return tuple(sorted(pairs))
 

@@ -129,11 +129,12 @@ class BusLock:
             owner = printable(os.read(file, 20).decode(errors="replace").strip())
             process = f" (process {owner})" if owner else ""
             raise SinkError(
-                f"{self.bus} is in use by another run of smooth-operator{process}; end that one "
-                "first: two programs on one bus would fight over the hand"
+                f"{self.bus} is in use by another run of smooth-operator{process}; end that "
+                "run first: two programs on one bus would send conflicting commands"
                 if ":" in name
-                else f"another run of smooth-operator{process} has a hand that may be {self.bus}; "
-                "name the port or serial number of both, or end that one first"
+                else f"another run of smooth-operator{process} uses a hand that may be "
+                f"{self.bus}; name the port or serial number of both hands, or end that run "
+                "first"
             ) from error
         try:
             os.lseek(file, 0, os.SEEK_SET)
@@ -161,7 +162,7 @@ def _open(path: Path) -> int:
     status = os.fstat(file)
     if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
         os.close(file)
-        raise OSError(errno.EINVAL, "it is a link or no file")
+        raise OSError(errno.EINVAL, "it is a link or not a file")
     return file
 
 
@@ -214,6 +215,6 @@ def only_port(driver: str, extra: str) -> str:
         return next(iter(ports))
     names = ", ".join(ports) or "none"
     raise SinkError(
-        f"{driver}: name the serial port, such as {driver}:/dev/ttyUSB0; there are: {names}. "
-        "Check cable and power if the hand's is not among them"
+        f"{driver}: name the serial port, such as {driver}:/dev/ttyUSB0; available ports: "
+        f"{names}. Check cable and power if the hand is not among them"
     )

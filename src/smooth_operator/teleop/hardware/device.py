@@ -123,8 +123,8 @@ class HandDevice(ABC):
         """Refuses a hand of the other side than its table's, with a SinkError."""
         if side is not None and side != self._table.side:
             raise SinkError(
-                f"{self.driver}: {hand} is a {side} one, and {self._table.file} is for a "
-                f"{self._table.side} one"
+                f"{self.driver}: {hand} is a {side} hand, but {self._table.file} is for a "
+                f"{self._table.side} hand"
             )
 
     def _not_open(self) -> DeviceLostError:
@@ -223,7 +223,7 @@ def agreed_reading(read: Callable[[], Reading], table: ActuatorMap) -> Reading:
     index = apart(readings[-2], readings[-1], table)[0]
     values = ", ".join(f"{reading.positions[index]:.6g}" for reading in readings)
     raise DeviceLostError(
-        f"{table.names[index]}: {_READINGS} readings of its position within a moment differ, "
+        f"{table.names[index]}: {_READINGS} consecutive readings of its position differ, "
         f"{values} {table.unit}; check its cable and power, and that nothing moves the hand"
     )
 

@@ -114,8 +114,8 @@ class CommandGuard:
         missing = [n for n, v in zip(self._map.table.names, measured, strict=True) if v != v]
         if missing:
             raise SinkError(
-                f"{', '.join(missing)} gave no position, and nothing is moved before it "
-                "is known where the hand is; check its cables and power"
+                f"{', '.join(missing)} gave no position, and the hand is not moved until its "
+                "position is known; check its cables and power"
             )
         angles = self._map.drive_angles(measured)
         beyond = np.abs(angles - self._map.drive_angles(self._map.clip(measured)))
@@ -124,9 +124,9 @@ class CommandGuard:
             table, (low, high) = self._map.table, self._map.ends[worst]
             raise SinkError(
                 f"{table.names[worst]} is at {measured[worst]:.6g} {table.unit}, "
-                f"{beyond[worst]:.3g} rad beyond its ends {low:.6g} and {high:.6g}, and nothing is "
-                "moved from there: is the servo a turn off, or the table's zero wrong? If the "
-                "finger is there, move it between the ends by hand"
+                f"{beyond[worst]:.3g} rad beyond its ends {low:.6g} and {high:.6g}, so it is "
+                "not moved: the servo may be one turn off, or the table's zero may be "
+                "wrong. If the finger really is there, move it between the ends by hand"
             )
         self._at, self._reading, self._before = angles, reading, None
         low, high = self._map.ends.T
@@ -152,7 +152,7 @@ class CommandGuard:
             SinkError: ``start`` was not called.
         """
         if self._at is None:
-            raise SinkError("the guard has not been started with where the hand is")
+            raise SinkError("the guard was not started with the position of the hand")
         target = self._map.clip(self._map.commands(self._map.angles(target_positions)))
         angles = self._map.drive_angles(target)
         if reading is self._reading:

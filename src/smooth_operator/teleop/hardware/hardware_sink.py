@@ -148,8 +148,8 @@ class HandWorker:
             self._ending = True  # as soon as it comes back
             self._release()
             raise SinkError(
-                f"{self._label}: no answer for {_OPENING_S:g} s while it was opened; check its "
-                "power and cable, then start again"
+                f"{self._label}: no answer for {_OPENING_S:g} s while it was opened; check "
+                "its power and cable, then start again"
             )
         if self._error is not None:
             raise self._error
@@ -193,7 +193,9 @@ class HandWorker:
         self._thread.join(_CLOSING_S)
         if self._thread.is_alive():
             self._release()
-            raise SinkError(f"{self._label}: the bus does not answer; the hand was left as it is")
+            raise SinkError(
+                f"{self._label}: the bus does not answer; the hand was left in its last state"
+            )
 
     @property
     def note(self) -> str:
@@ -202,7 +204,7 @@ class HandWorker:
         if since is not None and (waited := time.perf_counter() - since) > _HANGS_S:
             facts.append(f"no answer from the bus for {waited:.1f} s")
         if self._trouble:
-            facts.append(f"{self._trouble}; it is tried again every second")
+            facts.append(f"{self._trouble}; retrying every second")
         elif self._doing != "following":
             facts.append(self._doing)
         if reading is not None and not self._trouble:
@@ -223,7 +225,7 @@ class HandWorker:
         warnings = [*reading.errors, *self._watch.warnings]
         held = [name for name, way in zip(names, self._guard.squeezing, strict=True) if way]
         if held:
-            warnings.append(f"squeezes no further: {', '.join(held)}")
+            warnings.append(f"contact limit reached: {', '.join(held)}")
         if reading.temperatures is not None:
             pairs = zip(names, reading.temperatures, strict=True)
             hot = [f"{name} {t:.0f} °C" for name, t in pairs if t >= self._map.table.hot]
@@ -266,7 +268,7 @@ class HandWorker:
         moving, cycle = False, now() - period
         self._trouble = ""
         self._opened.set()
-        self._doing = "waits for the first command"
+        self._doing = "waiting for the first command"
         begun = answered = now()  # the last exchange that was answered, from when to when
         while True:
             self._pace(cycle)
@@ -285,7 +287,7 @@ class HandWorker:
                 rest = self._at_rest(newest, cycle)
                 if rest is None and newest is not None:
                     if not moving:
-                        self._doing = "waits for two readings that agree"
+                        self._doing = "waiting for two readings that agree"
                         reading = agreed_reading(self._ask, self._map.table)
                         self._guard.start(reading)
                         moving, self._place = True, None
@@ -307,7 +309,7 @@ class HandWorker:
                 self.statistics.wrong += 1
                 self.statistics.latest = str(error)
                 if now() - answered > self._settings.lost_s:
-                    raise DeviceLostError(f"no right answer any more: {error}") from error
+                    raise DeviceLostError(f"no valid answer: {error}") from error
             self.statistics.add(now() - cycle, self._settings.period)
 
     def _until_answered(self, action: Callable[[], _T]) -> _T:
@@ -353,7 +355,7 @@ class HandWorker:
             return self._map.table.on_stop
         if now - newest[1] > self._settings.silence_s:
             self.statistics.silences += not self._resting
-            self._doing, self._resting = "no command comes: it rests", True
+            self._doing, self._resting = "no commands arrive: the hand rests", True
             return self._map.table.on_silence
         self._resting = False
         return None
@@ -391,7 +393,7 @@ class HandWorker:
         reading = self._call(self._device.read)
         if len(reading.positions) != len(self._map.ends):
             raise WrongAnswerError(
-                f"{len(reading.positions)} positions came, not {len(self._map.ends)}"
+                f"{len(reading.positions)} positions received instead of {len(self._map.ends)}"
             )
         stamp, rates = time.perf_counter(), reading.velocities
         self.reading = reading
@@ -521,8 +523,8 @@ class HardwareSink(Sink):
             raise ConfigError(f"{self.driver}: rate must be 1 to 1000 Hz, not {self.rate}")
         if self.limit is not None and not 0.0 < self.limit < math.inf:
             raise ConfigError(
-                f"{self.driver}: limit must be over 0 and finite, not {self.limit:g}; leave it out "
-                "to have the table's"
+                f"{self.driver}: limit must be over 0 and finite, not {self.limit:g}; omit "
+                "it to use the limit of the table"
             )
         if not (0.02 <= self.silence_s <= 5.0 and 0.05 <= self.lost_s <= 60.0):
             raise ConfigError(
@@ -602,7 +604,7 @@ class HardwareSink(Sink):
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Lock the bus, and open and read the hand; see ``Sink``."""
         if self._worker is not None:
-            raise SinkError(f"{self.label}: it is open already")
+            raise SinkError(f"{self.label}: it is already open")
         side = self._side(hands)
         table = self.actuators(side, hands[side].name)
         bound = table.bind(hands[side])
@@ -646,8 +648,8 @@ class HardwareSink(Sink):
             return self.side
         if len(hands) != 1:
             raise ConfigError(
-                f"{self.label}: the run has both hands, and a device is one of them: add "
-                "side=right or side=left, and name a second sink for the other"
+                f"{self.label}: the run has both hands, but a device is only one of them: "
+                "add side=right or side=left, and a second sink for the other hand"
             )
         return next(iter(hands))
 

@@ -26,9 +26,10 @@ from smooth_operator.teleop.hardware.device import (
 _STEPS: Final = 20
 """Steps over an actuator's range on the way to an end."""
 
-HELP: Final = """One actuator after the other moves a little and back. Say what you see; a second
-terminal with `smooth-operator hands show NAME` shows each joint, and which way its slider moves it.
-Keep the hand free on all sides, and a hand on its power switch. Ctrl-C relaxes it."""
+HELP: Final = """The actuators move slightly and back, one after the other. Enter what you see; a
+second terminal with `smooth-operator hands show NAME` shows each joint and the direction in which
+its slider moves it. Keep the hand free on all sides, and a hand on its power switch. Ctrl-C relaxes
+it."""
 
 
 class TableCheck:
@@ -85,7 +86,7 @@ class TableCheck:
         if low is None or high is None:
             return "quit"
         if not low < high:
-            self._say(f"the ends {low:g} and {high:g} are no range: left as it was")
+            self._say(f"the ends {low:g} and {high:g} are not a range: unchanged")
             return "skip"
         points = self._angles(actuator, low, high, unit)
         return replace(actuator, joints=joints, points=points, ends=(low, high))
@@ -100,7 +101,7 @@ class TableCheck:
             self._mover.move(index, start)
             answer = self._ask(
                 f"It moved. Which joint? Enter for {now}, a joint's name, a to see it again, "
-                "s to skip, q to end: "
+                "s to skip, q to quit: "
             ).strip()
             if answer == "":
                 return dict(actuator.joints)
@@ -122,11 +123,12 @@ class TableCheck:
         while True:
             at = self._mover.position(index)
             if way * (stated - at) < 0.25 * abs(step):
-                self._say(f"its {side} command, {stated:g} {unit}, is reached: taken as the end")
+                self._say(f"its {side} command, {stated:g} {unit}, is reached: used as the end")
                 return float(stated)
             answer = self._ask(
-                f"Towards its {side} command, now {at:.6g} {unit}. Enter for a step, a number of "
-                f"steps, e if this is the end, k to keep {stated:g}, q to end: "
+                f"Towards its {side} command, now {at:.6g} {unit}. Enter for a step, a "
+                f"number of steps, e if this is the end of its range, k to keep {stated:g}, "
+                "q to end: "
             ).strip()
             if answer == "q":
                 return None
@@ -137,7 +139,7 @@ class TableCheck:
             count = int(answer) if answer.isdigit() else 1
             if not self._mover.move(index, at + count * step):
                 at = self._mover.position(index)
-                self._say(f"something blocks it at {at:.6g}: taken as the end")
+                self._say(f"it is blocked at {at:.6g}: used as the end")
                 return float(at - 0.5 * step)
 
     def _angles(
@@ -155,7 +157,7 @@ class TableCheck:
                 try:
                     degrees = float(answer) if answer else stated
                 except ValueError:
-                    self._say(f"{answer!r} is no number")
+                    self._say(f"{answer!r} is not a number")
                     break
                 pairs.append((float(np.deg2rad(degrees)), command))
             if len(pairs) < 2:

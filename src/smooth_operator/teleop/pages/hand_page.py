@@ -138,7 +138,9 @@ class HandPage(PageServer):
             shape = gui.add_checkbox("shape", True)
             shape.on_update(lambda _: self._show(visible=shape.value))
             if len(self._drawn) > 1:
-                meshes = gui.add_checkbox("meshes", True, hint="the maker's, or simple shapes")
+                meshes = gui.add_checkbox(
+                    "meshes", True, hint="the vendor's meshes, or simple shapes"
+                )
                 meshes.on_update(lambda _: self._show(meshes=meshes.value))
             self._toggle(gui, "landmarks", True, [self._balls, self._lines])
             self._toggle(gui, "names", False, list(self._labels))

@@ -66,10 +66,12 @@ class Playback:
 
     def __post_init__(self) -> None:
         if not len(self.trace):
-            raise RecordingError("there is nothing to play: the run has no frame")
+            raise RecordingError("there is nothing to play: the run has no frames")
         for name in ("joint_positions", "robot_tips", "robot_wrist"):
             if not np.isfinite(getattr(self.trace, name)).all():
-                raise HandModelError(f"{name} holds NaN or infinity; hold the last good value")
+                raise HandModelError(
+                    f"{name} contains NaN or infinity; repeat the last good value instead"
+                )
 
     def __len__(self) -> int:
         return len(self.trace)
@@ -96,19 +98,20 @@ def check_runs(runs: Sequence[Playback]) -> None:
         RecordingError: there is none, or they are not of the same frames and fingers.
     """
     if not runs:
-        raise RecordingError("there is nothing to play: give one run or more")
+        raise RecordingError("there is nothing to play: pass at least one run")
     first = runs[0]
     for run in runs[1:]:
         if not np.array_equal(run.trace.stamps, first.trace.stamps):
             raise RecordingError(
-                f"{run.label!r} has {len(run)} frames and {first.label!r} {len(first)}, or their "
-                "time stamps differ: retarget the same frames of one recording with both"
+                f"{run.label!r} has {len(run)} frames and {first.label!r} {len(first)}, or "
+                "their timestamps differ: retarget the same frames of one recording with "
+                "both"
             )
         mine, theirs = (", ".join(each.trace.fingers) for each in (run, first))
         if mine != theirs:
             raise RecordingError(
-                f"{run.label!r} drives {mine}, but {first.label!r} {theirs}: give runs of the same "
-                "fingers"
+                f"{run.label!r} drives {mine}, but {first.label!r} {theirs}: use runs with "
+                "the same fingers"
             )
 
 
@@ -522,7 +525,7 @@ class Panel:
         overlay = gui.add_checkbox("Overlay", False, hint="all hands in one place")
         vectors = gui.add_checkbox("Keyvectors", True, hint="thumb tip to fingertips")
         if any(run.drawn is not None for run in runs):
-            meshes = gui.add_checkbox("Meshes", True, hint="the maker's, or simple shapes")
+            meshes = gui.add_checkbox("Meshes", True, hint="the vendor's meshes, or simple shapes")
             meshes.on_update(from_person(lambda event: controls.set_meshes(event.target.value)))
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
         gui.add_html(legend(runs[0].trace.fingers))
@@ -578,7 +581,7 @@ def _status_text(run: Playback, frame: int, named: bool) -> str:
     except ValueError:  # a file from a newer release; say what it holds
         reason, good = f"status {int(run.trace.status[frame])}", False
     latency = run.trace.latency_ms[frame]
-    time = f"solved in {latency:.2f} ms" if np.isfinite(latency) else "no solving time"
+    time = f"solved in {latency:.2f} ms" if np.isfinite(latency) else "solving time unknown"
     name = f"{html.escape(run.label)}: " if named else ""
     return f"{name}<b>{'✓' if good else '⚠'}</b> {html.escape(reason)} · {time}"
 

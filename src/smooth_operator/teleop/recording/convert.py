@@ -165,14 +165,14 @@ def format_of(path: Path, to: Format | None) -> Format:
             raise ConfigError(f"a format is one of {', '.join(get_args(Format))}, not {to!r}")
         if named not in (None, to):
             raise ConfigError(
-                f"the name {path.name!r} is that of {named} and --to says {to}; leave --to out, or "
-                "choose another name"
+                f"the name {path.name!r} has the suffix of {named}, but --to is {to}; remove "
+                "--to, or choose another name"
             )
         return to
     if named is None and path.suffix and not path.is_dir():
         raise ConfigError(
-            f"the suffix of {path.name!r} names no format: use {', '.join(SUFFIXES)}, none for the "
-            "folder of a LeRobot dataset, or say the format with --to"
+            f"the suffix of {path.name!r} belongs to no format: use {', '.join(SUFFIXES)}, "
+            "or no suffix for the folder of a LeRobot dataset, or set the format with --to"
         )
     return named or "lerobot"
 
@@ -210,7 +210,7 @@ def find_sources(
             sources += [Source(entry, Path(entry.name), dataset, number) for number in numbers]
             continue
         if episode is not None:
-            raise ConfigError(f"{entry}: --episode is of LeRobot datasets, and this is none")
+            raise ConfigError(f"{entry}: --episode applies only to LeRobot datasets")
         if not entry.is_dir():
             file_kind(entry)  # one that was named is not passed over in silence
             sources.append(Source(entry, Path(entry.name)))
@@ -226,7 +226,7 @@ def find_sources(
             else:
                 skipped.append(path)
         if len(sources) == before:
-            raise RecordingError(f"{entry}: no recording in this folder, nor in those below it")
+            raise RecordingError(f"{entry}: this folder and its subfolders contain no recordings")
     notes = []
     if skipped:
         names = ", ".join(path.name for path in skipped[:5]) + (", …" if len(skipped) > 5 else "")
@@ -250,13 +250,13 @@ def check_target(path: Path, to: Format, inputs: Sequence[Path], overwrite: bool
             return
         own = path.is_dir() and is_own_dataset(path)
     elif path.is_dir():
-        raise OutputError(f"can't write {str(path)!r}: it is a folder; give the name of a file")
+        raise OutputError(f"can't write {str(path)!r}: it is a folder; name a file")
     else:
         own = _is_own(path, to)
     if not own:
         raise OutputError(
-            f"can't write {str(path)!r}: what stands there was not written by this program as "
-            f"{to}; choose another name, or remove it first"
+            f"can't write {str(path)!r}: the existing file was not written by this program "
+            f"as {to}; choose another name, or remove the file first"
         )
     if not overwrite:
         raise OutputError(

@@ -152,13 +152,13 @@ class LogWriter:
         stamp = frame.time if stamp is None else stamp
         if not (math.isfinite(stamp) and stamp > self._hand_stamp):
             raise RecordingError(
-                f"{self.path}: a hand frame with stamp {stamp!r} s can't follow one with "
-                f"{self._hand_stamp!r} s; stamps must increase, so skip frames that repeat"
+                f"{self.path}: a hand frame with timestamp {stamp!r} s can't follow one with "
+                f"{self._hand_stamp!r} s; timestamps must increase, so skip repeated frames"
             )
         if self._side not in (None, frame.side):
             raise RecordingError(
-                f"{self.path}: this is the log of a {self._side} hand, the frame is of a "
-                f"{frame.side} one; write each hand to its own log"
+                f"{self.path}: this is the log of a {self._side} hand, but the frame is of a "
+                f"{frame.side} hand; write each hand to its own log"
             )
         wrist = frame.T_world_wrist
         world = None if wrist is None else frame.world
@@ -202,12 +202,15 @@ class LogWriter:
             )
         if self._names not in (None, names):
             raise RecordingError(
-                f"{self.path}: the joints of the command are not those of the one before; write "
-                f"each robot hand to its own log (were {self._names}, are {names})"
+                f"{self.path}: the joints of the command differ from those of the previous "
+                f"command; write each robot hand to its own log (were {self._names}, are "
+                f"{names})"
             )
         stamp = float(command.stamp)
         if not math.isfinite(stamp):
-            raise RecordingError(f"{self.path}: the stamp of a command must be finite, not {stamp}")
+            raise RecordingError(
+                f"{self.path}: the timestamp of a command must be finite, not {stamp}"
+            )
         # The command last, so that in a log that is cut off it never lacks its timing and status.
         new = self._classes
         status = Status(status)
@@ -407,8 +410,8 @@ class LogWriter:
     def _check_open(self) -> None:
         if self._writer is not None and self._stream is None:
             raise OutputError(
-                f"can't write {str(self.path)!r}: the log is closed, or gave up on an error; "
-                "open a new one"
+                f"can't write {str(self.path)!r}: the log is closed, or stopped after an "
+                "error; open a new log"
             )
 
     def _failed(self, error: OSError) -> OutputError:

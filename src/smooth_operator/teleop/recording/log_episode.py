@@ -47,7 +47,7 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
         check_commands(log.commands, str(path))
     notes: tuple[str, ...] = ()
     if log.truncated:
-        notes = (f"{path}: the end of the log is missing; what came before is converted",)
+        notes = (f"{path}: the end of the log is missing; the part before it is converted",)
     if log.loop is not None:
         notes += (f"{path}: loop modes and events are not exported (they remain in the log)",)
     task = log.origin.get("task")
@@ -163,8 +163,8 @@ def log_losses(episode: Episode) -> list[str]:
         parts.append(("latency_ms", episode.commands.latency_ms))
     parts += list(episode.stages_ms.items())
     return [
-        f"{episode.name}: {int(np.isinf(values).sum())} infinite values of {name} become NaN, "
-        "which stands for every number that is not known"
+        f"{episode.name}: {int(np.isinf(values).sum())} infinite values of {name} become "
+        "NaN, which marks unknown numbers"
         for name, values in parts
         if values is not None and np.isinf(values).any()
     ]

@@ -183,7 +183,7 @@ def read_log_recording(
     log = read_log(path)
     if log.recording is None:
         cut = "; it was cut off before its first frames were written" if log.truncated else ""
-        raise RecordingError(f"{path}: the log holds no hand frames{cut}")
+        raise RecordingError(f"{path}: the log contains no hand frames{cut}")
     check_side([log.recording.side], side, str(path))
     return log.recording
 
@@ -275,8 +275,8 @@ def _unpacked(chunk: mcap_records.Chunk, path: Path) -> bytes:
         data = chunk.data
     else:
         raise RecordingError(
-            f"{path}: the log's compression {brief(chunk.compression)} is not read here; "
-            "write it with zstd, lz4 or none"
+            f"{path}: the log's compression {brief(chunk.compression)} is not supported; use "
+            "zstd, lz4 or none"
         )
     if len(data) != size:
         raise DamagedError
@@ -332,14 +332,14 @@ def _is_own(channel: Any, path: Path) -> bool:
 def _method(texts: dict[str, str]) -> MethodUse:
     stamp = float(texts["stamp"])
     if not math.isfinite(stamp):
-        raise ValueError(f"the stamp of a method is {stamp}")
+        raise ValueError(f"the timestamp of a method is {stamp}")
     return MethodUse(stamp, texts["method"], texts["preset"], _object(texts["config"]))
 
 
 def _object(text: str) -> dict[str, Any]:
     value = parse_json(text)
     if not isinstance(value, dict):
-        raise ValueError(f"a configuration is no object, but {brief(value)}")
+        raise ValueError(f"a configuration must be a JSON object, not {brief(value)}")
     return value
 
 
@@ -396,7 +396,7 @@ class _Table:
         """The stamps."""
         stamps = np.array(self.column("stamp"), np.float64)
         if not np.isfinite(stamps).all():
-            raise ValueError("a stamp is not finite")
+            raise ValueError("a timestamp is not finite")
         return stamps
 
     def matrix(self, name: str, *shape: int) -> Float[np.ndarray, "T ..."]:

@@ -62,9 +62,9 @@ def take_quality(path: Path, hand: Hand) -> TakeQuality:
     """
     log = read_log(path)
     if log.commands is None or log.loop is None or not len(log.commands):
-        raise RecordingError(f"{path.name} holds no commands of a running loop")
+        raise RecordingError(f"{path.name} contains no commands of a running loop")
     if log.commands.joint_names != hand.joint_names:
-        raise RecordingError(f"{path.name} is of another hand than {hand.name!r}")
+        raise RecordingError(f"{path.name} is of a different hand than {hand.name!r}")
     times, q = log.loop.times, np.asarray(log.commands.joint_positions, float)
     answers = log.loop.answers
     modes, lasted = log.loop.modes, np.diff(times, append=times[-1:])  # until the next command [s]

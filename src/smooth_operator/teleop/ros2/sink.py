@@ -113,8 +113,8 @@ def table_layout(hand: Hand, table: str) -> Layout:
     read = read_table(find_table(table.replace("{side}", side), "ros2", side))
     if read.side != side:
         raise ConfigError(
-            f"ros2: {read.file} is of the {read.side} hand, and commands are for the {side} one; "
-            "put {side} into the name of the table"
+            f"ros2: {read.file} is of the {read.side} hand, but commands are for the {side} "
+            f"one; put {{side}} into the name of the table"
         )
     bound = read.bind(hand)
 
@@ -154,7 +154,7 @@ def _matching(hand: Hand, pattern: str) -> list[int]:
             f"joint of hand {hand.name!r}:",
             pattern,
             hand.joint_names,
-            "joints= takes all, actuated, or names separated by blanks.",
+            "joints= must be all, actuated, or names separated by spaces.",
         )
     return indices
 
@@ -227,7 +227,9 @@ class Ros2Sink(ThreadedSink):
         if not self.joints.strip():
             raise ConfigError("ros2: joints must be all, actuated or names of joints, not nothing")
         if self.table is not None and (self.joints, self.prefix) != ("auto", ""):
-            raise ConfigError("ros2: the table says names and order; leave out joints and prefix")
+            raise ConfigError(
+                "ros2: the table determines names and order; remove joints and prefix"
+            )
         for name, low, high in (("rate", 0.0, 10_000.0), ("duration", 0.0, 60.0)):
             value = getattr(self, name)
             if not low <= value <= high:

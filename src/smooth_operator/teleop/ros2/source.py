@@ -220,13 +220,15 @@ class Ros2Source(StreamSource):
         topics = self._topics()
         if self.message == "pose_array" and None in topics.values():
             raise ConfigError(
-                "ros2: poses do not say which hand they are of: put {side} into the topic, or take "
-                "one hand only (side=right or side=left)"
+                "ros2: poses do not contain a side: put {side} into the topic, or use only "
+                "one hand (side=right or side=left)"
             )
         if len(self._wrist_topics()) < len(self.sides) and self.wrist is not None:
             raise ConfigError("ros2: two hands need two wrists: put {side} into wrist")
         if (self.wrist is not None) != (self.frame == "wrist"):
-            raise ConfigError("ros2: wrist=TOPIC and frame=wrist go together: give both or none")
+            raise ConfigError(
+                "ros2: wrist=TOPIC and frame=wrist belong together: set both or neither"
+            )
         glove_sides(self.right_glove, self.left_glove)
 
     @property

@@ -155,8 +155,8 @@ def reach_of(endpoint: Endpoint) -> Reach:
     reaches: dict[str, Reach] = {"LOCALHOST": "localhost", "SUBNET": "subnet", "": "localhost"}
     if discovery not in reaches:
         raise ConfigError(
-            f"{endpoint.feature}: ROS_AUTOMATIC_DISCOVERY_RANGE must be LOCALHOST or SUBNET, not "
-            f"{discovery!r}; or say network=localhost or network=subnet"
+            f"{endpoint.feature}: ROS_AUTOMATIC_DISCOVERY_RANGE must be LOCALHOST or SUBNET, "
+            f"not {discovery!r}; or set network=localhost or network=subnet"
         )
     if not discovery and os.environ.get("ROS_LOCALHOST_ONLY") == "0":
         return "subnet"  # said, not left out
@@ -189,8 +189,8 @@ def _qos(reliability: Any, depth: int) -> Qos:
 
 def _refused(number: int, error: Exception) -> str:
     return (
-        f"DDS domain {number} can't be joined: {describe(error)}; is the network that "
-        "CYCLONEDDS_URI or the setting network names there?"
+        f"DDS domain {number} can't be joined: {describe(error)}; check that the network "
+        "interface named by CYCLONEDDS_URI or by the setting network exists"
     )
 
 
@@ -206,8 +206,9 @@ class _Domains:
             present, domain, users = cls._joined.get(number, (reach, None, 0))
             if present != reach:
                 raise ConfigError(
-                    f"{endpoint.feature}: DDS domain {number} is in use here with network "
-                    f"{present!r}; use the same one, or another domain"
+                    f"{endpoint.feature}: DDS domain {number} is already used in this "
+                    f"process with network {present!r}; use the same network, or another "
+                    "domain"
                 )
             if not users and reach != "own":
                 try:
@@ -280,8 +281,8 @@ def topic_name(template: str, feature: str, **words: str) -> str:
         topic = ""
     if not _TOPIC.fullmatch(topic) or "__" in topic:
         raise ConfigError(
-            f"{feature}: {template!r} can't be a topic; expected words of letters, digits and _ "
-            f"with / between, in which {_listed(words)} may stand"
+            f"{feature}: {template!r} can't be a topic name; expected words of letters, "
+            f"digits and _ separated by /; the placeholders {_listed(words)} are allowed"
         )
     return topic
 

@@ -98,8 +98,8 @@ class CalibrationSession:
         """
         if not self._frames:
             raise RecordingError(
-                f"no frame of a {self.side} hand came from the tracker; check that it is on, and "
-                "which hand it sees"
+                f"no frame of a {self.side} hand arrived from the tracker; check that the "
+                "tracker is on, and which hand it sees"
             )
         frames = [arrival.frame for arrival in self._frames]
         return HandRecording(

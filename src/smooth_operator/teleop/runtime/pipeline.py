@@ -33,11 +33,14 @@ if TYPE_CHECKING:
 REACH_M = 0.5
 """Largest distance of a landmark from the wrist, along any axis [m]."""
 _FAR = (
-    f"a landmark more than {REACH_M:g} m from the wrist is no human's; landmarks must be in metres"
+    f"a landmark more than {REACH_M:g} m from the wrist can't belong to a human hand; "
+    "landmarks must be in metres"
 )
 
-_PALM: Final = "a palm outside {} to {} m is no human's; landmarks must be in metres".format(
-    *PALM_RANGE_M
+_PALM: Final = (
+    "a palm outside {} to {} m can't belong to a human hand; landmarks must be in metres".format(
+        *PALM_RANGE_M
+    )
 )
 _MIDDLE: Final = BASES[2]
 
@@ -50,7 +53,7 @@ def implausible(frame: HandFrame) -> str | None:
     without figures, so that frames can be counted by reason.
     """
     if frame.stamp is not None and not abs(frame.stamp) < LATEST_STAMP_S:
-        return "a stamp that is no time in seconds"
+        return "a timestamp that is not a time in seconds"
     p = frame.landmarks
     if (np.abs(p[frame.valid] - p[WRIST]) > REACH_M).any():
         return _FAR
@@ -116,7 +119,7 @@ class Supervisor:
         if self._newest is not None and session == self._newest[0]:
             behind = self._newest[1] - stamp
             if behind == 0:
-                return self.refuse("a stamp that came before")
+                return self.refuse("a repeated timestamp")
             if 0 < behind <= self.config.restart_s:
                 return self.refuse("out of order")
         self._newest = session, stamp

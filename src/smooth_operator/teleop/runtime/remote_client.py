@@ -46,15 +46,15 @@ class RemoteTeleop:
     def __init__(self, address: str, timeout_s: float = 5.0) -> None:
         if not is_zmq_address(address):
             raise ConfigError(
-                f"{address!r} is no ZeroMQ address; expected one such as tcp://127.0.0.1:5558, as "
-                "given to teleop --control"
+                f"{address!r} is not a ZeroMQ address; expected an address such as "
+                "tcp://127.0.0.1:5558, the one of teleop --control"
             )
         if not 0.0 < timeout_s <= LONGEST_S:
             raise ConfigError(f"timeout_s must be over 0 to {LONGEST_S:g} s, not {timeout_s}")
         try:
             import zmq
         except ImportError:
-            raise MissingExtraError("talking to a running teleop", "zmq") from None
+            raise MissingExtraError("communicating with a running teleop", "zmq") from None
         self.address, self.timeout_s = address, timeout_s
         self._zmq: Any = zmq
 
@@ -76,7 +76,7 @@ class RemoteTeleop:
         try:
             message = json.dumps({**fields, "do": do}, allow_nan=False).encode()
         except (TypeError, ValueError) as error:
-            raise ConfigError(f"{do}: JSON can't hold what is to be sent: {error}") from error
+            raise ConfigError(f"{do}: the message can't be written as JSON: {error}") from error
         answer = self._exchange(message, self._still_busy)
         if answer.get("ok") is not True:
             why = answer.get("error")
@@ -100,7 +100,7 @@ class RemoteTeleop:
                 self._wait(socket, patient)
                 return self._read(socket.recv())
             except zmq.ZMQError as error:
-                raise ConfigError(f"{self.address!r} can't be connected to: {error}") from error
+                raise ConfigError(f"{self.address!r} can't be reached: {error}") from error
             finally:
                 socket.close()
         finally:
@@ -119,15 +119,15 @@ class RemoteTeleop:
             if socket.poll(0):
                 return
             raise RemoteError(
-                f"nobody answers at {self.address} within {self.timeout_s:g} s; is smooth-operator "
-                f"teleop --control {self.address} running?"
+                f"no answer from {self.address} within {self.timeout_s:g} s; is "
+                f"smooth-operator teleop --control {self.address} running?"
             )
 
     def _read(self, answer: bytes) -> dict[str, Any]:
         content = json_object(answer)
         if content is None:
             raise RemoteError(
-                f"what answers at {self.address} is no teleoperation; it says "
+                f"the program at {self.address} is not a teleoperation; it answered "
                 f"{answer[:60].decode(errors='replace')!r}"
             )
         return content

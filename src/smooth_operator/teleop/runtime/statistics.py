@@ -336,7 +336,7 @@ def log_timing(log: Log) -> dict[str, Any]:
         RecordingError: the log holds no commands.
     """
     if log.commands is None:
-        raise RecordingError("the log holds no commands, so there is nothing that took time")
+        raise RecordingError("the log contains no commands, so there are no times to measure")
     figures: dict[str, Any] = {
         "commands": len(log.commands),
         "truncated": log.truncated,

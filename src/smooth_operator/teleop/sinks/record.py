@@ -83,7 +83,7 @@ class RecordSink(Sink):
         if not lost:
             return ""
         ticks = "1 tick is" if lost == 1 else f"{lost} ticks are"
-        return f"{ticks} not recorded: the disk was too slow, or failed"
+        return f"{ticks} not recorded: the disk was too slow or failed"
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
         """Refuse a file that stands there, or a folder that can't be made; see
@@ -96,7 +96,7 @@ class RecordSink(Sink):
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Create the files; see ``Sink``."""
         if self._recorder is not None:
-            raise SinkError(f"{self.label}: it is open already")
+            raise SinkError(f"{self.label}: it is already open")
         sides = list(hands)
         if self._history:
             files = next_part(self.path, sides)
@@ -241,7 +241,7 @@ class Recorder:
                 )
                 self._missed = 0
             if self._stalled:
-                self._events.append(f"no command for {self._stalled:.2f} s: the loop stood still")
+                self._events.append(f"no command for {self._stalled:.2f} s: the loop was stalled")
                 self._stalled = 0.0
             self._waiting.append(tick)
             self._buffered += 1
@@ -266,8 +266,8 @@ class Recorder:
         self._thread.join(_END_S)
         if self._thread.is_alive():
             raise SinkError(
-                f"the recording is not yet written after {_END_S:.0f} s: the disk is too slow; it "
-                "is whole up to the last flush"
+                f"the recording is not yet written after {_END_S:.0f} s: the disk is too "
+                "slow; the recording is complete up to the last flush"
             )
         error, self._error = self._error, None
         if error is not None:
@@ -414,9 +414,8 @@ def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Si
         present = [] if overwrite else [file for file in files.values() if file.exists()]
         if present:
             raise OutputError(
-                f"can't write {str(present[0])!r}: a file stands there already; "
-                "choose another name, give a folder for numbered takes, or ask to overwrite it "
-                "(overwrite=true)"
+                f"can't write {str(present[0])!r}: the file already exists; choose another "
+                "name, name a folder for numbered takes, or set overwrite=true"
             )
         return files
     try:

@@ -93,7 +93,7 @@ class Simulation(Sink):
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Build the models and start; see ``Sink``."""
         if self._world is not None:
-            raise SinkError("mujoco: it is open already")
+            raise SinkError("mujoco: it is already open")
         physics = {side: self._built(hand, self.task_now) for side, hand in hands.items()}
         self._set("_world", World(physics, self._events, self._arms))
 
@@ -116,7 +116,9 @@ class Simulation(Sink):
         physics = {side: self._built(old.hand, task) for side, old in before.physics.items()}
         with self._swapping:
             if self._world is not before:
-                raise SinkError("mujoco: it was closed, or another task was asked for meanwhile")
+                raise SinkError(
+                    "mujoco: it was closed, or another task was requested in the meantime"
+                )
             self._set("_task", task)
             self._set("_world", World(physics, self._events, self._arms))
         before.end()
@@ -263,7 +265,7 @@ class Simulation(Sink):
         if not isinstance(physics, ScenePhysics):
             raise SinkError(
                 f"mujoco: there is no scene around a {side} hand: "
-                + ("it is not open" if world is None else "ask for one with mujoco:task=card")
+                + ("it is not open" if world is None else "request one with mujoco:task=card")
             )
         return physics
 
@@ -402,7 +404,7 @@ class World:
                     self._show(side, physics)  # the object may be put back meanwhile
                 continue
             if not physics.advance(seconds):
-                text = f"the physics of the {side} hand came apart and was set back"
+                text = f"the physics of the {side} hand became unstable and was reset"
                 resets = f"{text} ({physics.resets} times)" if physics.resets > 1 else text
                 self._events[:] = [e for e in self._events if not e.startswith(text)] + [resets]
             self.states[side] = _measured(side, physics, now)

@@ -190,7 +190,7 @@ class ThreadedSink(Sink):
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Open the sink; see ``Sink``."""
         if self._sender() is not None:
-            raise SinkError(f"{self.label}: it is open already")
+            raise SinkError(f"{self.label}: it is already open")
         # The settings are frozen, the state of an open sink is not.
         object.__setattr__(self, "_now", _Sender(self.connect(hands, config), self.label))
 
@@ -255,7 +255,9 @@ class _Sender:
             self._change.notify_all()
         self._thread.join(_PATIENCE)
         if self._thread.is_alive():
-            raise SinkError(f"{self._label}: the far side does not answer; it was left as it is")
+            raise SinkError(
+                f"{self._label}: the other side does not answer; it was left in its last state"
+            )
 
     def _run(self) -> None:
         try:
@@ -360,7 +362,7 @@ class SinkRunner:
             SmoothOperatorError: as ``Sink.open``; those that were open already are closed.
         """
         if self._opened is not None:
-            raise ConfigError("the sinks are open already; close them first")
+            raise ConfigError("the sinks are already open; close them first")
         done: list[_Entry] = []
         try:
             for entry in self._entries:

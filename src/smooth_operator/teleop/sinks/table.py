@@ -57,7 +57,7 @@ class TableSink(Sink):
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Begin to draw; see ``Sink``."""
         if self._thread is not None:
-            raise SinkError("table: it is open already")
+            raise SinkError("table: it is already open")
         panels = {side: HandPanel(side, hand) for side, hand in hands.items()}
         drawing = _Drawing(panels, open_console(stderr=True), self.rate)
         object.__setattr__(self, "_thread", drawing)

@@ -49,7 +49,7 @@ class ZmqSink(ThreadedSink):
     def __post_init__(self) -> None:
         if not is_zmq_address(self.address):
             raise ConfigError(
-                f"zmq: {self.address!r} is no ZeroMQ address; expected one such as "
+                f"zmq: {self.address!r} is not a ZeroMQ address; expected an address such as "
                 "tcp://127.0.0.1:5556 or ipc:///run/hand"
             )
         if not 0.0 < self.valid_for_s <= 10.0:
@@ -76,8 +76,8 @@ class ZmqSink(ThreadedSink):
             socket.close(0)
             context.term()
             raise SinkError(
-                f"can't publish commands at {self.address}: {error}; choose another address, or "
-                "end the program that has this one"
+                f"can't publish commands at {self.address}: {error}; choose another address, "
+                "or end the program that uses it"
             ) from error
         names = {side: hand.name for side, hand in hands.items()}
         return _Publisher(context, socket, names, self.valid_for_s)

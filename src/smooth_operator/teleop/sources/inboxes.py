@@ -85,7 +85,7 @@ class UdpInbox(Inbox):
         except OSError as error:
             self._socket.close()
             raise SourceError(
-                f"UDP port {port} on {host} can't be listened on ({error}); is another program "
+                f"can't listen on UDP port {port} on {host} ({error}); is another program "
                 f"using it? Choose another: {choose}"
             ) from error
         self._socket.setblocking(False)
@@ -111,7 +111,7 @@ class UdpInbox(Inbox):
             except ConnectionError:  # Windows: an earlier peer is gone, which is nothing to us
                 continue
             except OSError as error:
-                raise SourceError(f"{self.address} can't be received from: {error}") from error
+                raise SourceError(f"{self.address} can't be read: {error}") from error
         return list(newest)
 
     def close(self) -> None:
@@ -159,7 +159,7 @@ class TcpInbox(Inbox):
             self._listening = listening = listen(host, port)
         except OSError as error:
             raise SourceError(
-                f"TCP port {port} on {host} can't be listened on ({error}); is another program "
+                f"can't listen on TCP port {port} on {host} ({error}); is another program "
                 f"using it? Choose another: {source}:port=PORT"
             ) from error
         listening.setblocking(False)
@@ -224,9 +224,9 @@ class TcpInbox(Inbox):
             client.buffer += chunk
             if client.new and not self._begins(client.buffer):
                 raise RecordingError(
-                    f"a web page or another program at {client.mark[0].decode()} connected to this "
-                    f"port, closed: {brief(bytes(client.buffer[:24]))} begins no message of this "
-                    "source"
+                    f"a web page or another program at {client.mark[0].decode()} connected "
+                    f"to this port, closed: {brief(bytes(client.buffer[:24]))} does not "
+                    "begin a message of this source"
                 )
             messages += [(data, *client.mark) for data in self._split(client.buffer)]
             client.new = client.new and not messages
@@ -356,7 +356,7 @@ class ZmqInbox(Inbox):
         except zmq.Again:
             pass
         except zmq.ZMQError as error:
-            raise SourceError(f"{self.address} can't be received from: {error}") from error
+            raise SourceError(f"{self.address} can't be read: {error}") from error
         return list(newest)
 
     def close(self) -> None:
@@ -471,7 +471,7 @@ class GrpcInbox(Inbox):
                         self.problem = ""
                         self._newest.append((data, connection))
                         self._arrived.notify_all()
-            self.problem = f"{self.address} ended the stream; connecting again"
+            self.problem = f"{self.address} ended the stream; reconnecting"
         except grpc.RpcError as error:
             self.problem = self._words(error)
         finally:
@@ -481,13 +481,16 @@ class GrpcInbox(Inbox):
     def _words(self, error: Any) -> str:
         code = error.code().name if callable(getattr(error, "code", None)) else "error"
         if code == "CANCELLED":
-            return f"{self.address} sends nothing; connecting again"
+            return f"{self.address} sends nothing; reconnecting"
         if code == "UNIMPLEMENTED":
-            return f"{self.address} is a gRPC server, but has no hand tracking: another program"
+            return (
+                f"{self.address} is a gRPC server without hand tracking, so it is another program"
+            )
         if code == "RESOURCE_EXHAUSTED":
             return f"{self.address} sends messages longer than {self._longest} bytes"
         text = " ".join(str(error.details() or "").split())[:_WORDS]
         return (
-            f"can't connect to {self.address} ({code}: {text}); is the app started, the address "
-            "the one that it shows, and the headset on this network? Trying again"
+            f"can't connect to {self.address} ({code}: {text}); check that the app is "
+            "running, that the address is the one that it shows, and that the headset is on "
+            "this network. Trying again"
         )

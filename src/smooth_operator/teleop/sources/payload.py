@@ -316,7 +316,7 @@ def _beside(message: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> np.
 def _checked_side(side: Side | None) -> Side:
     if side is None:
         raise RecordingError(
-            f"{_WHERE} does not say which hand it is; send JSON with 'side', or take one hand only "
+            f"{_WHERE} does not contain a side; send JSON with 'side', or use only one hand "
             "(side=right or side=left)"
         )
     return side
@@ -414,9 +414,9 @@ def points_of_matrices(
             "columns": "not the last column (matrix=columns)",
         }[order]
         raise RecordingError(
-            f"{what} must be rigid transforms with 0 0 0 1 in the last row (row by row) or in the "
-            f"last column (column by column), but {where} is; say matrix=rows or matrix=columns, "
-            "or leave it out"
+            f"{what} must be rigid transforms with 0 0 0 1 in the last row (row by row) or "
+            f"in the last column (column by column), but {where} is; set matrix=rows or "
+            "matrix=columns, or omit it"
         )
     rotation = matrices[:, :3, :3]
     if not is_rigid(matrices[whole]).all():
@@ -498,19 +498,21 @@ def read_stamp(message: Mapping[str, Any], unit: StampUnit = "s") -> float | Non
     if stamp is None:
         return None
     if isinstance(stamp, bool) or not isinstance(stamp, (int, float)) or not _finite(stamp):
-        raise RecordingError(f"the stamp must be a finite number of seconds, not {short(stamp)}")
+        raise RecordingError(
+            f"the timestamp must be a finite number of seconds, not {short(stamp)}"
+        )
     seconds = float(stamp / _PARTS[unit])  # a whole number of ns is divided without rounding first
     if abs(seconds) < LATEST_STAMP_S:
         return seconds
     likely = next((u for u, n in _PARTS.items() if abs(stamp) / n < LATEST_STAMP_S), None)
     hint = (
-        f"; it looks like {_NAMES[likely]} (multiply by {1 / _PARTS[likely]:g}); send seconds, or "
-        f"give the source stamp_unit={likely}"
+        f"; it looks like {_NAMES[likely]} (multiply by {1 / _PARTS[likely]:g}); send "
+        f"seconds, or set stamp_unit={likely} for the source"
         if likely
-        else "; give the source stamp_unit=s, ms, us or ns, whichever the tracker sends"
+        else "; set stamp_unit=s, ms, us or ns for the source, as the tracker sends it"
     )
     expected = "in seconds" if unit == "s" else f"in {unit} (stamp_unit={unit})"
-    raise RecordingError(f"the stamp must be {expected}, not {stamp:.6g}{hint}")
+    raise RecordingError(f"the timestamp must be {expected}, not {stamp:.6g}{hint}")
 
 
 def _finite(value: int | float) -> bool:
@@ -560,7 +562,8 @@ class StampPace:
             times = parts / _PARTS[self._unit]
             if unit != self._unit and 0.5 * times < pace < 2.0 * times:
                 return (
-                    f"the stamps run {pace:.3g} times as fast as the clock of this computer: they "
-                    f"look like {_NAMES[unit]}; give the source stamp_unit={unit}"
+                    f"the timestamps run {pace:.3g} times as fast as the clock of this "
+                    f"computer: they look like {_NAMES[unit]}; set stamp_unit={unit} for the "
+                    "source"
                 )
         return ""

@@ -210,7 +210,7 @@ class HtsSource(StreamSource):
     def hint(self) -> str:
         """Advice while nothing has come."""
         if self.host in ("127.0.0.1", "localhost", "::1"):
-            return ", this computer alone (a cable); for Wi-Fi say hts:0.0.0.0"
+            return ", this computer only (by cable); for Wi-Fi use hts:0.0.0.0"
         return "; in the app, set this computer's address, the port and the protocol"
 
     def connect(self) -> Inbox:
@@ -294,7 +294,7 @@ class PicoSource(StreamSource):
     def hint(self) -> str:
         """Advice while nothing has come."""
         if self.host in ("127.0.0.1", "localhost", "::1"):
-            return ", this computer alone; for a headset on the network say pico:0.0.0.0"
+            return ", this computer only; for a headset on the network use pico:0.0.0.0"
         return "; in the app, enter this computer's address, then switch on Hand and Send"
 
     def connect(self) -> Inbox:
@@ -427,7 +427,7 @@ def _hands(message: Any) -> list[Mapping[str, Any]]:
         if isinstance(hands, list):
             hands = [{**shared, **hand} if isinstance(hand, dict) else hand for hand in hands]
     if not isinstance(hands, list) or not all(isinstance(hand, dict) for hand in hands):
-        raise RecordingError("several hands must come as a list of objects, one for each hand")
+        raise RecordingError("several hands must be sent as a list of objects, one for each hand")
     return hands
 
 
@@ -468,8 +468,8 @@ def _side(label: Any, glove: Any, gloves: Mapping[str, Side], otherwise: Side | 
         label = None
     if label is None and otherwise is None:
         raise RecordingError(
-            f"the message does not say which hand glove {glove!r} is on; name it: "
-            f"right_glove={glove} or left_glove={glove}, or take one hand only: side=right"
+            f"the message does not contain the side of glove {glove!r}; set "
+            f"right_glove={glove} or left_glove={glove}, or use only one hand: side=right"
         )
     return read_side(label, otherwise)
 
@@ -531,8 +531,8 @@ def _read_objects(nodes: Sequence[Any], key: str) -> tuple[list[int], Float[np.n
                 rows.append([*(place[k] for k in "xyz"), *(turn[k] for k in "wxyz")])
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise RecordingError(
-            f"each of the '{key}' must have 'id', 'pos' (x, y, z) and 'quat' (w, x, y, z), or "
-            f"'node_id' and 'pose'; one has not: {type(error).__name__}: {error}"
+            f"each of the '{key}' must have 'id', 'pos' (x, y, z) and 'quat' (w, x, y, z), "
+            f"or 'node_id' and 'pose'; one does not: {type(error).__name__}: {error}"
         ) from error
     read = read_numbers(rows, f"'pos' and 'quat' of the '{key}'")
     if read.shape != (len(nodes), 7):

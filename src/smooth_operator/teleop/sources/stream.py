@@ -219,8 +219,8 @@ class MessageReceiver:
             )
         if self._other_side and not self._accepted:
             facts.append(
-                f"{self._other_side} frames were of the other hand, this source takes the "
-                f"{' and '.join(sorted(self._sides))}"
+                f"{self._other_side} frames were of the other hand; this source accepts only "
+                f"the {' and '.join(sorted(self._sides))}"
             )
         return "; ".join(facts) or f"receiving on {self._where}"
 
@@ -252,7 +252,7 @@ class OneSender:
         if self._host not in (None, host) and received - self._last <= SILENCE_S:
             heard = (self._host or b"").decode()
             raise RecordingError(
-                f"{host.decode()} sends too, and is not used while {heard} does; stop one of "
-                "them, or give each a port of its own"
+                f"{host.decode()} also sends, and is ignored while {heard} sends; stop one "
+                "of them, or use a different port for each"
             )
         self._host, self._last = host, received

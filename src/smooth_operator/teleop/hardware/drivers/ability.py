@@ -105,13 +105,13 @@ class AbilityDevice(HandDevice):
             )
         except (OSError, ValueError) as error:
             raise SinkError(
-                f"ability: the port {self._port} can't be opened ({error}); check the adapter, and "
-                "that you may use the port (on Linux: group dialout)"
+                f"ability: the port {self._port} can't be opened ({error}); check the "
+                "adapter and your permission to use the port (on Linux: group dialout)"
             ) from error
         self._expected = False
         with self._opening(
-            f"check the hand's power, that it is set to {self._baud} baud, and that byte stuffing "
-            "is on (We46 and We47 in the maker's app)"
+            f"check the hand's power, that it is set to {self._baud} baud, and that byte "
+            "stuffing is on (We46 and We47 in the vendor's app)"
         ):
             self.read()
 
@@ -170,8 +170,10 @@ class AbilityDevice(HandDevice):
                 body, frame = unstuffed(bytes(frame)), bytearray()
                 if len(body) == _ANSWER and not sum(body) & 0xFF and body[0] & 0xF == 0:
                     return body
-                wrong = f"; a frame of {len(body)} bytes came, expected {_ANSWER} and checksum 0"
-        raise WrongAnswerError(f"ability: no right answer of the hand in {_TIMEOUT:g} s{wrong}")
+                wrong = (
+                    f"; received a frame of {len(body)} bytes, expected {_ANSWER} and checksum 0"
+                )
+        raise WrongAnswerError(f"ability: no valid answer from the hand in {_TIMEOUT:g} s{wrong}")
 
     def _on_line(self, what: str, *values: Any) -> Any:
         import serial
@@ -182,7 +184,7 @@ class AbilityDevice(HandDevice):
             member = getattr(self._line, what)
             return member(*values) if callable(member) else member
         except serial.SerialTimeoutException as error:
-            raise WrongAnswerError(f"ability: {self._port} takes nothing") from error
+            raise WrongAnswerError(f"ability: {self._port} accepts no data") from error
         except (OSError, TypeError) as error:  # TypeError: pyserial, while the port is closing
             raise DeviceLostError(f"ability: the port {self._port} is gone") from error
 

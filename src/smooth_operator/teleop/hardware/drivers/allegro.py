@@ -51,7 +51,7 @@ _STALE_S: Final = 0.1
 _LATE_S: Final = 0.03
 """Angles that are older are no answer: the hand may have gone on since [s]."""
 
-_STATUS: Final = {1: "too hot", 2: "a finger does not answer its board"}
+_STATUS: Final = {1: "too hot", 2: "a finger does not answer its controller board"}
 """Bits of the status of V4, in its information."""
 
 _FLAGS: Final = {0: "input voltage", 2: "too hot", 4: "electrical shock", 5: "overload"}

@@ -124,9 +124,9 @@ class DynamixelBus:
         for servo, model in zip(named, models, strict=True):
             if model not in MODELS:  # the same address may mean something else there
                 raise SinkError(
-                    f"{self.port}: the servo {servo} is of model number {model}, whose control "
-                    "table is another one; expected an X series servo with a goal current: XL330, "
-                    "XC330, XM, XH, XD or XW"
+                    f"{self.port}: the servo {servo} is of model number {model}, which has a "
+                    "different control table; expected an X series servo with a goal "
+                    "current: XL330, XC330, XM, XH, XD or XW"
                 )
 
     def close(self) -> None:
@@ -194,7 +194,7 @@ class DynamixelBus:
         self._check(result)
         blocks = [bytes(reader.data_dict[number]) for number in self.ids]
         if any(len(data) != register[1] for data in blocks):
-            raise WrongAnswerError(f"{self.port}: an answer of the wrong length")
+            raise WrongAnswerError(f"{self.port}: received an answer of the wrong length")
         return blocks
 
     def get_numbers(self, register: _Register) -> list[int]:
@@ -227,7 +227,7 @@ class DynamixelBus:
         except SinkError:
             raise
         except (IndexError, KeyError) as error:  # the SDK reads on behind a short packet's end
-            raise WrongAnswerError(f"{self.port}: an answer is cut short") from error
+            raise WrongAnswerError(f"{self.port}: received a truncated answer") from error
         except Exception as error:  # of pyserial or termios, in several classes
             raise DeviceLostError(
                 f"{self.port} is gone ({error}); check cable and power"
@@ -263,14 +263,14 @@ def _cant_open(port: str, error: Exception) -> str:
     number = getattr(error, "errno", None)
     text = str(error)
     if number == 2 or "No such file" in text:
-        return f"there is no serial port {port}; check cable and power, or name another one"
+        return f"there is no serial port {port}; check cable and power, or name another port"
     if number == 13 or "Permission" in text or "denied" in text:
         return (
             f"no permission to open {port}: add yourself to its group (on Linux: sudo usermod -aG "
             "dialout $USER, then log in again)"
         )
     if number in (11, 16) or "exclusively lock" in text:
-        return f"{port} is in use by another program; end that one first"
+        return f"{port} is in use by another program; end that program first"
     return f"can't open {port}: {text}"
 
 
@@ -412,7 +412,7 @@ class DynamixelHand(HandDevice):
                         bus.set_one(index, register, row[name])
         bus.set(GOAL_CURRENT, self._currents.tolist())
         if bus.get_numbers(GOAL_CURRENT) != self._currents.tolist():
-            raise WrongAnswerError(f"{bus.port}: a servo did not take its goal current")
+            raise WrongAnswerError(f"{bus.port}: a servo did not accept its goal current")
 
     def _switch_on(self, goals: list[int]) -> None:
         """Limits, torque and goals. A servo that restarted since the last time has no limit."""
@@ -506,5 +506,6 @@ class DynamixelHand(HandDevice):
     def _refuse_struck(self, watchdogs: Sequence[int]) -> None:
         if _STRUCK in watchdogs:
             raise DeviceLostError(
-                f"the servos stopped themselves: nothing reached them for {self._watchdog:g} s"
+                "the servos stopped themselves, because they received nothing for "
+                f"{self._watchdog:g} s"
             )

@@ -137,7 +137,7 @@ class InspireDevice(HandDevice):
             if self._serial
             else "power, cable, and that this computer is in the hand's network"
         )
-        with self._opening(f"check {way}, and that no other program has the hand"):
+        with self._opening(f"check {way}, and that no other program uses the hand"):
             if not self._client.connect():
                 raise DeviceLostError(f"inspire: nothing answers at {self._port}")
             self._angles()
@@ -210,8 +210,8 @@ class InspireDevice(HandDevice):
         angles = _signed(self._ask(_ANGLE_ACT, MOTORS)).astype(float)
         if ((angles < -_MARGIN) | (angles > 1000 + _MARGIN) | (angles == _NO_VALUE)).any():
             raise WrongAnswerError(
-                f"inspire: the hand says that its motors are at {angles.astype(int).tolist()}; "
-                f"expected 0 to 1000, and {_NO_VALUE} is no position"
+                f"inspire: the hand reports motor positions {angles.astype(int).tolist()}; "
+                f"expected 0 to 1000, and {_NO_VALUE} is not a position"
             )
         return angles
 
@@ -219,7 +219,7 @@ class InspireDevice(HandDevice):
         words: list[int] = self._exchange("read_holding_registers", address, count=count).registers
         if len(words) != count:
             raise WrongAnswerError(
-                f"inspire: {len(words)} words came from register {address}, and not {count}"
+                f"inspire: {len(words)} words received from register {address} instead of {count}"
             )
         return words
 
@@ -243,7 +243,7 @@ class InspireDevice(HandDevice):
         except (ModbusException, struct.error, ValueError) as error:
             self._clear()
             raise WrongAnswerError(
-                f"inspire: no good answer of the hand at {self._port} within {_TIMEOUT:g} s"
+                f"inspire: no valid answer from the hand at {self._port} within {_TIMEOUT:g} s"
             ) from error
         if answer.isError():
             raise WrongAnswerError(

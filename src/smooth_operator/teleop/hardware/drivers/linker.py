@@ -150,8 +150,8 @@ class LinkerDevice(HandDevice):
         self._limited = False
         other = "left" if self._table.side == "right" else "right"
         with self._opening(
-            f"check power and cable, and that it is not a {other} hand, whose identifier is "
-            f"0x{_IDENTIFIERS[other]:X}"
+            f"check power and cable, and that it is not a {other} hand, which has the "
+            f"identifier 0x{_IDENTIFIERS[other]:X}"
         ):
             self.read()
         self._limit()
@@ -175,7 +175,7 @@ class LinkerDevice(HandDevice):
         self._collect(bus, time.perf_counter() + _TIMEOUT, list(self._settings))
         answers = {kind: list(self._answers.pop(kind, b"")) for kind in self._settings}
         if not any(answers.values()):
-            raise WrongAnswerError("linker: the hand reads no limit back")
+            raise WrongAnswerError("linker: the hand does not report its limit")
         return [
             Setting(f"frame 0x{kind:02X}", np.array(values), np.array(answer[: len(values)]))
             for kind, values in self._settings.items()

@@ -113,8 +113,8 @@ class OrcaDevice(HandDevice):
         if not hand.calibrated:
             self.close()
             raise SinkError(
-                "orca: the hand is not calibrated, and that moves it: run orca-core's calibration "
-                "first, with the hand free on all sides"
+                "orca: the hand is not calibrated. Calibration moves the hand: run "
+                "orca-core's calibration first, with the hand free on all sides"
             )
         with self._bus("starting"):
             hand.init_joints(move_to_neutral=False)  # modes and currents; powers where it is
@@ -163,7 +163,7 @@ class OrcaDevice(HandDevice):
         hand.set_max_current(float(limits.min()) if len(limits) else hand.config.max_current)
         silent = hand.enable_torque()
         if silent:
-            raise WrongAnswerError(f"orca: the motors {silent} do not switch on")
+            raise WrongAnswerError(f"orca: the motors {silent} can't be switched on")
 
     def relax(self) -> None:
         """Torque off."""

@@ -115,10 +115,12 @@ class Revo2Device(HandDevice):
         status = self._call("get_motor_status")
         positions, currents = (np.array(x, float) for x in (status.positions, status.currents))
         if positions.shape != (MOTORS,) or currents.shape != (MOTORS,):
-            raise WrongAnswerError(f"revo2: {len(positions)} positions came, not {MOTORS}")
+            raise WrongAnswerError(
+                f"revo2: {len(positions)} positions received instead of {MOTORS}"
+            )
         if (positions < -100).any() or (positions > 1100).any():
             raise WrongAnswerError(
-                f"revo2: the hand says that its fingers are at {positions.astype(int).tolist()}; "
+                f"revo2: the hand reports finger positions {positions.astype(int).tolist()}; "
                 "expected 0 to 1000"
             )
         stalled = self._sdk.MotorState.Stall

@@ -112,7 +112,7 @@ class WujiDevice(HandDevice):
             which = f"with the serial number {self._port}" if self._port else "on USB"
             raise SinkError(
                 f"wuji: no Wuji Hand {which} answers ({error}); check its power and cable"
-                + (", and the udev rule of the maker" if sys.platform == "linux" else "")
+                + (", and the vendor's udev rule" if sys.platform == "linux" else "")
             ) from error
 
     def _limit(self) -> None:
@@ -141,7 +141,7 @@ class WujiDevice(HandDevice):
         self._cycle += 1
         flat = _flat(positions)
         if not np.isfinite(flat).all():
-            raise WrongAnswerError("wuji: the hand answers positions that are not finite")
+            raise WrongAnswerError("wuji: the hand reports positions that are not finite")
         return Reading(
             positions=flat,
             currents=None if efforts is None else 1000.0 * _flat(efforts),
@@ -205,7 +205,7 @@ class _Speaking:
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
         if isinstance(error, TimeoutError) or "timeout" in str(error).lower():
-            raise WrongAnswerError(f"wuji: no answer of the hand in time ({error})") from error
+            raise WrongAnswerError(f"wuji: no answer from the hand in time ({error})") from error
         if isinstance(error, RuntimeError | OSError):
             raise DeviceLostError(f"wuji: the hand is gone ({error})") from error
 
@@ -213,5 +213,5 @@ class _Speaking:
 def _flat(values: Any) -> Float[np.ndarray, " 20"]:
     flat = np.asarray(values, float).ravel()
     if flat.shape != (MOTORS,):
-        raise WrongAnswerError(f"wuji: {flat.size} values came, not {MOTORS}")
+        raise WrongAnswerError(f"wuji: {flat.size} values received instead of {MOTORS}")
     return flat

@@ -141,7 +141,7 @@ class LiveDrawing:
             views = {side: HandView(hand) for side, hand in there.items() if hand is not None}
             drawn: tuple[dict[Side, HandView], str] = views, ""
         except (SmoothOperatorError, ValueError, IndexError, ArithmeticError) as error:
-            drawn = {}, f"simple shapes are drawn: {error}"
+            drawn = {}, f"drawing simple shapes: {error}"
         if hands is self._hands:  # not another hand by now
             self._drawn = drawn
             self._wake.set()

@@ -287,7 +287,7 @@ class LivePage:
         if not self._address.done():
             self._address.set_exception(ConfigError(failed or f"{ended} before it was ready"))
         elif not self._ending:
-            self.trouble = f"{ended}; the loop goes on without it"
+            self.trouble = f"{ended}; the loop continues without it"
             _note(self.trouble)
 
     def _take(self, message: Mapping[str, Any]) -> None:

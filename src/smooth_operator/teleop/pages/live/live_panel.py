@@ -87,8 +87,8 @@ class LivePanel:
         """
         if "trouble" in state:
             # the words of an error may name a method
-            trouble = "something can't be shown" if self._blind else state["trouble"]
-            self._show_notice(live_texts.notice("", f"{trouble}; the stop works"))
+            trouble = "some parts can't be shown" if self._blind else state["trouble"]
+            self._show_notice(live_texts.notice("", f"{trouble}; the stop button still works"))
             return
         self._modes.content = live_texts.modes(state["hands"], state.get("notice", ""))
         if "stopped" in state:  # between two loops
@@ -146,7 +146,7 @@ class LivePanel:
     def _build_method(self, gui: viser.GuiApi) -> None:
         do = self._do
         self._hand = gui.add_dropdown(
-            "Hand", (self._hand_name,), visible=False, hint="the run begins again with it"
+            "Hand", (self._hand_name,), visible=False, hint="the run restarts with this hand"
         )
         self._hand.on_update(from_person(lambda event: do("hand", event.target.value)))
         # until the loop says what it runs
@@ -165,7 +165,7 @@ class LivePanel:
         overlay.on_update(from_person(lambda event: self._scene.set_overlay(event.target.value)))
         vectors.on_update(from_person(lambda event: self._scene.set_keyvectors(event.target.value)))
         self._meshes_box = gui.add_checkbox(
-            "Meshes", True, hint="the maker's, or simple shapes", visible=False
+            "Meshes", True, hint="the vendor's meshes, or simple shapes", visible=False
         )
         self._meshes_box.on_update(
             from_person(lambda event: self._scene.set_meshes(event.target.value))
@@ -174,7 +174,7 @@ class LivePanel:
             self._own = own = gui.add_checkbox("Own hand at a task", False, hint="as tracked")
             own.on_update(from_person(lambda event: self._scene.set_own(event.target.value)))
             self._simulated = simulated = gui.add_checkbox(
-                "Simulated hand", True, hint="see-through, where it is"
+                "Simulated hand", True, hint="transparent, at its measured pose"
             )
             simulated.on_update(
                 from_person(lambda event: self._scene.set_simulated(event.target.value))
@@ -221,7 +221,7 @@ class LivePanel:
         self._record.label = "End take (R)" if take["recording"] else "Record (R)"
         self._record.color = "red" if take["recording"] else "gray"
         if take["last"] != self._take.get("last"):
-            self._quality = "its quality is measured …" if take["last"] else ""
+            self._quality = "measuring its quality …" if take["last"] else ""
             self._name.value = ""  # type: ignore[misc]  # it has a setter
             if take["last"]:
                 threading.Thread(target=self._measure, args=(take["last"],), daemon=True).start()

@@ -141,17 +141,19 @@ class Takes:
         """Rename the files of the last take; of both hands, all or none."""
         if not _NAME.fullmatch(name) or name.startswith("."):
             raise ConfigError(
-                f"a take can't be called {name!r}: letters, digits, '-', '_' and '.' only"
+                f"a take can't be called {name!r}: use only letters, digits, '-', '_' and '.'"
             )
         named = {
             file: file.with_name("".join([name, *file.suffixes[-len(self._last) :]]))
             for file in self._last
         }
         if len(set(named.values())) < len(named):
-            raise ConfigError("the take broke off and is in several files: keep it as they are")
+            raise ConfigError(
+                "the take was interrupted and is in several files: keep them under their names"
+            )
         taken = [file.name for file in named.values() if file.exists()]
         if taken:
-            raise ConfigError(f"there is a take {taken[0]} already: choose another name")
+            raise ConfigError(f"there is already a take {taken[0]} already: choose another name")
         for file, new in named.items():
             try:
                 file.rename(new)
@@ -266,16 +268,18 @@ class LiveSession:
         """Do what a control asks for; what can't be done becomes a message on the page."""
         try:
             if name not in self._actions:
-                raise ConfigError(f"the page asks for {name!r}, which is nothing here")
+                raise ConfigError(f"the page asks for {name!r}, which is unknown")
             self._message = ""
             self._actions[name](*values)
         except SmoothOperatorError as error:
             self._message = str(error)
         except TypeError:
-            self._message = f"the page asks for {name!r} with the wrong values"
+            self._message = f"the page asks for {name!r} with wrong values"
         except Exception as error:  # the page must go on, since its stop does
             words = f"{name}: {type(error).__name__}: {error}"
-            self._message = self._masked(words, f"{name} failed; the experimenter knows why")
+            self._message = self._masked(
+                words, f"{name} failed; the experimenter's page shows the reason"
+            )
             print_note(f"note: a click on the page: {words}")
 
     @property
@@ -389,12 +393,14 @@ class LiveSession:
     def _controls(self) -> dict[str, Any]:
         switcher = self.switcher
         supervisors = [pipeline.supervisor for pipeline in self.loop.pipelines.values()]
-        building = self._masked(switcher.building, "getting ready")
+        building = self._masked(switcher.building, "preparing")
         since = self._elapsed("building", bool(building), self.loop.mailbox.clock())
         controls: dict[str, Any] = {
             "building": building and f"{building}, {since:.0f} s",
             "message": self._message
-            or self._masked(switcher.error, "that could not be done; the experimenter knows why")
+            or self._masked(
+                switcher.error, "that did not work; the experimenter's page shows the reason"
+            )
             or self.takes.error,
             "stopped": self.stopped,
             "paused": any(supervisor.paused for supervisor in supervisors),

@@ -109,15 +109,15 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
         simulated: True if a simulated robot is drawn.
         task: True if it works on a task, and then it is the solid one.
     """
-    solid, other = "robot command", "simulated or measured robot, where it differs"
+    solid, other = "robot command", "simulated or measured robot, if it differs"
     if task:
-        solid, other = "simulated robot", "robot command, where it differs"
+        solid, other = "simulated robot", "robot command, if it differs"
     hands = [("●", css(PALM), "human hand, as tracked"), ("■", css(PALM), solid)]
     if simulated:
         hands.append(("■", css(SIMULATED), other))
     marks = [
-        ("●", css(HIGHLIGHT), "tip and line of a pinch"),
-        ("•", css(PALM), "small ball: where the method wants the fingertip"),
+        ("●", css(HIGHLIGHT), "fingertip and line of a pinch"),
+        ("•", css(PALM), "small ball: fingertip target of the method"),
     ]
     colors = map(css, finger_colors(len(fingers)))
     chips = [("⬤", color, name) for name, color in zip(fingers, colors, strict=True)]
@@ -143,9 +143,9 @@ def trial(state: Mapping[str, Any] | None) -> str:
 def _phase(state: Mapping[str, Any]) -> tuple[str, str]:
     phase, elapsed, limit = state["phase"], state["elapsed_s"], state["limit_s"]
     if state.get("paused"):
-        return "paused", "Paused: keep your hand as it is"
+        return "paused", "Paused: keep your hand still"
     if phase == "waiting":
-        return phase, "Hand away from the object"
+        return phase, "Move the hand away from the object"
     if phase == "running":
         if elapsed < _GO_S:
             return "go", "Go"

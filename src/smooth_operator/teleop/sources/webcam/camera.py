@@ -18,7 +18,7 @@ from numpy import ndarray
 from smooth_operator.errors import MissingExtraError, SourceError
 
 SYSTEM_LIBRARIES: Final = (
-    "It needs libraries of the system: sudo apt install libgl1 libglib2.0-0 libxcb1 libegl1 "
+    "It needs system libraries: sudo apt install libgl1 libglib2.0-0 libxcb1 libegl1 "
     "libgles2 (Debian, Ubuntu)"
 )
 """What OpenCV and MediaPipe need on a Linux without a desktop."""
@@ -161,7 +161,7 @@ def open_camera(name: int | str, width: int, height: int, rate: float) -> Captur
         there, _ = capture.read()
         if there:
             return capture
-        trouble = "it opens, but gives no picture; does another program use it?"
+        trouble = "it can be opened, but delivers no picture; check that no other program uses it"
     else:
         trouble = "it can't be opened"
     capture.release()
@@ -172,7 +172,7 @@ def _advice(cv2: Any, name: int | str) -> str:
     """Advice on a camera that does not open: interfaces and devices here."""
     backends = cv2.videoio_registry.getCameraBackends()
     tried = ", ".join(cv2.videoio_registry.getBackendName(b) for b in backends)
-    advice = f"Tried through {tried or 'no interface at all'}."
+    advice = f"Interfaces that were tried: {tried or 'none'}."
     if sys.platform.startswith("linux"):
         devices = sorted(glob.glob("/dev/video*"))
         shut = [d for d in devices if not os.access(d, os.R_OK | os.W_OK)]
@@ -180,14 +180,17 @@ def _advice(cv2: Any, name: int | str) -> str:
         advice += f" This machine has {there}."
         if shut:
             advice += (
-                f" You may not use {', '.join(shut)}: join the group 'video' and log in again."
+                f" You have no permission to use {', '.join(shut)}: join the group 'video' "
+                "and log in again."
             )
     elif sys.platform == "darwin":
-        advice += " Allow this terminal the camera: System Settings, Privacy & Security, Camera."
+        advice += (
+            " Allow this terminal to use the camera: System Settings, Privacy & Security, Camera."
+        )
     elif sys.platform == "win32":
-        advice += " Allow desktop apps the camera: Settings, Privacy & security, Camera."
+        advice += " Allow desktop apps to use the camera: Settings, Privacy & security, Camera."
     if name == 0:
-        advice += " Another camera is webcam:1 and so on; without one there is video:FILE."
+        advice += " For another camera, use webcam:1 and so on; without a camera, use video:FILE."
     return advice
 
 

@@ -273,8 +273,8 @@ class HandLandmarker:
                         f"MediaPipe can't be loaded: {error}. {SYSTEM_LIBRARIES}"
                     ) from error
                 raise SourceError(
-                    f"MediaPipe can't load {model}: {error}. Leave model= out to have the right "
-                    "file fetched"
+                    f"MediaPipe can't load {model}: {error}. Remove model= to download the "
+                    "right file"
                 ) from error
             self._last_ms = -1
             self.find(np.zeros((64, 64, 3), np.uint8), 0.0)  # the first is slow, and noisy
@@ -428,8 +428,8 @@ def _checked(path: Path, origin: str) -> Path:
     """A file of the user, checked to be a hand landmarker."""
     if not path.is_file():
         raise SourceError(
-            f"{origin}: there is no file {str(path)!r}; give the path of a hand_landmarker.task, "
-            f"or leave it out to have it fetched from {MODEL_URL}"
+            f"{origin}: there is no file {str(path)!r}; set the path of a "
+            f"hand_landmarker.task, or remove it to download the file from {MODEL_URL}"
         )
     try:
         with zipfile.ZipFile(path) as archive:
@@ -438,8 +438,8 @@ def _checked(path: Path, origin: str) -> Path:
         present = False
     if not present:
         raise SourceError(
-            f"{origin}: {path} is no MediaPipe hand landmarker, an archive that holds {_NETWORK}; "
-            f"fetch it again from {MODEL_URL}"
+            f"{origin}: {path} is not a MediaPipe hand landmarker, an archive that contains "
+            f"{_NETWORK}; download it again from {MODEL_URL}"
         )
     return path
 
@@ -482,19 +482,19 @@ def _fetch(url: str, sha256: str, target: Path, progress: Progress) -> None:
             raise _unreachable(url, target, cause)
         if digest.hexdigest() != sha256:
             raise SourceError(
-                f"what came from {url} is not the published hand landmarker: SHA-256 "
-                f"{digest.hexdigest()}, expected {sha256}. It was thrown away. A proxy may have "
-                f"answered in its place; get the file another way and name it with model=PATH, or "
-                f"in the environment variable {SWITCH}"
+                f"the download from {url} is not the published hand landmarker: SHA-256 "
+                f"{digest.hexdigest()}, expected {sha256}. It was deleted. A proxy may have "
+                "answered instead; get the file another way and set its path with "
+                f"model=PATH, or in the environment variable {SWITCH}"
             )
 
 
 def _unreachable(url: str, target: Path, cause: object) -> SourceError:
     reason = cause.reason if type(cause) is urllib.error.URLError else cause
     return SourceError(
-        f"the hand-landmarker model can't be fetched ({reason}). Without a network, get {url} on "
-        f"another machine and put it at {target}, or anywhere else and name it: model=PATH, or the "
-        f"environment variable {SWITCH}"
+        f"the hand-landmarker model can't be downloaded ({reason}). Without a network, "
+        f"download {url} on another machine and copy it to {target}, or set its path with "
+        f"model=PATH or the environment variable {SWITCH}"
     )
 
 
@@ -503,5 +503,5 @@ def _line(count: int, total: int | None) -> None:
         return
     of = "" if total is None else f" of {total / 2**20:.1f}"
     end = "\n" if count == total else ""
-    sys.stderr.write(f"\rfetching the hand-landmarker model: {count / 2**20:.1f}{of} MiB{end}")
+    sys.stderr.write(f"\rdownloading the hand-landmarker model: {count / 2**20:.1f}{of} MiB{end}")
     sys.stderr.flush()

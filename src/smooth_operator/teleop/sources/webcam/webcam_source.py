@@ -92,7 +92,7 @@ class Webcam(_Pictures):
                 picture = camera.newest(timeout=0.1)
                 if picture is None:
                     if camera.lost:
-                        detail = "it is gone; trying to open it again"
+                        detail = "the camera is gone; trying to open it again"
                         running.health = SourceHealth("waiting", detail)
                     continue
                 frames = tracker.frames(picture.pixels, picture.time)
@@ -151,9 +151,9 @@ class Video(_Pictures):
                 if not self.loop or running.stopping.is_set():
                     break
                 video, session = VideoFile(self.path), session + 1
-        late = f", {counts['late']} left out since they were late" if counts["late"] else ""
+        late = f", {counts['late']} skipped because they were late" if counts["late"] else ""
         tried = counts["pictures"] - counts["late"]
-        detail = f"a hand on {counts['hands']} of {tried} pictures{late}"
+        detail = f"a hand in {counts['hands']} of {tried} pictures{late}"
         running.health = SourceHealth("running", detail)
 
     def _play(
@@ -237,9 +237,9 @@ def track_video(
     if not counts[chosen]:
         others = f", but a {next(iter(counts))} hand is on {counts.total()}" if counts else ""
         raise RecordingError(
-            f"{path}: no {chosen if side else ''} hand is on any of its {len(stamps)} "
-            f"pictures{others}. If the video is mirrored, say so; otherwise more light, and the "
-            "whole hand in view, help".replace("  ", " ")
+            f"{path}: no {chosen if side else ''} hand is in any of its {len(stamps)} "
+            f"pictures{others}. If the video is mirrored, use --mirrored; otherwise use more "
+            "light and keep the whole hand in view".replace("  ", " ")
         )
     landmarks = np.full((len(stamps), NUM_LANDMARKS, 3), np.nan)
     valid = np.zeros((len(stamps), NUM_LANDMARKS), bool)

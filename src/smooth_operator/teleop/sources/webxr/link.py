@@ -145,7 +145,7 @@ class Link:
         try:
             hello = await asyncio.wait_for(connection.recv(), _HELLO_WITHIN)
         except TimeoutError:
-            await connection.close(NOT_UNDERSTOOD, "no greeting came")
+            await connection.close(NOT_UNDERSTOOD, "no greeting received")
             return False
         answer = json_object(hello) or {}
         code = answer.get("code")
@@ -276,7 +276,7 @@ def read_packet(message: bytes) -> Packet:
         raise RecordingError(f"expected a message that begins with {MAGIC!r}, got {message[:4]!r}")
     _, number, stamp, hands, space = HEADER.unpack_from(message)
     if not abs(stamp) < LATEST_STAMP_S:
-        raise RecordingError(f"the stamp must be a finite number of seconds, not {stamp:.6g}")
+        raise RecordingError(f"the timestamp must be a finite number of seconds, not {stamp:.6g}")
     sides = [side for bit, side in _SIDES if hands & bit]
     if hands > 3 or len(message) != HEADER.size + len(sides) * _HAND_BYTES:
         raise RecordingError(

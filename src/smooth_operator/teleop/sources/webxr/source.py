@@ -210,13 +210,13 @@ def get_certificate(
     except OSError as error:
         raise SourceError(
             f"can't keep the certificate of the headset's page in {str(place)!r}: "
-            f"{error.strerror or error}; set {SWITCH} to a folder of yours, or to 'off'"
+            f"{error.strerror or error}; set {SWITCH} to a folder of your own, or to 'off'"
         ) from error
     created = _read(file, now)
     if created is None:
         raise SourceError(
-            f"can't keep a certificate in {str(place)!r}: others could read it; "
-            f"set {SWITCH} to a folder of yours"
+            f"can't keep a certificate in {str(place)!r}: other users could read it; set "
+            f"{SWITCH} to a folder of your own"
         )
     return created
 
@@ -225,7 +225,9 @@ def _make_private(folder: Path) -> None:
     make_private(folder)
     if hasattr(os, "getuid"):
         if folder.stat().st_uid != os.getuid():
-            raise SourceError(f"{str(folder)!r} belongs to another user; set {SWITCH} to another")
+            raise SourceError(
+                f"{str(folder)!r} belongs to another user; set {SWITCH} to a different folder"
+            )
         folder.chmod(0o700)
 
 
@@ -425,8 +427,8 @@ def describe(link: LinkState, addresses: tuple[str, ...], pairing: Pairing) -> S
         where = " or ".join(addresses)
         if all("//localhost:" in address for address in addresses):
             also = (
-                "; only this machine reaches that, or a headset on a cable with adb reverse: "
-                f"write webxr:0.0.0.0 for a headset on its network{also}"
+                "; only this machine can reach it, or a headset connected by cable with adb "
+                f"reverse; use webxr:0.0.0.0 for a headset on the network{also}"
             )
         back = "the headset is gone; " if link.session else ""
         return SourceHealth(
@@ -434,7 +436,7 @@ def describe(link: LinkState, addresses: tuple[str, ...], pairing: Pairing) -> S
             f"{back}open {where} in the headset's browser, pairing code {pairing.spoken}{also}",
         )
     if not link.rate_hz:
-        what = "no hands come" if link.tracking else "press Start on its page"
+        what = "no hands are sent" if link.tracking else "press Start on its page"
         return SourceHealth("waiting", f"headset {link.address} is paired: {what}{also}")
     trip = link.round_trip_s
     pace = "" if math.isnan(trip) else f", round trip {1e3 * trip:.0f} ms"
