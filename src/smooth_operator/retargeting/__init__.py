@@ -2,9 +2,9 @@
 
 A frame passes these modules, in this order: ``retargeter`` takes it, ``program`` checks it and
 holds the state, ``alignment`` aligns it to the palm, ``pinch_gaps``, ``fingertip_filter`` and
-``correspondence`` place the robot's fingertips, ``targets`` states the goal, ``objective`` sums the
-cost terms of ``terms`` and ``smooth_terms``, and ``levenberg`` descends. ``smooth`` puts these
-together; ``sbr`` is the paper's method, with its sampler.
+``correspondence`` compute the fingertip targets, ``targets`` sets the keyvector targets,
+``objective`` sums the cost terms of ``terms`` and ``smooth_terms``, and ``levenberg`` minimises the
+sum. ``smooth`` puts these together; ``sbr`` is the paper's method, with its sampler.
 """
 
 from smooth_operator.lazy_names import public_names

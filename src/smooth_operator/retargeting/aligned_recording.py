@@ -1,4 +1,4 @@
-"""Alignment of a whole recording, and of an operator's one scale."""
+"""Alignment of a whole recording, and estimation of an operator's scale."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _AS_PUBLISHED: Final = AlignmentConfig()
 def align_recording(
     recording: HandRecording, hand: Hand, config: AlignmentConfig = _AS_PUBLISHED
 ) -> Float[np.ndarray, "T 21 3"]:
-    """All frames of a recording in the palm frame, as they were tracked.
+    """Transforms all frames of a recording to the palm frame, without filters.
 
     Returns:
         (T, 21, 3) landmarks [m]; NaN where a landmark is invalid, and everywhere in frames whose
@@ -40,7 +40,7 @@ def align_recording(
 
 
 def calibrate_scale(recording: HandRecording, hand: Hand) -> float:
-    """The one scale of an operator: median of the per-frame estimates.
+    """Estimates the scale of an operator: the median of the per-frame estimates.
 
     Raises:
         RecordingError: if no frame has a usable palm.

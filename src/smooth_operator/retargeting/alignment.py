@@ -1,4 +1,5 @@
-"""Human landmarks into the robot's palm frame, by Kabsch-Umeyama on the palm landmarks."""
+"""Alignment of human landmarks to the robot's palm frame, by Kabsch-Umeyama on the palm
+landmarks."""
 
 from __future__ import annotations
 
@@ -14,10 +15,10 @@ from smooth_operator.io.anatomy import PALM_RANGE_M
 from smooth_operator.landmarks import BASES, LANDMARKS
 
 MIN_CONDITION = 0.02
-"""Palm triangles flatter than this have no usable orientation.
+"""Smallest condition number of a palm triangle that has a usable orientation.
 
 Real palms (thumb CMC, index MCP, pinky MCP) measure 0.45 to 0.53; 0.02 is a triangle about 2 mm
-high, which tracker noise turns at will.
+high, whose orientation is dominated by tracker noise.
 """
 
 
@@ -26,8 +27,8 @@ class AlignmentConfig:
     """Settings of the alignment of a human hand to a robot's palm.
 
     Attributes:
-        scale: robot size over human size. None estimates it in every frame, as published; a number
-            holds it fixed, as measured once for an operator by ``calibrate_scale``.
+        scale: ratio of robot size to human size. None estimates it in every frame, as published; a
+            number fixes it, for example to the result of ``calibrate_scale`` for an operator.
     """
 
     scale: float | None = None
@@ -43,26 +44,26 @@ class AlignmentConfig:
 def palm_alignment(
     landmarks: AnyKind, hand: Hand, config: AlignmentConfig = AlignmentConfig()
 ) -> Similarity[AnyKind]:
-    """The similarity that takes (..., 21, 3) human landmarks [m] onto the robot's palm; NumPy or
-    JAX. Its ``condition`` shows a degenerate palm (below ``MIN_CONDITION``)."""
+    """Similarity transform from (..., 21, 3) human landmarks [m] to the robot's palm; NumPy or JAX.
+    A ``condition`` below ``MIN_CONDITION`` means a degenerate palm."""
     source = landmarks[..., list(hand.align_indices), :]
     target = hand.align_points.astype(source.dtype)
     return umeyama(source, np.broadcast_to(target, source.shape), config.scale)
 
 
 def palm_range(hand: Hand) -> tuple[float, float]:
-    """Least and greatest length [m] from wrist to middle MCP in a frame that may drive a hand:
-    those of people and the robot's own, and a quarter more, since single frames scatter."""
+    """Plausible range [m] of the distance from wrist to middle MCP in a frame: it covers people and
+    the robot's own palm, with a margin of a quarter for the scatter of single frames."""
     knuckles = reference_landmarks(hand)[list(BASES[1:])] - hand.wrist
     own = float(np.linalg.norm(knuckles, axis=1).max())
     return 0.8 * min(PALM_RANGE_M[0], own), 1.25 * max(PALM_RANGE_M[1], own)
 
 
 def reference_landmarks(hand: Hand) -> Float[np.ndarray, "21 3"]:
-    """A harmless well-posed set of landmarks: the robot's own at its neutral pose [m].
+    """Valid placeholder landmarks: those of the robot at its neutral pose [m].
 
-    Stands in for a frame that can't be used, so that the arithmetic around it stays finite. Fingers
-    that the robot lacks sit at its wrist.
+    They replace the landmarks of a frame that can't be used, so that all arithmetic stays finite.
+    Fingers that the robot lacks are placed at its wrist.
     """
     at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
     return np.stack([at.get(name, hand.wrist) for name in LANDMARKS])

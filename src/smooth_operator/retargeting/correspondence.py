@@ -1,11 +1,12 @@
-"""Correspondence of human and robot fingers: places of the robot's fingertips.
+"""Correspondence of human and robot fingers: computes the fingertip targets of the robot.
 
-Aligned palms do not make hands correspond: wrists and knuckles lie centimetres apart, and a robot's
-fingers are up to twice as long as the human's. So each fingertip is placed from the robot's own
-knuckle, as far out as the human's is from his, in units of the length of the finger. Thumb and
-finger that come near each other move together until the vector between them is the human's own.
-Lengths of the human's fingers are those of the frame: trackers stretch bones, and a finger is as
-straight as its own frame shows it.
+Aligning the palms is not enough: wrists and knuckles of the two hands are centimetres apart, and a
+robot's fingers are up to twice as long as a human's. Therefore each fingertip target is placed
+relative to the robot's own knuckle, at the same distance as the human's fingertip from the human
+knuckle, in units of finger length. When thumb and finger approach each other, their targets move
+together until the vector between them equals the human's. The lengths of the human's fingers are
+measured in each frame, because trackers stretch bones: a finger is as straight as its own frame
+shows it.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from smooth_operator.settings import check_numbers
 
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
 _POSES: Final = 256  # random ones, for the thumb's length
-_PRESSED: Final = 0.012  # distance up to which a pinch is pressed; at twice it no longer [m]
+# distance up to which pinches are pressed fully [m]; at twice this distance they are not pressed
+_PRESSED: Final = 0.012
 _TINY: Final = 1e-9
 
 
@@ -36,20 +38,22 @@ class CorrespondenceConfig:
     """Settings of the correspondence of human and robot fingers.
 
     Attributes:
-        share: how far a fingertip goes from the human's, as the palms are aligned, to its
-            counterpart on the robot's finger: 1 all the way; 0 leaves fingertips where they are.
-        near: distance of thumb and finger, on the robot's scale, under which the vector between
-            them is the human's own [m].
-        far: distance over which they do not move each other [m].
-        press: by how much the robot's thumb and finger would be nearer to each other in a pinch
-            than the human's, if that distance were long against it [m].
-        folded: extension of a finger, base to tip over its length, at which that counts by half: a
-            thumb next to a fist pinches nothing. 0 for any.
-        thumb_share: weight of a near finger in the thumb's place; that of the thumb's own is 1.
-        thumb_follows: the same of a finger at any distance: the thumb's side of the hand stays the
-            human's.
-        catch_up: speed at which a fingertip's place may move beyond the human's step times the
-            finger's gain: lengths and pinches change places, too [m/s].
+        share: interpolation between the human's aligned fingertip (0) and the target on the robot's
+            finger (1).
+        near: distance between thumb and finger, on the robot's scale, below which the vector
+            between their targets equals the human's [m].
+        far: distance above which thumb and finger do not affect each other's targets [m].
+        press: reduction of the distance between the robot's thumb and finger in a pinch, for
+            distances that are large compared to it [m].
+        folded: extension of a finger (base-to-tip distance over length) at which a pinch has half
+            effect, because a thumb next to a fist is not pinching. 0 disables this.
+        thumb_share: weight of a nearby finger in the thumb's target; the weight of the thumb itself
+            is 1.
+        thumb_follows: weight of a finger at any distance, which keeps the thumb on the same side of
+            the hand as the human's.
+        catch_up: margin by which the speed of a fingertip target may exceed the human's step times
+            the finger's gain, because changes of finger lengths and pinches also move targets
+            [m/s].
     """
 
     share: float = 1.0
@@ -77,12 +81,12 @@ class CorrespondenceConfig:
 
 
 class CorrespondenceState(NamedTuple):
-    """Fingers of the operator on the robot's scale, and the last places.
+    """The operator's fingers on the robot's scale, and the last fingertip targets.
 
     Attributes:
         bases: (F, 3) bases of the human's fingers in the palm frame [m].
-        lengths: (F,) sums of their bones [m].
-        places: (F, 3) where the robot's fingertips belonged in the last frame [m].
+        lengths: (F,) lengths of the fingers, sums of their bones [m].
+        places: (F, 3) fingertip targets of the last frame [m].
     """
 
     bases: Float[Array, "F 3"]
@@ -92,7 +96,7 @@ class CorrespondenceState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Correspondence:
-    """The correspondence for one hand.
+    """Fingertip correspondence for one robot hand.
 
     Attributes:
         hand: the robot hand.
@@ -104,7 +108,7 @@ class Correspondence:
 
     @cached_property
     def landmarks(self) -> tuple[int, ...]:
-        """Human landmarks that show the operator's lengths."""
+        """Indices of the human landmarks that determine the operator's finger lengths."""
         return tuple(int(i) for i in self._chains.ravel())
 
     @cached_property
@@ -122,9 +126,10 @@ class Correspondence:
     def _robot(self) -> tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, " F"]]:
         """Bases at the straight pose and lengths of the robot's fingers [m].
 
-        A long finger's length is that of the straight one. A thumb is hardly ever straight, and
-        that of many hands does not begin at its base landmark: its length is the sum of its bones,
-        mean over random poses. An operator with the robot's own landmarks is then followed.
+        The length of a long finger is measured when it is straight. A thumb is hardly ever
+        straight, and many robot thumbs do not begin at their base landmark, so its length is the
+        sum of its bones, averaged over random poses. With these lengths, an operator who has the
+        robot's own landmarks is followed exactly.
         """
         straight = self.hand.straight_pose
         names, points = self.hand.tree.names, self.hand.landmark_positions(straight.q)
@@ -139,7 +144,7 @@ class Correspondence:
         return points[rows].astype(np.float32), lengths
 
     def init(self) -> CorrespondenceState:
-        """State before the first frame: the operator's fingers are the robot's."""
+        """State before the first frame, with the robot's own finger lengths."""
         bases, lengths = self._robot
         state: CorrespondenceState = jax.device_put(CorrespondenceState(bases, lengths, bases))  # type: ignore[arg-type]
         return state
@@ -154,18 +159,18 @@ class Correspondence:
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
     ) -> tuple[CorrespondenceState, Float[Array, "F 3"]]:
-        """The state after a frame, and (F, 3) steps of the fingertips' places in it [m], in the
-        direction of ``steps``. Traceable.
+        """Returns the state after a frame and the (F, 3) steps of the fingertip targets in it [m],
+        in the direction of ``steps``. Traceable.
 
         Args:
-            aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
+            aligned: (21, 3) landmarks in the palm frame [m]; NaN if unknown.
             tips: (F, 3) the human's fingertips in the palm frame, thumb first [m].
             steps: (F, 3) steps of the filtered fingertips in this frame [m].
             measured: (F, 3) steps of the fingertips as measured [m].
             dt: time between the two frames [s].
-            restart: nothing came before, or too long ago.
+            restart: True if there is no previous frame, or if it is too old.
         """
-        # joints between base and tip may be hidden: the last lengths count then
+        # joints between base and tip may be hidden; then the last lengths are used
         chains = aligned[self._chains]
         bones = jnp.diff(chains, axis=1)
         lengths = jnp.sqrt((bones * bones).sum(-1)).sum(-1)
@@ -175,7 +180,7 @@ class Correspondence:
             lengths=jnp.where(known, lengths, before.lengths),
         )
         places, gain, nearness = self._places(operator, tips)
-        # fingers that pinch move as one
+        # pinching fingers move together
         nearest = jnp.concatenate([nearness.max()[None], nearness])
         moves = (gain + nearest * (1 - gain))[:, None] * steps
         size = jnp.sqrt((measured * measured).sum(-1))
@@ -187,19 +192,19 @@ class Correspondence:
     def _places(
         self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
     ) -> tuple[Float[Array, "F 3"], Float[Array, " F"], Float[Array, " F"]]:
-        """Places of the fingertips, with a continuous slope; the fingers' gains, robot length over
-        human length; and their nearness to a pinch.
+        """Returns the fingertip targets, the gains of the fingers (robot length over human length)
+        and their closeness to a pinch. The targets have a continuous derivative.
 
-        Of the human's vectors h_i from thumb to finger i, places T by the fingers alone, gains g,
-        closeness c_i and nearness n_i (c_i^3 of an unfolded finger) of 0 to 1, and weights
-        w_i = thumb_follows + thumb_share c_i, the places P are
-        P_0 = (T_0 + sum w_i (T_i - h_i (g_i - c_i (g_i - 1)))) / (1 + sum w_i),
-        P_i = T_i + n_i (P_0 + h_i (1 - s_i press / (|h_i| + press)) - T_i), where s_i falls from 1
-        to 0 between 12 and 24 mm.
+        Let h_i be the human's vector from thumb to finger i, T the targets of single fingers, g the
+        gains, c_i the closeness and n_i the nearness to a pinch (c_i^3 for an unfolded finger),
+        both from 0 to 1, and w_i = thumb_follows + thumb_share c_i the weights. The targets P are
+        P_0 = (T_0 + sum w_i (T_i - h_i (g_i - c_i (g_i - 1)))) / (1 + sum w_i), P_i = T_i + n_i
+        (P_0 + h_i (1 - s_i press / (|h_i| + press)) - T_i), where s_i falls from 1 to 0 between 12
+        and 24 mm.
 
-        A tracker keeps fingertips that touch some millimetres apart, and the robot's pads are not
-        as thick as the human's. Without ``press`` they would stop short of each other. Fingers
-        round a handle stay where they are: harder pressed, it turns.
+        A tracker reports touching fingertips a few millimetres apart, and the robot's pads are not
+        as thick as the human's. Without ``press``, the robot's fingertips would not touch. Fingers
+        around a handle are not pressed further, because a harder press turns the handle.
         """
         config = self.config
         bases, reach = (jnp.asarray(part, tips.dtype) for part in self._robot)
@@ -212,7 +217,7 @@ class Correspondence:
         close = smooth_step((config.far - apart) / (config.far - config.near))
         away = tips[1:] - operator.bases[1:]
         extension = jnp.sqrt((away * away).sum(-1) + _TINY) / operator.lengths[1:]
-        # a high power: a thumb at the side of a finger that points does not bend it
+        # a high power, so that a thumb at the side of a pointing finger does not bend the finger
         nearness = close**3 * smooth_step(0.5 + (extension - config.folded) / _FOLDS)
         weights = (config.thumb_follows + config.thumb_share * close)[:, None]
         scaled = human * (gain[1:] - close * (gain[1:] - 1))[:, None]
@@ -224,6 +229,6 @@ class Correspondence:
 
 
 def _shortened(vectors: Float[Array, "F 3"], most: Float[Array, "F 1"]) -> Float[Array, "F 3"]:
-    """Vectors, those that are longer than they may be shortened."""
+    """Shortens vectors that exceed a length limit."""
     length = jnp.sqrt((vectors * vectors).sum(-1, keepdims=True)) + _TINY
     return vectors * jnp.minimum(1.0, most / length)

@@ -1,14 +1,15 @@
-"""Filter of fingertips: still while the human is still, without delay when he moves.
+"""Fingertip filter: removes shake at rest and adds no delay to motion.
 
-A tracker's points shake, also while the hand rests. Low-pass filters trade that shake for delay.
-This one makes the *step* of a point smaller: while a point stays within a few shakes of the
-filtered one, a share of its step is followed at once and the rest within seconds. The further it
-leaves, the larger that share, up to the whole step. So a motion begins without delay, whether slow
-or fast, a few shakes behind the human's, and catches up.
+Tracked points shake even if the hand is at rest. Low-pass filters reduce this shake at the cost of
+delay. This filter reduces the *step* of a point instead: while a point stays within a few shake
+amplitudes of the filtered point, only a fraction of its step is followed at once and the rest
+within seconds. The fraction grows with the distance, up to the whole step. Slow and fast motions
+therefore begin without delay, a few shake amplitudes behind the human's, and catch up.
 
-How large the shake is, is measured while the hand is in use: by what points do over some hundredths
-of a second beyond steady motion, in the stillest quarter of the time. It is the same measure at any
-frame rate. Steps too long for a hand are followed in part, so an outlier hardly moves anything.
+The amplitude of the shake is measured during use: it is the deviation of points from steady motion
+over some hundredths of a second, in the quietest quarter of the time. This measure does not depend
+on the frame rate. Steps that are too long for a hand are followed only in part, so outliers have
+little effect.
 """
 
 from __future__ import annotations
@@ -24,29 +25,30 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.settings import check_numbers
 
 SHAKE_AT_FIRST: Final = 1e-3
-"""Shake of a tracker that hasn't been seen yet [m]: more than that of most, for the estimate falls
-three times as fast as it grows."""
+"""Initial estimate of the shake [m]. It is larger than that of most trackers, because the estimate
+falls three times as fast as it grows."""
 SHORT: Final = 0.02
-"""Time over which shake differs from motion [s]."""
+"""Time scale that separates shake from motion [s]."""
 ORDER: Final = 3
-"""Order of the differences that show it: a motion of constant acceleration has none."""
+"""Order of the differences that measure shake; it is zero for motion with constant acceleration."""
 STILL: Final = 0.25
-"""Share of the time in which the hand may be still: the shake is that quantile of what points do
-beyond steady motion."""
-_ADAPTS: Final = 0.4  # time in which the estimate of the shake can change by e [s]
+"""Fraction of the time in which the hand is assumed to be at rest. The shake is this quantile of
+the deviation from steady motion."""
+_ADAPTS: Final = 0.4  # time constant with which the estimate of the shake can change [s]
 _TINY: Final = 1e-6  # [m]
 
 
 @dataclass(frozen=True)
 class FingertipFilterConfig:
-    """Settings of the filter of fingertips.
+    """Settings of the fingertip filter.
 
     Attributes:
-        share: share of a point's step that is followed at once while it rests; 1 filters nothing.
-        reach: distance from the filtered point, in shakes, at which half of the rest is followed.
+        share: fraction of a point's step that is followed at once at rest; 1 disables the filter.
+        reach: distance from the filtered point, in shake amplitudes, at which half of the rest of a
+            step is followed.
         settle: time in which a resting point is reached [s].
-        jump: step in one frame of which half is followed [m], at a high frame rate.
-        jump_speed: what that step grows by with the time between two frames [m/s].
+        jump: step per frame of which half is followed, at a high frame rate [m].
+        jump_speed: growth of ``jump`` with the time between two frames [m/s].
     """
 
     share: float = 0.3
@@ -68,11 +70,11 @@ class FilterState(NamedTuple):
     """State of the filter between frames.
 
     Attributes:
-        points: (n, 3) filtered [m].
-        followed: (n, 3) as measured, but for jumps [m].
+        points: (n, 3) filtered points [m].
+        followed: (n, 3) measured points without jumps [m].
         means: (ORDER, n, 3) running means of the measured points, of what these differ from their
             mean, and so on [m].
-        shake: how far the tracker's points shake at rest [m].
+        shake: estimated amplitude of the tracker's shake at rest [m].
     """
 
     points: Float[Array, "n 3"]
@@ -82,7 +84,7 @@ class FilterState(NamedTuple):
 
     @classmethod
     def unseen(cls, count: int) -> FilterState:
-        """State of points without any frame yet."""
+        """State before the first frame."""
         zero, means, shake = jax.device_put(
             (
                 np.zeros((count, 3), np.float32),
@@ -100,9 +102,9 @@ def filter_fingertips(
     config: FingertipFilterConfig,
     restart: Bool[Array, ""] | bool = False,
 ) -> tuple[FilterState, Float[Array, "n 3"]]:
-    """The state after a frame of (n, 3) measured points [m], a time ``dt`` [s] after the last, and
-    (n, 3) the steps of the filtered points in it [m].
-    After a ``restart`` the last frame was too long ago to count; the measured shake is kept."""
+    """Returns the state after a frame of (n, 3) measured points [m], a time ``dt`` [s] after the
+    last, and the (n, 3) steps of the filtered points in it [m]. ``restart`` means that the last
+    frame is too old to be used; the measured shake is kept."""
     start = jnp.where(restart, measured, before.points)
     followed = jnp.where(restart, measured, before.followed)
     beyond, means = measured, []
@@ -110,7 +112,8 @@ def filter_fingertips(
         mean = jnp.where(restart, 0.0 if order else measured, before.means[order])
         beyond = beyond - mean
         means.append(mean + dt / (dt + SHORT) * beyond)
-    size = _median(_lengths(beyond)[:, 0])  # the median: a finger that flicks is not the tracker
+    # the median, because a flicking finger is not tracker noise
+    size = _median(_lengths(beyond)[:, 0])
     grows = jnp.where(size < before.shake, STILL - 1, STILL) * dt / _ADAPTS
     shake = jnp.where(restart, before.shake, before.shake * jnp.exp(grows))
     step = measured - followed
@@ -128,7 +131,7 @@ def _lengths(vectors: Float[Array, "n 3"]) -> Float[Array, "n 1"]:
 
 
 def _median(values: Float[Array, " n"]) -> Float[Array, ""]:
-    """By rank and not by sorting, for which XLA calls a library."""
+    """Computed by rank instead of by sorting, because XLA calls a library to sort."""
     count, index = len(values), np.arange(len(values))
     first = (values[None] < values[:, None]) | (
         (values[None] == values[:, None]) & (index[None] < index[:, None])

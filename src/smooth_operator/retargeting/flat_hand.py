@@ -39,16 +39,17 @@ FLAT_HAND: Final[Float[np.ndarray, "21 3"]] = np.array(
 """Landmarks of a flat right hand, 0.19 m long: palmar, radial, distal from the wrist [m].
 
 It is the hand of the built-in operator, ``pose_hand(draw_anatomy(0.19, 0), zeros)`` of
-``smooth_operator.synthetic``; a test compares the two. As figures, they need no model of a hand.
+``smooth_operator.synthetic``; a test compares the two. They are stored as numbers, so no hand model
+is needed.
 """
 
 
 def human_palm_axes(hand: Hand) -> PalmAxes[np.ndarray]:
     """Axes of a human palm in the robot's palm frame, after the alignment.
 
-    A robot's own wrist and knuckles seldom span a palm as a human's do (of the mimic hand the wrist
-    lies 3 cm in front of the knuckles' plane), so the directions are those of the built-in
-    operator's hand, aligned as every frame is.
+    A robot's own wrist and knuckles seldom span a palm like a human's (the wrist of the mimic hand
+    lies 3 cm in front of the plane of the knuckles). The directions are therefore those of the
+    built-in operator's hand, aligned like every frame.
     """
     mirrored = hand.spec.side == "left"
     landmarks = FLAT_HAND * (1.0, -1.0, 1.0) if mirrored else FLAT_HAND
@@ -71,7 +72,8 @@ def palm_tilt_deg(hand: Hand) -> float:
 def open_rays(hand: Hand) -> Float[np.ndarray, "F 3"]:
     """(F, 3) vectors from base to tip of the open hand, palm frame [m].
 
-    Its joints are at zero, or as near as their limits allow: there makers put the open hand. At the
-    neutral pose, and so at ``Hand.straight_pose``, many hands have bent knuckles.
+    Its joints are at zero, or as close to zero as their limits allow, because vendors define the
+    open hand there. At the neutral pose, and therefore at ``Hand.straight_pose``, many hands have
+    bent knuckles.
     """
     return finger_rays(hand, np.clip(0.0, *hand.limits.T))

@@ -24,27 +24,29 @@ from smooth_operator.types import Status
 
 
 class HostMethod(Method):
-    """A method whose solver is a library on the host: compiled up to it, plain Python after it."""
+    """Base class of methods whose solver is a library on the host. The program is compiled up to
+    the solver and continues in plain Python."""
 
     on_host = True
 
     @abstractmethod
     def prepare(self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]) -> Any:
-        """The problem of one frame, as a pytree, for the arguments of ``step``; traceable."""
+        """Returns the problem of one frame as a pytree, for the arguments of ``step``;
+        traceable."""
 
     @abstractmethod
     def solve(self, state: Any, problem: Any) -> tuple[Any, MethodOutput]:
-        """Solves a problem of ``prepare``, with the state that it was made from; NumPy in and out,
-        without side effects."""
+        """Solves a problem that ``prepare`` returned, with the same state. Takes and returns NumPy
+        arrays; has no side effects."""
 
     def step(
         self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[Any, MethodOutput]:
-        """One frame, on the host; not traceable."""
+        """Processes one frame on the host; not traceable."""
         return self.solve(state, self.prepare(state, aligned, ticks))
 
     def compile_with(self, compiling: Compiling) -> None:
-        """Takes the compiler of the functions that ``solve`` calls, before the first frame."""
+        """Receives the compiler for the functions that ``solve`` calls, before the first frame."""
         del compiling
 
     def program(self, alignment: AlignmentConfig, compiling: Compiling) -> Program:

@@ -1,6 +1,6 @@
-"""Gaps that trackers are known to leave between thumb and finger where they touch.
+"""Known gaps that trackers leave between thumb and finger when they touch.
 
-They stand apart from their estimate (``pinch_gaps.py``), which needs JAX.
+They are separate from their estimation (``pinch_gaps.py``), which needs JAX.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.landmarks import FINGERS
 
 NO_GAPS: Final[Mapping[str, float]] = MappingProxyType({})
-"""Known gaps of a tracker about which nothing is known: they are found while one works."""
+"""Gaps of an unknown tracker: none are known, so they are estimated during use."""
 MEDIAPIPE: Final[Mapping[str, float]] = MappingProxyType(
     {"index": 0.33, "middle": 0.36, "ring": 0.20, "pinky": 0.145}
 )
@@ -22,15 +22,14 @@ one person, each tracked while it is moved and zoomed a little."""
 
 
 def known_gaps(name: str | None) -> Mapping[str, float]:
-    """Gaps that a tracker of a kind is known to leave in pinches: of a camera, those of a webcam.
-
-    They are another person's than those of the kind's own model, as in real use.
+    """Known pinch gaps of a simulated tracker: for a camera, those of a webcam. They were measured
+    on a different person than the gaps of the simulation, as in real use.
     """
     return MEDIAPIPE if name == "camera" else NO_GAPS
 
 
 def check_gaps(gaps: Mapping[str, float]) -> None:
-    """Check known gaps, finger -> gap [palm lengths].
+    """Check known gaps, a mapping from finger to gap [palm lengths].
 
     Raises:
         UnknownNameError: a finger has no such name, or is the thumb.

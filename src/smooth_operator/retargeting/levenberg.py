@@ -1,4 +1,4 @@
-"""Levenberg's descent within bounds: Newton steps with a few dampings side by side."""
+"""Levenberg's method within bounds: Newton steps with several damping values in parallel."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ from jaxtyping import Array, Float, Int
 from smooth_operator.geometry import on_gpu
 
 ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
-"""A point (m,) to its cost (), gradient (m,) and Hessian (m, m)."""
+"""Function from a point (m,) to its cost (), gradient (m,) and Hessian (m, m)."""
 
 STILL: Final = 3e-3
-"""``damped_newton`` stops after a step in which no variable moves further than this [rad]: since it
-converges quadratically, the next step would be too small to see."""
+"""``damped_newton`` stops after a step in which no variable moves further than this [rad]. Because
+it converges quadratically, the next step would be negligible."""
 
 AT_FIRST: Final = 3.0
 """Damping of the first step of ``damped_newton``."""
 DAMPINGS: Final = (0.0, 0.2, 2.0)
-"""Dampings of its candidates, in units of that of the step before."""
+"""Damping values of the candidates, in units of the damping of the previous step."""
 GROWTH: Final = 20.0
-"""Factor of the damping after a step of which no candidate descends."""
+"""Factor on the damping after a step in which no candidate lowers the cost."""
 LEAST: Final = 0.01
-"""Least damping; each joint's pull to the neutral pose curves the cost by five times as much."""
+"""Smallest damping. The pull of each joint to the neutral pose contributes five times as much
+curvature."""
 MOST: Final = 1e5
-"""Damping with which a step hardly moves: the descent ends."""
+"""Damping at which a step hardly moves, so the descent ends."""
 
 _AT_BOUND: Final = 1e-6
-"""A variable this near a bound is at it [rad]: solvers return 1e-15 for 0."""
+"""Distance from a bound below which a variable counts as being at the bound [rad], because solvers
+return 1e-15 for 0."""
 
 
 def gpu_kernels(samples: int = 0) -> ModuleType | None:
@@ -48,8 +50,8 @@ def gpu_kernels(samples: int = 0) -> ModuleType | None:
 def solve_small(
     matrices: Float[Array, "*c m m"], right: Float[Array, "*c m"]
 ) -> Float[Array, "*c m"]:
-    """x of ``matrix @ x = right`` for one or a few small positive definite matrices, else NaN: by
-    LAPACK on a CPU, in one kernel on a GPU."""
+    """Solves ``matrix @ x = right`` for one or a few small positive definite matrices; NaN for
+    other matrices. Uses LAPACK on a CPU and one kernel on a GPU."""
     if (kernels := gpu_kernels()) is not None:
         size = right.shape[-1]
         few = matrices.reshape(-1, size, size), right.reshape(-1, size)
@@ -68,11 +70,11 @@ def newton_candidates(
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     dampings: Float[Array, " c"] | tuple[float, ...],
 ) -> Float[Array, "c m"]:
-    """(c, m) ends of damped Newton steps from a point within (m, 2) bounds, clipped to them; one
-    candidate per damping.
+    """Returns the (c, m) end points of damped Newton steps from a point, clipped to (m, 2) bounds;
+    one candidate per damping.
 
-    Variables at a bound that the gradient pushes outwards are held; the others take the step. An
-    indefinite damped Hessian has no Cholesky factor: its candidate is NaN, and so is its cost.
+    Variables at a bound that the gradient pushes outwards are held fixed. An indefinite damped
+    Hessian has no Cholesky factor, so its candidate and its cost are NaN.
     """
 
     low, high = (jnp.asarray(limits[:, i], q.dtype) for i in (0, 1))
@@ -100,17 +102,19 @@ def damped_newton(
     iterations: int,
     still: float = STILL,
 ) -> tuple[Float[Array, " m"], Float[Array, ""], Int[Array, ""]]:
-    """Descend from a start within bounds, with derivatives once per step; the cost never rises.
+    """Minimise a cost within bounds, with one evaluation of derivatives per step. The cost never
+    increases.
 
-    Levenberg's method, with a few dampings side by side: where parts touch, the quadratic model
-    changes from step to step, and a damping that fits one step rarely fits the next.
+    This is Levenberg's method with several damping values in parallel. Where parts of the hand
+    touch, the quadratic model changes from step to step, and a damping that suits one step rarely
+    suits the next.
 
     Args:
         value_grad_hess: (m,) to cost, (m,) gradient and (m, m) Hessian.
         values: (c, m) candidates to their (c,) costs.
         start: (m,) a point within the bounds.
         limits: (m, 2) bounds.
-        iterations: steps at most.
+        iterations: maximum number of steps.
         still: see ``STILL``.
 
     Returns:

@@ -1,8 +1,9 @@
 """Base classes of retargeting methods and of their settings.
 
-A method of your own is two classes: a frozen dataclass of settings, derived from ``MethodConfig``,
-whose ``build`` gives the method for one hand; and the method, derived from ``Method``, whose
-``step`` maps the aligned landmarks of one frame to joint positions. Everything else has a default.
+To write your own method, define two classes: a frozen dataclass of settings, derived from
+``MethodConfig``, whose ``build`` returns the method for one hand; and the method, derived from
+``Method``, whose ``step`` maps the aligned landmarks of one frame to joint positions. Everything
+else has a default.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ from smooth_operator.settings import RATE_RANGE_HZ
 C = TypeVar("C", bound="MethodConfig")
 
 Compiling = Callable[[Callable[..., Any], str], Callable[..., Any]]
-"""Compiles a traceable function under a name that is its own among the method's functions."""
+"""Compiles a traceable function under a name that is unique among the method's functions."""
 
 _FAINT = 1e-4
-"""A pull to the neutral pose this weak decides between equally good poses, and no more."""
+"""Weight of a pull to the neutral pose that only decides between equally good poses."""
 
 
 class MethodOutput(NamedTuple):
@@ -47,18 +48,20 @@ class MethodOutput(NamedTuple):
 class Method(ABC):
     """A retargeting method for one hand: a compiled step with explicit state.
 
-    Immutable: the state holds all that changes from frame to frame. Subclasses have an attribute
-    ``hand``, the robot hand.
+    Immutable: everything that changes from frame to frame is in the state. Subclasses have an
+    attribute ``hand``, the robot hand.
     """
 
     hand: Hand
 
     on_host: ClassVar[bool] = False
-    """True for a ``HostMethod``, whose solver runs on the host; else it is one compiled program."""
+    """True for a ``HostMethod``, whose solver runs on the host; False for a single compiled
+    program."""
 
     uneven: ClassVar[bool] = False
-    """True if some frames take its solver much longer than others. On a CPU recordings then run in
-    threads of their own, for frames side by side would wait for the longest."""
+    """True if the solver takes much longer for some frames than for others. On a CPU, each
+    recording then runs in its own thread, because frames in one batch would wait for the
+    slowest."""
 
     @property
     @abstractmethod
@@ -67,7 +70,7 @@ class Method(ABC):
 
     @property
     def optional_landmarks(self) -> tuple[int, ...]:
-        """Indices of the human landmarks that are used where they are known."""
+        """Indices of further human landmarks that are used if they are known."""
         return ()
 
     @abstractmethod
@@ -82,12 +85,12 @@ class Method(ABC):
     def step(
         self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[Any, MethodOutput]:
-        """One frame; traceable, without side effects.
+        """Computes one frame; traceable, without side effects.
 
         Args:
             state: from ``init`` or the last step.
             aligned: (21, 3) landmarks in the palm frame [m]; those in ``needs`` are finite.
-            ticks: the frame's stamp in microseconds modulo 2^32; see ``ticks_of`` in
+            ticks: the frame's timestamp in microseconds modulo 2^32; see ``ticks_of`` in
                 ``smooth_operator.retargeting.program``. It may stay the same from frame to frame.
 
         Returns:
@@ -96,8 +99,8 @@ class Method(ABC):
 
     @property
     def constants(self) -> Any:
-        """A pytree of arrays that the program holds besides figures of the hand and settings, such
-        as weights from a file; None where there are none, or they are not known."""
+        """Pytree of arrays that the program contains besides parameters of the hand and settings,
+        such as weights from a file; None if there are none or they are unknown."""
         return None
 
     def latched(self, state: Any) -> Bool[Array, " P"] | None:
@@ -112,26 +115,26 @@ class Method(ABC):
         return None
 
     def with_pinch_gaps(self, state: Any, known: Mapping[str, float] | None) -> Any:
-        """The state of a method that closes pinch gaps with those that are known before the first
-        frame, finger -> gap [palm lengths]; None: it is to close none."""
+        """Returns a state with known pinch gaps, for methods that close them. The gaps map fingers
+        to palm lengths; None disables the closing of gaps."""
         del known
         return state
 
     def continued(self, fresh: Any, before: Any) -> Any:
-        """A state without a past, with what an earlier one has learnt about the operator."""
+        """Returns a fresh state that keeps what an earlier state has learnt about the operator."""
         del before
         return fresh
 
     def fingertip_targets(self, state: Any) -> Float[Array, "F 3"] | None:
-        """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m];
-        None for a method that does not place them, and before the first frame."""
+        """(F, 3) fingertip targets of the last frame in the palm frame [m]; None before the first
+        frame, and for methods without fingertip targets."""
         del state
         return None
 
     @property
     def trajectory_objective(self) -> Objective | None:
-        """The cost of each frame in trajectory optimisation over a whole recording; None for a
-        method without an objective whose derivatives are known."""
+        """Cost of each frame in trajectory optimisation over a whole recording; None for methods
+        without a differentiable objective."""
         return None
 
 
@@ -143,15 +146,17 @@ class MethodConfig(ABC):
 
     shareable: ClassVar[bool] = True
     """True if retargeters with equal settings, and those of a mirrored hand, may share one compiled
-    program. False where the settings do not determine the program, such as the path of a file."""
+    program. False if the settings do not determine the program, for example if they contain the
+    path of a file."""
 
     color: ClassVar[str | None] = None
-    """Colour of a plugin's method in reports, ``#rrggbb``; None for one that follows from its name.
-    Those of the built-in methods are in ``smooth_operator.retargeting.registry``."""
+    """Colour of a plugin's method in reports, ``#rrggbb``; None derives a colour from its name. The
+    colours of the built-in methods are in ``smooth_operator.retargeting.registry``."""
 
     @property
     def one_thread(self) -> bool:
-        """True if one thread is faster than one per core; if not, loops get the widest vectors."""
+        """True if one thread is faster than one per core. Otherwise loops use the widest
+        vectors."""
         return True
 
     @abstractmethod
@@ -159,7 +164,8 @@ class MethodConfig(ABC):
         """The method for one hand.
 
         Raises:
-            SmoothOperatorError: if the hand can't be served, with the reason.
+            SmoothOperatorError: the method can't be used with the hand; the message gives the
+                reason.
         """
 
     def with_alignment(self: C, **changes: Any) -> C:
@@ -171,20 +177,21 @@ class MethodConfig(ABC):
         return _replaced(self, alignment=dataclasses.replace(self.alignment, **changes))
 
     def with_file(self: C, path: Path) -> C | None:
-        """These settings with a file that a user names in place of a preset, such as a trained
-        model; None if the method takes no file."""
+        """These settings with a file that replaces a preset, such as a trained model; None if the
+        method does not use files."""
         del path
         return None
 
     def without_pull(self: C) -> C:
-        """These settings with next to no pull to the neutral pose, to judge a hand or a solver.
+        """These settings with almost no pull to the neutral pose, to test a hand or a solver.
 
-        A trace of it stays, to decide between joint positions that serve the landmarks equally.
+        A small pull remains, to decide between joint positions that match the landmarks equally
+        well.
         """
         return self
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
-        """Sentences about what the method lacks on a hand, for a person; none for most hands."""
+        """Human-readable notes on what the method lacks for a hand; empty for most hands."""
         del hand
         return ()
 
@@ -203,21 +210,21 @@ class ObjectiveMethodConfig(MethodConfig):
 
 
 def _replaced(config: C, **changes: Any) -> C:
-    # settings are dataclasses, which their base class can't say
+    # settings are dataclasses, but their base class can't express this
     return cast(C, dataclasses.replace(cast(Any, config), **changes))
 
 
 _SHORTEST: Final = 0.5 / RATE_RANGE_HZ[1]
-"""Shortest time between frames [s], half a period of the fastest tracker: frames that arrive in a
-bunch count as this far apart."""
+"""Shortest time between frames [s], half a period of the fastest tracker. Frames that arrive in a
+burst count as this far apart."""
 
 
 USUAL_RATE: Final = 100.0
-"""Rate that is assumed where stamps stand still [Hz]."""
+"""Frame rate that is assumed if timestamps do not increase [Hz]."""
 
 LONGEST_GAP: Final = 0.25
-"""Longest time between frames that counts as motion [s]; after a longer one the last answer no
-longer counts."""
+"""Longest time between frames that counts as motion [s]. After a longer gap, the last command is
+not used."""
 
 
 class FrameClock(NamedTuple):
@@ -225,7 +232,7 @@ class FrameClock(NamedTuple):
 
     Attributes:
         dt: that time [s].
-        restart: True if no frame came before, or too long ago to count as motion.
+        restart: True if there is no previous frame, or if it is too old to count as motion.
     """
 
     dt: Float[Array, ""]
@@ -244,7 +251,7 @@ class FrameClock(NamedTuple):
             frames: number of frames before it.
         """
         elapsed = passed.astype(jnp.int32) * 1e-6
-        # a stamp that goes back belongs to another recording
+        # a timestamp that goes back belongs to another recording
         restart = (frames == 0) | (elapsed > LONGEST_GAP) | (elapsed < 0)
         stamped = (passed > 0) & ~restart
         dt = jnp.where(stamped, jnp.maximum(elapsed, _SHORTEST), 1 / USUAL_RATE).astype(jnp.float32)

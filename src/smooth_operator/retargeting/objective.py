@@ -1,7 +1,7 @@
-"""An objective as a sum of terms: Eq. (1), and what a method or a preset adds to it.
+"""An objective as a sum of terms: Eq. (1) and the terms that a method or a preset adds to it.
 
-``Objective.value_grad_hess`` gives cost, gradient and Hessian of one pose for Newton steps, through
-a small program; ``SampledObjective`` gives the costs of thousands of poses for a sampler. Terms are
+``Objective.value_grad_hess`` gives cost, gradient and Hessian of one pose for Newton steps, as a
+small program; ``SampledObjective`` gives the costs of thousands of poses for a sampler. Terms are
 in ``smooth_operator.retargeting.terms``.
 """
 
@@ -84,10 +84,10 @@ class Objective:
 
     @cached_property
     def layout(self) -> VectorLayout:
-        """The vectors that the target policy speaks of; the hand's keyvectors, as a rule.
+        """Vectors that the target policy uses; usually the keyvectors of the hand.
 
         Raises:
-            ConfigError: if the hand lacks a point that one of them needs.
+            ConfigError: the hand lacks a point that a vector needs.
         """
         layout: VectorLayout = self.config.targets.layout(self.hand.fingers)
         keypoints = self.hand.tree.keypoints
@@ -110,13 +110,13 @@ class Objective:
 
     @cached_property
     def point_terms(self) -> tuple[PointTerm, ...]:
-        """Terms of where points are: keyvectors, then the method's and the preset's own."""
+        """Terms on the positions of points: keyvectors, then those of the method and the preset."""
         own = (term for term in self._own if isinstance(term, PointTerm))
         return (self.keyvectors, *own)
 
     @cached_property
     def joint_terms(self) -> tuple[JointTerm, ...]:
-        """Terms of joints: neutral pose, velocity, then the method's and the preset's own."""
+        """Terms on joints: neutral pose, velocity, then those of the method and the preset."""
         own = (term for term in self._own if isinstance(term, JointTerm))
         return (*self.config.pulls(self.hand.neutral), *own)
 
@@ -126,7 +126,7 @@ class Objective:
         return tuple(term for term in terms if not term.is_off)
 
     def regularisation(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
-        """The terms of joint positions: the last two of Eq. (1), and a preset's own.
+        """Terms on joint positions: the last two of Eq. (1), and those of a preset.
 
         Args:
             q: (..., m) actuated joint positions [rad]; NumPy or JAX.
@@ -138,7 +138,7 @@ class Objective:
 
     @cached_property
     def tree(self) -> KinematicTree:
-        """Kinematics of the hand's landmarks and of the points that terms add."""
+        """Kinematics of the landmarks of the hand and of the points that terms add."""
         own: dict[str, tuple[int, np.ndarray]] = {}
         for term in self.point_terms:
             own.update(term.own_points())
@@ -155,8 +155,8 @@ class Objective:
     ) -> tuple[Float[Array, ""], Float[Array, " m"], Float[Array, "m m"]]:
         """Value, gradient and Hessian at a pose: the sum over the terms.
 
-        The Hessian is as exact as the terms' own; those of Eq. (1) are exact, but on the
-        measure-zero kinks of smooth-L1.
+        The Hessian is as exact as those of the terms; the terms of Eq. (1) are exact, except at the
+        kinks of smooth-L1 (a set of measure zero).
         """
         near = self._near(q, goal)
         hessian = near.weighted.T @ near.rows
@@ -186,7 +186,7 @@ class Objective:
         return _Near(cost, motion, moments, *_gauss_newton(near, motion))
 
     def values(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
-        """Costs of a few poses, through the small program."""
+        """Costs of a few poses, without derivatives, computed by the small program."""
         costs: Array = jax.vmap(
             lambda one: self._near(one, goal).cost + self.regularisation(one, goal).cost
         )(q)
@@ -204,8 +204,9 @@ class _Near(NamedTuple):
 
 
 class _Chosen(NamedTuple):
-    """Places of a term's points among all points, which are in the order of the terms: ``at`` is a
-    slice where they are neighbours, which is cheaper; ``end`` is one more than the last index."""
+    """Positions of a term's points in the list of all points, which is in the order of the terms.
+    ``at`` is a slice if they are adjacent, which is cheaper; ``end`` is one more than the last
+    index."""
 
     at: slice | np.ndarray
     end: int
@@ -218,7 +219,8 @@ class _Chosen(NamedTuple):
         return cls(slice(first, last + 1) if neighbours else np.array(index), last + 1)
 
     def added(self, total: Float[Array, "T 3"], values: Float[Array, "P 3"]) -> Array:
-        """The sum of the terms so far, and the term's; longer where the term names new points."""
+        """Adds a term's gradient to the sum of the previous terms; the sum is longer if the term
+        adds points."""
         rows = len(total)
         if isinstance(self.at, slice) and self.at.start == rows:
             return jnp.concatenate([total, values]) if rows else values

@@ -14,9 +14,9 @@ class PalmAxes(NamedTuple, Generic[_Held]):
     """Orthonormal directions of a palm.
 
     Attributes:
-        distal: (..., 3) to the fingers.
-        radial: (..., 3) to the side of the thumb.
-        palmar: (..., 3) out of the palm.
+        distal: (..., 3) direction towards the fingers.
+        radial: (..., 3) direction towards the thumb's side.
+        palmar: (..., 3) direction out of the palm.
     """
 
     distal: _Held
@@ -25,8 +25,8 @@ class PalmAxes(NamedTuple, Generic[_Held]):
 
 
 def palm_axes(landmarks: AnyKind, side: Literal["right", "left"]) -> PalmAxes[AnyKind]:
-    """The directions of a palm: distal from wrist to middle MCP, palmar square to that and to the
-    line of the index and pinky MCPs.
+    """Directions of a palm. Distal points from wrist to middle MCP; palmar is perpendicular to it
+    and to the line between the index and pinky MCPs.
 
     Args:
         landmarks: (..., 21, 3) [m].
@@ -41,7 +41,7 @@ def palm_axes(landmarks: AnyKind, side: Literal["right", "left"]) -> PalmAxes[An
 
 
 def unit_vectors(vector: AnyKind, xp: ModuleType) -> AnyKind:
-    """Unit vectors; zero of a zero vector."""
+    """Normalises vectors; a zero vector stays zero."""
     length = xp.sqrt((vector * vector).sum(axis=-1, keepdims=True))
     out: AnyKind = vector / xp.maximum(length, 1e-9)
     return out

@@ -1,8 +1,8 @@
-"""Gaps that a tracker leaves where thumb and finger touch, estimated and closed while one works.
+"""Estimates and closes, during use, the gaps that a tracker reports when thumb and finger touch.
 
-A camera's hand model keeps fingertips centimetres apart that are in contact, by an amount that is
-much the same for all people and differs between fingers. Nothing says when fingers touch. But a
-thumb that stays at one distance from a finger, nearer than to any other, most likely touches it.
+The hand model of a camera tracker keeps touching fingertips centimetres apart. The gap differs
+between fingers but is similar for all people. Contact can't be measured directly, but a thumb that
+keeps a constant distance from one finger, closer than to any other, most likely touches it.
 """
 
 from __future__ import annotations
@@ -22,20 +22,22 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.retargeting.known_gaps import check_gaps
 
-_HOLD: Final = 0.2  # for how long thumb and finger keep their distance in a contact [s]
-_STEADY: Final = 0.022  # by how much that distance may vary to either side [palm lengths]
-_NEAREST: Final = 0.066  # by how much other fingers are further from the thumb [palm lengths]
-_MORE: Final = 0.11  # by how much a gap may exceed the one that is known [palm lengths]
-_DOWN: Final = 0.5  # share by which a contact below the estimate moves it
-_UP: Final = 0.1  # the same of one above it
-_LEAD: Final = 0.3  # time in which the correction follows the estimate [s]
-# Share of a gap by which contacts exceed it, index to little finger. What the first two hold is
-# shown just beyond a contact; the others hardly ever hold anything.
+_HOLD: Final = 0.2  # time for which thumb and finger keep their distance in a contact [s]
+_STEADY: Final = 0.022  # variation of that distance to either side that is allowed [palm lengths]
+# margin by which other fingers must be farther from the thumb [palm lengths]
+_NEAREST: Final = 0.066
+_MORE: Final = 0.11  # margin by which a gap may exceed the known one [palm lengths]
+_DOWN: Final = 0.5  # weight of a contact below the estimate
+_UP: Final = 0.1  # weight of a contact above the estimate
+_LEAD: Final = 0.3  # time constant with which the correction follows the estimate [s]
+# Fraction of a gap by which contacts may exceed it, index to little finger. An object held by the
+# first two fingers appears just beyond a contact; the other fingers rarely hold anything.
 _SPREAD: Final = (0.12, 0.12, 0.25, 0.25)
-_CLOSED: Final = 0.9  # share of a contact's distance that is closed
-_FALL: Final = 6  # power with which that share falls beyond a contact
-_FOLDED: Final = 0.35  # extension of a finger, base to tip over its length, that pinches nothing
-_UNFOLDED: Final = 0.5  # extension from which a finger pinches as an open one
+_CLOSED: Final = 0.9  # fraction of a contact's distance that is closed
+_FALL: Final = 6  # exponent with which that fraction falls beyond a contact
+# extension of a finger (base-to-tip distance over length) below which it does not pinch
+_FOLDED: Final = 0.35
+_UNFOLDED: Final = 0.5  # extension above which a finger pinches like an open finger
 _TINY: Final = 1e-9
 
 
@@ -43,12 +45,12 @@ class PinchGapState(NamedTuple):
     """State of the estimate; all distances between thumb and finger in palm lengths.
 
     Attributes:
-        level: (P,) distance at which each finger is held.
-        held: (P,) for how long [s].
+        level: (P,) distance that each finger keeps from the thumb.
+        held: (P,) time for which the finger has kept that distance [s].
         last: (P,) distance of its last contact.
-        gap: (P,) estimate of the gap; 0 while there is none.
-        closed: (P,) gap that is closed now, which follows the estimate.
-        most: (P,) greatest gap that is believed.
+        gap: (P,) estimated gap; 0 before the first estimate.
+        closed: (P,) gap that is currently closed; it follows the estimate.
+        most: (P,) largest gap that is accepted.
     """
 
     level: Float[Array, " P"]
@@ -60,10 +62,11 @@ class PinchGapState(NamedTuple):
 
     @classmethod
     def of(cls, fingers: tuple[str, ...], known: Mapping[str, float] | None) -> PinchGapState:
-        """State before the first frame for a hand's fingers, thumb first; see ``check_gaps``.
+        """State before the first frame, for the fingers of a hand, thumb first; see ``check_gaps``.
 
         Args:
-            known: finger -> gap that the tracker or the operator is known for; None closes no gap.
+            known: known gaps of the tracker or the operator, by finger; None disables the closing
+                of gaps.
         """
         check_gaps(known or {})
         zero = np.zeros(len(fingers) - 1, np.float32)
@@ -75,7 +78,7 @@ class PinchGapState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PinchGapEstimate:
-    """The running estimate for one robot hand, on landmarks in its palm frame."""
+    """Estimator of pinch gaps for one robot hand, on landmarks in its palm frame."""
 
     hand: Hand
 
@@ -96,18 +99,18 @@ class PinchGapEstimate:
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
     ) -> tuple[PinchGapState, Float[Array, "21 3"]]:
-        """The state after a frame, and its landmarks with pinches closed; traceable.
+        """Returns the state after a frame and its landmarks with closed pinches; traceable.
 
-        A distance d is shortened by the share s min(1, g' / d)^p, where the greatest distance of a
-        contact is g' = (1 + ``_SPREAD``) g, s is ``_CLOSED``, and p is ``_FALL``. What thumb and
-        finger hold is shown a little farther apart than a contact. A share that falls fast leaves
-        them apart, and its slope stays bounded, so that it does not magnify the tracker's shake
-        into leaps. Thumb and finger each go half of the way.
+        A distance d is shortened by the fraction s min(1, g' / d)^p, where the largest distance of
+        a contact is g' = (1 + ``_SPREAD``) g, s is ``_CLOSED``, and p is ``_FALL``. When thumb and
+        finger hold an object, they appear slightly farther apart than in a contact. A fraction that
+        falls quickly keeps them apart, and its bounded slope does not amplify the tracker's shake
+        into jumps. Thumb and finger each move half of the distance.
 
         Args:
             aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
             dt: time since the last frame [s].
-            restart: nothing came before, or too long ago to count as motion.
+            restart: True if there is no previous frame, or if it is too old to count as motion.
         """
         fingers = np.array([FINGERS.index(name) for name in self.hand.fingers[1:]])
         bases, at = np.array(BASES)[fingers], np.array(TIPS)[fingers]
@@ -120,7 +123,7 @@ class PinchGapEstimate:
         unfolded = smooth_step((extension - _FOLDED) / (_UNFOLDED - _FOLDED))
         over = (1 + np.array(_SPREAD)[fingers - 1]) * state.closed / distance
         share = unfolded * _CLOSED * jnp.minimum(over, 1.0) ** _FALL
-        share = jnp.where(share > 0, share, 0.0)[:, None]  # NaN where bones are not known
+        share = jnp.where(share > 0, share, 0.0)[:, None]  # NaN if bones are unknown
         near = jnp.minimum(2 * share, 1.0)
         step = share * apart * self.palm
         thumb = 0.5 * (near * step).sum(0) / jnp.maximum(near.sum(), 1.0)
@@ -134,14 +137,15 @@ class PinchGapEstimate:
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
     ) -> PinchGapState:
-        """The state after a frame's distances from the thumb [palm lengths] and extensions."""
+        """Updates the state with a frame's distances from the thumb [palm lengths] and
+        extensions."""
         level = jnp.clip(state.level, distance - _STEADY, distance + _STEADY)
         held = jnp.where((level == state.level) & ~restart, state.held + dt, 0.0)
         remaining = distance - state.closed
         others = jnp.where(np.eye(len(distance), dtype=bool), jnp.inf, remaining).min(-1)
         contact = (held >= _HOLD) & (state.held < _HOLD) & (distance < state.most)
         contact &= (extension > _UNFOLDED) & (remaining + _NEAREST < others)
-        # without a known gap two contacts must agree
+        # without a known gap, two contacts must agree
         agrees = jnp.abs(distance - state.last) < 2 * _STEADY
         first = jnp.where(agrees, jnp.minimum(distance, state.last), 0.0)
         share = jnp.where(distance < state.gap, _DOWN, _UP)

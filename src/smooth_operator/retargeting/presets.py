@@ -1,4 +1,4 @@
-"""Look-up of methods and their presets; the presets stand with their methods."""
+"""Look-up of methods and their presets. The presets are defined next to their methods."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FILE: Final = ".toml"
 
 
 class _Presets(Mapping[str, Mapping[str, MethodConfig]]):
-    """The registry of methods, with its values loaded."""
+    """Registry of methods that loads its values."""
 
     def __getitem__(self, method: str) -> Mapping[str, MethodConfig]:
         loaded = METHODS.load(method)
@@ -44,14 +44,14 @@ class _Presets(Mapping[str, Mapping[str, MethodConfig]]):
 
 
 PRESETS: Final[Mapping[str, Mapping[str, MethodConfig]]] = _Presets()
-"""Method name -> preset name -> configuration; the first preset of a method is its default.
+"""Maps a method and a preset to a configuration; the first preset of a method is its default.
 
 A name may be ``package.module:attribute``. A look-up raises ``UnknownNameError`` (a ``KeyError``)
-where there is no such method, and ``ConfigError`` where a plugin's can't be loaded.
+for an unknown method, and ``ConfigError`` if a plugin's method can't be loaded.
 """
 
 _ALIASES: Final = {"sbr": {"published": "paper"}}
-"""Method -> other names of its presets: ``published`` is what every published method answers to."""
+"""Alternative names of presets, by method: every published method accepts ``published``."""
 
 
 def method_names() -> tuple[str, ...]:
@@ -60,12 +60,12 @@ def method_names() -> tuple[str, ...]:
 
 
 def loadable_presets() -> dict[str, Mapping[str, MethodConfig]]:
-    """``PRESETS`` without the methods of plugins that can't be loaded; a note says which."""
+    """``PRESETS`` without plugin methods that can't be loaded; a note names them."""
     return METHODS.loadable(PRESETS.__getitem__)
 
 
 def live_presets() -> dict[str, list[str]]:
-    """Names of the presets that answer frame by frame, by method."""
+    """Names of the presets that work frame by frame, by method."""
     return {
         method: [
             name
@@ -81,7 +81,7 @@ def default_preset(method: str) -> str:
 
     Raises:
         UnknownNameError: there is no such method.
-        ConfigError: it is a plugin's, and can't be loaded.
+        ConfigError: the method of a plugin can't be loaded.
     """
     return next(iter(PRESETS[method]))
 
@@ -89,16 +89,15 @@ def default_preset(method: str) -> str:
 def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> MethodConfig:
     """Configuration of a method by preset name; None gives the method's default preset.
 
-    For a method with a trained model (geort), the file of one may stand for the preset; for any
-    method a preset file (``smooth_operator.formats.setting_paths``). ``published`` is a preset
-    of every method that the paper compares but GeoRT, of ``ako`` and of ``keyvector``; that of sbr
-    is its ``paper``.
+    The file of a trained model (geort) may replace the preset, and so may, for any method, a preset
+    file (``smooth_operator.formats.setting_paths``). ``published`` is a preset of every method that
+    the paper compares but GeoRT, of ``ako`` and of ``keyvector``; that of sbr is its ``paper``.
 
     The method may be ``package.module:attribute``: a configuration, its class, or presets by name.
 
     Raises:
         UnknownNameError: if there is no such method or preset.
-        ConfigError: the preset file is none, or for another method; the method is a plugin's and
+        ConfigError: the preset file is invalid or for another method, or the method of a plugin
             can't be loaded.
     """
     for name in (method, preset):
@@ -124,7 +123,7 @@ def method_config(method: str = DEFAULT_METHOD, preset: str | None = None) -> Me
 
 
 def _elsewhere(preset: str) -> str:
-    """Whose preset it is, if not that of the method: who names none gets the default one."""
+    """Hint for a preset of another method, since without --method the default method is used."""
     owners = [method for method, presets in loadable_presets().items() if preset in presets]
     return (
         f"{preset!r} is a preset of {', '.join(owners)}: also choose that method." if owners else ""

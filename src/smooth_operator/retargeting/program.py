@@ -1,12 +1,13 @@
-"""The program of one frame: landmarks and state to a command, a status and the next state.
+"""The program of one frame: computes a command, a status and the next state from landmarks and
+state.
 
-Traced functions take the state as trees of arrays; between frames it is one array, which a program
-takes and returns in a third of the time of twenty.
+Traced functions take the state as trees of arrays. Between frames the state is one array, because a
+program takes and returns one array in a third of the time of twenty.
 
-Retargeters that would compile the same program share one (``shared_program``): those of one hand
-and configuration, and those of a hand and of its mirror image, which is served by the other's
-program with the landmarks reflected. Figures of a hand are constants of its program: as arguments,
-a frame took 2.1 to 3.5 times as long.
+Retargeters that would compile the same program share it (``shared_program``): those with the same
+hand and configuration, and those of a hand and its mirror image, which uses the same program with
+reflected landmarks. The parameters of a hand are constants of its program; as arguments, they made
+a frame 2.1 to 3.5 times as slow.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ _EMPTY: Final = np.zeros(0, np.float32)
 
 
 class FrameState(NamedTuple):
-    """The state as trees of arrays, as traceable functions take it.
+    """The state as trees of arrays, for traceable functions.
 
     Attributes:
         method: state of the method.
@@ -68,7 +69,7 @@ class StateLayout:
     Attributes:
         structure: JAX's structure of the tree.
         shapes: shape of each leaf that has a kind.
-        kinds: kind of each leaf; None for one that is no array, or stays as it is.
+        kinds: kind of each leaf; None for a leaf that is not an array or is kept unchanged.
     """
 
     structure: Any
@@ -77,15 +78,15 @@ class StateLayout:
 
     @classmethod
     def of(cls, state: FrameState) -> StateLayout:
-        """The layout of a state whose arrays of 32 bits are in one."""
+        """Layout of a state whose 32-bit arrays are joined into one."""
         leaves, structure = jax.tree.flatten(state)
         kinds = (getattr(leaf, "dtype", None) for leaf in leaves)
         return cls(structure, tuple(map(np.shape, leaves)), tuple(kinds))
 
     def pack(self, state: FrameState) -> tuple[Float[Array, " n"], tuple[Any, ...]]:
-        """One array with the leaves of 32 bits, bit for bit, and all other leaves.
+        """Returns one array with the bits of all 32-bit leaves, and the other leaves.
 
-        NumPy's arrays give one of NumPy's; traceable.
+        NumPy arrays give a NumPy array; traceable.
         """
         leaves = jax.tree.leaves(state)
         words = [leaf for leaf, kind in zip(leaves, self.kinds, strict=True) if kind in _WORDS]
@@ -97,7 +98,7 @@ class StateLayout:
     def unpack(
         self, words: Float[Array, " n"] | Float[np.ndarray, " n"], others: tuple[Any, ...]
     ) -> FrameState:
-        """The state that ``pack`` took; traceable."""
+        """Restores the state that ``pack`` joined; traceable."""
         leaves, rest, done = [], iter(others), 0
         for shape, kind in zip(self.shapes, self.kinds, strict=True):
             if kind is None or kind not in _WORDS:
@@ -117,16 +118,16 @@ class StateLayout:
 )
 @dataclass(frozen=True, eq=False)
 class RetargetState:
-    """All that a retargeter remembers between frames; a pytree.
+    """Everything that a retargeter remembers between frames; a pytree.
 
     Attributes:
-        words: (n,) arrays of 32 bits of the method's state, and the last command, in one.
+        words: (n,) joined 32-bit arrays of the method's state and the last command.
         others: further arrays of the method's state.
-        layout: places of the arrays of the state in ``words`` and ``others``.
-        stamp: stamp of the last frame [s], where the retargeter counts frames by a rate; else None.
-            It stays on the host.
-        answered: stamp [s] and ticks (``tick_after``) of the last frame that got a command; None
-            before the first. They stay on the host, in the precision of a stamp.
+        layout: positions of the state's arrays in ``words`` and ``others``.
+        stamp: timestamp of the last frame [s] if the retargeter counts frames at a rate; otherwise
+            None. It stays on the host.
+        answered: timestamp [s] and ticks (``tick_after``) of the last frame with a command; None
+            before the first. They stay on the host, in the precision of a timestamp.
     """
 
     words: Float[Array, " n"] | Float[np.ndarray, " n"]
@@ -137,8 +138,8 @@ class RetargetState:
 
     @classmethod
     def of(cls, state: FrameState, joined: bool = True) -> RetargetState:
-        """A state from its trees. Unless ``joined`` all arrays stay as they are, which is faster
-        for a method whose solver runs on the host."""
+        """Creates a state from its trees. Without ``joined``, all arrays are kept separate, which
+        is faster for a method whose solver runs on the host."""
         if not joined:
             leaves, structure = jax.tree.flatten(state)
             count = len(leaves)
@@ -166,7 +167,7 @@ class RetargetState:
 
 
 def _as(part: Any, kind: np.dtype) -> Any:
-    """The same bits as another kind of 32 bits; truth as 0 or 1."""
+    """Reinterprets bits as another 32-bit type; booleans become 0 or 1."""
     if part.dtype.kind == "b":
         return part.astype(kind)
     if kind.kind == "b":
@@ -180,7 +181,7 @@ class FrameResult(NamedTuple):
     """The result of one frame, as the compiled program returns it.
 
     Attributes:
-        q: (m,) command of the actuated joints [rad], the last good one unless the status is OK.
+        q: (m,) command of the actuated joints [rad]; the last good command unless the status is OK.
         status: a ``Status``.
         tracking_loss: tracking loss of the command.
         scale: robot size over human size in this frame's alignment.
@@ -195,15 +196,15 @@ class FrameResult(NamedTuple):
 Program: TypeAlias = Callable[
     [RetargetState, np.ndarray, np.ndarray, np.uint32], tuple[RetargetState, FrameResult]
 ]
-"""State, (21, 3) landmarks [m], (21,) validity and the frame's ticks (``ticks_of``) to the next
-state and the result; on the host, compiled."""
+"""Compiled function, called on the host: maps the state, (21, 3) landmarks [m], (21,) validity and
+the frame's ticks (``ticks_of``) to the next state and the result."""
 
 
 class AlignedFrame(NamedTuple):
-    """A frame in the palm frame; one that can't be used has reference landmarks instead.
+    """A frame in the palm frame. An unusable frame has reference landmarks instead.
 
     Attributes:
-        aligned: (21, 3) landmarks in the palm frame [m]; NaN where one is not known.
+        aligned: (21, 3) landmarks in the palm frame [m]; NaN if unknown.
         status: a ``Status``.
         scale: robot size over human size in this frame's alignment.
     """
@@ -216,7 +217,7 @@ class AlignedFrame(NamedTuple):
 def align_frame(
     method: Method, alignment: AlignmentConfig, landmarks: Array, valid: Array
 ) -> AlignedFrame:
-    """Landmarks into the palm frame; whatever the input, the arithmetic stays finite."""
+    """Transforms landmarks to the palm frame. The arithmetic stays finite for any input."""
     hand = method.hand
     needs = np.array(sorted({*method.needs, *hand.align_indices}))
     finite = jnp.isfinite(landmarks).all(axis=-1) & valid
@@ -241,12 +242,13 @@ def align_frame(
 
 
 def packed_result(*parts: Array | np.ndarray | float) -> Array:
-    """One array: what the host reads costs by the piece, not by the byte."""
+    """Joined into one array, because the host's reading time depends on the number of arrays, not
+    on their size."""
     return jnp.concatenate([jnp.atleast_1d(jnp.asarray(part, jnp.float32)) for part in parts])
 
 
 def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> Program:
-    """The program of one frame; it compiles when it is first called, or is read from the user's
+    """Creates the program of one frame. It is compiled at its first call, or read from the user's
     cache if ``cached``.
 
     Raises:
@@ -280,7 +282,7 @@ def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> 
             last = layout.unpack(words, others)
             after, output = method.step(last.method, palm.aligned, ticks)
             finite = jnp.isfinite(output.q).all()
-            # a frame changes nothing unless its status is OK
+            # a frame does not change the state unless its status is OK
             following = jax.tree.map(
                 lambda new, old: jnp.where(finite, new, old).astype(old.dtype),
                 FrameState(after, jnp.asarray(output.q)),
@@ -293,8 +295,8 @@ def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> 
         def refused() -> tuple[Any, Any, Array, Array]:
             return before, layout.unpack(*before).q, palm.status, jnp.float32(jnp.nan)
 
-        # A solver would take longest with landmarks that are no hand. A branch copies what it takes
-        # and gives by the array, so the state's arrays stay in one.
+        # A solver would take longest with implausible landmarks. A branch copies its inputs and
+        # outputs array by array, so the state stays in one array.
         after, *result = lax.cond(palm.status == Status.OK, solved, refused)
         return *after, packed_result(*result, palm.scale)
 
@@ -313,17 +315,18 @@ def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> 
 
 
 LONGEST_TICKS: Final = 2**31 - 1
-"""Longest time between two frames in ticks, 36 minutes: a longer one counts as this. Differences
-are modulo 2^32, so that without a bound a gap of 72 minutes would count as none."""
+"""Longest time between two frames in ticks, 36 minutes; longer times are cut to this. Differences
+are modulo 2^32, so without a bound a gap of 72 minutes would count as no gap."""
 
 
 def ticks_of(stamps: Float[ArrayLike, "*R T"]) -> UInt32[np.ndarray, "*R T"]:
-    """Time as the programs take it: microseconds modulo 2^32, whose differences are right, where a
-    float32 of the time of day is not good to a minute.
+    """Converts times for the programs: microseconds modulo 2^32, whose differences are exact. A
+    float32 of the time of day would be wrong by up to a minute.
 
     Args:
-        stamps: (..., T) times of the frames of recordings [s]. One that is not finite counts as 0.
-            A step back counts as -1 tick, one over ``LONGEST_TICKS`` as that.
+        stamps: (..., T) timestamps of the frames of recordings [s]. A timestamp that is not finite
+            counts as 0. A step back counts as -1 tick, and a step over ``LONGEST_TICKS`` as
+            ``LONGEST_TICKS``.
     """
     whole = np.round(np.nan_to_num(np.asarray(stamps, float), posinf=0.0, neginf=0.0) * 1e6)
     passed = np.diff(whole, axis=-1, prepend=whole[..., :1])
@@ -332,11 +335,11 @@ def ticks_of(stamps: Float[ArrayLike, "*R T"]) -> UInt32[np.ndarray, "*R T"]:
 
 
 def tick_after(answered: tuple[float, int] | None, stamp: float) -> int:
-    """``ticks_of`` for frames that come one by one.
+    """``ticks_of`` for frames that arrive one at a time.
 
     Args:
-        answered: stamp [s] and ticks of the last frame that got a command; None for the first.
-        stamp: stamp of the frame [s].
+        answered: timestamp [s] and ticks of the last frame with a command; None for the first.
+        stamp: timestamp of the frame [s].
     """
     if answered is None:
         return round(stamp * 1e6) % 2**32 if math.isfinite(stamp) else 0
@@ -351,13 +354,14 @@ _lock = threading.Lock()
 
 
 class SharedProgram(NamedTuple):
-    """A program, and whose it is.
+    """A compiled program with its method.
 
     Attributes:
         method: the method that it was made from.
         run: the program of one frame.
-        reflects: it is that of the hand's mirror image, and takes landmarks reflected.
-        compiled: set once it has answered a frame with the status OK.
+        reflects: True if the program is that of the hand's mirror image and takes reflected
+            landmarks.
+        compiled: set after the first frame with the status OK.
     """
 
     method: Method
@@ -367,11 +371,11 @@ class SharedProgram(NamedTuple):
 
 
 def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> SharedProgram:
-    """The program of a frame for a hand, or for its mirror image if it is described as one; with
-    ``cache`` it is read from the user's cache, and stored there.
+    """Returns the program of a frame for a hand, or for its mirror image if the hand is described
+    as one. With ``cache``, it is read from the user's cache and stored there.
 
     Raises:
-        SmoothOperatorError: the method can't serve the hand.
+        SmoothOperatorError: the method can't be used with the hand.
     """
     if not config.shareable:
         return _built(hand, config, False, cache)
@@ -381,7 +385,7 @@ def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> Shar
     try:
         with _lock:
             stored = _programs.get(key)
-    except TypeError:  # a configuration of the user's own that has no hash
+    except TypeError:  # a user's configuration may have no hash
         return _built(served, config, reflects, cache)
     program = (stored or _built(served, config, reflects, cache))._replace(reflects=reflects)
     with _lock:

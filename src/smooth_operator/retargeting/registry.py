@@ -1,8 +1,8 @@
-"""The methods by name, built-in and of plugins; nothing here imports JAX.
+"""Registry of the built-in and plugin methods by name. This module does not import JAX.
 
-What a name stands for is a mapping of preset names to configurations, whose first is the
-default, or one configuration, whose preset is called ``default``. A class of configurations
-stands for the one that it gives without arguments.
+A name refers to a mapping of preset names to configurations, of which the first is the default, or
+to one configuration, whose preset is called ``default``. A class of configurations refers to its
+instance without arguments.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ METHODS: Final = Registry(
         ),
     },
 )
-"""Name -> presets. The summaries list the presets, the default one first."""
+"""Maps names to presets. The summaries list the presets, with the default first."""
 
 
 def as_presets(presets: Any) -> Mapping[str, Any]:
-    """Preset name -> configuration, of what the name of a method stands for."""
+    """Maps preset names to configurations, for the object that the name of a method refers to."""
     presets = presets() if isinstance(presets, type) else presets
     return presets if isinstance(presets, Mapping) else {"default": presets}
 
 
 DEFAULT_METHOD: Final = "smooth"
-"""With its default preset, the first of ``PRESETS``."""
+"""Name of the default method; its default preset is the first of ``PRESETS``."""

@@ -1,4 +1,5 @@
-"""From a hand frame to a joint command: one compiled program per frame, explicit state."""
+"""Retargeter: converts hand frames to joint commands with one compiled program and explicit
+state."""
 
 from __future__ import annotations
 
@@ -52,38 +53,40 @@ class Retargeter:
     command (up to the solver, for methods whose solver is a library on the host), compiled at the
     first frame or by ``warm_up``.
 
-    Methods go by time, so every frame has a stamp. A frame without one has that of the call, by the
-    clock, when the retargeter is called; with a ``rate`` it is one period after the frame before.
-    ``step`` has no clock and refuses a frame without a stamp unless there is a rate.
+    Methods depend on time, so every frame has a timestamp. If a frame has none, the retargeter uses
+    the time of the call or, with a ``rate``, one period after the previous frame. ``step`` has no
+    clock and refuses a frame without a timestamp unless there is a rate.
 
-    A frame that is invalid, not finite, degenerate, or no hand in metres gives the last good
-    command (before the first good frame: the neutral pose) with a status that says why, and leaves
-    the state as it was.
+    A frame that is invalid, not finite, degenerate or not a hand in metres gives the last good
+    command (before the first good frame: the neutral pose) with a status that says why, and does
+    not change the state.
 
     Args:
         hand: name of a hand, the path of a spec file, a description, or a loaded hand.
-        side: side of a hand given by name, ``right`` if left out; a spec file brings its own.
+        side: side of a hand that is given by name. Default: ``right``. A spec file defines its own
+            side.
         method: name of the method.
-        preset: name of its preset; None for the method's default.
+        preset: name of the preset; None for the method's default.
         config: a configuration of your own, instead of method and preset.
         seed: seed of the method's random numbers.
-        rate: frames a second [Hz] of frames without stamps, such as those of a video; None for the
-            time of the call. Their stamps count from 0.
-        clock: seconds that never go back, for the time of the call.
-        cache: True if compiled programs are read from this user's cache folder, and kept there.
-        pinch_gaps: gaps that the tracker is known to leave between thumb and finger where they
-            touch, finger -> gap [palm lengths]: there the running estimate begins, such as
-            ``smooth_operator.retargeting.known_gaps.MEDIAPIPE``. None takes landmarks as they are.
+        rate: frame rate [Hz] of frames without timestamps, such as those of a video, whose
+            timestamps then count from 0; None uses the time of the call.
+        clock: monotonic clock [s], for the time of the call.
+        cache: True to read compiled programs from this user's cache folder and store them there.
+        pinch_gaps: known gaps that the tracker leaves between thumb and finger when they touch, by
+            finger [palm lengths], such as ``smooth_operator.retargeting.known_gaps.MEDIAPIPE``. The
+            running estimate starts with them. None uses the landmarks unchanged.
 
     Attributes:
-        shared: the compiled program, and the method that it was made from: that of the mirror image
-            for a hand that is described as one.
+        shared: the compiled program with its method. For a hand that is described as a mirror
+            image, they are those of the original.
         method: that method.
 
     Raises:
         UnknownNameError: for an unknown hand, method or preset.
         HandModelError: if the hand's model can't be used.
-        ConfigError: if the rate is outside 1 to 2000 Hz, or a pinch gap 0 to 1 palm length.
+        ConfigError: if the rate is outside 1 to 2000 Hz, or a pinch gap is outside 0 to 1 palm
+            length.
     """
 
     def __init__(
@@ -119,18 +122,18 @@ class Retargeter:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for a person on this method on this hand, such as collision shapes that are
-        estimated because the model's mesh files can't be read; empty for most hands."""
+        """Human-readable notes on this method with this hand, such as estimated collision shapes if
+        the model's mesh files can't be read; empty for most hands."""
         return self.config.notes(self.hand)
 
     @property
     def compiled(self) -> bool:
-        """True if this process has already answered a frame with this hand and these settings,
-        so that the next frame compiles nothing. ``warm_up`` answers one."""
+        """True if this process has already computed a command with this hand and these settings, so
+        that the next frame does not compile. ``warm_up`` makes it true."""
         return self.shared.compiled.is_set()
 
     def __repr__(self) -> str:
-        """Hand, side, method and preset; the settings' class where they were given instead."""
+        """Hand, side, method and preset; for given settings, their class instead."""
         return f"Retargeter({self.hand.name!r}, side={self.hand.spec.side!r}, {self._named})"
 
     def init(self, seed: int | None = None, before: RetargetState | None = None) -> RetargetState:
@@ -138,7 +141,8 @@ class Retargeter:
 
         Args:
             seed: seed of the random numbers; None for the retargeter's own.
-            before: a state after frames of the same operator, whose estimate of pinch gaps goes on.
+            before: an earlier state of the same operator, whose estimate of pinch gaps is
+                continued.
         """
         method = self.method.init(self.seed if seed is None else seed)
         if before is None:
@@ -151,19 +155,19 @@ class Retargeter:
     def step(
         self, state: RetargetState, frame: HandFrame | ArrayLike
     ) -> tuple[RetargetState, Result]:
-        """One frame.
+        """Retargets one frame.
 
         Args:
             state: from ``init`` or the last step; not changed.
-            frame: a hand frame, or (21, 3) landmarks [m] where the retargeter has a rate.
+            frame: a hand frame, or (21, 3) landmarks [m] if the retargeter has a rate.
 
         Returns:
             the next state and the result.
 
         Raises:
-            ConfigError: if the frame is of the other hand's side, or has no stamp and there is no
+            ConfigError: if the frame is of the other side, or has no timestamp and there is no
                 rate.
-            RecordingError: if landmarks have another shape.
+            RecordingError: if the landmarks have another shape.
         """
         start = time.perf_counter()
         frame = self._framed(frame)
@@ -181,7 +185,7 @@ class Retargeter:
         )
         if status == Status.OK and not self.shared.compiled.is_set():
             self.shared.compiled.set()
-        # float32 may round a limit outwards: the last word is in float64
+        # float32 may round a limit outwards, so the final limit is applied in float64
         q = self.hand.full_configuration(np.clip(q, self.hand.limits[:, 0], self.hand.limits[:, 1]))
         latency_ms = (time.perf_counter() - start) * 1e3
         return state, Result(
@@ -195,14 +199,14 @@ class Retargeter:
     def fingertip_targets(
         self, state: RetargetState | None = None
     ) -> Float[np.ndarray, "F 3"] | None:
-        """Places of the fingertips that the last frame asks for, in the palm frame [m].
+        """Fingertip targets of the last frame, in the palm frame [m].
 
         Args:
-            state: from ``step``; None for the one that is kept inside.
+            state: a state from ``step``; None for the internal state.
 
         Returns:
-            (F, 3), thumb first; None for a method that does not place fingertips, and before the
-            first frame.
+            (F, 3), thumb first; None before the first frame, and for methods without fingertip
+            targets.
         """
         state = self._state if state is None else state
         targets = self.method.fingertip_targets(state.method)
@@ -211,13 +215,13 @@ class Retargeter:
         return np.asarray(targets, float) * (_REFLECTION if self.shared.reflects else 1.0)
 
     def pinch_gaps(self, state: RetargetState | None = None) -> dict[str, float]:
-        """Estimated gaps that the tracker leaves where thumb and finger touch.
+        """Estimated gaps that the tracker leaves when thumb and finger touch.
 
         Args:
-            state: from ``step``; None for the one that is kept inside.
+            state: a state from ``step``; None for the internal state.
 
         Returns:
-            finger -> gap [palm lengths]; without fingers whose gap is not known.
+            gaps by finger [palm lengths], without fingers whose gap is unknown.
         """
         state = self._state if state is None else state
         gaps = self.method.pinch_gaps(state.method)
@@ -225,7 +229,7 @@ class Retargeter:
         return {name: gap for name, gap in zip(self.hand.fingers[1:], found, strict=False) if gap}
 
     def check_side(self, side: str) -> None:
-        """Raises ConfigError unless a human hand of this side drives the hand."""
+        """Raises ConfigError unless a human hand of this side can drive the robot hand."""
         if side != self.hand.spec.side:
             raise ConfigError(
                 f"a {side} human hand can't drive the {self.hand.spec.side} hand "
@@ -235,22 +239,22 @@ class Retargeter:
     def program_landmarks(
         self, landmarks: Float[np.ndarray, "*batch 21 3"]
     ) -> Float[np.ndarray, "*batch 21 3"]:
-        """Landmarks as the program takes them [m]: in its precision, reflected if it is the mirror
-        image's."""
-        with np.errstate(over="ignore"):  # what overflows is not finite, and has its status
+        """Converts landmarks [m] for the program: to its precision, reflected if the program is
+        that of the mirror image."""
+        with np.errstate(over="ignore"):  # overflows are not finite, which has its own status
             points = landmarks.astype(np.float32, copy=False)
         return points * _REFLECTION if self.shared.reflects else points
 
     def __call__(self, frame: HandFrame | ArrayLike) -> Result:
-        """One frame, with the state kept inside; see ``step``.
+        """Retargets one frame with the internal state; see ``step``.
 
-        A frame without a stamp is of this moment, unless there is a rate.
+        A frame without a timestamp gets the current time, unless there is a rate.
 
         Raises:
-            ConfigError, RecordingError: as ``step``; frames with and without stamps are
-                mixed, which two clocks would time; or the first 30 frames are of the other hand,
-                in another order or no hand by their shape (``check_hand``). Later such frames have
-                the status ``IMPLAUSIBLE_HAND``.
+            ConfigError, RecordingError: as ``step``; frames with and without timestamps are mixed,
+                so that two clocks would be used; or the first 30 frames are of the other hand, in
+                another order or do not have the shape of a hand (``check_hand``). Later, such
+                frames have the status ``IMPLAUSIBLE_HAND``.
         """
         frame = self._framed(frame)
         stamped = frame.stamp is not None
@@ -270,7 +274,7 @@ class Retargeter:
         return replace(result, status=Status.IMPLAUSIBLE_HAND) if doubtful else result
 
     def _check_input(self, frame: HandFrame) -> bool:
-        """True if the last frames show another hand; among the first, that is an error."""
+        """True if the last frames show another hand, which is an error in the first frames."""
         assert frame.valid is not None  # filled in on construction
         check = self._input
         doubtful = check.see(frame.landmarks, frame.valid, self._stamp_of(self._state, frame))
@@ -286,7 +290,7 @@ class Retargeter:
         return HandFrame(np.asarray(frame), side=self.hand.spec.side)
 
     def _stamp_of(self, state: RetargetState, frame: HandFrame) -> float:
-        """Time of a frame [s]: its stamp, or a period after the last one."""
+        """Time of a frame [s]: its timestamp, or one period after the last frame."""
         if frame.stamp is not None:
             return frame.stamp
         if self.rate is None:
@@ -298,27 +302,28 @@ class Retargeter:
         return 0.0 if state.stamp is None else state.stamp + 1.0 / self.rate
 
     def reset(self, seed: int | None = None) -> None:
-        """Back to the start: latches, random numbers, last command. Never recompiles."""
+        """Resets the internal state: latches, random numbers, last command. Does not recompile."""
         self._state = self.init(seed)
         self._stamped = None
         self._input = HandCheck(self.hand.spec.side)
 
     def warm_up(self) -> float:
-        """Compiles the program, and loads the libraries of the solver, by two frames of a flat
-        human hand. The state kept inside stays as it is.
+        """Compiles the program and loads the libraries of the solver, by retargeting two frames of
+        a flat human hand. The internal state does not change.
 
         Returns:
-            seconds it took.
+            elapsed time [s].
 
         Raises:
-            HandModelError: the frames got no command, so the retargeter may not be ready.
+            HandModelError: no command was found for these frames, so the hand or the method has a
+                problem.
         """
         from smooth_operator.retargeting.flat_hand import FLAT_HAND
 
         start = time.perf_counter()
         side, state = self.hand.spec.side, self.init()
         landmarks = FLAT_HAND * (1.0, -1.0, 1.0) if side == "left" else FLAT_HAND
-        for stamp in (0.0, 0.01):  # the second one has a state that the program returned
+        for stamp in (0.0, 0.01):  # the second frame has a state that the program returned
             state, result = self.step(state, HandFrame(landmarks, stamp, side))
             if result.status != Status.OK:
                 raise HandModelError(
@@ -335,7 +340,7 @@ class Retargeter:
         seed: int | None = None,
         track: Callable[[Iterable[int]], Iterable[int]] | None = None,
     ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
-        """A whole recording from a fresh state, frame by frame, as a live loop would.
+        """Retargets a whole recording from a fresh state, frame by frame, like a live loop.
 
         Args:
             seed: seed of the random numbers; None for the retargeter's own.
@@ -369,17 +374,18 @@ class Retargeter:
         track: Callable[[Iterable[int]], Iterable[int]] | None = None,
         lanes: int | None = None,
     ) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
-        """Recordings of any length, side by side in one program, each from a fresh state.
+        """Retargets recordings of any length in parallel in one program, each from a fresh state.
 
-        A result is that of ``run`` but for rounding and latencies, which are NaN. It does not
-        depend on the other recordings. Methods with a solver on the host take them in turn.
+        A result equals that of ``run`` except for rounding and for latencies, which are NaN. It
+        does not depend on the other recordings. Methods with a solver on the host process one
+        recording after the other.
 
         Args:
-            recordings: human hands of the retargeter's side; another raises ``ConfigError``.
+            recordings: recordings of the retargeter's side; the other side raises ``ConfigError``.
             seed: random seed of each recording; None for the retargeter's own.
             track: wraps the iteration over all frames, for a progress bar.
-            lanes: recordings side by side; None for 1024 on a GPU, and on a CPU for 8 or, where
-                frames take a solver unequal times as that of ``smooth``, one for each core.
+            lanes: number of recordings in parallel. Default: 1024 on a GPU and 8 on a CPU, or one
+                per core for methods like ``smooth`` whose solver time varies between frames.
         """
         from smooth_operator.retargeting.batching import one_by_one, side_by_side
 
@@ -400,18 +406,18 @@ class Retargeter:
         seed: int | None = None,
         lanes: int | None = None,
     ) -> BatchArrays:
-        """Commands for recordings that lie in one array: ``batch`` without an object for each.
+        """Retargets recordings that are stored in one array: like ``batch``, without creating
+        objects.
 
-        On a GPU half of the time of ``batch`` is spent on those. Landmarks that are not known are
-        NaN; so are the frames that a recording shorter than the others lacks at its end.
+        On a GPU, ``batch`` spends half of its time on objects. Unknown landmarks are NaN, and so
+        are the missing frames at the end of shorter recordings.
 
         Args:
-            landmarks: (R, T, 21, 3) of R hands of the retargeter's side [m]; float32 is copied
-                least.
-            stamps: (R, T) when each frame was measured [s], or (T,) for all recordings.
+            landmarks: (R, T, 21, 3) of R hands of the retargeter's side [m]; float32 avoids copies.
+            stamps: (R, T) timestamps of the frames [s], or (T,) for all recordings.
             seed: random seed of each recording; None for the retargeter's own.
-            lanes: recordings side by side; None for 1024 on a GPU, and on a CPU for 8 or, where
-                frames take a solver unequal times as that of ``smooth``, one for each core.
+            lanes: number of recordings in parallel. Default: 1024 on a GPU and 8 on a CPU, or one
+                per core for methods like ``smooth`` whose solver time varies between frames.
 
         Returns:
             commands of the actuated joints, status and tracking loss of every frame.

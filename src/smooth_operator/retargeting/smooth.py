@@ -1,12 +1,12 @@
-"""``smooth``: accurate, smooth and clear of itself, for a live loop.
+"""``smooth``: the default method for live use; accurate, smooth and without self-collision.
 
-Eq. (1) with six ideas more; a weight of 0 leaves its idea out. Fingertips move as the human's do,
-while their places are corrected little by little, and most while the hand moves. Fingertips that
-can be where the human's are, are exactly there. The thumb's vectors are held by angle and length
-and not by distance alone. The thumb's pad faces as the human's does. Parts of the hand stay out of
-each other. The fingertip filter takes out
-most of the tracker's shake and limits its jumps. docs/explanation/smooth.md has equations,
-smooth-appendix.md measurements.
+It adds six ideas to Eq. (1); a weight of 0 disables an idea. Fingertips copy the motion of the
+human's fingertips, while their positions are corrected gradually, mostly during motion. Fingertips
+that can reach the human's positions reach them exactly. The thumb's vectors are controlled by angle
+and length, not by distance alone. The thumb's pad faces in the same direction as the human's. Parts
+of the hand do not penetrate each other. The fingertip filter removes most of the tracker's shake
+and limits its jumps. docs/explanation/smooth.md has the equations, smooth-appendix.md the
+measurements.
 """
 
 from __future__ import annotations
@@ -64,21 +64,23 @@ from smooth_operator.retargeting.trajectory import FUTURE, TrajectoryMethodConfi
 from smooth_operator.settings import check_numbers, is_off
 
 REFERENCE: Final = 0.01
-"""Time between frames for which weights of change are given [s]. They scale with 1 / dt, so that an
-error is worked off in the same time at any rate."""
+"""Time between frames to which the weights of change refer [s]. They scale with 1 / dt, so that an
+error decays in the same time at any frame rate."""
 
 ASTRAY: Final = 0.01
-"""Distance of a fingertip from its place, beyond that of the table's nearest pose, at which it is
-astray [m]. Its motion then weighs half, and further away hardly at all."""
+"""Distance from its target at which a fingertip is lost [m], in excess of the distance of the
+nearest pose in the table. Its motion then has half of its weight, and hardly any weight farther
+away."""
 PATIENCE: Final = 0.3
-"""Time for which a fingertip is astray until another pose is looked for [s]."""
+"""Time for which a fingertip must be lost before another pose is searched [s]."""
 BETTER: Final = 0.7
-"""Another pose is then taken if it costs less than this share of what the hand's own comes to."""
+"""The other pose is used if its cost is less than this fraction of the cost of the hand's own
+pose."""
 LEAP: Final = (0.03, 1.0)
-"""A fingertip that is seen further from the last frame's than this [m] and this speed [m/s] allow
-has leapt: the tracker was wrong, or is."""
+"""Distance [m] and speed [m/s] beyond which a fingertip has jumped between two frames: the tracker
+is wrong now, or was wrong before."""
 SETTLED: Final = 0.15
-"""Time after a leap at which the past is forgotten [s]."""
+"""Time after a jump at which the previous command is discarded [s]."""
 
 
 @dataclass(frozen=True)
@@ -88,24 +90,24 @@ class SmoothConfig(ObjectiveMethodConfig):
     Attributes:
         alignment: alignment of human landmarks to the palm frame.
         objective: targets, pose weight, and terms of your own.
-        motion_weight: weight of fingertips that move as the human's do, at 100 Hz.
-        motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
-            with the square of the speed, since a correction of the same size turns a fast motion
-            less. 0 leaves it constant.
+        motion_weight: weight of the term that makes fingertips copy the human's motion, at 100 Hz.
+        motion_speed: human fingertip speed at which that weight is halved [m/s]. The weight falls
+            with the square of the speed, because a correction of the same size disturbs a fast
+            motion less. 0 keeps it constant.
         pinch_damping: added to the velocity weight of joints that move the thumb or a finger that
-            the targets have latched to it, for fingers that move roll out what they hold. It falls
-            as the motion weight does, so that a hand that opens is not held back.
-        spread_weight: cost of a long finger that spreads by over 0.2 rad to a side, per squared
-            radian beyond.
+            is latched to it, because moving fingers roll a held object out of the pinch. It falls
+            with speed like the motion weight, so that an opening hand is not held back.
+        spread_weight: cost of a long finger that spreads by more than 0.2 rad to one side, per
+            squared radian of excess.
         pad_weight: cost of one minus the cosine between the last segments of the robot's and the
             human's thumb.
-        fingertip_position: cost of fingertips that are nearly where the human's are.
-        self_collision: cost of parts of the hand inside each other.
+        fingertip_position: cost of small position errors of fingertips.
+        self_collision: cost of parts of the hand that penetrate each other.
         direction_length: cost of direction and length of the thumb-to-tip vectors.
-        correspondence: where the robot's fingertips belong, by fingers of other lengths.
-        fingertips: filter of the human's fingertips.
-        iterations: Newton steps of a descent, at most. Most frames need two to four, and one in a
-            hundred 15; descents that are stopped early end far from each other.
+        correspondence: fingertip targets for fingers of different lengths.
+        fingertips: settings of the fingertip filter.
+        iterations: maximum number of Newton steps of a descent. Most frames need two to four, and
+            one in a hundred needs 15; descents that are stopped early end at different poses.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -148,7 +150,7 @@ class SmoothConfig(ObjectiveMethodConfig):
 
 
 class SmoothState(NamedTuple):
-    """All that ``smooth`` remembers between frames.
+    """Everything that ``smooth`` remembers between frames.
 
     Attributes:
         q: (m,) last command of the actuated joints [rad].
@@ -157,9 +159,9 @@ class SmoothState(NamedTuple):
         filtered: the fingertip filter's state, of the needed landmarks.
         targets: state of the target policy.
         ticks: time of the last frame, in microseconds modulo 2^32.
-        frames: frames answered so far.
-        astray: time for which a fingertip has been astray [s].
-        leapt: time since a fingertip leapt [s].
+        frames: number of frames with a command so far.
+        astray: time for which a fingertip has been lost [s].
+        leapt: time since a fingertip jumped [s].
     """
 
     q: Float[Array, " m"]
@@ -174,15 +176,15 @@ class SmoothState(NamedTuple):
 
 
 class _Observed(NamedTuple):
-    """What a frame asks.
+    """Goal of one frame: targets and start poses.
 
     Attributes:
-        state: the state after its landmarks.
-        clock: its time.
+        state: the state after the landmarks were processed.
+        clock: time of the frame.
         goal: targets and weights.
-        places: (F, 3) places of the fingertips in the palm frame [m].
+        places: (F, 3) fingertip targets in the palm frame [m].
         table: (m,) the pose table's nearest pose [rad].
-        possible: (F,) distances of that pose's fingertips from their places [m].
+        possible: (F,) distances of that pose's fingertips from their targets [m].
     """
 
     state: SmoothState
@@ -193,7 +195,8 @@ class _Observed(NamedTuple):
     possible: Float[Array, " F"]
 
     def beyond(self, tips: Float[Array, "F 3"]) -> Float[Array, " F"]:
-        """By how much fingertips are further from their places than the table's [m]."""
+        """Excess distance of the fingertips from their targets, compared with the pose of the table
+        [m]."""
         off = tips - self.places
         return jnp.maximum(jnp.sqrt((off * off).sum(-1)) - self.possible, 0.0)
 
@@ -209,7 +212,7 @@ class Smooth(Method):
 
     @cached_property
     def objective(self) -> Objective:
-        """The terms that are minimised: those of Eq. (1), and six more."""
+        """The terms to minimise: those of Eq. (1), and six more."""
         config = self.config
         vectors = Objective(self.hand, config.objective).keyvectors.vectors
         return Objective(
@@ -232,7 +235,7 @@ class Smooth(Method):
 
     @cached_property
     def closing(self) -> PinchGapEstimate:
-        """The closing of the gaps that a tracker leaves in pinches."""
+        """The estimator that closes the gaps of a tracker in pinches."""
         return PinchGapEstimate(self.hand)
 
     @cached_property
@@ -242,7 +245,7 @@ class Smooth(Method):
 
     @cached_property
     def pose_table(self) -> PoseTable:
-        """Poses to start from without the last answer."""
+        """Table of start poses for frames without a last command."""
         return PoseTable(self.hand)
 
     @property
@@ -250,7 +253,7 @@ class Smooth(Method):
         """The vectors from wrist and thumb's tip to the fingertips.
 
         Raises:
-            ConfigError: the target policy speaks of others.
+            ConfigError: the target policy uses other vectors.
         """
         layout = self.objective.layout
         if not isinstance(layout, KeyvectorLayout):
@@ -264,14 +267,14 @@ class Smooth(Method):
 
     @property
     def optional_landmarks(self) -> tuple[int, ...]:
-        """All landmarks of the fingers, which show their lengths."""
+        """All landmarks of the fingers, which determine their lengths."""
         corresponds = not is_off(self.config.correspondence.share)
         return self.correspondence.landmarks if corresponds else ()
 
     def init(self, seed: int) -> SmoothState:
-        """Neutral pose; nothing is random."""
+        """State with the neutral pose; nothing is random."""
         del seed
-        put = jax.device_put  # compiles nothing
+        put = jax.device_put  # does not compile
         neutral = put(self.hand.neutral.astype(np.float32))
         return SmoothState(
             neutral,
@@ -294,23 +297,23 @@ class Smooth(Method):
         return state.gaps.gap
 
     def with_pinch_gaps(self, state: SmoothState, known: Mapping[str, float] | None) -> SmoothState:
-        """The state with gaps that are known; None closes none."""
+        """Returns the state with known gaps; None disables the closing of gaps."""
         return state._replace(gaps=PinchGapState.of(self.hand.fingers, known))
 
     def continued(self, fresh: SmoothState, before: SmoothState) -> SmoothState:
-        """A state without a past, with the gaps of an earlier one."""
+        """Returns a fresh state with the gaps of an earlier one."""
         return fresh._replace(gaps=before.gaps)
 
     def fingertip_targets(self, state: SmoothState) -> Float[Array, "F 3"] | None:
-        """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m];
-        None without a correspondence, and before the first frame."""
+        """(F, 3) fingertip targets of the last frame in the palm frame [m]; None without a
+        correspondence, and before the first frame."""
         if not state.operator or not np.asarray(state.frames):
             return None
         return state.operator.places
 
     @property
     def trajectory_objective(self) -> Objective:
-        """The objective; a known future makes the filter needless."""
+        """The objective; with a known future, the filter is not needed."""
         return self.objective
 
     def step(
@@ -327,7 +330,7 @@ class Smooth(Method):
     def _observed(
         self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
     ) -> _Observed:
-        """The landmarks of a frame, filtered, and what they ask."""
+        """Filters the landmarks of a frame and computes the goal."""
         config = self.config
         clock = FrameClock.of(now - state.ticks, state.frames)
         gaps, closed = self.closing.step(state.gaps, aligned, clock.dt, clock.restart)
@@ -349,7 +352,7 @@ class Smooth(Method):
         leapt = jnp.where(leaps.any() & ~clock.restart, 0.0, state.leapt + clock.dt)
         policy, human = config.objective.targets, self.layout.of_tips(places, origin)
         targets, latches = policy(state.targets, self.layout, human)
-        # the further apart two frames are, the less they hold each other
+        # the coupling between two frames decreases with the time between them
         holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
         slow = jnp.ones(len(moves), aligned.dtype)
         if not is_off(config.motion_speed):
@@ -375,20 +378,21 @@ class Smooth(Method):
         frame = _Observed(after, clock, goal, places, *self.pose_table.nearest(places))
         if not operator:
             return frame
-        # the places are within reach: an error that stays is a fault's
+        # the targets are within reach, so a lasting error means a wrong pose
         weights = weights / (1 + (frame.beyond(arrival) / ASTRAY) ** 4)
         return frame._replace(goal=goal._replace(motion_weights=weights))
 
     def _solve(
         self, state: SmoothState, frame: _Observed
     ) -> tuple[Float[Array, " m"], Float[Array, "F 3"], Float[Array, ""]]:
-        """(m,) the solver's answer, (F, 3) its fingertips [m], and the time for which a finger has
-        been astray [s].
+        """Returns the (m,) solution [rad], its (F, 3) fingertips [m], and the time for which a
+        finger has been lost [s].
 
-        A descent from the last answer. Where there is none, and a moment after a fingertip has
-        leapt, two descents of a goal that knows no past, from the table's pose and from the neutral
-        pose: the lower cost counts. Where a fingertip has been astray for a while, it counts if it
-        is much lower than that of a third one, from the hand's own pose.
+        Normally, one descent starts from the last command. Without a last command, and shortly
+        after a fingertip has jumped, two descents without the terms about the past start from the
+        table's pose and from the neutral pose, and the result with the lower cost is used. If a
+        fingertip has been lost for a while, that result is used only if its cost is much lower than
+        that of a third descent, which starts from the hand's own pose.
         """
         goal, last = frame.goal, state.q
         limits = frame_limits(self.hand, goal.vectors[: len(frame.places)])
@@ -424,17 +428,17 @@ class Smooth(Method):
 def frame_limits(
     hand: Hand, tips: Float[Array, "F 3"] | Float[np.ndarray, "F 3"]
 ) -> Float[Array, "m 2"] | Float[np.ndarray, "m 2"]:
-    """(m, 2) joint limits of a frame [rad]; traceable.
+    """Returns the (m, 2) joint limits of a frame [rad]; traceable.
 
-    Many robot fingers are longest some degrees before the limit of a joint beyond the knuckle: it
-    bends them past straight. Between limit and that joint position a finger can't get shorter than
-    at the limit: an optimiser that ends there holds it straight or bent backwards, though the
-    human's is bent. Where the human's fingertip is nearer to the finger's base than that, the joint
-    is kept on the other side.
+    Many robot fingers reach their full length some degrees before the limit of a joint beyond the
+    knuckle, which then bends them backwards. Between that position and the limit, a finger can't
+    become shorter than at the limit: an optimiser that ends there keeps the finger straight or bent
+    backwards although the human's finger is bent. If the human's fingertip is closer to the base of
+    the finger than that, the joint is kept on the other side.
 
     Args:
         hand: the robot hand.
-        tips: (F, 3) where the human's fingertips are, from the robot's wrist [m].
+        tips: (F, 3) positions of the human's fingertips relative to the robot's wrist [m].
     """
     limits, bends = hand.limits, bends_past_straight(hand)
     if not bends:
@@ -449,8 +453,8 @@ def frame_limits(
 
 
 SMOOTH_TELEOP: Final = SmoothConfig()
-"""For a live loop: causal, no frame later than the human's; open when the human's hand is open,
-closed when it is closed, whatever the lengths of either's fingers."""
+"""Preset for live use: causal, without delay. The robot hand is open when the human's hand is open
+and closed when it is closed, whatever the lengths of the fingers."""
 
 SMOOTH_PRECISE: Final = replace(
     SMOOTH_TELEOP,
@@ -463,8 +467,9 @@ SMOOTH_PRECISE: Final = replace(
     pad_weight=0.0,
     direction_length=DirectionLengthConfig(direction=2.5),
 )
-"""For the paper's metrics: the human's fingertips as the palms are aligned, and of them first the
-directions from the thumb. Fingers of other lengths than the human's stay bent in an open hand."""
+"""Preset for the paper's metrics: matches the human's fingertip positions after aligning the palms,
+and gives priority to the directions from the thumb. Fingers with other lengths than the human's
+stay bent in an open hand."""
 
 SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
     SMOOTH_PRECISE,
@@ -472,7 +477,7 @@ SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
     jump=0.02,
     noise=50.0,
 )
-"""For recordings: ``smooth:precise`` for all frames together, without its filters."""
+"""Preset for recordings: ``smooth:precise`` for all frames together, without its filters."""
 
 SMOOTH: Final = {
     "teleop": SMOOTH_TELEOP,

@@ -33,14 +33,15 @@ from smooth_operator.settings import check_numbers, is_off
 BELOW_THUMB_TIP: Final = LANDMARKS[TIPS[0] - 1]
 """Landmark at the other end of the thumb's last segment."""
 _SHORT: Final = 0.002
-"""Length by which a vector is rounded, since a vector of length 0 has no direction [m]."""
+"""Smoothing length of vectors, because a vector of length 0 has no direction [m]."""
 _LEAST: Final = 0.25
-"""Share of the curvature that is kept where a vector points away; its own would be negative."""
+"""Fraction of the curvature that is kept if a vector points away, where the true curvature is
+negative."""
 
 
 @dataclass(frozen=True, eq=False)
 class FingertipMotion(PointTerm):
-    """Fingertips move as the human's do, whatever their error is.
+    """Cost term that makes fingertips copy the human's motion, whatever their position error.
 
     Sum over fingertips of mu_i / (2 beta) |p_i - p_i(last answer) - the human's step|^2, with the
     goal's mu_i (``motion_weights``) and places of arrival (``tips``).
@@ -89,7 +90,7 @@ class FingertipPositionConfig:
         weight: weight of a small error, in the units of a keyvector's weight: the cost is
             weight x e^2 / (2 x 20 mm) / (1 + e^2 / width^2) for an error e (Geman-McClure); 0
             leaves the term out.
-        width: error beyond which the force falls [m].
+        width: error beyond which the force decreases [m].
     """
 
     weight: float = 40.0
@@ -101,12 +102,12 @@ class FingertipPositionConfig:
 
 @dataclass(frozen=True, eq=False)
 class FingertipPosition(VectorTerm):
-    """Fingertips are exactly where the human's are, where they are nearly so already.
+    """Cost term that removes small position errors of fingertips completely.
 
-    The keyvectors between fingertips weigh more than those from the wrist, so that all fingertips
-    together are held softly. This cost makes it stiff where the robot can reach the human's
-    fingertips. It is bounded: a fingertip that is far from the human's, for the robot's bones are
-    others, is not pulled, and moves as the human's does.
+    The keyvectors between fingertips have larger weights than those from the wrist, so the position
+    of all fingertips together is controlled weakly. This cost controls it strongly if the robot can
+    reach the human's fingertips. It is bounded: a fingertip that is far from the human's because of
+    different bones is not pulled, and copies the human's motion.
 
     Attributes:
         config: settings.
@@ -154,7 +155,7 @@ class _Turn(NamedTuple):
 def _turned(
     vectors: Float[Array, "*n 3"], aim: Float[Array, "*n 3"], weight: Array | float
 ) -> _Turn:
-    """Cost of vectors that point another way than the unit vectors ``aim``."""
+    """Cost of the angle between vectors and the unit vectors ``aim``."""
     size = jnp.sqrt((vectors * vectors).sum(-1) + _SHORT**2)
     unit = vectors / size[..., None]
     cosine = (aim * unit).sum(-1)
@@ -165,15 +166,16 @@ def _turned(
 
 @dataclass(frozen=True, eq=False)
 class PadDirection(PointTerm):
-    """The thumb's last segment points as the human's does, which turns the thumb's pad.
+    """Cost term that points the thumb's last segment like the human's, which orients the thumb's
+    pad.
 
-    Weight times one minus the cosine between the two segments. Most thumbs have more joints than a
-    fingertip's place decides. The way the pad faces then decides whether what it holds stays or
-    rolls.
+    Weight times one minus the cosine between the two segments. Most thumbs have more joints than
+    the position of the fingertip determines. The direction of the pad then determines whether a
+    held object stays or rolls.
 
     Attributes:
         hand: the robot hand.
-        weight: of one minus the cosine.
+        weight: weight of one minus the cosine.
     """
 
     hand: Hand
@@ -212,11 +214,11 @@ SPREAD: Final = 0.2
 
 @dataclass(frozen=True, eq=False)
 class FingerSpread(JointTerm):
-    """Long fingers that spread far have a cost: weight times the squared excess over ``SPREAD``.
+    """Cost term on long fingers that spread far: weight times the squared excess over ``SPREAD``.
 
     The tip of a bent finger hardly moves with the joint that spreads it. Where that joint has a
-    wide range, as LEAP's of 1.05 rad, it would drift to its limit, from where the finger opens
-    along another way than the human's, and then leaps.
+    wide range, as LEAP's of 1.05 rad, it would drift to its limit. From there the finger would open
+    along a different path than the human's, and then jump.
 
     Attributes:
         hand: the robot hand.
@@ -228,7 +230,7 @@ class FingerSpread(JointTerm):
 
     @property
     def is_off(self) -> bool:
-        """Without weight, or if no finger can spread as far."""
+        """True without weight, or if no finger can spread that far."""
         return is_off(self.weight) or not self._weights.any()
 
     @cached_property
@@ -251,10 +253,10 @@ class DirectionLengthConfig:
     """Settings of the direction and length cost.
 
     The cost of length is linear beyond ``huber_width``, so the force that closes a pinch is
-    bounded, and with it the depth to which parts are pressed into each other.
+    bounded, and so is the penetration depth of the parts.
 
     Attributes:
-        direction: cost of one minus the cosine between a vector and the human's; 0 leaves it out.
+        direction: cost of one minus the cosine between a vector and the human's; 0 disables it.
         length: cost per metre of the length error of a short vector; 0 leaves it out.
         huber_width: length error below which that cost is quadratic [m].
         near: length of the human's vector at which that cost is halved; it falls with the fourth
@@ -277,7 +279,8 @@ class DirectionLengthConfig:
 
 @dataclass(frozen=True, eq=False)
 class DirectionLength(VectorTerm):
-    """Direction error (1 - cosine) and length error of the vectors from the thumb's tip to others.
+    """Cost term on direction (1 - cosine) and length errors of the vectors from the thumb's tip to
+    the other tips.
 
     Where parts that touch keep a short vector from its target, the nearest point to the target may
     lie in any direction. With a cost of its own, the direction stays the human's.
@@ -323,9 +326,10 @@ class SelfCollisionConfig:
     """Settings of the self-collision cost.
 
     Attributes:
-        weight: weight of a pair that is too near, in the units of a keyvector's weight: the cost is
-            weight x d^2 / (2 x 20 mm) for a depth d; 0 leaves the term out.
-        margin: distance below which a pair counts [m]. Negative lets soft parts sink in.
+        weight: weight of a pair that is too close, in the units of a keyvector's weight: the cost
+            is weight x d^2 / (2 x 20 mm) for a depth d; 0 leaves the term out.
+        margin: distance below which a pair counts [m]. A negative margin allows soft parts to
+            overlap.
     """
 
     weight: float = 12000.0
@@ -337,7 +341,8 @@ class SelfCollisionConfig:
 
 @dataclass(frozen=True, eq=False)
 class SelfCollision(PointTerm):
-    """Squared depth of each pair of capsules that are nearer than the margin."""
+    """Cost term on self-collision: squared depth of each pair of capsules that are closer than the
+    margin."""
 
     hand: Hand
     config: SelfCollisionConfig
@@ -356,7 +361,7 @@ class SelfCollision(PointTerm):
 
     @property
     def is_off(self) -> bool:
-        """Without weight, and where no parts could touch."""
+        """True without weight, or if no parts can touch."""
         return is_off(self.config.weight) or len(self.pairs.pairs) == 0
 
     def points(self) -> tuple[str, ...]:

@@ -1,5 +1,5 @@
-"""Keyvectors, and the targets and weights that a policy sets for them: the base class of
-policies, and the policy of ``smooth``.
+"""Keyvectors, the base class of policies that set their targets and weights, and the policy of
+``smooth``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from smooth_operator.settings import check_numbers
 class VectorLayout(ABC):
     """Vectors between landmarks for which a target policy sets targets.
 
-    Subclasses say ``vectors``; a robot's counterparts of the landmarks have the same names.
+    Subclasses define ``vectors``. The corresponding points of a robot have the same names as the
+    landmarks.
     """
 
     @property
@@ -111,7 +112,7 @@ class Targets(NamedTuple):
     """Targets of one frame.
 
     Attributes:
-        vectors: (K, 3) where the robot's keyvectors should go [m].
+        vectors: (K, 3) target values of the robot's keyvectors [m].
         weights: (K,) weights lambda_k of Eq. (1).
     """
 
@@ -126,8 +127,8 @@ StateT = TypeVar("StateT")
 class TargetPolicy(ABC, Generic[LayoutT, StateT]):
     """Maps the human's vectors to the targets of the robot's, frame by frame.
 
-    A policy is immutable. What it remembers between frames is in its state: a pytree of arrays,
-    made by ``init``, taken and returned by every call. Subclasses are frozen dataclasses.
+    A policy is immutable. Its memory between frames is its state: a pytree of arrays that ``init``
+    creates and every call takes and returns. Subclasses are frozen dataclasses.
     """
 
     @abstractmethod
@@ -155,12 +156,14 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
 class CloseTargets(TargetPolicy[KeyvectorLayout, Bool[Array, " P"]]):
     """Targets of ``smooth``: the human's vectors from the wrist and from the thumb's tip.
 
-    Those from the wrist have a weight; those from the thumb only have ``DirectionLength``'s costs.
+    The vectors from the wrist have a weight; those from the thumb only have the costs of
+    ``DirectionLength``.
 
     Attributes:
         w_wrist: weight of the wrist-to-tip keyvectors.
-        project, escape: a finger is latched to the thumb when the tips come nearer than the one
-            [m], until they are farther apart than the other. That changes no target.
+        project, escape: a finger is latched to the thumb when the distance of their tips falls
+            below ``project``, and released when it rises above ``escape`` [m]. Latching does not
+            change the targets.
     """
 
     w_wrist: float = 18.0

@@ -1,9 +1,10 @@
-"""Terms of an objective: costs of points of the robot, and costs of its joints.
+"""Terms of an objective: costs on points of the robot, and costs on its joints.
 
-A term of your own is a frozen dataclass with its settings. ``LeastSquaresTerm`` needs residuals
-alone; ``VectorTerm`` is for a cost of keyvectors, ``JointTerm`` for one of joint positions, and
-``PointTerm`` gives gradient and Gauss-Newton rows itself. ``ObjectiveConfig(terms=(MyTerm(),))``
-adds a term to a preset. The terms of Eq. (1) are here, those of ``smooth`` in ``smooth_terms.py``.
+To write your own term, define a frozen dataclass with its settings. ``LeastSquaresTerm`` needs only
+residuals; ``VectorTerm`` is for costs on keyvectors, ``JointTerm`` for costs on joint positions,
+and ``PointTerm`` computes gradient and Gauss-Newton rows itself.
+``ObjectiveConfig(terms=(MyTerm(),))`` adds a term to a preset. The terms of Eq. (1) are here, those
+of ``smooth`` in ``smooth_terms.py``.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from smooth_operator.retargeting.targets import KeyvectorLayout, VectorLayout
 T = TypeVar("T", bound="Term")
 
 TRANSITION: Final = 0.02
-"""Where the keyvectors' smooth-L1 turns from quadratic to linear [m]; quadratic terms divide their
-weights by it, so that all weights compare."""
+"""Error at which the smooth-L1 cost of keyvectors changes from quadratic to linear [m]. Quadratic
+terms divide their weights by it, so that all weights are comparable."""
 
 TINY_AREA: Final = 1e-12
 """Added to the square of a length, so that its root has a derivative at 0 [m^2]."""
@@ -43,10 +44,9 @@ class FrameGoal(NamedTuple):
         vectors: (K, 3) keyvector targets [m].
         weights: (K,) their weights.
         previous: (m,) last command of the actuated joints [rad].
-        velocity_weight: lambda_vel of the frame, or (m,) of each joint; 0 where there is no last
-            command to be near to.
-        tips: (F, 3) where fingertips arrive if they move as the human's do [m]; for the term of
-            fingertip motion only.
+        velocity_weight: lambda_vel of the frame, or (m,) of each joint; 0 without a last command.
+        tips: (F, 3) positions that fingertips reach if they copy the human's motion [m]; only for
+            the term of fingertip motion.
         motion_weights: (F,) weights of that term, in the units of a keyvector's weight.
         pad: (3,) direction of the last segment of the human's thumb; for ``PadDirection`` only.
     """
@@ -61,16 +61,17 @@ class FrameGoal(NamedTuple):
 
 
 class Quadratic(NamedTuple):
-    """A term near one pose.
+    """Local model of a term near one pose.
 
     The objective makes the Hessian of the rows, rows^T weights rows, and adds the curvature of the
     kinematics along the gradient.
 
     Attributes:
-        cost: at the pose.
+        cost: cost at the pose.
         gradient: (P, 3) of the cost with respect to the term's points.
-        rows: (R, J) derivatives of R residuals with respect to the J joints; or (K, 3, J), where
-            second derivatives mix residuals in groups of three. Or what gives them of a motion.
+        rows: (R, J) derivatives of R residuals with respect to the J joints; or (K, 3, J) if second
+            derivatives mix residuals in groups of three; or a function that computes the rows from
+            a motion.
         weights: (R,) second derivatives of the cost with respect to the residuals; or (K, 3, 3).
     """
 
@@ -81,10 +82,10 @@ class Quadratic(NamedTuple):
 
 
 class Term:
-    """One term of an objective."""
+    """Base class of the terms of an objective."""
 
     def build(self: T, hand: Hand) -> T:
-        """The term for one hand; itself, if it does not depend on the hand.
+        """Returns the term for one hand; the term itself if it does not depend on the hand.
 
         Raises:
             ConfigError: if the hand lacks what the term needs.
@@ -94,19 +95,20 @@ class Term:
 
     @property
     def is_off(self) -> bool:
-        """True if the term is left out, as with a weight of 0."""
+        """True if the term has no effect, for example with a weight of 0."""
         return False
 
 
 class PointTerm(Term, ABC):
-    """A cost of where some points of the robot are, in the palm frame."""
+    """A cost on the positions of points of the robot in the palm frame."""
 
     @abstractmethod
     def points(self) -> tuple[str, ...]:
         """Names of the P points: landmarks that a joint moves, or points of ``own_points``."""
 
     def own_points(self) -> Mapping[str, tuple[int, np.ndarray]]:
-        """Points that are no landmarks: name -> (body of the model, (3,) position in it [m])."""
+        """Points that are not landmarks: maps names to (body of the model, (3,) position in it
+        [m])."""
         return {}
 
     @abstractmethod
@@ -122,7 +124,7 @@ class PointTerm(Term, ABC):
 
 
 class JointCost(NamedTuple):
-    """A cost of joints at poses, with its derivatives.
+    """A cost on joints at given poses, with its derivatives.
 
     Attributes:
         cost: (...) a sum over the joints.
@@ -136,7 +138,7 @@ class JointCost(NamedTuple):
 
 
 class JointTerm(Term, ABC):
-    """A cost of the m actuated joints, each for itself."""
+    """A separable cost on the m actuated joints."""
 
     @abstractmethod
     def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
@@ -224,8 +226,8 @@ class VectorSlopes(NamedTuple):
     Attributes:
         cost: sum of their costs.
         first: (K, 3) first derivative with respect to each vector.
-        second: (K, 3) second derivative, without what is negative in it, where components don't
-            mix; (K, 3, 3) where they do.
+        second: (K, 3) second derivative without negative parts, if components are independent;
+            otherwise (K, 3, 3).
     """
 
     cost: Float[Array, ""]
@@ -235,7 +237,7 @@ class VectorSlopes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class VectorTerm(PointTerm):
-    """A cost of the errors of some of the robot's vectors, each for itself.
+    """A separable cost on the errors of some of the robot's vectors.
 
     Attributes:
         vectors: the robot's vectors.
@@ -277,7 +279,7 @@ class VectorTerm(PointTerm):
         which = self.which
         cost, first, second = self.slopes((self.vectors.at(points) - goal.vectors)[which], goal)
         rows = self.vectors.jacobian(jacobian)[which]
-        if second.ndim == 2:  # components that don't mix
+        if second.ndim == 2:  # independent components
             rows, second = rows.reshape(second.size, rows.shape[-1]), second.reshape(-1)
         return Quadratic(cost, self.vectors.spread(first, which), rows, second)
 
@@ -299,7 +301,7 @@ class Keyvectors(VectorTerm):
         return weight * (parts[0] + parts[1] + parts[2])
 
     def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
-        """See ``VectorTerm``; exact but on the kinks of smooth-L1."""
+        """See ``VectorTerm``; exact except at the kinks of smooth-L1."""
         weights = jnp.asarray(goal.weights)
         cost = self.price([errors[:, c] for c in range(3)], weights).sum()
         slope, second = smooth_l1_slopes(errors, self.transition)
@@ -326,7 +328,8 @@ class LeastSquaresTerm(PointTerm):
 
     @abstractmethod
     def residuals(self, points: Float[Array, "P 3"], goal: FrameGoal) -> Float[Array, " R"]:
-        """(R,) residuals at one pose, each times the root of its weight; differentiable."""
+        """(R,) residuals at one pose, each multiplied by the square root of its weight;
+        differentiable."""
 
     def expand(
         self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal

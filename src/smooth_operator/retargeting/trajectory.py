@@ -13,24 +13,25 @@ from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.settings import LARGEST, check_numbers
 
 SPEEDING: Final = 500.0
-"""Cost of a joint's change beyond the speed limit [1/rad^2]; what a frame asks is worth a few."""
+"""Cost of a joint's change beyond the speed limit [1/rad^2]; the cost of a frame is about a few
+units."""
 
 
 @dataclass(frozen=True)
 class TrajectoryConfig:
-    """Weights of the motion's cost, against a frame's cost of one.
+    """Weights of the costs of motion, relative to the cost of a frame.
 
     Attributes:
         acceleration_weight: weight of squared joint acceleration [s^4/rad^2].
         motion_weight: weight of the difference of fingertip velocities to the human's [s^2], in
             units of a keyvector's weight.
-        motion_speed: human fingertip speed at which that weight is halved [m/s]; it goes on to fall
-            with the square of the speed. 0 leaves it constant.
+        motion_speed: human fingertip speed at which that weight is halved [m/s]; the weight falls
+            with the square of the speed. 0 keeps it constant.
         speed_limit: largest speed of joints [rad/s]; a faster change between frames at the median
-            rate costs half of ``SPEEDING`` times the square of what is too much. After a lost
-            frame a command must not jump further than after any other.
-        iterations: Newton steps at most.
-        tolerance: a step that moves no joint further ends it [rad].
+            rate costs half of ``SPEEDING`` times the squared excess. A command must not jump
+            further after a lost frame than after any other frame.
+        iterations: maximum number of Newton steps.
+        tolerance: the optimisation ends after a step that moves no joint further than this [rad].
     """
 
     acceleration_weight: float
@@ -56,16 +57,17 @@ FUTURE: Final = TrajectoryConfig(
 
 @dataclass(frozen=True)
 class TrajectoryMethodConfig(MethodConfig):
-    """Settings of trajectory optimisation: with the future known, all frames are solved together.
+    """Settings of trajectory optimisation, which solves all frames of a recording together.
 
     Attributes:
-        causal: the method that answers frame by frame. Its answer is where the optimisation begins,
-            and its objective, without the terms about the last frame, is the cost of each frame.
+        causal: the frame-by-frame method. The optimisation starts from its result, and its
+            objective without the terms about the last frame is the cost of each frame.
         future: costs of motion between the frames.
-        bridge: gaps that are no longer are bridged [s]; over longer ones the last pose is held.
-        jump: the filter follows half of a landmark's step of this length, the rest before and after
-            it [m]: a tracker's jumps dominate the acceleration of a recording; 0 follows all.
-        noise: by how many times the tracker's noise that step is longer.
+        bridge: longest gap that is bridged [s]; during a longer gap the last pose is held.
+        jump: length of a landmark's step of which the filter follows half at once, and the rest
+            before and after it [m], because a tracker's jumps dominate the acceleration of a
+            recording. 0 follows every step completely.
+        noise: multiple of the tracker's noise that is added to ``jump``.
     """
 
     causal: MethodConfig
@@ -83,7 +85,7 @@ class TrajectoryMethodConfig(MethodConfig):
         return self.causal.alignment
 
     def build(self, hand: Hand) -> NoReturn:
-        """Refuses: there is no answer to a single frame.
+        """Raises an error, because single frames can't be solved.
 
         Raises:
             ConfigError: always.
@@ -99,7 +101,7 @@ class TrajectoryMethodConfig(MethodConfig):
         return dataclasses.replace(self, causal=self.causal.with_alignment(**changes))
 
     def without_pull(self) -> TrajectoryMethodConfig:
-        """These settings with next to no pull to the neutral pose."""
+        """These settings with almost no pull to the neutral pose."""
         return dataclasses.replace(self, causal=self.causal.without_pull())
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
