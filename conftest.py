@@ -25,7 +25,7 @@ import pytest
 _MARK = "SMOOTH_OPERATOR_TEST_HOME"
 _HOMES = ("HOME", "USERPROFILE", "XDG_CONFIG_HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME",
           "APPDATA", "LOCALAPPDATA")  # fmt: skip
-_KEPT = (_MARK,)
+_ALLOWED = (_MARK,)
 """Variables of this program that a run passes on to its own workers."""
 
 
@@ -37,7 +37,7 @@ def _set_up_environment() -> None:
         return
     home = tempfile.mkdtemp(prefix="smooth-operator-tests-")
     atexit.register(shutil.rmtree, home, ignore_errors=True)
-    for name in [n for n in os.environ if n.startswith("SMOOTH_OPERATOR_") and n not in _KEPT]:
+    for name in [n for n in os.environ if n.startswith("SMOOTH_OPERATOR_") and n not in _ALLOWED]:
         del os.environ[name]
     os.environ.pop("MENAGERIE_ROOT", None)
     for name in _HOMES:

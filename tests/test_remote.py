@@ -200,7 +200,7 @@ def test_another_method_while_the_hand_moves(stage):
         ({"method": "telepathy"}, "unknown method 'telepathy'"),
         ({"method": "geort", "preset": "no-such"}, "no-such"),
         ({}, "which method"),
-        ({"method": 3}, "expected a text, not 3"),
+        ({"method": 3}, "expected a string, not 3"),
     ],
 )
 def test_a_method_that_is_none_is_refused_and_the_old_one_goes_on(stage, fields, words):
@@ -373,7 +373,7 @@ def test_a_task_is_loaded_switched_and_left(stage):
     stage.do("task", task="cube")
     look = stage.session.look(text=False, scenery=look["number"])["scenery"]
     assert "cube" in {part["name"] for part in look["parts"]["right"]}
-    for bad, words in (("chess", "unknown task 'chess'"), (3, "expected a text")):
+    for bad, words in (("chess", "unknown task 'chess'"), (3, "expected a string")):
         with pytest.raises(RemoteRefusedError, match=words):
             stage.do("task", task=bad)
     assert stage.do("status")["task"] == "cube"

@@ -76,7 +76,7 @@ def test_a_preset_file_stands_for_a_preset(tmp_path):
     ("text", "reason"),
     [
         ("format = 2", "format: expected 1, not 2"),
-        ("format = 1\nmethod = 3\nbase = 'x'", "method: expected a text, not 3"),
+        ("format = 1\nmethod = 3\nbase = 'x'", "method: expected a string, not 3"),
         (
             "format = 1\nmethod = 'sbr'\nbase = 'realtime'\n[settings]\na = 'b'",
             "settings.a: expected a finite",

@@ -428,7 +428,7 @@ def test_a_stopped_simulation_goes_on_and_analyze_reads_it(tmp_path, monkeypatch
     data = read_study([tmp_path])
     assert len(data.trials) == 8
     assert all(str(code).startswith("simulated-") for code in data.trials.operator)
-    assert any("8 of 8 questionnaires have an answer left out" in note for note in data.notes)
+    assert any("8 of 8 questionnaires have a missing answer" in note for note in data.notes)
 
 
 def test_the_command_says_what_it_is_and_what_is_wrong(tmp_path):

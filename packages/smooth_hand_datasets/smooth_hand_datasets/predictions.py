@@ -111,7 +111,7 @@ class _Found:
         at: np.ndarray | None,
         sure: float = np.nan,
     ) -> None:
-        """Keeps a hand; of two of one side in a frame, the one that the model is surer of."""
+        """Adds a detected hand. If a frame has two of one side, keeps the more confident one."""
         hand = self.hands[side]
         if frame in hand.points:
             self.spare += 1

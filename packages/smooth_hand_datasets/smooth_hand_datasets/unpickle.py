@@ -152,16 +152,16 @@ def numbers(value: Any) -> np.ndarray:
     if isinstance(value, _Stated):
         return value.array()
     if isinstance(value, list | tuple) and not _are_numbers(value, 2):
-        raise NotDataError("it has lists of other things where numbers should be")
+        raise NotDataError("expected lists of numbers, but they contain other values")
     if isinstance(value, list | tuple | bool | int | float):
         try:
             value = np.asarray(value, np.float64)
         except (ValueError, OverflowError) as error:
             raise NotDataError("it has rows of different lengths or huge numbers") from error
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
-        raise NotDataError(f"it has a {type(value).__name__} where numbers should be")
+        raise NotDataError(f"expected numbers, not a {type(value).__name__}")
     if isinstance(value, _Array) and value.objects is not None:
-        raise NotDataError("it has an array of objects where numbers should be")
+        raise NotDataError("expected an array of numbers, not of objects")
     return np.asarray(value, np.float64)
 
 

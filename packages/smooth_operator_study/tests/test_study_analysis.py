@@ -254,9 +254,9 @@ def test_missing_times_and_answers_are_flagged(case, tmp_path):
     found = analyze_study(load(tmp_path, trials, tlx)).results["small-sample"]
     times = sum(bool(row["score"]) for row in case.trials)
     assert found["time"]["pooled"].n == times - 3
-    assert "3 successful trial(s) without a time are left out" in found["time"]["A"].warnings
+    assert "3 successful trial(s) without a time are excluded" in found["time"]["A"].warnings
     assert found["tlx"]["pooled"].n == len(case.tlx) - 1
-    assert any("answer missing" in text for text in found["tlx"]["pooled"].warnings)
+    assert any("missing answer" in text for text in found["tlx"]["pooled"].warnings)
 
 
 def test_tasks_that_tell_the_retargeter_are_refused(case, tmp_path):

@@ -80,7 +80,7 @@ def test_semicolons_and_a_byte_order_mark_are_read(case, tmp_path):
         ({"time_s": -3}, "row 5, column time_s: expected a time in seconds above 0"),
         ({"time_s": "inf"}, "row 5, column time_s"),
         ({"time_s": "12,5"}, "row 5, column time_s"),
-        ({"block": 1.5}, "row 5, column block: expected a whole number from 1 on, came '1.5'"),
+        ({"block": 1.5}, "row 5, column block: expected a whole number of at least 1, not '1.5'"),
         ({"trial_global": 0}, "row 5, column trial_global"),
         ({"operator": " "}, "row 5, column operator: expected a name; the field is empty"),
         (
@@ -118,14 +118,14 @@ def test_missing_columns_rows_and_files_are_named(case, tmp_path):
         read_study([file])
     lines = case.write(tmp_path / "cut")[0]
     lines.write_text(lines.read_text("utf-8") + "P09,A\n", encoding="utf-8")
-    with pytest.raises(StudyError, match="expected 8 fields as in the header, came 2"):
+    with pytest.raises(StudyError, match="expected 8 fields as in the header, not 2"):
         read_study([lines])
     header = write_rows(tmp_path / "x.csv", [{"a": 1, "b": 2}])
-    with pytest.raises(StudyError, match="no table of a study"):
+    with pytest.raises(StudyError, match="is not a table of a study"):
         read_study([header])
     with pytest.raises(StudyError, match="no such file"):
         read_study([tmp_path / "nowhere.csv"])
-    with pytest.raises(StudyError, match="holds no study"):
+    with pytest.raises(StudyError, match="contains no study"):
         read_study([tmp_path])
     _, tlx = case.write(tmp_path / "only")
     with pytest.raises(StudyError, match=r"no trials in tlx\.csv"):
@@ -135,7 +135,7 @@ def test_missing_columns_rows_and_files_are_named(case, tmp_path):
         read_study([trials, trials])
     bad = tmp_path / "bad.json"
     bad.write_text('{"trials": [}', encoding="utf-8")
-    with pytest.raises(StudyError, match=r"no readable JSON: .* line 1"):
+    with pytest.raises(StudyError, match=r"not readable as JSON: .* line 1"):
         read_study([bad])
     (tmp_path / "picture.csv").write_bytes(b"\x89PNG\xff\xfe")
     with pytest.raises(StudyError, match="not text in UTF-8"):

@@ -262,7 +262,9 @@ def test_no_other_operator_is_chosen_during_a_trial_or_free_movement(tmp_path):
         for step in ("familiarise", "trial"):
             walk(service, store, step)
             switched = len(teleop.switched)
-            with pytest.raises(StudyError, match="card, block 1 of operator P01 is on; end it"):
+            with pytest.raises(
+                StudyError, match="card, block 1 of operator P01 is in progress; end it"
+            ):
                 choose(service, "P02")
             enrol = Command(f"enrol-{step}", "enrol", f"P-{step}", None, {})
             service.carry_out(enrol, "experimenter")

@@ -43,7 +43,7 @@ def test_pause_stray_click_amend_withdraw_and_enrol(chromium, tmp_path):
             page.get_by_role("button", name="Stop the clock").wait_for()  # it runs again
 
             page.get_by_role("button", name="P02").click()
-            page.get_by_text("of operator P01 is on; end it, or void the trial").wait_for()
+            page.get_by_text("of operator P01 is in progress; end it, or void the trial").wait_for()
             pages.press("1", "1")
             pages.step("Questionnaire")
             assert service.operator == "P01"

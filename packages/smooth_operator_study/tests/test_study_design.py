@@ -176,10 +176,10 @@ def test_a_design_is_scaled_in_its_shares(operators):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"conditions": (Condition("sbr"),)}, "two conditions or more; it has 1"),
+        ({"conditions": (Condition("sbr"),)}, "at least two conditions; it has 1"),
         ({"conditions": (Condition("dexpilot"),) * 2}, "'dexpilot' comes twice"),
         ({"baseline": "dexpilo"}, "Did you mean 'dexpilot'"),
-        ({"tasks": ()}, "needs a task"),
+        ({"tasks": ()}, "needs at least one task"),
         ({"operators": 5}, "by 12 operators, but the study has 5"),
         ({"operators": 90}, "the tasks take only 26"),
         ({"operators": True}, "whole number"),
@@ -269,7 +269,7 @@ def test_files_that_are_none(tmp_path):
 def test_unbalanced_orders_of_a_file_are_pointed_out():
     plan = make_plan(protocol())
     lame = Plan(plan.protocol, plan.orders[:3])
-    assert any("no balanced Latin square" in note for note in imbalances(lame))
+    assert any("not a balanced Latin square" in note for note in imbalances(lame))
 
 
 def run(*arguments: str) -> int:

@@ -128,7 +128,7 @@ def test_who_withdrew_and_wants_to_be_left_out_is_left_out(exported):
     assert flow.recalibrations == 1
     text = flow_text(flow)
     for part in (
-        "5 operators enrolled, 5 started, 3 completed", "P02 withdrew (ill, data left out)",
+        "5 operators enrolled, 5 started, 3 completed", "P02 withdrew (ill, data excluded)",
         "P03 withdrew (data kept)", "P05 was excluded (an author)", "3 were analysed",
     ):  # fmt: skip
         assert part in text
@@ -143,7 +143,7 @@ def test_exclusions_that_cannot_be(exported):
     for exclude, said in (
         ({"P06": "x"}, "unknown operator to exclude: 'P06'.*Available: P01, P02, P03, P04, P05.$"),
         ({"P05": " "}, "without a reason"),
-        (dict.fromkeys(CODES, "all"), "nobody is left"),
+        (dict.fromkeys(CODES, "all"), "no operators are left"),
     ):
         with pytest.raises(SmoothOperatorError, match=said):
             leave_out(data, exclude)
@@ -210,7 +210,10 @@ def test_the_plans_baseline_is_the_analysis_baseline(study, tmp_path, capsys):
     assert main([*arguments, str(tmp_path / "b"), "--baseline", "dexpilot"]) in (0, 1)
     other = json.loads((tmp_path / "b" / "results.json").read_text(encoding="utf-8"))
     assert (other["study"]["baseline"], other["study"]["planned_baseline"]) == ("dexpilot", "sbr")
-    assert "the baseline dexpilot was asked for; the plan's is sbr" in capsys.readouterr().err
+    assert (
+        "the baseline dexpilot was requested, but that of the plan is sbr"
+        in capsys.readouterr().err
+    )
 
 
 def test_without_a_plan_nothing_is_primary(tmp_path):
@@ -236,7 +239,7 @@ def test_the_methods_paragraph_is_of_the_plan_and_of_the_data(exported):
     text = methods_paragraph(found)
     for part in (
         "3 operators took part",
-        "P02 withdrew (ill, data left out)",
+        "P02 withdrew (ill, data excluded)",
         "P05 was excluded (an author); 3 were analysed [Schulz2010].",
         "1 trials were void and repeated (",
         "1 trials were corrected afterwards",

@@ -107,7 +107,7 @@ def test_what_does_not_answer_a_form_is_refused(answers, why):
 @pytest.mark.parametrize(
     ("made", "why"),
     [
-        ({"kind": "choice"}, "two choices or more"),
+        ({"kind": "choice"}, "at least two choices"),
         ({"kind": "text", "choices": ("a", "b")}, "nothing else"),
         ({"kind": "tick"}, "kind must be one of text"),
         ({"label": " "}, "needs a label"),
@@ -169,9 +169,9 @@ def test_another_language_is_read_from_a_file(tmp_path, name):
     with pytest.raises(StudyError, match=r"scales\.effort: is missing"):
         read_words(german(tmp_path, name, scales))
     scales["effort"] = {**part, "low": ""}
-    with pytest.raises(StudyError, match=r"scales\.effort\.low: expected a text"):
+    with pytest.raises(StudyError, match=r"scales\.effort\.low: expected a string"):
         read_words(german(tmp_path, name, scales))
-    with pytest.raises(SmoothOperatorError, match="no words of NASA-TLX at"):
+    with pytest.raises(SmoothOperatorError, match="no wording of NASA-TLX at"):
         read_words(tmp_path / name.replace("de", "fr"))
 
 

@@ -26,5 +26,5 @@ def test_mutants_are_read_soundly_or_refused(tmp_path):
 def test_what_python_takes_for_a_number_is_none_in_a_table(tmp_path, text):
     rows = study_files.TRIALS.replace("P0,A,sbr,1,", f"P0,A,sbr,{text},")
     (tmp_path / "trials.csv").write_text(rows, encoding="utf-8")
-    with pytest.raises(StudyError, match="expected a whole number from 1 on"):
+    with pytest.raises(StudyError, match="expected a whole number of at least 1"):
         read_study([tmp_path / "trials.csv"])

@@ -138,9 +138,9 @@ def test_blocks_without_any_residual_are_refused():
 
 def test_what_suits_operators_is_said_with_its_size():
     found = analyze("time", frame_of(CASES["own time pooled"]), limits=False)
-    text = "operators differ in which retargeter suits them: SD 2.4 s of operator by retargeter"
+    text = "operators differ in the retargeter that suits them: SD 2.4 s of operator by retargeter"
     assert any(said.startswith(text) for said in found["small-sample"].warnings)
-    assert "trials of one block for independent" in found["paper"].warnings[-1]
+    assert "trials of one block as independent" in found["paper"].warnings[-1]
     assert (
         found["small-sample"]
         .model["formula"]

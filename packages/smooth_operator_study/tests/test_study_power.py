@@ -246,7 +246,7 @@ def test_study_power_of_a_plan(tmp_path, capsys):
                  "--operators", "6"]) == 0  # fmt: skip
     arguments = ["study", "power", folder, "--studies", "4", "--operators", "6", "--workers", "0"]
     assert main(arguments) == 2
-    assert "what success of mine is to be expected" in capsys.readouterr().err
+    assert "the expected success of mine is missing" in capsys.readouterr().err
     assumed = ["--success", "mine=0.8", "--time", "mine=20", "--workload", "mine=30"]
     assert main([*arguments, *assumed]) == 0
     printed = capsys.readouterr().out

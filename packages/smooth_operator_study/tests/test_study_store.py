@@ -192,7 +192,7 @@ def test_a_page_left_open_changes_nothing(store):
     store.append("P01", stale)
     walk(store, "P01", "trial")
     before = store.records("P01")
-    with pytest.raises(StudyError, match="is for trial 1, but trial 2 is on; reload the page"):
+    with pytest.raises(StudyError, match="is for trial 1, but trial 2 is current; reload the page"):
         store.append("P01", stale)
     with pytest.raises(StudyError, match="not due; trial 2"):
         store.append("P01", Calibrated(stale.task))
@@ -215,7 +215,7 @@ def test_the_same_event_sent_twice_is_written_once(store):
         ("noted", {"text": "a", "colour": "red"}, "colour: no such entry"),
         ("danced", {}, "no event is called 'danced'"),
         ("undone", {"number": True}, "expected a whole number"),
-        ("noted", {"text": "a\x00b"}, "expected a text"),
+        ("noted", {"text": "a\x00b"}, "expected a string"),
     ],
 )
 def test_what_is_no_event_is_refused(kind, values, says):
@@ -258,7 +258,7 @@ def test_events_can_be_neither_changed_nor_deleted(store, tmp_path):
 def test_a_log_with_a_gap_is_refused(store):
     walk(store, "P01", "trial")
     records = store.records("P01")
-    with pytest.raises(StudyError, match="the log has lost something"):
+    with pytest.raises(StudyError, match="events of the log are missing"):
         replay(store.plan, "P01", [records[0], replace(records[1], number=3)])
 
 
@@ -308,7 +308,7 @@ def test_a_plan_is_mended_until_someone_has_begun(store, tmp_path):
         walk(again, "P01", "familiarise")
         assert again.progress("P01").plan.protocol.familiarisation_s == 7.0
     longer = replace(shorter, familiarisation_s=8.0)
-    with pytest.raises(StudyError, match="once someone has begun"):
+    with pytest.raises(StudyError, match="once an operator has begun"):
         open_study(tmp_path, replace(store.plan, protocol=longer))
 
 

@@ -72,7 +72,7 @@ class Entries:
             default: value of a missing entry; None if the entry is required.
             lines: accept several lines and other control characters.
         """
-        value = self._get(name, default, "a text")
+        value = self._get(name, default, "a string")
         if not isinstance(value, str):
             raise self.error(name, f"expected a string, not {brief(value)}")
         if not lines and not value.isprintable():
@@ -83,7 +83,7 @@ class Entries:
 
     def choice(self, name: str, options: Sequence[_T], default: _T | None = None) -> _T:
         """One of some words."""
-        value = self._get(name, default, "a text")
+        value = self._get(name, default, "a string")
         for option in options:
             if value == option:
                 return option

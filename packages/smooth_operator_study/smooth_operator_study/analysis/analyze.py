@@ -149,7 +149,7 @@ def analyze_study(
     data = leave_out(data, exclude)
     planned = _DEFAULT_BASELINE if data.plan is None else data.plan.baseline
     if data.plan is not None and baseline not in (None, planned):
-        note = f"the baseline {baseline} was asked for; the plan's is {planned}"
+        note = f"the baseline {baseline} was requested, but that of the plan is {planned}"
         data = replace(data, notes=(*data.notes, note))
     baseline = baseline or planned
     trials = data.trials
@@ -163,8 +163,8 @@ def analyze_study(
     operators = {str(name) for name in trials.operator}
     if len(operators) < 2:
         raise StudyError(
-            f"the study has one operator, {min(operators)}: nothing can be said about operators in "
-            "general; at least two are needed, and ten or more to be worth it"
+            f"the study has one operator, {min(operators)}: results can't be generalised to "
+            "other operators; at least two are needed, and ten or more are recommended"
         )
     tasks = sorted({str(name) for name in trials.task})
     if POOLED in tasks:
@@ -192,9 +192,9 @@ def _analyze_scope(analysis: Analysis, scope: str) -> None:
         filled = None if filled is None else filled[filled.task == scope]
     notes = {}
     if untimed := int((trials.success & trials.time.isna()).sum()):
-        notes["time"] = f"{untimed} successful trial(s) without a time are left out"
+        notes["time"] = f"{untimed} successful trial(s) without a time are excluded"
     if unanswered := 0 if filled is None else int(filled.workload.isna().sum()):
-        notes["tlx"] = f"{unanswered} questionnaire(s) with an answer missing are left out"
+        notes["tlx"] = f"{unanswered} questionnaire(s) with a missing answer are excluded"
     for outcome, frame in outcome_frames(analysis.data, scope, analysis.baseline).items():
         missing = (*_missing(analysis, frame, scope), *filter(None, [notes.get(outcome)]))
         for mode, result in analyze(outcome, frame, missing).items():
@@ -213,8 +213,8 @@ def _warn_of_interactions(analysis: Analysis) -> None:
         if isinstance(test, Refused) or not test.found:
             continue
         warning = (
-            f"differences between retargeters depend on the task (p = {test.test.p:.2g}): look at "
-            "the tasks one by one; their mean weighs tasks equally"
+            f"differences between retargeters depend on the task (p = {test.test.p:.2g}): "
+            "look at each task; their mean gives all tasks equal weight"
         )
         for mode in MODES:
             scopes = analysis.results[mode][outcome]
@@ -229,7 +229,7 @@ def _missing(analysis: Analysis, frame: Frame, scope: str) -> tuple[str, ...]:
     for name in analysis.retargeters:
         if name not in frame.retargeters:
             extra = ", so nothing is compared with it" if name == analysis.baseline else ""
-            notes.append(f"no rows of {name}: it is left out{extra}")
+            notes.append(f"no rows of {name}: it is excluded{extra}")
     if scope == POOLED:
         notes += [
             f"no rows of task {task}: means are over the other tasks"

@@ -157,8 +157,9 @@ def check_frame(frame: Frame) -> None:
         raise StudyError("there are no rows to analyse")
     if len(frame.operators) < 2:
         raise StudyError(
-            f"all rows are of one operator ({frame.operators[0]}): nothing can be said about "
-            "operators in general; at least two are needed, and ten or more to be worth it"
+            f"all rows are of one operator ({frame.operators[0]}): results can't be "
+            "generalised to other operators; at least two are needed, and ten or more are "
+            "recommended"
         )
     if len(frame.retargeters) < 2:
         raise StudyError(

@@ -51,7 +51,7 @@ _EDGE: Final = 0.01
 _ALONE: Final = 1 - 1e-10
 """Leverage from which an operator alone determines a coefficient."""
 _INFINITE: Final = (
-    "the GEE runs away to infinite odds: retargeter, task or trial (nearly) determine success "
+    "the GEE diverges to infinite odds: retargeter, task or trial determine success (nearly) "
     "without error"
 )
 
@@ -152,8 +152,8 @@ def fit_gee(
     alpha = float(fit.cov_struct.dep_params)
     if not converged:
         raise StudyError(
-            f"the GEE did not converge in {_ROUNDS * _STEPS} steps (last step {step:.1e}, working "
-            f"correlation {alpha:.3f}); its figures would mean nothing"
+            f"the GEE did not converge in {_ROUNDS * _STEPS} steps (last step {step:.1e}, "
+            f"working correlation {alpha:.3f}); its results would be meaningless"
         )
     largest = int(sizes.max())
     return GeeFit(

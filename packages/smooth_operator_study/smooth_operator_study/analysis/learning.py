@@ -100,7 +100,7 @@ def logistic_slope(frame: Frame) -> dict[str, Any]:
 def _check(frame: Frame) -> None:
     check_frame(frame)
     if frame.index_sd == 0:
-        raise StudyError("the index never varies, so there is no slope over it")
+        raise StudyError("the index is constant, so there is no slope")
 
 
 def _tested(design: Float[np.ndarray, "n p"], frame: Frame, count: int) -> list[dict[str, float]]:

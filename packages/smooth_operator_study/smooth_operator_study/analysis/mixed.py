@@ -34,8 +34,8 @@ _FLAT: Final = 1e-13
 _NO_RESIDUAL: Final = 1e-12
 """Share of the outcome's sum of squares within leaves below which there is no residual."""
 _EXPLAINED: Final = (
-    "the model explains the outcome without any residual, so nothing can be tested: within the "
-    "blocks of operators it never varies, or never but as the model says"
+    "the model explains the outcome without any residual, so nothing can be tested: within "
+    "the blocks of operators, the outcome is constant or varies exactly as the model predicts"
 )
 
 
@@ -119,7 +119,8 @@ def fit_mixed(
     rows, width = design.shape
     if rows <= width:
         raise StudyError(
-            f"a mixed model with {width} coefficients needs more rows than that; came {rows}"
+            f"a mixed model with {width} coefficients needs more rows than coefficients; "
+            f"there are {rows}"
         )
     return _Profile(design, outcome, _estimable(levels)).fit()
 

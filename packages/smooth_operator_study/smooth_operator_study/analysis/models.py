@@ -233,7 +233,7 @@ def compare(
             -difference, se, df, -statistic, p_raw, p, low, high, size, size_in_words(size, p)
         )
     if family.error > _ROUGH:
-        warnings.append(f"Dunnett p-values are known to {family.error:.1g} only")
+        warnings.append(f"Dunnett p-values are accurate only to {family.error:.1g} only")
     return Comparisons(emm, against, pairs, correlation.tolist(), tuple(warnings))
 
 
@@ -253,8 +253,9 @@ def check_separation(frame: Frame) -> None:
     if direction is not None:
         named = ", ".join(name for name, x in zip(names, direction, strict=True) if abs(x) > 1e-6)
         raise StudyError(
-            f"separation: a combination of {named} tells success without error in a part of the "
-            "rows, so its odds are infinite and have no standard error; see the observed rates"
+            f"separation: a combination of {named} predicts success without error in some of "
+            "the rows, so its odds are infinite and have no standard error; see the "
+            "observed rates"
         )
 
 

@@ -47,7 +47,7 @@ def leave_out(data: StudyData, exclude: Mapping[str, str] | None = None) -> Stud
     out = {*excluded, *(code for code, left in flow.withdrawn.items() if not left.keep)}
     analysed = tuple(code for code in present if code not in out)
     if not analysed:
-        raise StudyError(f"nobody is left to analyse; left out: {', '.join(sorted(out))}")
+        raise StudyError(f"no operators are left to analyse; excluded: {', '.join(sorted(out))}")
     flow = replace(flow, excluded=excluded, analysed=analysed)
     if not out:
         return replace(data, flow=flow)
@@ -115,7 +115,7 @@ def flow_text(flow: Flow) -> str:
 
 
 def _keep_text(keep: bool) -> str:
-    return "data kept" if keep else "data left out"
+    return "data kept" if keep else "data excluded"
 
 
 def operator_means(data: StudyData) -> pd.DataFrame:

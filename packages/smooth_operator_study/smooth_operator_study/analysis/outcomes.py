@@ -58,8 +58,8 @@ _OWN: Final = {
 _TAIL: Final = 0.05
 _UNITS: Final[dict[Outcome, str]] = {"success": "", "time": " s", "tlx": " points"}
 _IGNORED: Final = (
-    "mode paper has no term for that and takes trials of one block for independent: it gives too "
-    "many false positives"
+    "mode paper has no term for this and treats trials of one block as independent, so its "
+    "p-values are too small"
 )
 
 
@@ -144,19 +144,19 @@ def layout(frame: Frame) -> tuple[dict[str, Any], list[str]]:
     notes = []
     if len(frame.operators) < FEW_OPERATORS:
         notes.append(
-            f"only {len(frame.operators)} operators: with few, the published analysis (mode paper) "
-            "gives too many false positives"
+            f"only {len(frame.operators)} operators: with few operators, the published "
+            "analysis (mode paper) gives too many false positives"
         )
     if empty:
         notes.append(
-            f"no rows of {', '.join(empty)}: means over tasks rest on the model having no "
-            "interaction of retargeter and task"
+            f"no rows of {', '.join(empty)}: means over tasks assume that retargeter and "
+            "task do not interact"
         )
     if partial:
         shown = ", ".join(partial[:6]) + (f" and {len(partial) - 6} more" if partial[6:] else "")
         notes.append(f"not every retargeter has rows of operator {shown}")
     if frame.index_sd == 0:
-        notes.append("the index of trials never varies: the term t is left out")
+        notes.append("the index of trials is constant: the term t is omitted")
     return facts, notes
 
 
@@ -202,21 +202,21 @@ def residual_checks(
     notes = []
     if abs(facts["skewness"]) > SKEW:
         notes.append(
-            f"residuals are skewed ({facts['skewness']:.2f}): means say less than medians; look at "
-            "the distributions"
+            f"residuals are skewed ({facts['skewness']:.2f}): medians describe the data "
+            "better than means; look at the distributions"
         )
     if facts["excess_kurtosis"] > _HEAVY:
         notes.append(
-            f"residuals have heavy tails (excess kurtosis {facts['excess_kurtosis']:.1f}): a few "
-            "trials weigh much"
+            f"residuals have heavy tails (excess kurtosis {facts['excess_kurtosis']:.1f}): a "
+            "few trials have a large influence"
         )
     if spreads and min(spreads.values()) > 0:
         ratio = max(spreads.values()) / min(spreads.values())
         if ratio > _UNEQUAL:
             wide = max(spreads, key=lambda name: spreads[name])
             notes.append(
-                f"residuals spread {ratio:.1f} times as wide for {wide} as for the narrowest "
-                "retargeter: standard errors assume the same width"
+                f"the spread of residuals is {ratio:.1f} times as wide for {wide} as for the "
+                "narrowest retargeter: standard errors assume the same width"
             )
     if len(intercepts) > 3 and np.std(intercepts) > 0:
         scores = (intercepts - intercepts.mean()) / intercepts.std(ddof=1)
@@ -236,7 +236,10 @@ def rare_outcomes(frame: Frame) -> list[str]:
         if 0 < fewer < _RARE:
             kind = "success" if y.sum() < len(y) / 2 else "failure"
             kind += "" if fewer == 1 else "es" if kind == "success" else "s"
-            notes.append(f"{name} has only {fewer} {kind} in {len(y)} trials: its error is rough")
+            notes.append(
+                f"{name} has only {fewer} {kind} in {len(y)} trials: its standard error is "
+                "approximate"
+            )
     return notes
 
 
@@ -254,13 +257,13 @@ def _result(
         model = _mixed_facts(frame, fit.model)
         if fit.model.variances["operator"] == 0:
             notes.append(
-                "singular fit: the variance between operators is estimated as zero, so that what "
-                "they do counts as independent of who they are"
+                "singular fit: the variance between operators is estimated as zero, so "
+                "trials of one operator are treated as independent"
             )
         if fit.outcome == "time" and abs(checks["skewness"]) > SKEW:
             notes.append(
-                "skewed times: compare with the model of their logarithms, reading log_time, which "
-                "has ratios of times"
+                "times are skewed: compare with the model of their logarithms (reading "
+                "log_time), which gives ratios of times"
             )
         notes += compared.warnings
     else:
@@ -327,7 +330,7 @@ def _preferences(results: dict[Mode, ScopeResult], unit: str) -> tuple[str, ...]
     ]
     if not spreads:
         return ()
-    return (f"operators differ in which retargeter suits them: SD {' and '.join(spreads)}",)
+    return (f"operators differ in the retargeter that suits them: SD {' and '.join(spreads)}",)
 
 
 def refuse(blank: ScopeResult, reason: str) -> ScopeResult:
@@ -367,7 +370,8 @@ def _odds(fit: Fit) -> dict[str, dict[str, float]]:
 
 def _one_sided_tasks(levels: list[OneSided]) -> list[str]:
     return [
-        f"{level.text}: success has Firth's model, in which the odds of this task are finite"
+        f"{level.text}: success is analysed with Firth's model, in which the odds of this "
+        "task are finite"
         for level in levels
         if level.text.startswith("task ")
     ]
@@ -387,8 +391,8 @@ def _gee_warnings(frame: Frame, fit: GeeFit) -> list[str]:
         )
     if fit.alpha < 0:
         notes.append(
-            f"the working correlation is negative ({fit.alpha:.3f}): rows of one operator are no "
-            "more alike than those of different ones"
+            f"the working correlation is negative ({fit.alpha:.3f}): rows of one operator "
+            "are no more similar than rows of different operators"
         )
     return notes
 
@@ -455,9 +459,9 @@ def separated_in_words(name: str, result: Separated) -> str:
     """Describes a separated retargeter for the warnings."""
     share, side = ("all", "at least") if result.rate else ("none", "at most")
     return (
-        f"{name} succeeded in {share} of {result.trials} trials of {result.operators} operators: "
-        "its odds are infinite, so success has Firth's model here, which estimates a rate short of "
-        f"{100 * result.rate:.0f} %. Its success rate is {side} {100 * result.bound:.1f} % (exact "
-        f"95 % bound with operators as units; {100 * result.bound_if_independent:.1f} % if all "
-        "trials were independent)"
+        f"{name} succeeded in {share} of {result.trials} trials of {result.operators} "
+        "operators: its odds are infinite, so success is analysed with Firth's model, which "
+        f"estimates a rate short of {100 * result.rate:.0f} %. Its success rate is {side} "
+        f"{100 * result.bound:.1f} % (exact 95 % bound with operators as units; "
+        f"{100 * result.bound_if_independent:.1f} % if all trials were independent)"
     )

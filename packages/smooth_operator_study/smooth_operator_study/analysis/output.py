@@ -243,6 +243,6 @@ def write_report(analysis: Analysis, folder: Path) -> Path:
             for title, anchor, macro in _SECTIONS
             if anchor != "simulation" or analysis.spearman
         ],
-        "Made by smooth-operator study analyze. Figures: results.json and the CSV tables; "
+        "Made by smooth-operator study analyze. Numbers: results.json and the CSV tables; "
         "plots as files: figures/.",
     )

@@ -119,7 +119,7 @@ def refusable(compute: Callable[P, Figures]) -> Callable[P, Figures | Refused]:
         except StudyError as error:
             return Refused(str(error))
         except np.linalg.LinAlgError:
-            return Refused("the rows do not carry this model: its equations are singular")
+            return Refused("the data is not sufficient for this model: its equations are singular")
 
     return wrapped
 

@@ -82,7 +82,7 @@ def correlation_within(points: pd.DataFrame, *, seed: int, draws: int) -> dict[s
     products = pd.DataFrame({"xy": x * y, "xx": x * x, "yy": y * y}, index=points.index)
     sums = products.groupby(points.operator).sum().to_numpy()
     if not np.all(sums[:, 1:].sum(axis=0) > 0):
-        return {"refused": "within operators the metric or the outcome never varies"}
+        return {"refused": "the metric or the outcome is constant within operators"}
     drawn = operator_weights(len(sums), seed=seed, draws=draws) @ sums
     scale = np.sqrt(drawn[:, 1] * drawn[:, 2])
     rho = np.divide(drawn[:, 0], scale, out=np.full(len(scale), np.nan), where=scale > 0)

@@ -245,7 +245,8 @@ class Console:
                 if self._counts()[role] >= _PLACES[role]:
                     return connection.respond(
                         http.HTTPStatus.SERVICE_UNAVAILABLE,
-                        f"{_PLACES[role]} pages of the {role} are open already; close some\n",
+                        f"{_PLACES[role]} pages of the {role} are already open; close some "
+                        "of them\n",
                     )
                 return None
             if path not in site:
@@ -295,7 +296,7 @@ class Console:
             answer |= {"type": "refused", "error": str(error), "again": again}
         except Exception as error:
             _LOGGER.exception("a command failed")
-            text = f"not done, by a fault of this program: {type(error).__name__}: {error}"
+            text = f"not done, because of an error in this program: {type(error).__name__}: {error}"
             answer |= {"type": "refused", "error": text, "again": False}
         await self._draw()  # so that "done" comes with the state after it
         page.answers.append(answer)
@@ -343,7 +344,7 @@ class Console:
             # Answers are sent whatever the failure is, and the next look tries again.
             if not isinstance(error, SmoothOperatorError):
                 _LOGGER.exception("a look at the study failed")
-                error = StudyError(f"a fault of this program, {type(error).__name__}")
+                error = StudyError(f"an error in this program, {type(error).__name__}")
             self._note_trouble("look", error)
             experimenter = self._states.get("experimenter", {})
             operator = self._states.get("operator", {"what": "wait"})

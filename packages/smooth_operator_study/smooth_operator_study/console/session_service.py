@@ -77,7 +77,7 @@ def command_of(message: Mapping[str, Any], role: Role) -> Command:
     if not isinstance(do, str) or do not in (*EVENTS, *OTHER):
         raise StudyError(f"no such command: {do!r}; reload the page")
     if (role == "operator") != (do in OPERATOR_COMMANDS):
-        raise StudyError(f"the {role}'s page may not do {do!r}")
+        raise StudyError(f"the {role}'s page is not allowed to do {do!r}")
     if not isinstance(operator, str) or not isinstance(fields, Mapping):
         raise StudyError("a command needs an operator and its fields; reload the page")
     if after is not None and (isinstance(after, bool) or not isinstance(after, int)):
@@ -123,8 +123,8 @@ def event_for(
 def _check_reset(line: str, trial: Trial | None) -> None:
     if trial is not None and not trial.resets and line.endswith("after-reset"):
         raise StudyError(
-            f"line {line!r} of the rubric needs a reset, and this trial had none; if the object "
-            "was put back, say so first"
+            f"line {line!r} of the rubric needs a reset, and this trial had none; if the "
+            "object was reset, record the reset first"
         )
 
 
@@ -161,7 +161,7 @@ def trial_time(
     """
     trial = progress.running
     if trial is None or elapsed_s is None:
-        raise StudyError(f"operator {progress.operator}: no trial runs that could be scored")
+        raise StudyError(f"operator {progress.operator}: no trial is running that could be scored")
     if trial.undone_time_s is not None:
         return trial.undone_time_s
     if measured_s is not None:
@@ -183,8 +183,9 @@ def check_seen(command: Command, progress: Progress) -> None:
         if not isinstance(record.event, events.Noted):
             what = record.event.kind.replace("_", " ")
             raise StudyError(
-                f"not done: meanwhile another page, or this console itself, wrote event "
-                f"{record.number} ({what}); look again and repeat it if it is still right"
+                "not done: in the meantime another page or this console wrote event "
+                f"{record.number} ({what}); check the current state and repeat the action if "
+                "it is still right"
             )
 
 
@@ -309,8 +310,8 @@ class SessionService:
             self._store.progress(operator)  # refuses an unknown or erased one
             if operator != self.operator and (current := self._busy()) is not None:
                 raise StudyError(
-                    f"not done: {current.step} of operator {current.operator} is on; end it, or "
-                    "void the trial, before another operator is chosen"
+                    f"not done: {current.step} of operator {current.operator} is in "
+                    "progress; end it, or void the trial, before you choose another operator"
                 )
             self.operator = operator
         self._changed()
@@ -347,11 +348,11 @@ class SessionService:
         try:
             self._enrolled(self._store.plan)
         except SmoothOperatorError as error:  # the store has the plan; the file is a copy
-            self._report(f"{code} is enrolled, but the files of the plan are old: {error}")
+            self._report(f"{code} is enrolled, but the files of the plan were not updated: {error}")
 
     def _switch_again(self) -> int:
         if self._hand is None or self.operator is None:
-            raise StudyError("no teleoperation is attached that could be switched")
+            raise StudyError("no teleoperation is connected that could be switched")
         with self._switching:
             self._hand.again(self._store.progress(self.operator))
         return 0
@@ -489,7 +490,7 @@ class SessionService:
             return None
         operator, record = written
         if operator != command.operator or record.event.kind != EVENTS[command.do]:
-            raise StudyError(f"token {command.token!r} belongs to another command already")
+            raise StudyError(f"token {command.token!r} already belongs to another command")
         return record.number
 
     def _due(self, command: Command) -> Progress:
@@ -497,7 +498,7 @@ class SessionService:
         if command.operator != self.operator:
             raise StudyError(
                 f"not done: it is for operator {command.operator}, but operator "
-                f"{self.operator or 'nobody'} is on at this console"
+                f"{self.operator or 'nobody'} is selected at this console"
             )
         progress = self._store.progress(command.operator)
         check_seen(command, progress)

@@ -99,7 +99,9 @@ class TeleopStatus:
     has_object: bool | None = None
 
 
-HIDDEN: Final = "the teleoperation could not be switched; the terminal of the console says why"
+HIDDEN: Final = (
+    "the teleoperation could not be switched; the terminal of the console shows the reason"
+)
 """Message for a blind experimenter, since the reason may name the method."""
 
 
@@ -248,7 +250,7 @@ class SessionTeleop:
         except StudyError as error:
             self._report_once(error)
         if switched and progress.running is not None:
-            return "the teleoperation ran something else during a trial; switched back"
+            return "the teleoperation ran another method during a trial; it was switched back"
         return ""
 
     def again(self, progress: Progress) -> None:
@@ -330,7 +332,8 @@ class SessionTeleop:
             running = _running(self._request("method", method=condition.method, **preset))
             if running[0] != condition.method:
                 why = (
-                    f"it was asked for {condition.method!r} and answers that it runs {running[0]!r}"
+                    f"the requested method was {condition.method!r} , but the teleoperation "
+                    f"runs {running[0]!r}"
                 )
                 self._set(replace(self.status, state="refused", detail=why, running=running))
                 raise StudyError(why)

@@ -88,8 +88,8 @@ class Checked:
                 self.complain(
                     number,
                     column,
-                    f"{brief(text)} and {brief(spelling)} of {self.unit} {at} differ only in case; "
-                    "write both the same way",
+                    f"{brief(text)} and {brief(spelling)} of {self.unit} {at} differ only in "
+                    "case; use the same spelling for both",
                 )
             texts.append(text)
         return texts
@@ -101,7 +101,9 @@ class Checked:
             value = _number(row[column])
             if value is None or not 1 <= value <= _MOST_COUNT or value != int(value):
                 self.complain(
-                    number, column, f"expected a whole number from 1 on, came {brief(row[column])}"
+                    number,
+                    column,
+                    f"expected a whole number of at least 1, not {brief(row[column])}",
                 )
                 value = 1.0
             wholes.append(int(value))
@@ -140,8 +142,8 @@ class Checked:
             if key in rows_of:
                 what = listed(f"{c} {k}" for c, k in zip(columns, key, strict=True))
                 self.problems.append(
-                    f"{self.unit} {number}: the same {what} as {self.unit} {rows_of[key]}; every "
-                    "trial and questionnaire may be there once"
+                    f"{self.unit} {number}: the same {what} as {self.unit} {rows_of[key]}; "
+                    "every trial and questionnaire may occur only once"
                 )
             rows_of.setdefault(key, number)
 
@@ -185,7 +187,9 @@ def make_trials(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
         **{column: table.words(column) for column in ("operator", "task", "retargeter")},
         **{column: table.counts(column) for column in ("block", "trial_in_block", "trial_global")},
         "score": table.numbers("score", "0, 0.5 or 1", lambda x: x in SCORES, optional=False),
-        "time": table.numbers("time_s", "a time in seconds above 0, or nothing", lambda x: x > 0),
+        "time": table.numbers(
+            "time_s", "a time in seconds above 0, or an empty field", lambda x: x > 0
+        ),
     }
     table.unique(("operator", "task", "block", "trial_in_block"))
     table.unique(("operator", "task", "trial_global"))
@@ -231,7 +235,7 @@ def make_questionnaires(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
         "block": table.counts("block"),
         "point": points,
         **{
-            scale: table.numbers(scale, "0 to 100, or nothing", lambda x: 0 <= x <= 100)
+            scale: table.numbers(scale, "0 to 100, or an empty field", lambda x: 0 <= x <= 100)
             for scale in SCALE_NAMES
         },
     }
@@ -242,8 +246,8 @@ def make_questionnaires(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
     notes = []
     if missing:
         notes.append(
-            f"{missing} of {len(filled)} questionnaires have an answer left out and can't enter "
-            f"the analysis of workload ({table.name})"
+            f"{missing} of {len(filled)} questionnaires have a missing answer and can't "
+            f"enter the analysis of workload ({table.name})"
         )
     return filled, tuple(notes)
 
@@ -256,9 +260,11 @@ def make_metrics(table: Checked) -> pd.DataFrame:
     """
     names = [column for column in table.rows[0][1] if column not in METRIC_COLUMNS]
     if not names:
-        table.problems.append("expected a column for each metric next to operator and retargeter")
+        table.problems.append("expected operator, retargeter, and one column per metric")
     columns: dict[str, Any] = {column: table.words(column) for column in METRIC_COLUMNS}
-    columns |= {one: table.numbers(one, "a number, or nothing", lambda x: True) for one in names}
+    columns |= {
+        one: table.numbers(one, "a number, or an empty field", lambda x: True) for one in names
+    }
     table.unique(METRIC_COLUMNS)
     table.raise_if_any()
     return pd.DataFrame(columns)
@@ -394,7 +400,9 @@ def read_study(paths: Sequence[str | Path]) -> StudyData:
         for part in parts:
             if part.kind in tables:
                 first = tables[part.kind].name
-                raise StudyError(f"{file.name} and {first} both hold {part.kind}; give one")
+                raise StudyError(
+                    f"{file.name} and {first} both contain {part.kind}; use only one of them"
+                )
             tables[part.kind] = part
     for file in () if facts else _facts_files(files):
         facts |= study_facts(_plan_in(_content(file.name, _text(file))), file.name)
@@ -402,8 +410,8 @@ def read_study(paths: Sequence[str | Path]) -> StudyData:
     if "trials" not in tables:
         if any(map(_is_store, files)):
             raise StudyError(
-                f"no trial of {', '.join(names)} is scored yet: smooth-operator study run leads "
-                "through them"
+                f"no trial of {', '.join(names)} is scored yet: run the trials with "
+                "smooth-operator study run"
             )
         raise StudyError(
             f"no trials in {', '.join(names) or 'no files'}: expected a table with the columns "
@@ -428,8 +436,8 @@ def _files(path: Path) -> list[Path]:
             files = [path / EXPORT, *(file for file in files if file.name == NAMES[2])]
         if not files:
             raise StudyError(
-                f"the folder {str(path)!r} holds no study: expected {', '.join(NAMES[:-1])} and, "
-                f"if there is one, {NAMES[-1]}"
+                f"the folder {str(path)!r} contains no study: expected "
+                f"{', '.join(NAMES[:-1])} and, if there is one, {NAMES[-1]}"
             )
         return files
     if not path.is_file():
@@ -482,7 +490,7 @@ def _from_csv(name: str, text: str) -> Checked:
     header, rows = _csv(name, text)
     kind = _kind(name, header)
     if not rows:
-        raise StudyError(f"{name} holds a header and no rows")
+        raise StudyError(f"{name} has a header but no rows")
     return Checked(kind, name, rows)
 
 
@@ -499,15 +507,15 @@ def _csv(name: str, text: str) -> tuple[list[str], list[tuple[int, dict[str, str
             if len(values) != len(header):
                 raise StudyError(
                     f"{name} can't be used:\n  row {reader.line_num}: expected {len(header)} "
-                    f"fields as in the header, came {len(values)}"
+                    f"fields as in the header, not {len(values)}"
                 )
             cells = map(plain_cell, values)
             rows.append((reader.line_num, dict(zip(header, cells, strict=True))))
     except csv.Error as error:
-        raise StudyError(f"{name}, row {reader.line_num}: no readable CSV: {error}") from None
+        raise StudyError(f"{name}, row {reader.line_num}: not readable as CSV: {error}") from None
     twice = sorted(word for word, count in Counter(header).items() if count > 1)
     if twice:
-        raise StudyError(f"{name}: the column {brief(twice[0])} is there twice; keep one")
+        raise StudyError(f"{name}: the column {brief(twice[0])} occurs twice; keep one")
     return header, rows
 
 
@@ -526,9 +534,9 @@ def _kind(name: str, header: Sequence[str]) -> str:
     if set(METRIC_COLUMNS) < columns and "task" not in columns:
         return "simulation_metrics"
     raise StudyError(
-        f"{name} is no table of a study. Expected the columns {', '.join(TRIAL_COLUMNS)} (trials), "
-        f"{', '.join(QUESTIONNAIRE_COLUMNS)} (questionnaires), or {', '.join(METRIC_COLUMNS)} and "
-        f"metrics; came {listed(header) or 'nothing'}"
+        f"{name} is not a table of a study. Expected the columns {', '.join(TRIAL_COLUMNS)} "
+        f"(trials), {', '.join(QUESTIONNAIRE_COLUMNS)} (questionnaires), or "
+        f"{', '.join(METRIC_COLUMNS)} and metrics; came {listed(header) or 'nothing'}"
     )
 
 
@@ -536,7 +544,7 @@ def _content(name: str, text: str) -> Mapping[str, Any]:
     try:
         content = parse_json(text)
     except DocumentError as error:
-        raise StudyError(f"{name}: no readable JSON: {error}") from None
+        raise StudyError(f"{name}: not readable as JSON: {error}") from None
     return content if isinstance(content, Mapping) else {}
 
 
@@ -574,7 +582,7 @@ def _strange_names(data: StudyData, tables: Mapping[str, Checked]) -> tuple[str,
             if strange:
                 more = f" and {len(strange) - 5} more" if len(strange) > 5 else ""
                 notes.append(
-                    f"{tables[kind].name}, column {column}: {listed(strange[:5])}{more} not in "
-                    f"{tables['trials'].name}; a typing error?"
+                    f"{tables[kind].name}, column {column}: {listed(strange[:5])}{more} not "
+                    f"in {tables['trials'].name}; check the spelling"
                 )
     return tuple(notes)

@@ -64,7 +64,8 @@ class FormField:
             )
         if (self.kind == "choice") != bool(self.choices) or len(self.choices) == 1:
             raise StudyError(
-                f"field {self.name!r}: a choice needs two choices or more, and nothing else has any"
+                f"field {self.name!r}: a field of kind choice needs at least two choices, "
+                "and other kinds have none"
             )
         distinct(list(self.choices), f"choices of {self.name!r}")
         if self.least is not None and self.most is not None and self.least > self.most:
@@ -104,7 +105,7 @@ class Form:
         distinct([field.name for field in self.fields], f"fields of form {self.name!r}")
         for field in self.fields:
             if field.kind == "ranking" and self.when == "before":
-                raise StudyError(f"form {self.name!r}: a ranking is only asked after the blocks")
+                raise StudyError(f"form {self.name!r}: a ranking is only possible after the blocks")
 
     def check(self, answers: Mapping[str, Any], ranked: Sequence[str]) -> None:
         """Checks the answers to this form.

@@ -63,7 +63,7 @@ def balanced_rows(count: int) -> tuple[tuple[int, ...], ...]:
         StudyError: fewer than two conditions.
     """
     if count < 2:
-        raise StudyError(f"an order needs two conditions or more, not {count}")
+        raise StudyError(f"an order needs at least two conditions, not {count}")
     # 0, 1, n-1, 2, n-2, ...: the steps between neighbours are all different modulo n.
     zigzag = [(k + 1) // 2 if k % 2 else (count - k // 2) % count for k in range(count)]
     rows = [tuple((start + z) % count for z in zigzag) for start in range(count)]
@@ -133,8 +133,8 @@ def imbalances(plan: Plan) -> Iterator[str]:
     """Describes the imbalances of a plan in sentences; none if it is balanced."""
     if any(imbalance(plan.orders, plan.protocol.condition_names)):
         yield (
-            "the orders are no balanced Latin square: places or neighbours of conditions differ "
-            "in how often they come"
+            "the orders are not a balanced Latin square: positions or neighbours of "
+            "conditions occur with different frequencies"
         )
     for task in plan.protocol.tasks:
         spread = spread_of_rows(plan.enrolled, task.name, len(plan.orders))
@@ -144,8 +144,9 @@ def imbalances(plan: Plan) -> Iterator[str]:
         elif spread and count:
             more = len(plan.orders) - count % len(plan.orders)
             yield (
-                f"task {task.name}: {len(plan.orders)} orders can't be spread evenly over {count} "
-                f"operator{'s' * (count > 1)}; {more} more would do"
+                f"task {task.name}: {len(plan.orders)} orders can't be spread evenly over "
+                f"{count} operator{'s' * (count > 1)}; {more} more operators would make it "
+                "even"
             )
 
 

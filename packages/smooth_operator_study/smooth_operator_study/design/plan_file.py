@@ -42,21 +42,21 @@ _MOST_BYTES: Final = 4_000_000
 _COMMENTS: Final[Mapping[type, Mapping[str, str]]] = {
     Protocol: {
         "name": "",
-        "baseline": "the others are compared with it",
+        "baseline": "condition with which the others are compared",
         "operators": "",
         "familiarisation_s": "free movement before a block",
         "questionnaires": "NASA-TLX, after these trials",
-        "resets": "of the object, in a trial",
+        "resets": "resets of the object, in a trial",
         "reset_cap": "best score after that",
-        "break_s": "offered between blocks",
+        "break_s": "breaks, offered between blocks",
         "break_every": "blocks between two breaks",
         "task_order": "",
         "seed": "",
-        "rate_hz": "commands a second, in every condition",
-        "primary": "decides; all else is exploratory",
-        "tlx_language": "words of NASA-TLX",
+        "rate_hz": "commands per second, in every condition",
+        "primary": "primary endpoint; all others are exploratory",
+        "tlx_language": "wording of NASA-TLX",
     },
-    Condition: {"method": "", "label": "what operators may see"},
+    Condition: {"method": "", "label": "information that operators may see"},
     Task: {"trials": "in a block", "rubric": ""},
 }
 """Entries that are written also if they have their default, and their comments."""
@@ -74,7 +74,7 @@ def read_plan(path: str | Path) -> Plan:
     """
     path = Path(path)
     path = path / NAME if path.is_dir() else path
-    hint = f"; smooth-operator study new {path.parent if path.name == NAME else path} makes one"
+    hint = f"; smooth-operator study new {path.parent if path.name == NAME else path} creates one"
     return _plan(read_entries(path, "plan", StudyError, most_bytes=_MOST_BYTES, hint=hint))
 
 
@@ -128,7 +128,7 @@ def _plan(entries: Entries) -> Plan:
         protocol = _protocol(entries)
         if "orders" not in entries.names:
             if "enrolled" in entries.names:
-                raise entries.error("enrolled", "rows mean nothing without [orders]; add those")
+                raise entries.error("enrolled", "rows need [orders]; add them")
             return make_plan(protocol)
         return Plan(protocol, _orders(entries), _enrolled(entries))
 
@@ -172,7 +172,7 @@ def _enrolled(entries: Entries) -> tuple[Enrolment, ...]:
 
 def _lines(plan: Plan) -> Iterator[str]:
     protocol = plan.protocol
-    yield "# A user study. Names and rows of those who have begun are not to be changed any more."
+    yield "# A user study. Do not change names and rows of operators who have begun."
     yield f"format = {FORMAT}"
     yield from _settings(protocol, ("conditions", "tasks", "forms", "margins"))
     if protocol.margins:
@@ -258,7 +258,7 @@ def write_preregistration(plan: Plan, folder: Path) -> Path:
 
 PREREGISTRATION: Final = "PREREGISTRATION.md"
 _TITLES: Final = {
-    "success": "success rate (share of trials that score 0.5 or 1)",
+    "success": "success rate (fraction of trials that score 0.5 or 1)",
     "time": "completion time of successful trials [s]",
     "tlx": "workload (NASA-TLX, 0 to 100 points)",
 }

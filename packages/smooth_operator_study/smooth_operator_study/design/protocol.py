@@ -90,8 +90,9 @@ def check_margins(margins: Mapping[str, float]) -> None:
             raise UnknownNameError("outcome of a margin:", outcome, OUTCOMES)
         if not math.isfinite(margin) or not 0 < margin < _LARGEST[outcome]:
             raise StudyError(
-                f"the margin of {outcome} must be above 0 and below {_LARGEST[outcome]:g}, in the "
-                f"outcome's unit (success: a share, 0.1 is 10 percentage points), not {margin:g}"
+                f"the margin of {outcome} must be above 0 and below {_LARGEST[outcome]:g}, "
+                "in the outcome's unit (success is a fraction: 0.1 is 10 percentage "
+                f"points), not {margin:g}"
             )
 
 
@@ -185,10 +186,10 @@ class Protocol:
             raise StudyError(f"a study needs a name of printable characters, not {self.name!r}")
         if len(self.conditions) < 2:
             raise StudyError(
-                f"a study compares two conditions or more; it has {len(self.conditions)}"
+                f"a study needs at least two conditions; it has {len(self.conditions)}"
             )
         if not self.tasks:
-            raise StudyError("a study needs a task")
+            raise StudyError("a study needs at least one task")
         distinct([condition.name for condition in self.conditions], "conditions")
         labels = [condition.label for condition in self.conditions if condition.label]
         distinct(labels, "labels of conditions")
@@ -222,13 +223,13 @@ class Protocol:
         for task, count in zip(self.tasks, planned, strict=True):
             if count > self.operators:
                 raise StudyError(
-                    f"task {task.name!r} is to be done by {count} operators, but the study has "
+                    f"task {task.name!r} is planned for {count} operators, but the study has "
                     f"{self.operators}"
                 )
         if sum(planned) < self.operators:
             raise StudyError(
-                f"{self.operators} operators, but the tasks take only {sum(planned)}: someone "
-                "would have nothing to do"
+                f"{self.operators} operators, but the tasks take only {sum(planned)}: some "
+                "operators would have no task"
             )
 
     @property
@@ -279,9 +280,9 @@ class Protocol:
             trial = after[point]
             if trial in trials:
                 raise StudyError(
-                    f"task {task.name!r}: with {task.trials} trial(s) a block, questionnaires "
-                    f"{trials[trial]!r} and {point!r} would both follow trial {trial}; have more "
-                    "trials or fewer questionnaires"
+                    f"task {task.name!r}: with {task.trials} trial(s) per block, "
+                    f"questionnaires {trials[trial]!r} and {point!r} would both follow trial "
+                    f"{trial}; plan more trials or fewer questionnaires"
                 )
             trials[trial] = point
         return dict(sorted(trials.items()))

@@ -84,14 +84,14 @@ class PowerSettings:
 
     def __post_init__(self) -> None:
         if self.studies < 1:
-            raise StudyError(f"power needs one simulated study or more, not {self.studies}")
+            raise StudyError(f"power needs at least one simulated study, not {self.studies}")
         if not self.operators or min(self.operators) < _LEAST_OPERATORS:
             raise StudyError(
-                f"power needs numbers of operators from {_LEAST_OPERATORS} on, not "
+                f"power needs numbers of operators of at least {_LEAST_OPERATORS}, not "
                 f"{list(self.operators)}"
             )
         if len(set(self.operators)) < len(self.operators):
-            raise StudyError(f"a number of operators comes twice: {list(self.operators)}")
+            raise StudyError(f"a number of operators occurs twice: {list(self.operators)}")
 
     @property
     def outcomes(self) -> list[Outcome]:
@@ -483,7 +483,7 @@ def draw_power(
         for mode in MODES
     ]
     axes[1, 0].set_ylim(0.0, 1.1 * max([*worst, 1.4 * MOST_ERROR]))
-    axes[1, 0].set_ylabel("family-wise error if nothing differs\n(shaded: over 7 %)")
+    axes[1, 0].set_ylabel("family-wise error without differences\n(shaded: over 7 %)")
     axes[1, 0].legend(fontsize=8)
     figure.suptitle(
         f"{settings.protocol.name}: {settings.studies} simulated studies each, bars 95 %",

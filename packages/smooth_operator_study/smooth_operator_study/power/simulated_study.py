@@ -97,7 +97,7 @@ class Assumptions:
                 raise StudyError(f"workload of {name}: expected 0 to 100 points, not {points}")
         for spread in (self.operators, self.interaction, self.trials):
             if not all(0 <= x < 1e4 for x in (spread.success, spread.time_s, spread.workload)):
-                raise StudyError(f"a standard deviation can't be negative or endless: {spread}")
+                raise StudyError(f"a standard deviation can't be negative or infinite: {spread}")
 
     def null(self, baseline: str) -> Assumptions:
         """Returns the assumptions with every condition as good as the baseline."""
@@ -138,14 +138,14 @@ def assumptions_for(
         for name in overrides or {}:
             if name not in conditions:
                 raise StudyError(
-                    f"{what} is given for {name!r}; the study's conditions are "
+                    f"{what} is set for {name!r}; the study's conditions are "
                     f"{', '.join(conditions)}"
                 )
         lacking = [name for name in conditions if name not in values]
         if lacking:
             raise StudyError(
-                f"what {what} of {', '.join(lacking)} is to be expected? Give it, as "
-                f"{lacking[0]}=VALUE; only the paper's four methods have their own values"
+                f"the expected {what} of {', '.join(lacking)} is missing; set it, such as "
+                f"{lacking[0]}=VALUE; only the four methods of the paper have default values"
             )
         values_of[what] = {name: float(values[name]) for name in conditions}
     return Assumptions(**values_of, **more)  # type: ignore[arg-type]

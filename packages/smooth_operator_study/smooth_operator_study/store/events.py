@@ -135,7 +135,7 @@ class TrialStarted(
 
 @dataclass(frozen=True)
 class TrialReset(
-    _TrialEvent, command="reset", due=("trial", "paused"), line="Trial {0.trial}: object put back"
+    _TrialEvent, command="reset", due=("trial", "paused"), line="Trial {0.trial}: object reset"
 ):
     """The object was put back, which caps the score of the trial."""
 
@@ -192,7 +192,7 @@ class TrialResumed(
     _TrialEvent,
     command="resume",
     due=("paused",),
-    line="Trial {0.trial}: clock goes on after {0.paused_s:.1f}\u00a0s",
+    line="Trial {0.trial}: clock resumed after {0.paused_s:.1f}\u00a0s",
 ):
     """The clock of a paused trial continued.
 
@@ -269,7 +269,7 @@ class Withdrawn(Event, command="withdraw"):
     reason: str = ""
 
     def _describe(self, naming: Naming, workload: bool) -> str:
-        data = "the data is kept" if self.keep else "the data is left out"
+        data = "the data is kept" if self.keep else "the data is excluded"
         return f"Withdrew, {data}" + _why(self.reason)
 
 
@@ -378,7 +378,7 @@ def event_of(kind: str, values: Mapping[str, Any]) -> Event:
         if isinstance(value, int | float) and value < 0:
             raise entries.error(name, f"expected 0 or more, not {value!r}")
         if isinstance(value, str) and (len(value) > _LONGEST_TEXT or "\x00" in value):
-            raise entries.error(name, f"expected a text of up to {_LONGEST_TEXT} characters")
+            raise entries.error(name, f"expected a string of up to {_LONGEST_TEXT} characters")
     return event
 
 
@@ -396,5 +396,7 @@ def _answers(entries: Entries) -> dict[str, Any]:
         elif isinstance(one, float):
             entries.number(name)
         elif not isinstance(one, str | bool | int):
-            raise entries.error(name, "expected a text, a number, yes or no, or a list of texts")
+            raise entries.error(
+                name, "expected a string, a number, yes or no, or a list of strings"
+            )
     return {name: list(v) if isinstance(v, tuple) else v for name, v in entries.values.items()}

@@ -122,9 +122,9 @@ def read_words(path: Path) -> TlxWords:
         try:
             table = read_json(path, most_bytes=_MOST_BYTES)
         except FileNotFoundError:
-            raise StudyError(f"no words of NASA-TLX at {path}") from None
+            raise StudyError(f"no wording of NASA-TLX at {path}") from None
         except (OSError, DocumentError) as error:
-            raise StudyError(f"can't read the words of NASA-TLX {path}: {error}") from error
+            raise StudyError(f"can't read the wording of NASA-TLX {path}: {error}") from error
         if not isinstance(table, dict):
             raise StudyError(f"{path}: expected a table with scales and texts")
         entries = Entries(str(path), table, StudyError)

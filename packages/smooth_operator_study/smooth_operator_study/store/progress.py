@@ -309,7 +309,7 @@ class Progress:
         """
         trial = trial or self.running
         if trial is None:
-            raise StudyError(f"operator {self.operator}: no trial runs that could be scored")
+            raise StudyError(f"operator {self.operator}: no trial is running that could be scored")
         score = trial.block.task.line(line).score
         return min(score, self.plan.protocol.reset_cap) if trial.resets else score
 
@@ -362,8 +362,8 @@ class Progress:
         check_event(self, record.event)
         if record.number != self.number + 1:
             raise StudyError(
-                f"operator {self.operator}: event {record.number} follows event {self.number}; "
-                "the log has lost something"
+                f"operator {self.operator}: event {record.number} follows event "
+                f"{self.number}; events of the log are missing"
             )
         self.records.append(record)
         if isinstance(record.event, Undone):
@@ -480,13 +480,15 @@ def check_event(state: Progress, event: Event) -> None:
             _check_amendment(state, event)
         case Withdrawn():
             if state.withdrawn is not None:
-                raise _refusal(state, "has withdrawn already")
+                raise _refusal(state, "has already withdrawn")
         case BreakStarted():
             if step.what in _NO_BREAK:
-                raise _refusal(state, f"no break can begin: {_message(step)} is on")
+                raise _refusal(state, f"no break can begin: {_message(step)} is in progress")
         case Recalibrated():
             if step.what in _NO_CALIBRATION:
-                raise _refusal(state, f"nothing can be calibrated now: {_message(step)} is on")
+                raise _refusal(
+                    state, f"calibration is not possible now: {_message(step)} is in progress"
+                )
             if step.block is not None:
                 _check_place(state, event, step, step.block)
         case _:
@@ -523,26 +525,28 @@ def _check_place(state: Progress, event: Any, step: Step, block: Block) -> None:
         if came != due:
             raise _refusal(
                 state,
-                f"{event.kind!r} is for {name} {came!r}, but {name} {due!r} is on; reload the "
-                "page if it was left open",
+                f"{event.kind!r} is for {name} {came!r}, but {name} {due!r} is current; "
+                "reload the page if it was left open",
             )
     if isinstance(event, TrialReset):
         allowed, trial = state.plan.protocol.resets, state.running
         if trial is not None and trial.resets >= allowed:
-            raise _refusal(state, f"a trial may have {allowed} reset(s), and this one had them")
+            raise _refusal(
+                state, f"a trial may have {allowed} reset(s), which this trial has already used"
+            )
     if isinstance(event, TrialScored):
         _check_score(state, event, state.capped(event.line))
     if isinstance(event, BlockEnded) and not event.reason.strip():
-        raise _refusal(state, "a block is ended early for a reason; state it")
+        raise _refusal(state, "state the reason for ending the block early")
 
 
 def _check_amendment(state: Progress, event: Amended) -> None:
     trial = state.scored_trial(event.task, event.block, event.trial)
     if not event.reason.strip():
-        raise _refusal(state, "a trial is amended for a reason; state it")
+        raise _refusal(state, "state the reason for amending the trial")
     _check_score(state, event, state.capped(event.line, trial))
     if (event.line, event.time_s) == (trial.line, trial.time_s):
-        raise _refusal(state, f"trial {event.trial} has that line and time already")
+        raise _refusal(state, f"trial {event.trial} already has that line and time")
 
 
 def _check_score(state: Progress, event: TrialScored | Amended, due: float) -> None:

@@ -255,7 +255,7 @@ class StudyStore:
             if token is not None and (written := self._by_token(connection, token)) is not None:
                 whose, record = written
                 if whose != operator or record.event != event:
-                    raise StudyError(f"token {token!r} belongs to another event already")
+                    raise StudyError(f"token {token!r} already belongs to another event")
                 return record
             progress = self._updated(connection, operator)
             check_event(progress, event)
@@ -365,7 +365,7 @@ class StudyStore:
     def _newest_plan(self, connection: Connection) -> Plan:
         newest = _newest_plan_id(connection)
         if newest is None:
-            raise StudyError("no study is stored here; smooth-operator study new makes one")
+            raise StudyError("no study is stored here; create one with smooth-operator study new")
         if self._plan is None or self._plan[0] != newest:
             row = connection.execute("SELECT plan FROM plans WHERE id = ?", (newest,)).fetchone()
             plan = plan_of(stored(row["plan"], "the stored plan"), "the stored plan")
@@ -383,8 +383,8 @@ class StudyStore:
             busy, *_ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
         if busy:
             raise StudyError(
-                "the data was deleted, but another program that reads the store keeps old pages "
-                "of it alive; end that, and delete again"
+                "the data was deleted, but another program that reads the store still holds "
+                "old pages of it; end that program, and delete again"
             )
 
     def _check_file(self) -> None:
@@ -415,8 +415,8 @@ class StudyStore:
         (version,) = connection.execute("PRAGMA user_version").fetchone()
         if names and (version != FORMAT or "events" not in names):
             raise StudyError(
-                f"can't open the store {self._path}: it is in format {version}, this program reads "
-                f"{FORMAT}: update it, or give the study.db of a study"
+                f"can't open the store {self._path}: it is in format {version}, but this "
+                f"program reads {FORMAT}: update the program, or name the study.db of a study"
             )
         return bool(names)
 
@@ -430,7 +430,9 @@ def stored(text: str, what: str) -> Any:
     try:
         return parse_json(text)
     except DocumentError as error:
-        raise StudyError(f"{what} is damaged: {error}; restore the database from a copy") from error
+        raise StudyError(
+            f"{what} is damaged: {error}; restore the database from a backup"
+        ) from error
 
 
 def _path_of(target: str | Path) -> Path:
@@ -527,9 +529,9 @@ def _check_revision(before: Plan, plan: Plan, begun: Sequence[Row]) -> None:
     """
     if begun and (plan.protocol != before.protocol or plan.orders != before.orders):
         raise StudyError(
-            f"study {before.protocol.name!r} is stored with another protocol or other orders; "
-            "those of a study don't change once someone has begun: make a new study, in another "
-            "folder"
+            f"study {before.protocol.name!r} is stored with a different protocol or "
+            "different orders, which can't change once an operator has begun: create a new "
+            "study in another folder"
         )
     for row in begun:
         if row["erased_at"] is not None:
@@ -541,7 +543,7 @@ def _check_revision(before: Plan, plan: Plan, begun: Sequence[Row]) -> None:
         if enrolment is None or list(enrolment.rows.items())[: len(rows)] != rows:
             raise StudyError(
                 f"operator {row['operator']} has begun with {dict(rows)}; tasks can be added "
-                "at the end, not taken away or given another row"
+                "at the end, but not removed or assigned another row"
             )
 
 

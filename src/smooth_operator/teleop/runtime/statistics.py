@@ -37,7 +37,7 @@ _MOVES: Final = 0.05
 _TRUSTED: Final = 0.7
 """Smallest correlation of a valid delay."""
 
-_AGAIN_S: Final = 1.0
+_REFRESH_S: Final = 1.0
 
 
 class _Track:
@@ -97,7 +97,7 @@ class MotionDelay:
             correlate with the command.
         """
         at, delay = self._newest
-        if time.monotonic() - at > _AGAIN_S:
+        if time.monotonic() - at > _REFRESH_S:
             delay = self._compute()
             self._newest = (time.monotonic(), delay)
         return delay

@@ -159,7 +159,7 @@ def item_figure(analysis: Analysis, colors: Colors) -> Figure:
         axes.grid(visible=False, axis="y")
         axes.set_axisbelow(True)
     panels[0].invert_yaxis()
-    figure.supxlabel("answer, 0 to 100 (less is better)", fontsize=9)
+    figure.supxlabel("answer, 0 to 100 (lower is better)", fontsize=9)
     return _legend(figure, names)
 
 

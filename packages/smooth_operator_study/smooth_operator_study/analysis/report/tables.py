@@ -209,8 +209,8 @@ def model_facts(result: ScopeResult) -> str:
     if (least := result.diagnostics.get("least_p")) is not None:
         shown = f"{least:.1e}" if least < 0.001 else number(least, 3)
         parts.append(
-            f"least p that these rows can reach {shown} (one retargeter always succeeds, the "
-            "others never)"
+            f"smallest p that these rows can reach {shown} (one retargeter always succeeds, "
+            "the others never)"
         )
     if "alpha" in facts:
         parts.append(f"working correlation {number(facts['alpha'], 3)}")
@@ -218,7 +218,7 @@ def model_facts(result: ScopeResult) -> str:
 
 
 SELECTED: Final = (
-    "Times are of successful trials only: a retargeter that fails in the hard trials looks faster"
+    "Times include only successful trials, so a retargeter that fails in hard trials looks faster"
 )
 """Warning on every comparison of times."""
 
@@ -288,11 +288,11 @@ def _data(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
     operators = len({str(name) for name in trials.operator})
     first = (
         f"{operators} operators did {len(trials):,} trials with {len(analysis.retargeters)} "
-        f"retargeters; each is compared with {analysis.baseline}, all tasks together unless said "
-        "otherwise, with simultaneous 95 % intervals (Dunnett)"
+        f"retargeters; each is compared with {analysis.baseline}, over all tasks unless "
+        "stated otherwise, with simultaneous 95 % intervals (Dunnett)"
     )
     if outcome is None:
-        return f"{first}; no primary outcome was planned, so all of it is exploratory."
+        return f"{first}; no primary outcome was planned, so all results are exploratory."
     return f"{first}; the primary outcome is {NAMES[outcome].lower()}, {scope_name(scope)}."
 
 
@@ -321,11 +321,11 @@ def _differences(outcome: Outcome, result: ScopeResult) -> str:
         else:
             open_.append(shown)
     if not shown_ones and not open_:
-        return "no result, nothing to compare with the baseline"
+        return "no result to compare with the baseline"
     if few:
         return (
-            f"not tested with {result.operators} operators, since the tests were checked for "
-            f"{TESTED_OPERATORS} and more; estimated {'; '.join(open_)}"
+            f"not tested with {result.operators} operators, because the tests were validated "
+            f"only for {TESTED_OPERATORS} or more; estimated {'; '.join(open_)}"
         )
     if not shown_ones:
         return f"no difference shown ({'; '.join(open_)})"
@@ -337,14 +337,14 @@ def _limits(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
     count = len({str(name) for name in analysis.data.trials.operator})
     if count < FEW_OPERATORS:
         parts.append(
-            f"with {count} operators only very large differences can be shown; smooth-operator "
-            "study power says how many are needed"
+            f"with {count} operators, only very large differences can be shown; "
+            "smooth-operator study power estimates how many are needed"
         )
     for one, test in analysis.readings.interaction.items():
         if isinstance(test, Interaction) and test.found:
             parts.append(
                 f"differences in {NAMES[one].lower()} depend on the task "
-                f"({_p(test.test.p)}), so their mean over tasks says little"
+                f"({_p(test.test.p)}), so their mean over tasks is of little use"
             )
     parts += _learned(analysis)
     parts += _logarithms(analysis, scope if outcome == "time" else POOLED)
@@ -358,7 +358,7 @@ def _limits(analysis: Analysis, outcome: Outcome | None, scope: str) -> str:
     ]
     if refused:
         parts.append(f"not tested, for the reasons in their sections: {', '.join(refused)}")
-    parts.append("a difference that is not shown is no evidence of equality")
+    parts.append("a difference that is not significant is not evidence of equality")
     text = "; ".join(parts)
     return f"{text[0].upper()}{text[1:]}."
 
@@ -391,7 +391,9 @@ def _logarithms(analysis: Analysis, scope: str) -> list[str]:
         for name, one in result.dunnett.items()
         if (one.p_dunnett < ALPHA) != (logs.dunnett[name].p_dunnett < ALPHA)
     ]
-    told = f"decides otherwise for {', '.join(other)}" if other else "decides the same"
+    told = (
+        f"gives different decisions for {', '.join(other)}" if other else "gives the same decisions"
+    )
     return [f"times are skewed, and the model of their logarithms (Other readings) {told}"]
 
 
@@ -401,7 +403,7 @@ def _alike(analysis: Analysis, outcome: Outcome, scope: str) -> list[str]:
     shown = [f"{one.a} and {one.b}" for one in tests.values() if one.equivalent]
     margins = [one.margin for one in tests.values() if one.margin is not None]
     if not margins:
-        return ["no margin of equivalence was planned"]
+        return ["no equivalence margin was planned"]
     within = f"the planned {number(scale * margins[0], digits)}{_FIXED}{_unit(unit)}"
     if shown:
         return [f"equivalent within {within}, pair by pair: {', '.join(shown)}"]
