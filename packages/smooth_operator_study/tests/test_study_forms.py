@@ -82,7 +82,7 @@ def test_nothing_starts_without_consent_and_a_slip_is_undone(store):
 def test_only_the_operators_page_answers(do):
     message = {"token": "t" * 8, "do": do, "operator": "P01", "fields": {"form": "a"}}
     assert command_of(message, "operator").do == do
-    with pytest.raises(StudyError, match="the experimenter's page may not do"):
+    with pytest.raises(StudyError, match="the experimenter's page is not allowed to do"):
         command_of(message, "experimenter")
 
 

@@ -33,7 +33,7 @@ class Simulation(Sink):
 
     Attributes:
         rate: steps of the physics per second [Hz].
-        bandwidth: bandwidth of the position servos [Hz]. A higher one follows faster and pushes harder.
+        bandwidth: bandwidth of the servos [Hz]. A higher one follows faster and pushes harder.
         gravity: pull along -z of the model's world, wherever that points in it.
         task: task of each hand; it switches gravity on.
 
