@@ -1,6 +1,7 @@
 """File formats of recordings, commands, episodes and arrays: readers, writers, their checks.
 
-Reading dispatches on what a file holds, never on its name alone, and nothing here unpickles.
+A file's format is recognised by its content, never by its name alone. Nothing in this package
+unpickles.
 """
 
 from smooth_operator.lazy_names import public_names

@@ -1,11 +1,12 @@
 """Opening ``.npy`` and ``.npz`` files without ever unpickling.
 
-Headers are read first: what an array is, is known (and refused) before its data is loaded.
+Headers are read first, so an unsuitable array is refused before its data is loaded.
 
-Deflate, gzip and Zstandard make thousands of bytes of one, an HDF5 array that was never written
-needs none, and NumPy's text of no characters has no size at all. What a file says that it holds is
-therefore compared with its own size, before anything is unpacked. Recordings stay far below: noisy
-figures shrink to a half or a third, and an uncompressed file of any length passes.
+One byte of a deflate, gzip or Zstandard stream can expand to thousands of bytes, an HDF5 array that
+was never written needs no space, and NumPy strings without characters have no size. Therefore the
+declared size of the contents is compared with the size of the file before anything is unpacked.
+Recordings stay far below the limit: noisy numbers shrink to a half or a third, and uncompressed
+files of any length are accepted.
 """
 
 from __future__ import annotations
@@ -32,27 +33,28 @@ ARRAYS_RATIO: Final = 16
 """Largest size of arrays in memory, as a multiple of the size of the file."""
 
 LOG_RATIO: Final = 64
-"""The same for the text of a log, which repeats itself more."""
+"""Largest size of the text of a log in memory, as a multiple of its size in the file; text
+compresses better."""
 
 NUMBER_BYTES: Final = 8
-"""Least bytes that an element counts: every number is read as float64."""
+"""Smallest number of bytes counted per element, because every number is read as float64."""
 
 TEXT_BYTES: Final = 64
-"""Least bytes that a text counts, in addition to its characters."""
+"""Number of bytes counted per string, in addition to its characters."""
 
 
 class TooLargeError(RecordingError):
-    """A file would unpack to more than is allowed for its size."""
+    """Error: a file would expand to more than its size allows."""
 
 
 @dataclass
 class Allowance:
-    """Bytes that may still be unpacked of one file.
+    """Budget of bytes that may be unpacked from one file.
 
     Attributes:
         path: the file, for messages.
-        most: bytes in all.
-        used: bytes of each part so far, and
+        most: largest total number of bytes.
+        used: bytes of each part so far.
         total: sum over all files.
     """
 
@@ -63,15 +65,15 @@ class Allowance:
 
     @classmethod
     def of(cls, path: Path, size: int, ratio: int = ARRAYS_RATIO) -> Allowance:
-        """Allowance of a file of some size [bytes]."""
+        """Returns the budget of a file of a given size [bytes]."""
         return cls(path, max(FREE_BYTES, ratio * size))
 
     def take(self, part: str, count: int) -> None:
-        """Counts a part of some bytes before it is unpacked; one that is unpacked again counts
-        once.
+        """Counts the bytes of a part before it is unpacked. A part that is unpacked again is
+        counted once.
 
         Raises:
-            TooLargeError: that would be more than is allowed.
+            TooLargeError: the total would exceed the limit.
         """
         total = self.total - self.used.get(part, 0) + count
         if total > self.most:
@@ -88,7 +90,7 @@ def _size(count: int) -> str:
 
 
 _Bytes: TypeAlias = Any
-"""A binary file or a member of a zip, which have no common type that holds at run time."""
+"""A binary file or a member of a zip; they have no common type at run time."""
 
 _NPY_MAGIC = np.lib.format.MAGIC_PREFIX
 _MOST_MEMBERS = 1000  # of a zip; a recording has a dozen
@@ -101,7 +103,7 @@ PICKLE_REMEDY = (
 
 
 def damaged(path: Path, cause: object) -> RecordingError:
-    """The error for a file whose bytes can't be read to the end."""
+    """Returns the error for a file that can't be read to its end."""
     text = reason(cause) or "no detail"
     return RecordingError(
         f"{path}: the file is damaged or cut off ({text}); copy or record it again"
@@ -110,7 +112,7 @@ def damaged(path: Path, cause: object) -> RecordingError:
 
 @dataclass(frozen=True)
 class StoredArray:
-    """One array of a file: what its header says, and how to load it.
+    """One array of a file: its header, and methods to load its data.
 
     Attributes:
         shape: its shape.
@@ -205,7 +207,7 @@ class StoredArrays(Mapping[str, StoredArray]):
         return len(self._entries)
 
     def describe(self) -> str:
-        """Names and shapes, for error messages."""
+        """Lists names and shapes, for error messages."""
         items = (f"{name or 'one array'} {item.shape}" for name, item in self.items())
         return listed(items) or "no arrays"
 
@@ -254,10 +256,10 @@ def _members(archive: zipfile.ZipFile, path: Path, allowance: Allowance) -> dict
 
 @contextlib.contextmanager
 def _foreign(path: Path) -> Iterator[None]:
-    """Whatever NumPy, zipfile and the decompressors raise on damaged bytes becomes one error.
+    """Converts every error of NumPy, zipfile and the decompressors on damaged bytes to one error.
 
-    They promise no list of what that may be: a bit that flips in a header has made NumPy's call of
-    ``tokenize`` fail, and a member's flags make zipfile ask for a password.
+    Their errors are not documented completely: a flipped bit in a header can make NumPy's call of
+    ``tokenize`` fail, and the flags of a member can make zipfile ask for a password.
     """
     try:
         with warnings.catch_warnings():

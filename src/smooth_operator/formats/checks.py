@@ -1,6 +1,6 @@
-"""Checks of recordings (units, stamps and side), and frames chosen by text.
+"""Checks of recordings (units, timestamps and side), and selection of frames by text.
 
-Each check has its own message, which names the likely cause and the way out."""
+The message of each check names the likely cause and a remedy."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from smooth_operator.settings import RATE_RANGE_HZ, check_frame_rate
 from smooth_operator.types import HandRecording, Side, as_side
 
 LONGEST_S: Final = 1e9
-"""Longest time from the first to the last stamp of a recording or of commands [s]: 32 years."""
+"""Longest time from the first to the last timestamp of a recording or of commands [s]: 32 years."""
 
 STIFF_M: Final = 3e-3
 """Motion of the fingers up to which they count as not moving [m]; see ``finger_motion``."""
 
 JUDGED_MOTION_S: Final = 2.0
-"""Shortest recording of which the motion of the fingers is judged [s]: a pose may be held."""
+"""Shortest recording in which the motion of the fingers is checked [s], because a pose may be
+held."""
 
 _TYPICAL_PALM_M = 0.095
 _PALM_RATIO = 2.0  # of a frame's palm to the usual one, up or down: trackers stay within 1.3
@@ -45,8 +46,8 @@ _TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, 
 
 
 def check_recording(recording: HandRecording, where: str) -> None:
-    """Refuse a recording that is empty, has no valid landmark, bad stamps or wrong units. Landmarks
-    missing here and there are no fault; they stay flagged invalid.
+    """Refuse a recording that is empty, has no valid landmarks, wrong timestamps or wrong units.
+    Single missing landmarks are accepted and stay flagged as invalid.
 
     Raises:
         RecordingError: with the reason; it names the file, ``where``.
@@ -65,7 +66,7 @@ def check_units(
 
     Args:
         landmarks: (T, 21, 3) positions.
-        valid: (T, 21) which of them count.
+        valid: (T, 21) mask of the landmarks to use.
         where: the file, for the message.
 
     Raises:
@@ -109,7 +110,7 @@ def check_units(
 def check_palm(
     landmarks: Float[np.ndarray, "21 3"], valid: Bool[np.ndarray, "21"], where: str
 ) -> None:
-    """The same for one frame of a stream; a hand whose palm is not seen is not judged.
+    """Check the units of one frame of a stream. A hand without a visible palm is not checked.
 
     Raises:
         RecordingError: as ``check_units``.
@@ -138,12 +139,13 @@ def _length_hint(palm: float) -> str:
 
 
 def without_outliers(recording: HandRecording) -> HandRecording:
-    """A recording in which what no hand could do is flagged invalid; for one in metres.
+    """Flag implausible frames and landmarks of a recording in metres as invalid.
 
-    A frame is flagged whose palm is less than half or more than twice the usual length, such as one
-    in another unit, or that is farther than 10,000 km from the origin; a landmark, that is more
-    than three palm lengths from the wrist. How many frames are concerned is in
-    ``meta["implausible_frames"]``, if any. A wrist in the world as far away is NaN.
+    A frame is flagged if its palm is less than half or more than twice the usual length, for
+    example because of another unit, or if it is farther than 10,000 km from the origin. A landmark
+    is flagged if it is more than three palm lengths from the wrist. ``meta["implausible_frames"]``
+    is the number of affected frames, if there are any. A wrist pose that is farther than 10,000 km
+    from the origin becomes NaN.
     """
     points, valid = recording.landmarks, recording.valid
     assert valid is not None  # filled in by HandRecording
@@ -174,7 +176,7 @@ def side_note(where: str) -> str:
 
 
 def reading_notes(recording: HandRecording, where: str) -> list[str]:
-    """Notes on assumptions and corrections made in reading a recording: sentences, maybe none."""
+    """Notes on assumptions and corrections in reading a recording; may be empty."""
     notes = []
     if recording.meta.get("side_assumed"):
         notes.append(side_note(where))
@@ -208,9 +210,9 @@ def reading_notes(recording: HandRecording, where: str) -> list[str]:
 def finger_motion(recording: HandRecording) -> float | None:
     """Largest range of the distances from the wrist and from the thumb's tip to the fingertips [m].
 
-    It is that from the 5th to the 95th percentile, so single frames do not count. A hand that the
-    arm carries without moving its fingers has 0; in recordings of people, all trackers and
-    windows of 2 s have 5 mm or more.
+    It is the range from the 5th to the 95th percentile, so single frames have no effect. It is 0 if
+    the arm moves the hand without moving its fingers. In recordings of people, it is at least 5 mm
+    in every window of 2 s, with all trackers.
 
     Returns:
         the range; None for less than ``JUDGED_MOTION_S`` of frames that show the whole hand.
@@ -233,7 +235,7 @@ def check_stamps(
     where: str,
     poses: Float[np.ndarray, "T ..."] | None = None,
 ) -> None:
-    """Refuse stamps of frames that are not finite, not strictly increasing, or not in seconds.
+    """Refuse timestamps of frames that are not finite, not strictly increasing, or not in seconds.
 
     Args:
         stamps: (T,) stamps [s].
@@ -269,7 +271,7 @@ def check_times(
     what: str,
     poses: Float[np.ndarray, "T ..."] | None = None,
 ) -> None:
-    """Refuse stamps that are not finite, or do not rise.
+    """Refuse timestamps that are not finite or do not increase.
 
     Args:
         stamps: (T,) stamps [s].
@@ -303,7 +305,7 @@ def check_times(
 
 
 def check_span(stamps: Float[np.ndarray, " T"], where: str) -> None:
-    """Refuse stamps that span more than ``LONGEST_S``.
+    """Refuse timestamps that span more than ``LONGEST_S``.
 
     Raises:
         RecordingError: with the span.
@@ -320,7 +322,8 @@ def check_span(stamps: Float[np.ndarray, " T"], where: str) -> None:
 def _repeats(
     stamps: np.ndarray, same: Bool[np.ndarray, " S"], what: str, poses: np.ndarray | None
 ) -> str:
-    """Repeated stamps, and what to do: depends on whether they are times, and the values equal."""
+    """Message on repeated timestamps with advice, which depends on whether they are times and on
+    whether the values are equal."""
     i = int(np.argmax(same)) + 1
     count, steps = int(same.sum()), len(same)
     if count == steps and steps > 1:
@@ -346,7 +349,7 @@ def _repeats(
 
 
 def stamps_from_rate(count: int, rate: float | None, where: str) -> Float[np.ndarray, " T"]:
-    """Evenly spaced stamps [s] from 0, for a recording without its own.
+    """Evenly spaced timestamps [s] from 0, for a recording without timestamps.
 
     Raises:
         RecordingError: if there is no rate and more than one frame.
@@ -362,7 +365,7 @@ def stamps_from_rate(count: int, rate: float | None, where: str) -> Float[np.nda
 
 
 def check_rate(stamps: Float[np.ndarray, " T"], rate: float | None, where: str) -> None:
-    """Refuse a rate that contradicts the stamps of the file by more than a tenth.
+    """Refuse a rate that differs from the timestamps of the file by more than a tenth.
 
     Raises:
         RecordingError: with both rates.
@@ -378,14 +381,14 @@ def check_rate(stamps: Float[np.ndarray, " T"], rate: float | None, where: str) 
 
 
 def check_side(labels: Iterable[str], requested: Side | None, where: str) -> tuple[Side, bool]:
-    """Find the side of a recording from what the file says and what the caller asked for.
+    """Determine the side of a recording from the file and the caller's request.
 
     Args:
         labels: the chirality labels in the file, none if it has none.
         where: the file, for the message.
 
     Returns:
-        The side, and whether it was assumed: where nobody says, it is ``"right"``.
+        The side, and True if it was assumed: without any information, it is ``"right"``.
 
     Raises:
         RecordingError: for an unknown label, labels of both sides, or a side that contradicts the

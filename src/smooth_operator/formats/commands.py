@@ -36,11 +36,11 @@ def write_commands(
 
     ``OUT.npz`` holds ``joint_positions`` (T, n) float64 [rad], ``joint_names`` (n,) text,
     ``timestamps`` (T,) float64 [s], ``latency_ms`` (T,) float64, ``status`` (T,) int8 codes of
-    ``Status``, and ``status_names``, the name of code i at index i.
-    Each file is whole or not there; the configuration is written first, so a result never lacks it.
+    ``Status``, and ``status_names``, the name of code i at index i. Files are written atomically.
+    The configuration is written first, so a result always has its configuration.
 
     Args:
-        path: ``OUT.npz``; its folder must exist, a file that stands there is replaced.
+        path: ``OUT.npz``; its folder must exist; an existing file is replaced.
         commands: commands to write.
         config: the configuration to write with it; see ``to_json``.
 
@@ -53,7 +53,7 @@ def write_commands(
 
 
 def encode_commands(commands: CommandTrajectory) -> bytes:
-    """The bytes of ``OUT.npz``: equal ones for equal commands, whenever and wherever they are made.
+    """Encodes ``OUT.npz`` as bytes. Equal commands give equal bytes at any time and on any machine.
 
     Raises:
         RecordingError: the arrays of the trajectory do not fit each other.
@@ -78,9 +78,9 @@ def encode_commands(commands: CommandTrajectory) -> bytes:
 def write_encoded_commands(
     path: str | os.PathLike[str], encoded: bytes, config: Mapping[str, Any]
 ) -> None:
-    """Write what ``encode_commands`` gave, as ``write_commands`` does.
+    """Write the bytes from ``encode_commands``, like ``write_commands``.
 
-    For those who put a digest of the one file into the other.
+    For callers that store a digest of one file in the other.
 
     Raises:
         OutputError: the name does not end in ``.npz``, or the files can't be written.
@@ -97,13 +97,14 @@ def write_encoded_commands(
 
 @contextlib.contextmanager
 def written_result(path: Path, config: Mapping[str, Any] | None) -> Iterator[IO[bytes]]:
-    """Writes ``OUT.npz`` and its configuration, where there is one: both or neither.
+    """Writes ``OUT.npz`` and, if given, its configuration: both files or none.
 
-    The result is on the disk before the configuration takes its place, and takes its own after it.
-    So a full disk leaves what stood there before, and a result never lacks its configuration.
+    The result is written to the disk before the configuration is moved to its place, and is moved
+    after it. Therefore a full disk leaves the earlier files unchanged, and a result always has its
+    configuration.
 
     Yields:
-        What the result is to be written to.
+        The file to which the result must be written.
 
     Raises:
         OutputError: the files can't be written.
@@ -197,7 +198,7 @@ def _status_names(arrays: StoredArrays) -> list[str] | None:
 
 
 def translate_status(codes: np.ndarray, names: list[str] | None, where: str) -> np.ndarray:
-    """Codes as those of this version's Status, found by name where the file has the names.
+    """Converts status codes to those of this version, by name if the file has names.
 
     Raises:
         RecordingError: the codes are no whole numbers, or one is not known here.

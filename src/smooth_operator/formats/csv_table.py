@@ -7,26 +7,27 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 _FORMULA: Final = re.compile(r"'*[=+\-@\t\r\n＝＋－＠]")
-"""Beginnings that a spreadsheet takes for a formula, whatever quotes stand around the cell."""
+"""Characters at the beginning of a cell that a spreadsheet treats as a formula, even in a quoted
+cell."""
 _QUOTED: Final = re.compile(r'[",\r\n]')
 _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?inf")
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
-    """A table, with a header.
+    """Formats a table with a header as CSV.
 
-    Text that a spreadsheet would calculate (``=HYPERLINK(...)``, ``-1+cmd|...``) gets an apostrophe
-    before it, which ``plain_cell`` takes away again. Numbers stay as they are.
+    Text that a spreadsheet would calculate (``=HYPERLINK(...)``, ``-1+cmd|...``) gets a leading
+    apostrophe, which ``plain_cell`` removes again. Numbers are unchanged.
 
     Args:
-        rows: values by column; other keys are left out, and missing ones empty.
+        rows: values by column; other keys are ignored, and missing values are empty.
     """
     lines = [columns, *([row.get(name) for name in columns] for row in rows)]
     return "".join(f"{','.join(map(_cell, line))}\n" for line in lines)
 
 
 def plain_cell(text: str) -> str:
-    """A cell that was read, as it was before ``csv_text`` wrote it."""
+    """Returns the original text of a cell that ``csv_text`` wrote."""
     return text[1:] if text.startswith("'") and _runs(text[1:]) else text
 
 

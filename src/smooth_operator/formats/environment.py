@@ -1,4 +1,4 @@
-"""Versions and hardware that a result depends on, written with it."""
+"""Versions and hardware on which a result depends; stored with every result."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _cpu() -> str:
 
 
 def _cores() -> int:
-    """The cores that this process may use."""
+    """Number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -20,10 +20,11 @@ class StateTrajectory:
     """Measured states of a robot hand, real or simulated, and efforts of its actuators.
 
     Attributes:
-        stamps: (S,) rising times of the measurements [s], on the clock of the episode's commands.
-        positions: (S, n) measured joint positions [rad]; NaN where the hand measures none.
+        stamps: (S,) increasing times of the measurements [s], on the clock of the episode's
+            commands.
+        positions: (S, n) measured joint positions [rad]; NaN if the hand does not measure them.
         names: (n,) joint names.
-        actuators: (a,) names of the actuators; empty where there are none of their own.
+        actuators: (a,) names of the actuators; empty if they have no names.
         currents: (S, a) current or force of the actuators, in the driver's unit, or None.
         touch: (S, k) touch or force sensors, in the driver's unit, or None.
 
@@ -113,10 +114,10 @@ class ArmTrack:
 
 
 MOST_RAD: Final = 100.0
-"""Largest joint position that is read as a command [rad]: 16 turns."""
+"""Largest joint position that is accepted as a command [rad]: 16 turns."""
 
 BASE = "base"
-"""Name of the frame of commands that name none: the robot's base."""
+"""Default name of the frame of wrist commands: the robot's base."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +127,8 @@ class WristTrack:
     Attributes:
         poses: (C, 7) x y z [m] and unit quaternion w x y z in ``world``; NaN where a command had
             none.
-        engaged: (C,) whether the operator's wrist moved it.
-        valid: (C,) whether the operator's wrist was known.
+        engaged: (C,) True if the operator's wrist moved the robot's wrist.
+        valid: (C,) True if the operator's wrist was known.
         world: name of the frame.
 
     Raises:
@@ -158,41 +159,41 @@ class WristTrack:
 
 
 STAMP_TOLERANCE_S: Final = 1e-6
-"""How far the stamp of a command may be from that of the frame it answers [s].
+"""Largest difference between the timestamps of a command and of its frame [s].
 
-Commands carry the stamps of their frames, so they are equal; what is left for is a file that once
-held them as whole microseconds.
+Commands have the timestamps of their frames, so they are normally equal. The tolerance is for files
+that were stored in whole microseconds.
 """
 
 DERIVED_META: Final = (
     *("format", "truncated", "side_assumed", "implausible_frames", "layout"),
     *("damaged_lines", "repeated_frames", "ignored"),
 )
-"""Entries of ``HandRecording.meta`` that every reader computes, and that no file keeps."""
+"""Entries of ``HandRecording.meta`` that every reader computes and that are not stored in files."""
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One demonstration: what the formats of this package are converted through.
+    """One demonstration: the common form through which file formats are converted.
 
     Attributes:
         recording: the hand, or None.
-        commands: the commands to the robot, or None; one of the two is always there. They need not
-            answer every frame.
+        commands: the commands to the robot, or None. An episode has a recording, commands or both.
+            There may be frames without commands.
         config: the resolved configuration that made the commands, as JSON has it, or None.
-        stages_ms: (C,) time of each stage of the loop [ms] by name, one value per command, NaN
-            where a command did not have the stage.
-        task: the task in words, or None.
+        stages_ms: (C,) time of each stage of the loop [ms] by name, one value per command, NaN if a
+            command did not have the stage.
+        task: description of the task, or None.
         name: name of the episode, for files and reports.
-        notes: notes for a person on how it was read.
+        notes: human-readable notes on how the episode was read.
         states: the measured joints of the robot hand, or None.
         wrist: the commanded wrist of the robot hand, with each of the commands, or None.
-        arm: the arm that carried it, the same way, or None.
+        arm: the states of the arm that carried the hand, one row per command, or None.
         live: the commands are those of a live loop, which holds the hand between the frames, too.
 
     Raises:
-        RecordingError: there is neither hand nor command, arrays do not fit each other, or a stamp
-            or status is not a possible one.
+        RecordingError: there are neither frames nor commands, arrays do not match, or a timestamp
+            or status is invalid.
     """
 
     recording: HandRecording | None = None
@@ -226,14 +227,14 @@ class Episode:
                 )
 
     def __len__(self) -> int:
-        """Frames of the hand; commands, where there is no hand."""
+        """Number of frames, or of commands without a hand."""
         part = self.commands if self.recording is None else self.recording
         assert part is not None  # one is always there
         return len(part)
 
     @property
     def stamps(self) -> Float[np.ndarray, " T"]:
-        """(T,) stamps of the frames [s]; of the commands, where there is no hand."""
+        """(T,) timestamps [s] of the frames, or of the commands without a hand."""
         part = self.commands if self.recording is None else self.recording
         assert part is not None
         return part.stamps
@@ -245,7 +246,7 @@ class Episode:
         return {key: value for key, value in meta.items() if key not in DERIVED_META}
 
     def answered(self) -> Int[np.ndarray, " C"]:
-        """Index of the frame that each command answers, found by its stamp; -1 where none is it.
+        """Index of the frame of each command, found by its timestamp; -1 if there is none.
 
         Without a hand, each command is its own frame.
         """
@@ -264,7 +265,7 @@ class Episode:
         return np.where(np.abs(frames[nearest] - stamps) <= STAMP_TOLERANCE_S, nearest, -1)
 
     def sliced(self, frames: slice) -> Episode:
-        """The episode cut to some of its frames, and the commands from their time.
+        """Returns the episode with some of its frames and the commands from the same time.
 
         Args:
             frames: without a step; not empty.
@@ -297,7 +298,7 @@ class Episode:
         return replace(self, recording=recording, **parts)
 
     def joined(self, other: Episode, where: str) -> Episode:
-        """This recording with the commands of another file.
+        """Returns this recording with the commands of another file.
 
         Raises:
             RecordingError: ``other`` holds no commands, this episode has some already or no hand,
@@ -334,13 +335,13 @@ class Episode:
 
 
 def check_commands(commands: CommandTrajectory, where: str) -> None:
-    """Refuses a trajectory that no robot could follow, or whose arrays do not fit each other.
+    """Refuses a trajectory that no robot can follow, or whose arrays do not match.
 
     Its stamps must rise and span at most ``LONGEST_S``; its positions must be finite and at most
     ``MOST_RAD``, but may be NaN where the status is not OK.
 
     Raises:
-        RecordingError: with the array, what was expected and what came.
+        RecordingError: names the array, the expected value and the actual value.
     """
     shape = np.shape(commands.joint_positions)
     joints = len(commands.joint_names)
@@ -372,7 +373,8 @@ def check_commands(commands: CommandTrajectory, where: str) -> None:
 
 
 def _check_positions(commands: CommandTrajectory, where: str) -> None:
-    """Positions are numbers of joints, but where the status says that there is no command.
+    """Checks that joint positions are finite, except where the status says that there is no
+    command.
 
     Raises:
         RecordingError: a position is not finite or too large; names the first command and joint.

@@ -1,4 +1,5 @@
-"""Files and data sets of other programs: what they are, and the way from them to a recording."""
+"""Recognises files and data sets of other programs, and advises how to convert them to a
+recording."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ SAVE: Final = (
     "numpy.savez('recording.npz', landmarks=<array of shape (T, 21, 3), in metres>, "
     "timestamps=<array of shape (T,), in seconds>, side='right')"
 )
-"""Advice how to save points as a recording."""
+"""Advice on how to save points as a recording."""
 
 _HEAD_BYTES: Final = 4096
 _SKELETON: Final = (
@@ -76,7 +77,7 @@ _LEVELS: Final = 4  # from a file of a LeRobot data set up to its folder
 
 
 def foreign_file(path: Path) -> str | None:
-    """Name of the kind of a file of another program, and what to do with it; None if unknown.
+    """Kind of a file of another program, with advice; None if unknown.
 
     Args:
         path: a plain file.
@@ -109,7 +110,7 @@ def foreign_file(path: Path) -> str | None:
 
 
 def foreign_suffix(suffix: str) -> str | None:
-    """The same by the suffix of a name alone, in lower case."""
+    """Kind of a file of another program, judged by its suffix in lower case."""
     return _SUFFIXES.get(suffix)
 
 
@@ -153,7 +154,7 @@ def _names_of(feature: Any) -> str:
 
 
 def body_parameters(shapes: Mapping[str, tuple[int, ...]]) -> str | None:
-    """Description of arrays that hold the parameters of a whole body; None if they don't.
+    """Description of arrays that contain the parameters of a whole body; None for other arrays.
 
     Args:
         shapes: name -> shape of the arrays of a file.

@@ -1,4 +1,4 @@
-"""Arrays beside the landmarks of a file: flags of validity, poses, confidences, stamps."""
+"""Arrays that accompany the landmarks in a file: validity flags, poses, confidences, timestamps."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from smooth_operator.types import unit_poses
 
 _FLAG_NAMES: Final = ("valid", "mask", "visib", "tracked", "presen", "confid")
 _ROUNDING: Final = 1e-3
-"""Excess over 1 of a confidence that is taken for 1."""
+"""Excess over 1 up to which a confidence counts as 1."""
 _LENGTH: Final = 0.05
 """Tolerance of the length of a unit quaternion: those of gloves are up to 1 % off."""
 _ZERO: Final = 1e-6
-"""Length of a quaternion up to which it stands for a pose that is not known."""
+"""Length of a quaternion up to which it marks an unknown pose."""
 
 
 def validity(
     stored: StoredArray, count: int, picked: Sequence[int], nodes: int
 ) -> Bool[np.ndarray, "T 21"]:
-    """Flags of validity: one a frame, one a landmark, or one for each point of the tracker.
+    """Reads validity flags: one per frame, one per landmark, or one per point of the tracker.
 
     Args:
         stored: the array; true and false, or 1 and 0 of any type of number.
@@ -65,17 +65,17 @@ def _content(values: np.ndarray) -> str:
 
 
 def pose_rows(stored: StoredArray, count: int, order: str = "wxyz") -> Float[np.ndarray, "T 7"]:
-    """Poses of a file, one a frame; NaN where they are not known.
+    """Reads the poses of a file, one per frame; NaN if unknown.
 
     Args:
-        stored: (T, 7) x y z [m] and a unit quaternion, or (T, 4, 4) or (T, 1, 4, 4) matrices. A
-            row with NaN, or of zeros alone, is not known.
+        stored: (T, 7) x y z [m] and a unit quaternion, or (T, 4, 4) or (T, 1, 4, 4) matrices. A row
+            with NaN or only zeros is unknown.
         count: number of frames.
         order: order of the quaternion, ``wxyz`` or ``xyzw``.
 
     Raises:
         RecordingError: another shape, a quaternion that is not of length 1 within 5 %, or a matrix
-            that is no rotation.
+            that is not a rotation.
     """
     name = f"{stored.path}: {brief(stored.name)}"
     if stored.shape in ((count, 4, 4), (count, 1, 4, 4)):
@@ -116,7 +116,7 @@ def pose_rows(stored: StoredArray, count: int, order: str = "wxyz") -> Float[np.
 
 
 def quaternion_order(arrays: StoredArrays) -> str:
-    """Order of the quaternions of a file, as its ``quaternion_order`` says: ``wxyz`` without it.
+    """Order of the quaternions of a file, from its ``quaternion_order``. Default: ``wxyz``.
 
     Raises:
         RecordingError: it names another.
@@ -133,14 +133,15 @@ def quaternion_order(arrays: StoredArrays) -> str:
 
 
 def shares(values: np.ndarray, where: str) -> Float[np.ndarray, " T"]:
-    """Confidences from 0 to 1: negative ones (no hand) are 0, what is no number is NaN.
+    """Converts confidences to the range 0 to 1: negative values (no hand) become 0, and non-numbers
+    become NaN.
 
     Args:
         values: (T,) confidences of a file.
         where: the file, and the name of the confidence, for the message.
 
     Raises:
-        RecordingError: one is over 1, with the scale that they may have.
+        RecordingError: a confidence is over 1; the message names the likely scale.
     """
     result = np.asarray(values, np.float64)
     finite = result[np.isfinite(result)]
@@ -166,7 +167,7 @@ def shares(values: np.ndarray, where: str) -> Float[np.ndarray, " T"]:
 def own_stamps(
     stamps: Float[np.ndarray, " T"], rate: float | None, where: str
 ) -> Float[np.ndarray, " T"]:
-    """Stamps of a file; those of a rate where one is given and all stamps are equal, so no times.
+    """Returns the timestamps of a file, or those of a given rate if all timestamps are equal.
 
     Raises:
         ConfigError: the rate is outside the range of trackers.

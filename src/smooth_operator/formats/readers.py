@@ -1,4 +1,4 @@
-"""Reading recordings of hands: MANUS gloves, plain landmark arrays, and the project's own log."""
+"""Reads recordings of hands: MANUS gloves, plain landmark arrays, and the project's own log."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from smooth_operator.types import HandRecording, Side, as_side
 _Read = TypeVar("_Read")
 
 LANDMARK_STAMPS = "landmark_timestamps"
-"""Stamps of the frames in a file whose ``timestamps`` are those of commands."""
+"""Array of frame timestamps in a file whose ``timestamps`` are those of commands."""
 
 _STAMP_KEYS = (LANDMARK_STAMPS, "timestamps", "stamps")
 _SIDE_KEYS = ("chirality", "side")
@@ -47,7 +47,7 @@ _SIDE_OF: Final[dict[str, Side]] = {
     "right": "right",
     "left": "left",
 }
-"""Arrays of landmarks whose names say which hand they are."""
+"""Names of landmark arrays that contain the side."""
 
 
 def read_recording(
@@ -59,36 +59,36 @@ def read_recording(
 ) -> HandRecording:
     """Read a recording of one hand.
 
-    What the file is, its first bytes say (of some plugins' formats, its suffix). Read are:
+    The format is recognised by the first bytes of the file (for some plugins, by its suffix). These
+    formats can be read:
 
     - a MANUS ``.npz``: ``data`` (T, 25, 7) px py pz [m] and a quaternion, ``timestamps`` (T,) [s],
       ``keypoint_ids`` (25,), ``chirality``, ``quaternion_order``;
     - a ``.npy`` of shape (T, 21, 3) [m], or an ``.npz`` that holds one, named ``joints`` or
-      ``landmarks`` or being its only 3-D array, with ``timestamps`` or ``stamps`` (T,) [s] and
-      ``side`` or ``chirality`` where it has them. 25 nodes (MANUS, WebXR), 26 (OpenXR) and 27
+      ``landmarks`` or its only 3-D array, optionally with ``timestamps`` or ``stamps`` (T,) [s]
+      and ``side`` or ``chirality``. 25 nodes (MANUS, WebXR), 26 (OpenXR) and 27
       (WebXR's and two of the forearm) are mapped onto the 21; a single frame (21, 3) is a recording
       of one. 4 x 4 transforms (T, n, 4, 4), also as ``right_fingers`` and ``left_fingers``, are
-      read for their positions. Read too are ``valid`` (T,) or (T, 21), true or false or 1 or 0,
-      ``T_world_wrist`` (T, 7) or (T, 4, 4), with the name ``world`` and ``quaternion_order`` (wxyz
+      read for their positions. Further arrays that are read: ``valid`` (T,) or (T, 21), true or
+      false or 1 or 0, ``T_world_wrist`` (T, 7) or (T, 4, 4), with the name ``world`` and ``quaternion_order`` (wxyz
       without it), and with 21 ``metacarpals`` (T, 4, 3) [m] and ``orientations`` (T, 21, 4) wxyz;
-    - the log that ``LogWriter`` writes, also when it was
-      cut off;
-    - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``);
-    - what the readers of plugins recognise (``smooth_operator.formats.registry``).
+    - the log that ``LogWriter`` writes, even if it is truncated; - the ``.h5`` that
+    ``smooth-operator convert`` writes (with the extra ``hdf5``); - files that the readers of
+    plugins recognise (``smooth_operator.formats.registry``).
 
-    Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's
-    "no hand") without flags of the file's own, are flagged in ``valid``. Where neither file nor
-    caller says which hand it is, it is taken for a right one and ``meta["side_assumed"]`` is True.
+    Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's "no
+    hand") without flags of the file's own, are flagged in ``valid``. If neither the file nor the
+    caller states the side, a right hand is assumed and ``meta["side_assumed"]`` is True.
     ``meta["format"]`` is ``"manus"``, ``"array"``, ``"log"`` or ``"hdf5"``, or the name of a
-    plugin's reader. Frames and landmarks of
-    a size that no hand has among others that have it are flagged invalid, their number being
-    ``meta["implausible_frames"]``. A hand that is of the other side by its shape, or whose
-    landmarks are in another order or no hand's, is refused (``check_hand``).
+    plugin's reader. Single frames and landmarks with an implausible size are flagged as invalid;
+    ``meta["implausible_frames"]`` is the number of affected frames. A recording is refused if its
+    shape is that of the other hand, or if its landmarks are in another order or do not form a hand
+    (``check_hand``).
 
     Args:
         path: the file.
-        rate: frames a second [Hz], needed where the file has no stamps.
-        side: side of the hand; needed where the file does not say and it is a left one.
+        rate: frame rate [Hz]; required if the file has no timestamps.
+        side: side of the hand; required for a left hand if the file does not state the side.
         layout: the order of the landmarks in an array of 21, by its name in
             ``LAYOUTS``; None for the project's own, which is checked.
             The order of other files is known.
@@ -98,9 +98,10 @@ def read_recording(
 
     Raises:
         RecordingError: missing, empty, damaged, pickled or foreign file; wrong shape, units or
-            stamps; no valid landmark; sides that are mixed or contradict ``side``; another hand or
-            order by its shape. The message says what was expected, what came and what to do.
-        ConfigError: ``rate`` or ``side`` is not a possible one.
+            timestamps; no valid landmarks; sides that are mixed or contradict ``side``; the shape
+            of another hand or order. The message states what was expected, what was found, and what
+            to do.
+        ConfigError: ``rate`` or ``side`` is invalid.
         UnknownNameError: there is no such ``layout``.
         MissingExtraError: the file needs an extra that is not installed.
     """
@@ -131,7 +132,7 @@ def read_assumed(
 
 
 def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) -> None:
-    """Refuse a recording that is, by its shape, of the other hand or in another order.
+    """Refuse a recording whose shape is that of the other hand or of another order.
 
     The message calls it ``where`` and depends on ``asked``, the side that the caller asked for.
     """
@@ -157,7 +158,7 @@ def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) ->
 def rated_if_unstamped(
     read: Callable[[float | None], _Read], rate: float | None
 ) -> tuple[_Read, float | None]:
-    """One of many files: those without stamps need a rate, the others have their own.
+    """Reads one of several files. Files without timestamps need a rate.
 
     Args:
         read: reads it, with a rate or without.
@@ -180,7 +181,8 @@ def rated_if_unstamped(
 def read_arrays(
     path: Path, rate: float | None, side: Side | None, layout: str | None
 ) -> HandRecording:
-    """The landmarks in a ``.npy`` or ``.npz``; the arguments are those of ``read_recording``.
+    """Reads the landmarks in a ``.npy`` or ``.npz`` file; the arguments are those of
+    ``read_recording``.
 
     Raises:
         RecordingError: as ``read_recording``, before its checks of what a hand is.
@@ -246,15 +248,16 @@ def _beside_landmarks(
     nodes: int,
     meta: dict[str, Any],
 ) -> dict[str, np.ndarray]:
-    """Flags, the wrist, metacarpals and orientations; ``meta["ignored"]`` names what is not read.
+    """Reads flags, wrist, metacarpals and orientations; ``meta["ignored"]`` names arrays that are
+    not read.
 
     Args:
         side: the hand whose landmarks these are, where the name of their array says so: names with
             it at their end, as ``valid_right``, are those of this hand.
 
     Raises:
-        RecordingError: the flags or the wrist have another form than they can be read in: without
-            them the hand would be wrong, and nobody would see it.
+        RecordingError: the flags or the wrist have an unsupported form. Ignoring them would give
+            wrong hands without a warning.
     """
     names = {
         name: next((key for key in (f"{name}_{side}", name) if key in arrays), "")
@@ -282,7 +285,7 @@ def _beside_landmarks(
 
 
 def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:
-    """The one array of landmarks in a file, or an error that says what is there instead."""
+    """Finds the array of landmarks in a file, or raises an error that describes the contents."""
     path = arrays.path
     for item in arrays.values():
         if item.dtype.hasobject and (len(arrays) == 1 or item.name in ("joints", "landmarks")):

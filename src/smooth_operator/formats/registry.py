@@ -1,4 +1,4 @@
-"""The formats of recordings by name, built-in and of plugins: how a file is recognised and read."""
+"""Registry of the recording formats, built-in and of plugins: how a file is recognised and read."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ class Reader:
 
     Attributes:
         what: kind of its files, for messages: ``a .csv file of landmarks``.
-        read: ``read(path, rate, side, layout)`` gives the recording: ``rate`` [Hz] for a file
+        read: ``read(path, rate, side, layout)`` returns the recording: ``rate`` [Hz] for a file
             without stamps, ``side`` and ``layout`` (the order of 21 landmarks, by its name) as the
-            caller says, each None where the caller says nothing. Raises ``RecordingError`` where
-            the file can't be used. What it gives is checked as other recordings are. A function, or
-            where it is, to be imported when a file is read.
-        magic: first bytes of its files, one of these.
-        suffixes: endings of their names, in lower case (``.csv``): which files of a folder are
-            looked at; for a format without ``magic``, also which files are its own.
+            caller says, each None if the caller does not state it. Raises ``RecordingError`` if the
+            file can't be used. The result is checked like other recordings. This is a function, or
+            the path from which it is imported when a file is read.
+        magic: possible first bytes of its files.
+        suffixes: suffixes of its files, in lower case (``.csv``). They select the files of a
+            folder; for a format without ``magic``, they also identify its files.
 
     Raises:
         ConfigError: neither ``magic`` nor ``suffixes`` is given.
@@ -141,15 +141,15 @@ READERS: Final = Registry(
     },
     needs=("what", "recognises", "read_file"),
 )
-"""Name -> ``Reader``. A file belongs to the first that recognises it."""
+"""Maps names to ``Reader``. The first reader that recognises a file reads it."""
 
 
 def find_reader(name: str) -> Reader:
-    """The reader of a name.
+    """Returns the reader with a name.
 
     Raises:
         UnknownNameError: there is none.
-        ConfigError: it is a plugin's, and can't be loaded or is no ``Reader``.
+        ConfigError: the reader of a plugin can't be loaded or is not a ``Reader``.
     """
     reader: Reader = READERS.load(name)
     READERS.check(name, reader)
@@ -181,7 +181,7 @@ _PICKLE_SUFFIXES = (".pkl", ".pickle", ".pck", ".p")
 
 
 def file_kind(path: Path) -> str:
-    """Find the format of a file: by its first bytes, or by its suffix where a plugin says so.
+    """Find the format of a file by its first bytes or, for some plugins, by its suffix.
 
     Returns:
         Its name in ``READERS``.

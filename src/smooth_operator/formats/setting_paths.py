@@ -1,4 +1,4 @@
-"""Settings of a method by name, such as ``objective.pose_weight``; and files of presets.
+"""Settings of a method by name, such as ``objective.pose_weight``, and preset files.
 
 A preset file is a preset of a method with some of its numbers changed, as a small TOML file::
 
@@ -12,7 +12,7 @@ A preset file is a preset of a method with some of its numbers changed, as a sma
     [made]                       # optional: how it was found, for a person
     by = "a search with Optuna"
 
-The file stands wherever the name of a preset does: ``--method sbr --preset mine.toml``.
+The file can be used in place of the name of a preset: ``--method sbr --preset mine.toml``.
 """
 
 from __future__ import annotations
@@ -29,32 +29,32 @@ from smooth_operator.io.entries import read_entries
 C = TypeVar("C")
 
 MOST_WHOLE: Final = 1 << 20
-"""Largest number of samples, cycles, rounds and the like that is set by name."""
+"""Largest number of samples, cycles, rounds and similar that can be set by name."""
 MOST_SEED: Final = (1 << 32) - 1
 
 
 def numeric_settings(config: object) -> dict[str, float | int]:
-    """All numbers of a configuration, by their path: names of fields with dots between them.
+    """All numbers of a configuration, by path: names of fields separated by dots.
 
     Args:
-        config: a dataclass, with dataclasses in its fields. Those in a tuple are named by their
-            place: ``objective.terms.0.weight`` is a setting of the first added term.
+        config: a dataclass, with dataclasses in its fields. Dataclasses in a tuple are named by
+            their index: ``objective.terms.0.weight`` is a setting of the first added term.
 
     Returns:
-        path -> value, in the order of the fields; switches (true or false) are not among them.
+        mapping from path to value, in the order of the fields, without booleans.
     """
     return dict(_numbers(config, ""))
 
 
 def with_settings(config: C, values: Mapping[str, float | int]) -> C:
-    """A configuration with other values.
+    """Returns a configuration with changed values.
 
     Args:
-        values: path -> value; one for a whole number is rounded.
+        values: mapping from path to value; values of integer fields are rounded.
 
     Raises:
         UnknownNameError: there is no such setting.
-        ConfigError: a value can't be, alone or together with the others.
+        ConfigError: a value is invalid, alone or in combination with others.
     """
     settings = numeric_settings(config)
     for path in values:
@@ -78,7 +78,7 @@ def _numbers(config: object, prefix: str) -> Iterator[tuple[str, float | int]]:
 
 
 def _parts(config: Any) -> dict[str, Any]:
-    """Field -> value of a dataclass; place -> entry of a tuple, its dataclasses alone."""
+    """Maps fields of a dataclass to values, and indices of a tuple to its dataclasses."""
     if isinstance(config, tuple):
         return {str(i): one for i, one in enumerate(config) if _is_settings(one)}
     if not _is_settings(config):
@@ -134,7 +134,8 @@ def read_preset_file(path: Path) -> PresetFile:
     """Reads a preset file.
 
     Raises:
-        ConfigError: there is none, or it is something else; the message says what is expected.
+        ConfigError: the file does not exist or is not a preset file; the message says what is
+            expected.
     """
     entries = read_entries(path, "preset file", most_bytes=_MOST_BYTES)
     entries.check_format(FORMAT)

@@ -1,4 +1,4 @@
-"""Keys and values as TOML, for the files that this program writes and a person may edit."""
+"""Writes keys and values as TOML, for files that users may edit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ESCAPES: Final = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\
 
 
 def toml_key(name: str) -> str:
-    """A key, in quotation marks where TOML needs them.
+    """Formats a key, with quotation marks if TOML needs them.
 
     Raises:
         DocumentError: it holds half of a surrogate pair.
@@ -24,7 +24,7 @@ def toml_key(name: str) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """A value on one line; tables are inline.
+    """Formats a value on one line; tables are inline.
 
     Args:
         value: a text, truth value, finite number, list, tuple or mapping.

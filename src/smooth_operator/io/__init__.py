@@ -1,4 +1,4 @@
-"""Reading of files: documents within bounds, checks of landmarks.
+"""Reading of JSON and TOML files within size limits, and checks of landmarks.
 
 Nothing here unpickles. The formats of recordings and commands are in ``smooth_operator.formats``.
 """

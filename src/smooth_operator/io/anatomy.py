@@ -1,10 +1,11 @@
 """Checks size, order and side of landmarks by their shape.
 
-Order: the lengths between neighbouring landmarks hardly depend on the pose. Those of a human hand,
-as ratios, are compared under every order of the fingers and under the layouts of other trackers
-and datasets (``LAYOUTS``); points that fit none are no hand. Side: fingers bend to the palm, the
-thumb's base is in front of it, and the knuckles arch away from it; a mirror image is the
-opposite. ``smooth_operator_research.judging.input_check`` measures both on real recordings.
+Order: the distances between neighbouring landmarks hardly depend on the pose. Their ratios are
+compared with those of a human hand for every order of the fingers and for the layouts of other
+trackers and datasets (``LAYOUTS``). Points that match no order are not a hand. Side: fingers bend
+to the palm, the thumb's base is in front of it, and the knuckles arch away from it; a mirror image
+has the opposite properties. ``smooth_operator_research.judging.input_check`` measures both on real
+recordings.
 """
 
 from __future__ import annotations
@@ -30,27 +31,27 @@ a little off, and no hand in millimetres, centimetres, decimetres, inches or fee
 """
 
 FEWEST_FRAMES: Final = 5
-"""Frames with all landmarks without which nothing is judged."""
+"""Smallest number of complete frames for a judgement."""
 
 MISFIT: Final = 0.25
-"""A layout is refused if another fits better by this much, in mean deviations of a length.
+"""A layout is refused if another layout fits better by this much, in mean deviations of a length.
 
-Recordings in the right order come to 0.05 at most over five frames, with noise of 4 mm too; the
-named layouts to 0.35 at least.
+Over five frames, recordings in the right order reach at most 0.05, even with 4 mm of noise; the
+named layouts reach at least 0.35.
 """
 
 MIRRORED: Final = -0.25
-"""A side is refused if the mean chirality for it is less.
+"""A side is refused if its mean chirality is below this value.
 
-Right ones come to -0.15 at the least over five frames with 6 mm of noise, mirrored ones to -0.35 at
-the most, but for flat hands of trackers whose palm is a plane.
+Over five frames with 6 mm of noise, correct sides reach at least -0.15 and mirrored sides at most
+-0.35, except for flat hands of trackers whose palm is a plane.
 """
 
 BENT: Final = 0.2
-"""Mean sine of the fingers' bends from which on they tell the side."""
+"""Mean sine of the fingers' bends above which they determine the side."""
 
 CLEAR: Final = 0.6
-"""Chirality from which on straight fingers tell the side, too.
+"""Chirality above which straight fingers also determine the side.
 
 Depth cameras measure the thumb of a flat hand up to 0.2 palms behind the palm, which is a chirality
 of -0.4 on average and -0.55 at the least. Of 17,600 frames of ten recordings of other trackers none
@@ -63,14 +64,15 @@ _IN_FRONT: Final = np.array([1.0, 1.0, -1.0, -1.0])
 _JUDGED_SHARE: Final = 0.05  # of the frames that must tell the side
 
 NO_HAND: Final = 1.0
-"""Points whose lengths deviate more than this on average, in the order that is said, are no hand.
+"""Largest mean deviation of the lengths of a hand in the declared order.
 
 Over five frames recordings come to 0.6 at most, with 4 mm of noise too, the built-in robot hands to
 0.8; random orders of 21 points to 1.1 at least.
 """
 
 NO_HAND_FRAME: Final = 1.5
-"""The same for a single frame, which one with 8 mm of noise stays under."""
+"""Largest mean deviation of the lengths in a single frame. Frames with 8 mm of noise stay below
+it."""
 
 _LONGEST: Final = 2.0  # palm lengths of any length; 1.1 in hands and robot hands
 _UNSTEADY: Final = 0.3  # of the logarithms of bones; recordings 0.1, with 15 mm of noise 0.23
@@ -108,11 +110,11 @@ class Doubt:
     """Reason why landmarks can't be those of the declared side and order.
 
     Attributes:
-        what: appearance of the landmarks, as a clause.
-        layout: the layout that they are in, if it has a name.
-        order: the index of each landmark in the points as they came; None where the side is wrong.
-        side: the side that they are of; None where the order is wrong.
-        mend: advice where neither would help.
+        what: description of the landmarks, as a clause.
+        layout: the layout of the landmarks, if it has a name.
+        order: the index of each landmark among the given points; None if the side is wrong.
+        side: the actual side; None if the order is wrong.
+        mend: advice if neither the side nor the order explains the problem.
     """
 
     what: str
@@ -135,7 +137,7 @@ class Doubt:
 
     @property
     def in_python(self) -> str:
-        """Remedy for the points of a frame in a program."""
+        """Remedy for the points of a frame in a Python program."""
         if self.side is not None:
             return (
                 f"load the {self.side} robot hand and use HandFrame(..., "
@@ -147,7 +149,7 @@ class Doubt:
 
     @property
     def live(self) -> str:
-        """Problem and remedy in a few words, for frames that come one by one."""
+        """Short description of problem and remedy, for frames that arrive one at a time."""
         if self.side is not None:
             return (
                 f"judging by its shape, it is a {self.side} hand; use side={self.side}, or "
@@ -161,7 +163,7 @@ class Doubt:
 
 
 def layout_order(name: str | None) -> tuple[int, ...]:
-    """The index of each landmark in points of a layout; None is the project's own.
+    """Index of each landmark among the points of a layout; None is the project's own layout.
 
     Raises:
         UnknownNameError: there is no such layout.
@@ -176,10 +178,11 @@ def layout_order(name: str | None) -> tuple[int, ...]:
 def in_our_order(
     points: Float[np.ndarray, "*n 21 3"], layout: str | None = None
 ) -> Float[np.ndarray, "*n 21 3"]:
-    """Points of a layout as the project's 21 landmarks.
+    """Converts points of a layout to the project's 21 landmarks.
 
-    ``aria`` has the centre of the palm in place of the thumb's CMC, which is estimated from wrist,
-    thumb, index and pinky MCP: 6 to 11 mm off on average in recordings of gloves and cameras.
+    ``aria`` has the centre of the palm instead of the thumb's CMC. The CMC is estimated from the
+    wrist and the MCPs of thumb, index and pinky, with a mean error of 6 to 11 mm in recordings of
+    gloves and cameras.
 
     Raises:
         UnknownNameError: there is no such layout.
@@ -193,12 +196,12 @@ def in_our_order(
 def implausible(
     landmarks: AnyArray, valid: AnyArray, palms: tuple[float, float] = PALM_RANGE_M
 ) -> AnyArray:
-    """True for a frame that can't be a hand, by its size [m] or by the lengths of its bones.
+    """True for a frame that can't be a hand, judged by its size [m] or the lengths of its bones.
 
     Args:
         landmarks: (..., 21, 3) positions [m], in the project's order; NumPy or JAX.
-        valid: (..., 21) which of them count. Only whole frames are judged by lengths.
-        palms: least and greatest distance from the wrist to the middle finger's MCP [m].
+        valid: (..., 21) which of them count. Only complete frames are judged by lengths.
+        palms: smallest and largest distance from the wrist to the middle finger's MCP [m].
     """
     xp = array_namespace(landmarks)
     bones = landmarks[..., _PAIRS[:, 1], :] - landmarks[..., _PAIRS[:, 0], :]
@@ -213,8 +216,8 @@ def implausible(
 
 
 def of_a_picture(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
-    """True for image landmarks of a camera tracker: x and y, normalised or in
-    pixels, count from a corner of the picture, and z counts from the wrist."""
+    """True for image landmarks of a camera tracker: x and y, normalised or in pixels, measured from
+    a corner of the picture, and z measured from the wrist."""
     wrist, depth = landmarks[:, WRIST], np.abs(landmarks[..., 2]).max(axis=1, initial=0.0)
     flat = (np.abs(wrist[:, 2]) <= 1e-4 * depth) & (wrist[:, :2] > 0.0).all(axis=1)
     return len(landmarks) > 0 and bool(flat.all())
@@ -228,9 +231,9 @@ OF_A_PICTURE: Final = Doubt(
 
 
 def keeps_lengths(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
-    """True if bones keep their lengths, in proportion, from one stretch of frames to the next.
+    """True if the ratios of bone lengths stay constant from one section of frames to the next.
 
-    Fewer than five whole frames in a stretch are not judged, since noise would decide.
+    Sections with fewer than five complete frames are not judged, because of noise.
     """
     if len(landmarks) < FEWEST_FRAMES * _STRETCHES:
         return True
@@ -249,19 +252,19 @@ def check_hand(
     layout: str | None = None,
     where: str = "the landmarks",
 ) -> None:
-    """Refuse points that are, by their shape, no hand, of the other hand, or in another order.
+    """Refuse points whose shape is not a hand, is the other hand, or has another order.
 
     Args:
-        points: (T, 21, 3) positions [m] as they came, in any right-handed frame.
+        points: (T, 21, 3) original positions [m], in any right-handed frame.
         side: declared side of the hand.
-        valid: (T, 21) which of them count; the finite ones if left out.
-        layout: the order they are said to be in; None for the project's own, which is judged.
-            ``mediapipe`` (or ``openpose``) is the same, and its order is not checked.
+        valid: (T, 21) mask of the landmarks to use. Default: finite landmarks.
+        layout: declared order; None for the project's own order, which is checked. ``mediapipe``
+            (or ``openpose``) is the same, and its order is not checked.
         where: origin of the landmarks, for the message.
 
     Raises:
-        RecordingError: they are not, with what was recognised and what to do. Fewer than
-            ``FEWEST_FRAMES`` whole frames raise nothing.
+        RecordingError: the check failed; the message states the recognised hand and a remedy. Fewer
+            than ``FEWEST_FRAMES`` complete frames are accepted.
         UnknownNameError: there is no such layout.
     """
     reason = doubt(points, side, valid, layout=layout)
@@ -322,11 +325,13 @@ def _of_the_other(side: Side) -> Doubt:
 
 
 def chirality(landmarks: Float[np.ndarray, "T 21 3"]) -> Float[np.ndarray, " T"]:
-    """Chirality of each frame by its shape: positive for a right, negative for a left one.
+    """Chirality of each frame, judged by its shape: positive for a right hand, negative for a left
+    hand.
 
-    The sum of how far thumb CMC and MCP are in front of the plane of the palm and the middle and
-    ring MCP behind it, in palm lengths, and of the mean sine of the fingers' bends; 2 at most. A
-    mirror image has the negative. Landmarks that are NaN count for nothing.
+    It is the sum of three terms: the distance of thumb CMC and MCP in front of the plane of the
+    palm, the distance of middle and ring MCP behind it, both in palm lengths, and the mean sine of
+    the fingers' bends. It is at most 2. A mirror image has the negative. Landmarks that are NaN
+    have no effect.
 
     Args:
         landmarks: (T, 21, 3) positions in the project's order, in any right-handed frame.
@@ -337,10 +342,11 @@ def chirality(landmarks: Float[np.ndarray, "T 21 3"]) -> Float[np.ndarray, " T"]
 
 
 def sides(landmarks: Float[np.ndarray, "T 21 3"]) -> Int[np.ndarray, " T"]:
-    """Side of each frame by its shape: 1 right, -1 left, 0 where it can't be told.
+    """Side of each frame, judged by its shape: 1 right, -1 left, 0 unknown.
 
-    Bent fingers tell it. Straight ones do where thumb and knuckles stand out clearly, since
-    trackers disagree about the palm of a flat hand. Landmarks that are NaN count for nothing.
+    Bent fingers determine the side. Straight fingers determine it only if thumb and knuckles stand
+    out clearly, because trackers disagree about the palm of a flat hand. Landmarks that are NaN
+    have no effect.
 
     Args:
         landmarks: (T, 21, 3) positions in the project's order, in any right-handed frame.
@@ -353,7 +359,7 @@ def sides(landmarks: Float[np.ndarray, "T 21 3"]) -> Int[np.ndarray, " T"]:
 
 
 def _stands_and_bends(landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The two parts of the chirality of (T, 21, 3) landmarks; 0 where nothing of one is known."""
+    """The two parts of the chirality of (T, 21, 3) landmarks; a part without data is 0."""
     points = landmarks - landmarks[:, :1]
     palmar = _unit(_cross(points[:, 5], points[:, 17]))
     palm = np.maximum(np.sqrt((points[:, 9] ** 2).sum(axis=-1)), 1e-9)
@@ -370,13 +376,13 @@ def _stands_and_bends(landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class HandCheck:
-    """The same for frames that come one by one.
+    """Check of side and order for frames that arrive one at a time.
 
-    The first frames are judged together by order, and again later if it was wrong. Each frame is
-    judged by side, with what is known of it: one that is clearly of the other hand is refused at
-    once. After two of them also those that tell no side are, for ``MEMORY_S``; a frame that is
-    clearly of the right side ends that. So a hand of the other side moves no robot from its first
-    frame on, and the right one is back at once, or after ``MEMORY_S`` if it is flat.
+    The order is judged over the first frames together, and again later if it was wrong. The side is
+    judged in every frame from its visible landmarks: a frame that is clearly of the other hand is
+    refused at once. After two such frames, frames with an unknown side are also refused for
+    ``MEMORY_S``, until a frame is clearly of the right side. Therefore the other hand never moves
+    the robot, and the right hand is accepted again at once, or after ``MEMORY_S`` if it is flat.
 
     Args:
         side: declared side of the hand.
@@ -386,7 +392,7 @@ class HandCheck:
     """
 
     WINDOW: Final = 30
-    """Frames that are judged together, and after which they are judged again."""
+    """Number of frames that are judged together, and after which the order is judged again."""
 
     MEMORY_S: Final = 0.25
     """Time after a frame of the other hand for which flat hands count as that hand [s]."""
@@ -402,8 +408,8 @@ class HandCheck:
     def see(
         self, landmarks: Float[np.ndarray, "21 3"], valid: Bool[np.ndarray, "21"], at: float
     ) -> Doubt | None:
-        """Problem with the last frames, after another one; None if there is none, or too little is
-        known.
+        """Adds a frame and returns the problem with the last frames; None if there is no problem or
+        too little data.
 
         Args:
             landmarks: positions [m].
@@ -420,7 +426,7 @@ class HandCheck:
 
     @property
     def surely_other(self) -> bool:
-        """True if so many frames are of the other hand that no slip of a tracker explains them."""
+        """True if too many frames are of the other hand to be tracking errors."""
         return self._other >= FEWEST_FRAMES
 
     def _other_hand(self, landmarks: Float[np.ndarray, "21 3"], at: float) -> Doubt | None:
@@ -445,7 +451,7 @@ def _no_order(landmarks: Float[np.ndarray, "T 21 3"]) -> Doubt | None:
 
 
 def _other_order(points: Float[np.ndarray, "T 21 3"], layout: str | None) -> Doubt | None:
-    """Finds an order that fits far better than the declared one, or that none fits."""
+    """Finds an order that fits far better than the declared one, or finds that no order fits."""
     stated = layout_order(layout)
     apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
     lengths = np.median(apart, axis=0)

@@ -1,4 +1,4 @@
-"""JSON of other authors, parsed within the bounds of ``plain_files``."""
+"""Parses untrusted JSON within the limits of ``plain_files``."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _TEXTS: Final = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+"?', re.DOTALL)
 
 
 def parse_json(text: str | bytes, *, most_bytes: int = MOST_BYTES) -> Any:
-    """The value of a JSON text.
+    """Parses a JSON text.
 
     Args:
-        text: as text, or as bytes in UTF-8.
+        text: string, or bytes in UTF-8.
         most_bytes: largest size [bytes].
 
     Raises:
-        DocumentError: it is no JSON, too long, nested deeper than ``MOST_LEVELS``, or has a
-            whole number of more than ``MOST_DIGITS`` digits, or half a character.
+        DocumentError: the text is not JSON, is too long, is nested deeper than ``MOST_LEVELS``, has
+            a whole number of more than ``MOST_DIGITS`` digits, or has an incomplete character.
     """
     try:
         data = text if isinstance(text, bytes) else text.encode()
@@ -52,7 +52,7 @@ def parse_json(text: str | bytes, *, most_bytes: int = MOST_BYTES) -> Any:
 
 
 def json_object(text: str | bytes) -> dict[str, Any] | None:
-    """The fields of a message that should be a JSON object; None if it is none.
+    """Parses a message that should be a JSON object; None if it is not.
 
     Args:
         text: as ``parse_json``.
@@ -65,7 +65,7 @@ def json_object(text: str | bytes) -> dict[str, Any] | None:
 
 
 def read_json(path: Path, *, most_bytes: int = MOST_BYTES) -> Any:
-    """The value of a JSON file.
+    """Reads a JSON file.
 
     Raises:
         OSError: there is no such file, or it can't be read.

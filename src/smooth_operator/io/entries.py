@@ -1,4 +1,4 @@
-"""Checked look-ups in the table of a settings file (TOML or JSON), and the reader of TOML.
+"""Checked look-ups in the table of a settings file (TOML or JSON), and a reader of TOML.
 
 Each error names the file, the entry and what is expected there, and corrects a misspelt name.
 """
@@ -57,7 +57,7 @@ class Entries:
                 raise self.error(name, f"no such entry.{hint} Known entries: {', '.join(names)}")
 
     def check_format(self, version: int) -> None:
-        """Refuses a file whose entry ``format`` is another version of its format."""
+        """Refuses a file whose entry ``format`` is a different version of its format."""
         number = self.whole("format")
         if number != version:
             newer = "; a newer smooth-operator wrote it: update yours" if number > version else ""
@@ -66,7 +66,7 @@ class Entries:
     def text(
         self, name: str, default: str | None = None, *, empty: bool = True, lines: bool = False
     ) -> str:
-        """A text.
+        """Returns a string.
 
         Args:
             default: value of a missing entry; None if the entry is required.
@@ -82,7 +82,7 @@ class Entries:
         return value
 
     def choice(self, name: str, options: Sequence[_T], default: _T | None = None) -> _T:
-        """One of some words."""
+        """Returns one of the allowed words."""
         value = self._get(name, default, "a string")
         for option in options:
             if value == option:
@@ -92,21 +92,21 @@ class Entries:
     def texts(
         self, name: str, default: Sequence[str] | None = None, *, what: str = "a list of strings"
     ) -> list[str]:
-        """A list of texts; messages call it ``what``."""
+        """Returns a list of strings; messages call it ``what``."""
         value = self._get(name, default, what)
         if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
             raise self.error(name, f"expected {what}, not {brief(value)}")
         return list(value)
 
     def whole(self, name: str, default: int | None = None) -> int:
-        """A whole number; unlike in Python, true is not one."""
+        """Returns a whole number; unlike in Python, true is not a number."""
         value = self._get(name, default, "a whole number")
         if isinstance(value, bool) or not isinstance(value, int) or abs(value) > 2**63:
             raise self.error(name, f"expected a whole number, not {brief(value)}")
         return value
 
     def number(self, name: str, default: float | None = None) -> float:
-        """A finite number."""
+        """Returns a finite number."""
         return self._finite(name, self._get(name, default, "a number"))
 
     def number_or_none(self, name: str) -> float | None:
@@ -117,7 +117,7 @@ class Entries:
     def numbers(
         self, name: str, count: int, default: Sequence[float] | None = None, *, what: str = ""
     ) -> Any:
-        """A tuple of ``count`` finite numbers; messages call it ``what``."""
+        """Returns a tuple of ``count`` finite numbers; messages call it ``what``."""
         what = what or f"{count} numbers"
         value = self._get(name, default, what)
         if not isinstance(value, list | tuple) or len(value) != count:
@@ -132,14 +132,14 @@ class Entries:
         return value
 
     def table(self, name: str, default: Mapping[str, Any] | None = None) -> Entries:
-        """A table in this one."""
+        """Returns a nested table."""
         value = self._get(name, default, "a table")
         if not isinstance(value, Mapping):
             raise self.error(name, f"expected a table, not {brief(value)}")
         return replace(self, values=value, where=self._full(name))
 
     def tables(self, name: str) -> list[Entries]:
-        """A list of tables."""
+        """Returns a list of tables."""
         value = self._get(name, None, "a list of tables")
         if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
             raise self.error(name, f"expected a list of tables, not {brief(value)}")
@@ -147,13 +147,13 @@ class Entries:
         return [replace(self, values=v, where=f"{full}[{k}]") for k, v in enumerate(value, 1)]
 
     def error(self, name: str, text: str) -> SmoothOperatorError:
-        """Error about an entry."""
+        """Creates an error about an entry."""
         # A damaged file may hold names of any length.
         return self.refuse(f"{self.file}: {_cut(self._full(name), 80)}: {_cut(text, 400)}")
 
     @contextmanager
     def name_file(self) -> Iterator[None]:
-        """Errors of this package that are raised in this block name the file.
+        """Adds the file name to errors of this package that are raised in the block.
 
         Raises:
             SmoothOperatorError: of the class ``refuse``.

@@ -1,4 +1,4 @@
-"""Turning a resolved configuration into JSON that any parser reads."""
+"""Converts a resolved configuration to JSON that any parser can read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from smooth_operator.errors import ConfigError
 def to_json(value: Any, *, indent: int | None = None) -> str:
     """Write dataclasses, enums, paths, NumPy values and plain containers as strict JSON.
 
-    Non-finite numbers, which JSON has no word for, become the strings ``"nan"``, ``"inf"`` and
+    Non-finite numbers, which JSON can't represent, become the strings ``"nan"``, ``"inf"`` and
     ``"-inf"``, which ``float`` reads back. Enums become their names, tuples and arrays lists.
 
     Args:
@@ -69,7 +69,7 @@ def _key(key: Any) -> str:
 
 
 def numbers(array: Float[np.ndarray, " k"]) -> list[float | None]:
-    """A row of numbers as messages in JSON have them, in which one that is not finite is null."""
+    """Converts a row of numbers for JSON messages; numbers that are not finite become null."""
     row: list[float | None] = array.tolist()
     if np.isfinite(array).all():
         return row

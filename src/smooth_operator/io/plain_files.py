@@ -1,10 +1,10 @@
-"""Plain files of other authors, and the bounds within which their texts are parsed.
+"""Reads untrusted regular files, and defines the limits of parsing them.
 
-The parsers of the standard library accept texts that later break what reads them: brackets nested
-until the stack ends, whole numbers of thousands of digits that no float holds, dotted keys that
-take minutes. Every document that a user, a file or a network gives goes through ``read_text``,
-``parse_toml`` (``io.entries``) or ``parse_json`` (``io.documents``), so that a reader has one error
-to expect, ``DocumentError``.
+The parsers of the standard library accept texts that later cause failures: brackets nested until
+the stack ends, whole numbers of thousands of digits that no float holds, dotted keys that take
+minutes. Every document from a user, a file or a network is read with ``read_text``, ``parse_toml``
+(``io.entries``) or ``parse_json`` (``io.documents``), so that callers only need to handle one
+error, ``DocumentError``.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from typing import Final
 from smooth_operator.errors import DocumentError
 
 MOST_BYTES: Final = 8_000_000
-"""Longest text that is parsed, where the caller sets no other bound."""
+"""Longest text that is parsed by default."""
 
 MOST_LEVELS: Final = 64
-"""Levels of lists and tables within each other. The documents of this package have six."""
+"""Largest number of nested lists and tables. The documents of this package have six levels."""
 
 MOST_DIGITS: Final = 20
-"""Digits of a whole number; those of 64 bits have no more."""
+"""Largest number of digits of a whole number; 64-bit integers do not have more."""
 
 
 def check_plain_file(path: Path) -> int:
-    """The size of a plain file in bytes; links are followed.
+    """Size of a regular file in bytes; links are followed.
 
-    Opening a pipe would wait for a writer, perhaps for ever.
+    Opening a pipe could wait forever for a writer.
 
     Raises:
         OSError: there is no such file, or it can't be looked at.
@@ -43,7 +43,7 @@ def check_plain_file(path: Path) -> int:
 
 
 def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
-    """The text of a plain file in UTF-8; a byte order mark is dropped.
+    """Reads a regular file in UTF-8; a byte order mark is removed.
 
     Raises:
         OSError: there is no such file, or it can't be read.
@@ -61,7 +61,7 @@ def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
 
 
 def too_deep() -> DocumentError:
-    """The error for a text with more than ``MOST_LEVELS`` levels."""
+    """Creates the error for a text with more than ``MOST_LEVELS`` levels."""
     return DocumentError(f"it has more than {MOST_LEVELS} levels of lists and tables")
 
 

@@ -32,8 +32,8 @@ def length_ratios(
     """(T, K) scale ratio of each keyvector [m], |v_R| / |v_H|; towards 1, NaN where the human
     vector is unknown.
 
-    Source: the paper's accuracy metrics. A human vector that all but vanishes (a pinch) makes the
-    ratio large, and a mean over frames feels that; a median doesn't.
+    Source: the paper's accuracy metrics. A very short human vector (a pinch) makes the ratio large,
+    which affects a mean over frames but not a median.
     """
     length = np.linalg.norm(human, axis=-1)
     return np.asarray(np.linalg.norm(robot, axis=-1) / np.maximum(length, _LENGTH_FLOOR))

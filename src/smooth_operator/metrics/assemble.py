@@ -1,4 +1,4 @@
-"""From a recording and the commands that answer it to the trace that the metrics read."""
+"""Builds the input of the metrics from a recording and its commands."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.types import CommandTrajectory, HandRecording
 
 REACH_SAMPLES: Final = 100_000
-"""Random poses that stand for what a fingertip can reach, as in the paper's metrics."""
+"""Number of random poses that represent the reach of a fingertip, as in the paper's metrics."""
 
 
 def assemble_trace(
@@ -31,20 +31,20 @@ def assemble_trace(
     reach_samples: int = REACH_SAMPLES,
     seed: int = 0,
 ) -> Trace:
-    """Puts both hands into the robot's palm frame.
+    """Transforms both hands to the robot's palm frame.
 
     Args:
         recording: the human hand, T frames.
-        commands: the T commands that answer them.
-        hand: the robot hand that they are for.
-        alignment: the method's own, so that the human is measured as the method saw it; None for
-            the default, a scale for each frame.
-        reach_samples: random poses for workspace utilisation; 0 leaves it out.
+        commands: the T commands for these frames.
+        hand: the robot hand of the commands.
+        alignment: the alignment of the method, so that the human hand is measured as the method
+            used it; None for the default, which estimates a scale in each frame.
+        reach_samples: number of random poses for workspace utilisation; 0 skips this metric.
         seed: seed of those poses.
 
     Returns:
-        The trace, with everything that ``evaluate`` can use.
-        ``penetration`` is None where the hand's model has no shapes that could touch.
+        The trace, with all inputs of ``evaluate``. ``penetration`` is None if the hand's model has
+        no shapes that can touch.
 
     Raises:
         RecordingError: if commands and frames are not paired one to one by their stamps, or the

@@ -11,11 +11,11 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from smooth_operator.metrics import summary
 
 HUMAN_STILL: Final = 2e-4
-"""A human fingertip that moves no further than this in one frame rests [m]."""
+"""Largest motion of a resting human fingertip in one frame [m]."""
 ROBOT_STILL: Final = 1e-9
-"""A robot fingertip that moves no further than this in one frame rests [m]."""
+"""Largest motion of a resting robot fingertip in one frame [m]."""
 JOINTS_STILL: Final = 1e-5
-"""A robot none of whose joints moves further than this in one frame is frozen [rad]."""
+"""Largest motion of any joint of a frozen robot in one frame [rad]."""
 REST_RANGE: Final = 0.008
 REST_TIME: Final = 0.6
 """A human fingertip rests while none of its coordinates, from the wrist, covers more than
@@ -24,9 +24,9 @@ LEAST_RESTING: Final = 50
 """Fewest fingertip steps at rest that are measured."""
 _NOWHERE: Final = 1e3  # a coordinate that no hand has [m]
 MAX_LAG_FRAMES: Final = 14
-"""Longest delay that ``lag`` looks for [frames]."""
+"""Longest delay that ``lag`` searches [frames]."""
 MIN_LAG_OVERLAP: Final = 5
-"""Fewest velocity frames that a delay is judged by; fewer correlate by chance."""
+"""Smallest number of velocity frames for a delay; fewer frames correlate by chance."""
 
 
 def motion_preservation(
@@ -35,8 +35,8 @@ def motion_preservation(
     """Mean cosine of the steps of the (T, F, 3) wrist to tip vectors [m], human against robot;
     towards 1. None if the two never move together.
 
-    Source: the paper's consistency metrics. Steps in which either rests (``HUMAN_STILL``,
-    ``ROBOT_STILL``) have no direction worth comparing and are left out.
+    Source: the paper's consistency metrics. Steps in which either hand rests (``HUMAN_STILL``,
+    ``ROBOT_STILL``) have no meaningful direction and are excluded.
     """
     dh, dr = np.diff(human, axis=0), np.diff(robot, axis=0)
     lh, lr = np.linalg.norm(dh, axis=-1), np.linalg.norm(dr, axis=-1)
@@ -49,9 +49,10 @@ def shake_at_rest(
     robot: Float[np.ndarray, "T F 3"],
     stamps: Float[np.ndarray, " T"],
 ) -> float | None:
-    """The robot's fingertip steps over the human's while the human's tip rests, root mean squares.
+    """Ratio of the root mean square fingertip steps of robot and human while the human's fingertip
+    rests.
 
-    1 passes all of the tracker's shake on, 0 none of it; down.
+    1 means that all of the tracker's shake reaches the robot, 0 none of it; down.
 
     Args:
         human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
@@ -90,8 +91,8 @@ def fingertip_acceleration(
     """Mean magnitude of fingertip acceleration [m/s^2], by the real stamps [s]; down. None for
     fewer than three frames.
 
-    The companion of ``flatness`` that does not depend on the frame rate; exact for motion of
-    constant acceleration, evenly sampled or not.
+    Unlike ``flatness``, it does not depend on the frame rate. It is exact for motion of constant
+    acceleration, evenly sampled or not.
     """
     return summary.mean(np.linalg.norm(second_derivative(tips, stamps), axis=-1))
 
@@ -102,7 +103,8 @@ def lag(
     stamps: Float[np.ndarray, " T"],
     max_frames: int = MAX_LAG_FRAMES,
 ) -> tuple[float | None, float | None]:
-    """The delay that best aligns human and robot fingertip velocity, and how well it does.
+    """Returns the delay that best aligns human and robot fingertip velocities, and their
+    correlation at that delay.
 
     The velocity correlation is taken at each whole delay from 0 to ``max_frames``; a parabola
     through the best one and its neighbours refines it, except at either end: a result of exactly
@@ -137,7 +139,7 @@ def lag(
 def frozen_share(
     human: Float[np.ndarray, "T F 3"], joint_positions: Float[np.ndarray, "T n"]
 ) -> float | None:
-    """Share of the frames with a moving human in which no robot joint moves; down. None if the
+    """Fraction of the frames with a moving human in which no robot joint moves; down. None if the
     human never moves.
 
     The human moves if any fingertip goes further than ``HUMAN_STILL`` in a frame; the robot is

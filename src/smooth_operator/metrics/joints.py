@@ -11,7 +11,8 @@ from smooth_operator.metrics import summary
 from smooth_operator.metrics.consistency import second_derivative
 
 LIMIT_TOLERANCE: Final = 1e-6
-"""Beyond a limit by less than this is rounding (a float32 of 2 rad is good to 1e-7) [rad]."""
+"""Excess over a limit that counts as rounding (a float32 of 2 rad has a precision of 1e-7)
+[rad]."""
 
 
 def joint_jitter(joint_positions: Float[np.ndarray, "T n"]) -> float | None:

@@ -1,4 +1,4 @@
-"""Pinches: do the robot's thumb and finger touch where the human's do, without going too deep?
+"""Pinches: do the robot's thumb and finger touch when the human's do, without penetrating too deep?
 
 Landmarks of a fingertip lie inside the finger, where two touching pads are 6 to 10 mm apart. So the
 surfaces of the last links are measured (``smooth_operator.hands.surfaces``).
@@ -12,18 +12,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 PINCH_DISTANCE: Final = 0.012
-"""Distance of the human's thumb tip and fingertip below which the human pinches [m]. It counts
+"""Distance between the human's thumb tip and fingertip below which the human pinches [m], measured
 after alignment, on the robot's scale."""
 TOUCH_DISTANCE: Final = 0.001
 """Distance of two surfaces below which they touch [m]."""
 LEAST_PINCHED: Final = 10
-"""Fewest pinches, one for each frame and finger, of which a share is told."""
+"""Smallest number of pinches (one per frame and finger) for which a fraction is reported."""
 DEEP: Final = 0.002
-"""Depth beyond which two surfaces are too deep in each other [m]."""
+"""Largest acceptable penetration depth of two surfaces [m]."""
 
 
 def pinched_frames(tips: Float[np.ndarray, "T F 3"]) -> Bool[np.ndarray, "T f"]:
-    """(T, F - 1) True where the human pinches with a finger.
+    """(T, F - 1) True if the human pinches with a finger.
 
     Args:
         tips: (T, F, 3) aligned human fingertips, thumb first [m].
@@ -33,7 +33,7 @@ def pinched_frames(tips: Float[np.ndarray, "T F 3"]) -> Bool[np.ndarray, "T f"]:
 
 
 def touching_share(distances: Float[np.ndarray, "..."]) -> float | None:
-    """Share of pinches in which the robot's surfaces touch; towards 1. None with fewer than
+    """Fraction of pinches in which the robot's surfaces touch; towards 1. None with fewer than
     ``LEAST_PINCHED``.
 
     Args:
@@ -43,7 +43,7 @@ def touching_share(distances: Float[np.ndarray, "..."]) -> float | None:
 
 
 def deep_share(distances: Float[np.ndarray, "..."]) -> float | None:
-    """Share of pinches in which the surfaces are too deep in each other; towards 0."""
+    """Fraction of pinches in which the surfaces penetrate too deep; towards 0."""
     return _share_below(distances, -DEEP)
 
 

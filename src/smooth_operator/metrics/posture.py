@@ -1,11 +1,12 @@
-"""Posture: is the robot hand open where the human's is, closed where it is closed, and as lively?
+"""Posture: does the robot hand open and close with the human's, and move as much?
 
-All figures come from landmarks alone, and none depends on the size of either hand. A finger's
-extension is the distance from its base to its tip over the longest one that it has: of the human
-the sum of its bones, of the robot that of its straight finger. The robot's longest one over the
-human's is the finger's gain: a robot finger that is twice as long moves its tip twice as far when
-it bends as much, but as far as the human's in a pinch. So the right step lies between the human's
-and gain times the human's: a jump is more than both, a stall less than both.
+All metrics are computed from landmarks only and do not depend on the size of either hand. The
+extension of a finger is the distance from its base to its tip, divided by its longest possible
+value: for the human the sum of its bones, for the robot the length of the straight finger. The gain
+of a finger is the ratio of these lengths, robot to human: a robot finger that is twice as long
+moves its tip twice as far when it bends equally, but as far as the human's in a pinch. Therefore
+the correct step lies between the human's step and gain times that step. A jump exceeds both, and a
+stall is below both.
 """
 
 from __future__ import annotations
@@ -19,32 +20,32 @@ from smooth_operator.metrics import summary
 from smooth_operator.retargeting.palm import unit_vectors
 
 FLAT: Final = 0.92
-"""A hand all of whose long fingers are extended further than this is flat."""
+"""Smallest extension of all long fingers of a flat hand."""
 FIST: Final = 0.6
-"""A hand none of whose long fingers is extended further than this is a fist."""
+"""Largest extension of all long fingers of a fist."""
 JUMP: Final = 0.012
-"""A robot fingertip that goes this much further in a frame than the human's step, and than gain
-times that step, jumps [m]."""
+"""Excess of a robot's fingertip step over the human's step, and over gain times that step, that
+counts as a jump [m]."""
 LARGE_STEP: Final = 0.003
-"""A human fingertip that goes further than this in a frame makes a large step [m]."""
+"""Smallest large step of a human fingertip in one frame [m]."""
 STALLED: Final = 1 / 3
-"""A robot step under this share of the human's large step is a stall."""
+"""Fraction of a large human step below which the robot's step is a stall."""
 CLOSED: Final = 0.65
 OPENED: Final = 0.88
 OPENING_TIME: Final = 0.25
-"""A human finger opens fast if its extension rises from ``CLOSED`` to ``OPENED`` within this time
-[s]."""
+"""Longest time in which the extension of a quickly opening human finger rises from ``CLOSED`` to
+``OPENED`` [s]."""
 SETTLED: Final = 0.04
 SETTLED_FOR: Final = 0.1
 """A robot finger has settled when its extension has stayed within ``SETTLED`` of the human's for
 this time [s]."""
 LONGEST_SETTLING: Final = 0.8
-"""A finger that has not settled by then counts with this time [s]."""
+"""Settling time of a finger that has not settled by then [s]."""
 _TINY: Final = 1e-9
 
 
 def human_extensions(fingers: Float[np.ndarray, "T L 4 3"]) -> Float[np.ndarray, "T L"]:
-    """Extension of human fingers, 1 for a straight one.
+    """Extension of human fingers; 1 for a straight finger.
 
     Args:
         fingers: (T, L, 4, 3) landmarks of L fingers, base to tip [m].
@@ -63,16 +64,15 @@ def robot_extensions(
 def extension_error(
     human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
 ) -> float | None:
-    """Mean difference of the extensions, without sign; down. None without data."""
+    """Mean absolute difference of the extensions; down. None without data."""
     return summary.mean(np.abs(robot - human))
 
 
 def flat_extension_lack(
     human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
 ) -> float | None:
-    """Mean extension that the robot's fingers lack while the human hand is flat; down.
-
-    None where the human hand never is.
+    """Mean missing extension of the robot's fingers while the human hand is flat; down. None if the
+    human hand is never flat.
     """
     flat = (human > FLAT).all(axis=-1)  # NaN compares as False
     return summary.mean(np.maximum(human - robot, 0.0)[flat])
@@ -81,9 +81,8 @@ def flat_extension_lack(
 def fist_extension_excess(
     human: Float[np.ndarray, "T L"], robot: Float[np.ndarray, "T L"]
 ) -> float | None:
-    """Mean extension that the robot's fingers have too much while the human's are a fist; down.
-
-    None where the human hand makes none.
+    """Mean excess extension of the robot's fingers while the human hand is a fist; down. None if
+    the human hand never makes a fist.
     """
     fist = (human < FIST).all(axis=-1)
     return summary.mean(np.maximum(robot - human, 0.0)[fist])
@@ -111,7 +110,7 @@ def curls(fingers: Float[np.ndarray, "T F 4 3"]) -> Float[np.ndarray, "T F"]:
 def spreads(
     fingers: Float[np.ndarray, "T L 4 3"], across: Float[np.ndarray, "T 3"]
 ) -> Float[np.ndarray, "T N"]:
-    """By how much neighbouring fingers point apart, to the sides of the palm only [degrees];
+    """Sideways angle between neighbouring fingers, within the plane of the palm [degrees];
     ``across`` is the direction across the palm."""
     directions = unit_vectors(fingers[:, :, 3] - fingers[:, :, 0], np)
     sideways = (directions * unit_vectors(across, np)[:, None]).sum(axis=-1)
@@ -119,7 +118,7 @@ def spreads(
 
 
 def steps(tips: Float[np.ndarray, "T F 3"]) -> Float[np.ndarray, "S F"]:
-    """Way of each fingertip between two frames [m]."""
+    """Distance that each fingertip moves between two frames [m]."""
     return np.asarray(np.linalg.norm(np.diff(tips, axis=0), axis=-1))
 
 
@@ -138,8 +137,8 @@ def finger_gains(
 def jumps_per_1000(
     human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"], gains: Float[np.ndarray, " F"]
 ) -> float | None:
-    """Frames in a thousand in which a fingertip jumps (``JUMP``), by (S, F) steps [m] and the
-    fingers' gains; down. None without data."""
+    """Number of frames per thousand in which a fingertip jumps (``JUMP``), from (S, F) steps [m]
+    and the fingers' gains; down. None without data."""
     longest = np.maximum(gains, 1.0) * human
     known = np.isfinite(longest).all(axis=-1)
     return summary.scaled(summary.mean((robot - longest > JUMP).any(axis=-1)[known]), 1e3)
@@ -148,13 +147,13 @@ def jumps_per_1000(
 def step_gains(
     human: Float[np.ndarray, "S F"], robot: Float[np.ndarray, "S F"]
 ) -> Float[np.ndarray, "S F"]:
-    """Robot step over human step where that is large (``LARGE_STEP``), else NaN."""
+    """Ratio of robot step to human step for large human steps (``LARGE_STEP``), otherwise NaN."""
     large = human > LARGE_STEP
     return np.where(large, robot / np.where(large, human, 1.0), np.nan)
 
 
 def stalled_share(gains: Float[np.ndarray, "S F"]) -> float | None:
-    """Share of the human's large steps that the robot answers by less than a third; down."""
+    """Fraction of the human's large steps for which the robot's step is less than a third; down."""
     return summary.mean((gains < STALLED)[np.isfinite(gains)])
 
 
@@ -163,7 +162,7 @@ def settling_times(
     robot: Float[np.ndarray, "T L"],
     stamps: Float[np.ndarray, " T"],
 ) -> Float[np.ndarray, " n"]:
-    """Time that a robot finger takes to settle after each fast opening of the human's.
+    """Settling time of a robot finger after each quick opening of the human's finger.
 
     An opening is a rise of the human's extension from under ``CLOSED`` to over ``OPENED`` in at
     most ``OPENING_TIME``. The time runs from the frame that is over ``OPENED`` to the first from
@@ -175,8 +174,8 @@ def settling_times(
         stamps: (T,) times [s].
 
     Returns:
-        (n,) of all fingers' openings [s], at most ``LONGEST_SETTLING``; down. An opening that the
-        run ends too early to judge is left out.
+        (n,) of all fingers' openings [s], at most ``LONGEST_SETTLING``; down. Openings too close to
+        the end of the run are excluded.
     """
     times = []
     for own, answer in zip(human.T, robot.T, strict=True):

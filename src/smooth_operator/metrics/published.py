@@ -1,12 +1,12 @@
-"""The definitions behind the paper's own figures, where they differ from the sound ones.
+"""Definitions of the paper's metrics that differ from the sound definitions.
 
 - Each frame, the human hand is fitted (rotation, translation, scale) to the robot's *own pose* with
   the wrist, the palm landmarks, and the last joint and the tip of each finger: 14 landmarks on the
   paper's hand, whose palm landmarks are the bases of thumb, index and pinky. The retargeters align
-  the two hands with the palm landmarks only. The fit absorbs part of the error that is to be
+  the two hands with the palm landmarks only. The fit absorbs part of the error that should be
   measured.
 - The headline cosine similarity and scale ratio are medians over frames and thumb vectors, which
-  hide the frames that went wrong.
+  hide frames with large errors.
 - Motion preservation keeps still frames and adds 1e-8 m^2 to the product of the step lengths, so
   that a perfect copy of slow or densely sampled motion scores below 1.
 

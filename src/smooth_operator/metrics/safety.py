@@ -1,4 +1,4 @@
-"""Self-collision, and what part of its workspace the robot hand used."""
+"""Self-collision, and the used fraction of the robot hand's workspace."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def workspace_utilisation(
     reach: Float[np.ndarray, "S F 3"],
     radius: float = WORKSPACE_RADIUS,
 ) -> list[float | None]:
-    """Share of each fingertip's reachable set within a radius of a visited point; up.
+    """Fraction of each fingertip's reachable set within a radius of a visited point; up.
 
     Source: the paper's efficiency metrics (Monte-Carlo form of the volume ratio). It grows with the
     recording's length, so compare on one recording only.

@@ -1,4 +1,4 @@
-"""Reductions that skip what is not finite, and answer None where nothing is left."""
+"""Reductions that skip values that are not finite and return None without data."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from jaxtyping import Float, Shaped
 
 
 def mean(values: Shaped[np.ndarray, "..."]) -> float | None:
-    """Mean of the finite values (of booleans, their share); None if there are none."""
+    """Mean of the finite values (for booleans, the fraction of true); None if there are none."""
     finite = _finite(values)
     return float(finite.mean()) if finite.size else None
 
@@ -31,7 +31,7 @@ def percentile(values: Float[np.ndarray, "..."], q: float) -> float | None:
 
 
 def scaled(value: float | None, factor: float) -> float | None:
-    """A value in another unit; None stays None."""
+    """Converts a value to another unit; None stays None."""
     return None if value is None else value * factor
 
 

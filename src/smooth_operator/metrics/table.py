@@ -1,4 +1,5 @@
-"""The metrics in one list: name, unit, better direction, meaning and function; plugins' too.
+"""List of all metrics, including those of plugins: name, unit, better direction, meaning and
+function.
 
 ``evaluate`` gives all metrics of a run as one JSON-serialisable dictionary."""
 
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from smooth_operator.metrics.trace import Trace
 
 Value: TypeAlias = float | int | str | Mapping[str, float | int | None] | None
-"""What a metric may be: mostly a number; None where it can't be measured."""
+"""Value of a metric: usually a number; None if it can't be measured."""
 
 _DIRECTIONS: Final = {
     "->1": ("→ 1", "best at 1"),
@@ -47,16 +48,18 @@ _DIRECTIONS: Final = {
 
 @dataclass(frozen=True)
 class Metric:
-    """One figure of a run.
+    """One metric of a run.
 
     Attributes:
-        name: key in the result of ``evaluate``; a dot steps into a nested one.
+        name: key in the result of ``evaluate``; a dot separates the keys of nested results.
         unit: "" for a plain number.
-        goal: ``"->1"`` best at one, ``"down"`` or ``"up"``; ``""`` for a fact that is not a merit.
-        meaning: one line for a person.
-        group: key of ``GROUPS``; "" for a figure that stands alone.
-        compute: from a run to the figure; None where the caller of ``evaluate`` gives it.
-        published: the same by the paper's own definition, where that is another.
+        goal: ``"->1"`` best at one, ``"down"`` or ``"up"``; ``""`` for a fact without a better
+            direction.
+        meaning: one human-readable line.
+        group: key of ``GROUPS``; "" for a metric without a group.
+        compute: function from a run to the value; None if the caller of ``evaluate`` provides the
+            value.
+        published: function by the paper's definition, if that is different.
         short: heading of its column in the main tables of a benchmark; "" where it has none.
     """
 
@@ -71,7 +74,7 @@ class Metric:
 
     @property
     def key(self) -> str:
-        """Its key at the top of a result: its name up to the dot."""
+        """Top-level key in a result: the name up to the dot."""
         return self.name.partition(".")[0]
 
     @property
@@ -116,7 +119,7 @@ _Result = TypeVar("_Result")
 
 
 def _once(compute: Callable[[Trace], _Result]) -> Callable[[Trace], _Result]:
-    """Computes what several metrics share once for each run."""
+    """Computes values that several metrics share once per run."""
     results: WeakKeyDictionary[Trace, _Result] = WeakKeyDictionary()
 
     @functools.wraps(compute)
@@ -129,7 +132,7 @@ def _once(compute: Callable[[Trace], _Result]) -> Callable[[Trace], _Result]:
 
 
 def _of(compute: Callable[[Trace], Mapping[str, Any]], key: str) -> Callable[[Trace], Any]:
-    """One figure of several."""
+    """One value of a nested result."""
     return lambda trace: compute(trace)[key]
 
 
@@ -349,7 +352,7 @@ METRICS: Final[tuple[Metric, ...]] = (
            published=lambda t: "palm" if t.robot_landmarks is None else "robot pose"),
 )
 # fmt: on
-"""Every key of a result but those of plugins, group by group, in the order of reports."""
+"""Every key of a result except those of plugins, by group, in the order of reports."""
 
 
 REGISTRY: Final = Registry(
@@ -359,7 +362,7 @@ REGISTRY: Final = Registry(
         for metric in METRICS
     },
 )
-"""Name -> ``Metric``, or a tuple of them in which that name occurs."""
+"""Maps names to a ``Metric``, or to a tuple of metrics that contains that name."""
 
 
 def find_metric(name: str) -> Metric:
@@ -367,7 +370,7 @@ def find_metric(name: str) -> Metric:
 
     Raises:
         UnknownNameError: there is none.
-        ConfigError: it is a plugin's, and can't be loaded or is no ``Metric`` of that name.
+        ConfigError: the metric of a plugin can't be loaded or is not a ``Metric`` of that name.
     """
     for metric in _offered(name):
         if isinstance(metric, Metric) and (metric.name == name or name not in REGISTRY):
@@ -384,14 +387,14 @@ def _offered(name: str) -> tuple[object, ...]:
 
 
 def add_metrics(targets: Iterable[str]) -> None:
-    """Adds metrics to this process: ``evaluate`` then measures them as it does those of plugins.
+    """Adds metrics in this process; ``evaluate`` then measures them like those of plugins.
 
     Args:
         targets: ``package.module:attribute`` of a ``Metric`` or of a tuple of them.
 
     Raises:
-        UnknownNameError: a text is neither that nor the name of a metric, which is measured anyway.
-        ConfigError: one can't be loaded, is no metric, or has the name of another metric.
+        UnknownNameError: a target does not have this form and is not the name of a metric.
+        ConfigError: a target can't be loaded, is not a metric, or has the name of another metric.
     """
     for target in targets:
         find_metric(target)
@@ -401,7 +404,7 @@ def add_metrics(targets: Iterable[str]) -> None:
 
 
 def known_metrics() -> tuple[Metric, ...]:
-    """The built-in metrics, then those of plugins; one that can't be loaded is left out."""
+    """The built-in metrics, then those of plugins; metrics that can't be loaded are skipped."""
     return tuple(REGISTRY.loadable(find_metric).values())
 
 
@@ -424,9 +427,9 @@ def evaluate(
 
     Args:
         trace: the run.
-        definition: ``"sound"`` (default) or ``"paper"``; they differ in cosine similarity, scale
-            ratio and motion preservation only, and never should be mixed in one table.
-        extra: figures that need more than the trace, such as ``tracking_loss``.
+        definition: ``"sound"`` (default) or ``"paper"``; they differ only in cosine similarity,
+            scale ratio and motion preservation, and should never be mixed in one table.
+        extra: values that need more than the trace, such as ``tracking_loss``.
 
     Returns:
         The keys of ``METRICS``, in that order, then those of plugins' metrics and any others of
@@ -435,7 +438,7 @@ def evaluate(
 
     Raises:
         UnknownNameError: if there is no such definition.
-        ConfigError: if ``extra`` gives a metric that is computed here.
+        ConfigError: if ``extra`` contains a metric that is computed here.
     """
     if definition not in get_args(Definition):
         raise UnknownNameError("metric definition", str(definition), get_args(Definition))

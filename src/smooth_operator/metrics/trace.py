@@ -15,12 +15,12 @@ from smooth_operator.retargeting.targets import KeyvectorLayout
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One run, ready to be measured; positions are in the robot's palm frame [m].
+    """Data of one run for the metrics; positions are in the robot's palm frame [m].
 
     Attributes:
         human: (T, 21, 3) human landmarks after alignment [m]; NaN where a frame was invalid.
         robot_tips: (T, F, 3) robot fingertips [m], in the order of ``fingers``.
-        robot_wrist: (3,) the robot point that answers to the human wrist [m].
+        robot_wrist: (3,) the robot point that corresponds to the human wrist [m].
         fingers: F human finger names, thumb first, 2 to 5 of them.
         joint_positions: (T, n) [rad], coupled joints included.
         joint_limits: (n, 2) lower and upper limits [rad]; NaN or infinite where there is none.
@@ -30,8 +30,8 @@ class Trace:
         reach: (S, F, 3) fingertips of random poses [m], for workspace utilisation; or None.
         penetration: (T,) deepest overlap of two robot links per frame [m], positive inside; or
             None.
-        robot_landmarks: (T, 21, 3) robot points that answer to the human landmarks [m], NaN where
-            the robot has none; used by the published definition only; or None.
+        robot_landmarks: (T, 21, 3) robot points that correspond to the human landmarks [m], NaN if
+            the robot has none; only for the published definition; or None.
         palm_landmarks: indices of the landmarks that align the two palms; used by the published
             definition only.
         straight_lengths: (F,) base to tip of the robot's straight fingers [m], for the metrics of
