@@ -70,11 +70,12 @@ def read_recording(
       (WebXR's and two of the forearm) are mapped onto the 21; a single frame (21, 3) is a recording
       of one. 4 x 4 transforms (T, n, 4, 4), also as ``right_fingers`` and ``left_fingers``, are
       read for their positions. Further arrays that are read: ``valid`` (T,) or (T, 21), true or
-      false or 1 or 0, ``T_world_wrist`` (T, 7) or (T, 4, 4), with the name ``world`` and ``quaternion_order`` (wxyz
-      without it), and with 21 ``metacarpals`` (T, 4, 3) [m] and ``orientations`` (T, 21, 4) wxyz;
-    - the log that ``LogWriter`` writes, even if it is truncated; - the ``.h5`` that
-    ``smooth-operator convert`` writes (with the extra ``hdf5``); - files that the readers of
-    plugins recognise (``smooth_operator.formats.registry``).
+      false or 1 or 0, ``T_world_wrist`` (T, 7) or (T, 4, 4), with the name ``world`` and
+      ``quaternion_order`` (wxyz without it), and with 21 ``metacarpals`` (T, 4, 3) [m] and
+      ``orientations`` (T, 21, 4) wxyz;
+    - the log that ``LogWriter`` writes, even if it is truncated;
+    - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``);
+    - files that the readers of plugins recognise (``smooth_operator.formats.registry``).
 
     Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's "no
     hand") without flags of the file's own, are flagged in ``valid``. If neither the file nor the

@@ -198,9 +198,11 @@ class Correspondence:
         Let h_i be the human's vector from thumb to finger i, T the targets of single fingers, g the
         gains, c_i the closeness and n_i the nearness to a pinch (c_i^3 for an unfolded finger),
         both from 0 to 1, and w_i = thumb_follows + thumb_share c_i the weights. The targets P are
-        P_0 = (T_0 + sum w_i (T_i - h_i (g_i - c_i (g_i - 1)))) / (1 + sum w_i), P_i = T_i + n_i
-        (P_0 + h_i (1 - s_i press / (|h_i| + press)) - T_i), where s_i falls from 1 to 0 between 12
-        and 24 mm.
+
+            P_0 = (T_0 + sum w_i (T_i - h_i (g_i - c_i (g_i - 1)))) / (1 + sum w_i),
+            P_i = T_i + n_i (P_0 + h_i (1 - s_i press / (|h_i| + press)) - T_i),
+
+        where s_i falls from 1 to 0 between 12 and 24 mm.
 
         A tracker reports touching fingertips a few millimetres apart, and the robot's pads are not
         as thick as the human's. Without ``press``, the robot's fingertips would not touch. Fingers
