@@ -1,7 +1,8 @@
-"""Benchmarks: recordings x hands x methods into one table of results, plots and a report.
+"""Benchmarks: measure recordings x hands x methods and produce a table of results, plots and a
+report.
 
-``plan_cells`` looks everything up, ``run_suite`` measures, ``make_rows`` makes the rows
-of ``results.json``, ``compare`` compares an earlier one with them, and
+``plan_cells`` checks the request, ``run_suite`` measures, ``make_rows`` creates the rows of
+``results.json``, ``compare`` compares them with an earlier benchmark, and
 ``smooth_operator.benchmark.page`` writes the report. Nothing here prints.
 """
 

@@ -28,7 +28,7 @@ from smooth_operator.types import Side
 
 ALL: Final = "all"
 LATENCY_FRAMES: Final = 500
-"""Frames of each recording that latency is measured over, after the warm-up."""
+"""Number of frames of each recording over which latency is measured, after the warm-up."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,15 +39,15 @@ class Settings:
         output: folder of the results.
         recordings: files, folders, or ``synthetic``; see ``benchmark.recordings``.
         hands: names of robot hands.
-        methods: names as ``select_methods`` takes them.
-        frames: ``A:B``, of each recording that brings no range.
-        rate: frames a second of recordings without stamps [Hz].
+        methods: names, as for ``select_methods``.
+        frames: ``A:B``, for recordings without their own range.
+        rate: frame rate of recordings without timestamps [Hz].
         layout: order of the landmarks in plain arrays; None for the project's own.
-        side: side of recordings that do not say theirs.
+        side: side of recordings that do not state their side.
         seed: seed of the methods' random numbers.
         definition: definition of the metrics.
         metrics: ``package.module:attribute`` of further metrics, besides those of plugins.
-        latency_frames: frames to measure latency over; 0 measures none.
+        latency_frames: number of frames for the latency measurement; 0 skips it.
         workers: processes for the quality of cells; None for one per core, 0 for none.
         cluster: address of a Ray cluster instead of processes on this machine.
         fingers: robot finger -> human finger that drives it; None for all fingers of each hand.
@@ -85,10 +85,10 @@ class Settings:
 
 
 def only_side(hands: tuple[str, ...]) -> Side | None:
-    """``left`` if all these hands are left ones only, None otherwise.
+    """``left`` if all these hands exist only as left hands, otherwise None.
 
     Args:
-        hands: names; of one that is not known, ``select_hands`` says so.
+        hands: names; unknown names are reported by ``select_hands``.
     """
     catalogue = known_hands()
     sides = {catalogue[name].default_side for name in select_hands(hands) if name in catalogue}
@@ -96,11 +96,11 @@ def only_side(hands: tuple[str, ...]) -> Side | None:
 
 
 def select_hands(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of hands, ``all`` spelt out and repeats left out.
+    """Returns the names of hands, with ``all`` expanded and without duplicates.
 
     Raises:
         UnknownNameError: there is no such hand.
-        ConfigError: there is no name at all.
+        ConfigError: no name was given.
     """
     chosen: dict[str, None] = {}
     for name in names:
@@ -143,11 +143,11 @@ def select_methods(names: tuple[str, ...]) -> list[Choice]:
             ``METHOD:FILE`` for a trained model, where the method has one.
 
     Returns:
-        The methods in the order asked for, repeats left out.
+        The methods in the requested order, without duplicates.
 
     Raises:
         UnknownNameError: there is no such method or preset.
-        ConfigError: there is no name at all.
+        ConfigError: no name was given.
     """
     chosen: dict[tuple[str, str], MethodConfig] = {}
     for name in names:
@@ -173,7 +173,7 @@ def select_methods(names: tuple[str, ...]) -> list[Choice]:
 
 
 def method_label(method: str, preset: str) -> str:
-    """Name of a method in tables: without the preset for its default."""
+    """Name of a method in tables; the default preset is not shown."""
     try:
         default = next(iter(PRESETS[method]))
     except SmoothOperatorError:  # of older results, or of a plugin that is gone
@@ -183,7 +183,7 @@ def method_label(method: str, preset: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """One thing to measure.
+    """One combination to measure: a recording, a hand and a method with a preset.
 
     Attributes:
         source: the recording.
@@ -210,24 +210,24 @@ class Cell:
 
     @property
     def key(self) -> tuple[str, str, str, str, str]:
-        """Recording, hand, side, method, preset: what names a row of the results."""
+        """Recording, hand, side, method and preset, which identify a row of the results."""
         return (self.source.name, self.hand, self.side, self.method, self.preset)
 
     @property
     def label(self) -> str:
-        """For a person."""
+        """Human-readable label."""
         method = method_label(self.method, self.preset)
         return f"{self.source.name} on {self.hand} {self.side}, {method}"
 
     @property
     def slug(self) -> str:
-        """Name of its files: readable, harmless anywhere, and unique."""
+        """Name of the cell's files: readable, valid on every system, and unique."""
         path = self.source.request.path
         place = "" if path is None else str(path.absolute())
         return file_name("-".join(self.key), (place, *self.key))
 
     def plan(self, seed: int) -> Plan:
-        """The plan that retargets its recording, which is there.
+        """Returns the plan that retargets the cell's recording, which must exist.
 
         Raises:
             SmoothOperatorError: there is no such hand.
@@ -242,7 +242,7 @@ class Cell:
 def cells_of(
     sources: Iterable[Source], settings: Settings, methods: Sequence[Choice]
 ) -> list[Cell]:
-    """Every recording with every hand and every method, in this order."""
+    """Combines every recording with every hand and every method, in this order."""
     own = {} if settings.operator is None else settings.operator.pinch_gaps
     return [
         Cell(source, hand, choice.method, choice.preset, choice.config, settings.fingers, gaps)
@@ -256,8 +256,8 @@ def cells_of(
 def fingerprint(cell: Cell, settings: Settings) -> str:
     """Fingerprint of a cell's inputs, without code.
 
-    Frames, hand, configuration, seed and definitions are in it. Of two cells with one fingerprint,
-    one need not be done again.
+    It covers frames, hand, configuration, seed and definitions. Cells with equal fingerprints need
+    to be measured only once.
     """
     outside = outside_code(cell.config, *(metric.compute for metric in plugin_metrics()))
     return key_digest(
@@ -278,10 +278,10 @@ def fingerprint(cell: Cell, settings: Settings) -> str:
 
 
 def benchmark_code() -> str:
-    """Digest of the code that a command or a metric depends on, the models in it included.
+    """Digest of the code on which a command or a metric depends, including models.
 
-    Pages, plots and the command line are not in it. Whoever changes a method between two runs of a
-    benchmark gets its cells measured again.
+    It does not cover pages, plots and the command line. If a method changes between two runs of a
+    benchmark, its cells are measured again.
     """
     return code_digest(
         "geometry.py", "landmarks.py", "types.py", "hands", "retargeting",
@@ -291,7 +291,7 @@ def benchmark_code() -> str:
 
 @cache
 def hand_identity(name: str, side: Side, fingers: tuple[tuple[str, str], ...]) -> str:
-    """The hand's description and the content of its model file, not the folder it is in."""
+    """The description of the hand and the content of its model file, without its folder."""
     try:
         spec = load_hand(name, side, fingers=dict(fingers) or None).spec
     except SmoothOperatorError as error:
@@ -302,7 +302,7 @@ def hand_identity(name: str, side: Side, fingers: tuple[tuple[str, str], ...]) -
 
 
 def files_of(config: Any) -> Iterator[Path]:
-    """The files that a configuration names, as trained models."""
+    """Files that a configuration names, such as trained models."""
     if isinstance(config, Path) and config.is_file():
         yield config
     elif dataclasses.is_dataclass(config):

@@ -106,7 +106,8 @@ def pose_scores(human: Float[np.ndarray, "T 21 3"]) -> dict[str, Float[np.ndarra
 
 
 def find_poses(panels: Iterable[Panel]) -> list[Pose]:
-    """The best frame of each pose over all recordings; poses that none shows are left out."""
+    """Finds the best frame of each pose over all recordings; skips poses that no recording
+    shows."""
     best: dict[str, tuple[float, Pose]] = {}
     for panel in panels:
         human = panel.runs[0].human
@@ -119,7 +120,7 @@ def find_poses(panels: Iterable[Panel]) -> list[Pose]:
 
 
 def skeleton_shape(hand: Hand) -> SkeletonShape:
-    """A robot hand as rods between its landmarks."""
+    """Surface of a robot hand that consists of rods between its landmarks."""
     return SkeletonShape(hand, view_basis(hand))
 
 
@@ -128,16 +129,17 @@ def contact_sheet(
     shape: Callable[[Hand], HandShape] = skeleton_shape,
     names: Sequence[str] | None = None,
 ) -> Image | None:
-    """Draws poses in rows: the human, then each method, from the palm and from the thumb's side.
+    """Draws poses in rows: the human hand, then the robot hand with each method, seen from the palm
+    and from the thumb's side.
 
     Each hand stands upright on its own wrist. All pictures of the robot have one scale; all human
     hands are drawn equally long.
 
     Args:
-        names: poses to draw, in this order; all if left out.
+        names: poses to draw, in this order. Default: all.
 
     Returns:
-        The picture; None where no recording shows a pose.
+        The picture; None if no recording shows a pose.
     """
     poses = find_poses(panels)
     if names is not None:
@@ -212,7 +214,7 @@ class HandPicture:
 
     @classmethod
     def of_human(cls, points: Float[np.ndarray, "21 3"], side: Side) -> HandPicture:
-        """A human hand from its landmarks [m], drawn as long as others' hands."""
+        """A human hand from its landmarks [m], scaled to a common length."""
         middle = points[[WRIST, *range(BASES[2], BASES[2] + 4)]]
         points = points * (_HAND / np.linalg.norm(np.diff(middle, axis=0), axis=-1).sum())
         up = points[list(BASES[1:])].mean(axis=0) - points[WRIST]
@@ -304,6 +306,7 @@ def _lettered(
 
 
 def _cut(text: str, length: int = 22) -> str:
-    """A text of at most so many letters; the ends distinguish recordings."""
+    """Shortens a text to a number of characters. It keeps both ends, which distinguish
+    recordings."""
     half = length // 2
     return text if len(text) <= length else f"{text[: half - 1]}…{text[-half:]}"

@@ -1,4 +1,4 @@
-"""One recording on one hand with all methods, as data of clips; and the plots of a report."""
+"""Data for clips of one recording on one hand with all methods, and the plots of a report."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Run:
 
     Attributes:
         method: name of the method.
-        human: (T, 21, 3) the human as the method saw it; NaN where a frame was not usable.
+        human: (T, 21, 3) the human hand, aligned as for the method; NaN in unusable frames.
         robot: (T, 21, 3) the robot's landmarks; NaN where it has none.
         joints: (T, n) joint positions [rad].
         objects: (T, p, 3) points of objects; None for none.
@@ -67,7 +67,7 @@ class Panel:
         key: recording, hand, side.
         hand: the robot hand.
         stamps: (T,) time since the first frame [s].
-        runs: the methods that served it, one at least.
+        runs: the methods that produced commands, at least one.
         edges: pairs of the runs' object points that a line joins.
     """
 
@@ -79,7 +79,7 @@ class Panel:
 
     @property
     def title(self) -> str:
-        """For a person."""
+        """Human-readable title."""
         recording, hand, side = self.key
         return f"{recording} on {hand} {side}"
 
@@ -89,7 +89,7 @@ class Panel:
         return [TIPS[FINGERS.index(finger)] for finger in self.hand.fingers]
 
     def window(self, seconds: float) -> slice:
-        """The stretch of that many seconds in which the human's fingertips travel furthest."""
+        """Period of the given length in which the human's fingertips travel the farthest."""
         tips = self.runs[0].human[:, self.tips] - self.runs[0].human[:, None, WRIST]
         steps = np.linalg.norm(np.diff(tips, axis=0), axis=-1)
         travelled = np.concatenate([[0.0], np.cumsum(np.nan_to_num(steps).sum(axis=-1))])
@@ -99,7 +99,7 @@ class Panel:
 
 
 def make_panels(finished: Iterable[Finished]) -> Iterator[Panel]:
-    """The panels of a benchmark, in the order of its cells; of what failed there is none."""
+    """The panels of a benchmark, in the order of its cells, without failed cells."""
     groups: dict[tuple[str, str, str], list[tuple[Cell, Measured]]] = {}
     for one in finished:
         if one.measured is not None:
@@ -129,7 +129,7 @@ def robot_landmarks(hand: Hand, joints: Float[np.ndarray, "T n"]) -> Float[np.nd
 
 
 def robot_bones(hand: Hand) -> list[tuple[int, int]]:
-    """(parent, child) landmarks of the robot's skeleton, by what landmarks it has."""
+    """(parent, child) landmarks of the robot's skeleton, as far as the robot has them."""
     has = {LANDMARKS.index(name) for name in hand.tree.names}
     bones: list[tuple[int, int]] = []
     for base in BASES:
@@ -139,10 +139,11 @@ def robot_bones(hand: Hand) -> list[tuple[int, int]]:
 
 
 def view_basis(hand: Hand) -> Float[np.ndarray, "3 3"]:
-    """Rows are right, up and towards the viewer, in the palm frame: fingers up, palm in sight.
+    """Axes of the view in the palm frame, as rows right, up and towards the viewer: fingers up,
+    palm visible.
 
-    The thumb is on the right for a right hand, as one sees one's own palm, and on the left for a
-    left one.
+    The thumb of a right hand is on the right, as when you look at your own palm, and that of a left
+    hand on the left.
     """
     at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
     bases = [at[LANDMARKS[BASES[FINGERS.index(finger)]]] for finger in hand.fingers]
@@ -164,11 +165,11 @@ def view_basis(hand: Hand) -> Float[np.ndarray, "3 3"]:
 SECONDS: Final = 8.0
 RATE_HZ: Final = 30.0
 BUDGET: Final = 12_000_000
-"""All clips of a page together [bytes]; where there are many, each gets fewer frames."""
+"""Largest total size of all clips of a page [bytes]; with many clips, each has fewer frames."""
 MIN_FRAMES: Final = 40
 
 _UNIT: Final = 1e-4
-"""Of the packed numbers [m]."""
+"""Resolution of the packed numbers [m]."""
 _ABSENT: Final = -32768
 _POINTS: Final = 21 * 3 * 2 * 4 / 3  # bytes of one hand in one frame, in base64
 
@@ -183,8 +184,8 @@ def make_clip(panel: Panel, colors: Mapping[str, str], hands: int) -> dict[str, 
     Returns:
         ``times`` of the frames [s]; ``humans`` and ``robots``, each (frames, 21, 3) int16 in base64
         little-endian, in units of 0.1 mm about the middle of the clip, turned so that x is right, y
-        up and z towards the viewer; -32768 stands for what is not there; each method's ``objects``,
-        (frames, points, 3), where there are some; and how to draw them.
+        up and z towards the viewer; -32768 marks missing points; each method's ``objects``,
+        (frames, points, 3), if there are any; and instructions to draw them.
     """
     cut = panel.window(SECONDS)
     stamps = panel.stamps[cut]
@@ -241,16 +242,17 @@ def _packed(points: Float[np.ndarray, "F k 3"]) -> str:
 
 
 TRAJECTORY_SECONDS: Final = 4.0
-"""How much of a recording the trajectories show [s]: enough to see a gesture and the jitter."""
+"""Length of the shown trajectories [s]: long enough for a gesture, short enough to see jitter."""
 
 _METRIC: Final = {metric.name: metric for metric in METRICS}
 _HUMAN: Final[dict[str, Any]] = {"color": INK, "linewidth": 3.0, "alpha": 0.3, "label": "human"}
 
 
 def tradeoff_figure(rows: Sequence[Row], colors: Mapping[str, str]) -> Figure | None:
-    """Direction error against fingertip acceleration, one point a cell, with means over recordings.
+    """Plots direction error against fingertip acceleration, one point per cell, with means over
+    recordings.
 
-    Both axes are better towards the lower left. None where nothing can be drawn.
+    Better methods are towards the lower left. None if there is nothing to draw.
     """
     recordings = list(dict.fromkeys(str(row["recording"]) for row in rows if row["metrics"]))
     points: dict[str, list[tuple[float, float, int]]] = {}
@@ -300,7 +302,8 @@ def tradeoff_figure(rows: Sequence[Row], colors: Mapping[str, str]) -> Figure | 
 def latency_figure(
     samples: Mapping[str, Sequence[Float[np.ndarray, " N"]]], colors: Mapping[str, str]
 ) -> Figure | None:
-    """Latency of each method as a cloud of its frames with p50, p95 and p99; logarithmic.
+    """Plots the latency of each method as a cloud of its frames with p50, p95 and p99, on a
+    logarithmic axis.
 
     The percentiles are means of those of each recording, as tables have them.
 
@@ -347,7 +350,7 @@ def latency_figure(
 
 
 def fingertip_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
-    """x, y, z of each fingertip over a few seconds [mm], human and every method."""
+    """Plots x, y, z of each fingertip over a few seconds [mm], for the human and every method."""
     cut = panel.window(TRAJECTORY_SECONDS)
     time = panel.stamps[cut]
     rows = len(panel.tips)
@@ -373,7 +376,7 @@ def fingertip_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
 
 
 def joint_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
-    """Joints over a few seconds [rad], every method, with the joints' limits."""
+    """Plots joint positions over a few seconds [rad] for every method, with joint limits."""
     cut = panel.window(TRAJECTORY_SECONDS)
     time, names = panel.stamps[cut], panel.hand.joint_names
     columns = min(4, len(names))
@@ -402,10 +405,10 @@ def joint_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
 
 
 def save_plots(todo: Plan, commands: CommandTrajectory, folder: Path) -> None:
-    """Writes the plots of one run: fingertips, joints and, where it was measured, latency.
+    """Writes the plots of one run: fingertips, joints and, if measured, latency.
 
     Args:
-        folder: folder of the ``.png`` and ``.svg``; made if it is not there.
+        folder: folder for the ``.png`` and ``.svg`` files; created if missing.
 
     Raises:
         OutputError: a file can't be written.

@@ -1,8 +1,9 @@
-"""Quality of a cell, measured in a worker; and latency, measured alone, methods taking turns.
+"""Measures the quality of a cell in a worker, and latency without other work, with alternating
+methods.
 
-With other workers a latency says how busy the machine is, not how fast a method is. So latencies
-are measured in a separate phase, in one process. Methods take turns in short blocks, each with its
-own state, so that other load of the machine affects all alike; the first one changes from round to
+While other workers run, latency shows how busy the machine is, not how fast a method is. Therefore
+latencies are measured in a separate phase, in one process. Methods alternate in short blocks, each
+with its own state, so that other load affects all methods equally; the order changes from round to
 round."""
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ class Measured:
     """Measurements of a cell, without latency.
 
     Attributes:
-        commands: the joint commands. Their latency is NaN: measured with other workers it would
-            not be to believe, and without it the same cell has the same bytes.
+        commands: the joint commands. Their latency is NaN, because a latency measured next to other
+            workers is not meaningful, and because equal cells then have equal bytes.
         metrics: result of ``evaluate``.
         fingers: result of ``finger_metrics``.
         configuration: configuration, with versions and machine.
-        seconds: time that it took [s]; None while unknown.
+        seconds: elapsed time [s]; None if unknown.
     """
 
     commands: CommandTrajectory
@@ -51,7 +52,7 @@ def measure_cell(task: tuple[Cell, Settings]) -> Measured:
     """Retargets the recording of a cell and measures it, in a worker.
 
     Raises:
-        SmoothOperatorError: the method can't serve the hand, or the recording can't be used.
+        SmoothOperatorError: the method can't be used with the hand, or the recording can't be used.
     """
     cell, settings = task
     add_metrics(settings.metrics)
@@ -80,7 +81,7 @@ PER_FINGER: Final = (
         "workspace_utilisation", "", "up", "fraction of the tip's reachable set that was visited"
     ),
 )
-"""Figures of each finger. All follow the sound definition, whichever the run's metrics do."""
+"""Metrics of single fingers. They always use the sound definition."""
 
 
 def finger_metrics(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
@@ -90,8 +91,8 @@ def finger_metrics(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, dict[s
         metrics: result of ``evaluate``.
 
     Returns:
-        Finger name -> name of ``PER_FINGER`` -> value; None where it can't be measured, as the
-        thumb's distance from itself.
+        Finger name -> name of ``PER_FINGER`` -> value; None if it can't be measured, such as the
+        distance of the thumb from itself.
     """
     human, robot = trace.human_keyvectors, trace.robot_keyvectors
     count = len(trace.fingers)
@@ -116,9 +117,9 @@ def finger_metrics(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, dict[s
 
 
 BLOCK: Final = 20
-"""Frames that a method answers before the next takes its turn."""
+"""Number of frames per block before the next method runs."""
 WARM_UP: Final = 50
-"""Frames that are answered, but not counted, before those that are."""
+"""Number of warm-up frames that are not counted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,11 +130,11 @@ class Latency:
         samples_ms: (N,) time of each counted frame, landmarks to command [ms].
         first_ms: time of the first frame of a fresh, compiled retargeter [ms]; not counted.
         warm_up: frames between the first and the counted ones.
-        load: load average of the machine over the minute before the end; it remembers what ran
-            before. None where the system does not say.
-        others: share of the machine's cores that other processes took meanwhile; None where the
-            system does not say.
-        reason: why there are no samples; None where there are.
+        load: load average of the machine over the minute before the end; it includes earlier load.
+            None if the system does not report it.
+        others: fraction of the machine's cores that other processes used in the meantime; None if
+            the system does not report it.
+        reason: reason why there are no samples; None if there are samples.
     """
 
     samples_ms: Float[np.ndarray, " N"]
@@ -190,7 +191,7 @@ def measure_latency(
 
 
 class _Run:
-    """A method on its way through a recording."""
+    """A method with its position in a recording."""
 
     def __init__(self, cell: Cell, frames: int, seed: int) -> None:
         assert cell.source.recording is not None  # a cell without frames has no latency
@@ -239,7 +240,7 @@ _GUEST: Final = 8  # from here on counted a second time in user and nice
 
 
 class Watch:
-    """Watches the machine from when it is made."""
+    """Observes the load of the machine, starting when it is created."""
 
     def __init__(self) -> None:
         self._busy = _busy_seconds()
@@ -247,9 +248,8 @@ class Watch:
         self._started = time.monotonic()
 
     def others(self) -> float | None:
-        """Share of all cores that other processes took meanwhile, 0 to 1.
-
-        None where the system does not say, or too little time has passed for its clock ticks.
+        """Fraction of all cores that other processes used since the start, 0 to 1. None if the
+        system does not report it, or if too little time has passed for its clock ticks.
         """
         busy, elapsed = _busy_seconds(), time.monotonic() - self._started
         if busy is None or self._busy is None or elapsed < 0.1:

@@ -1,4 +1,5 @@
-"""Tables of methods: values, means, the best for each use; and two benchmarks compared."""
+"""Tables of methods: values, means and the best method for each use; comparison of two
+benchmarks."""
 
 from __future__ import annotations
 
@@ -81,9 +82,9 @@ class Line:
     Attributes:
         method: name of the method.
         values: metric name -> value, None where there is none.
-        failed: why it has no values at all; None where it has.
-        count: over how many recordings the values are means.
-        of: over how many they ought to be; where it is more, the line does not compete.
+        failed: reason why there are no values; None if there are values.
+        count: number of recordings over which the values are averaged.
+        of: number of all recordings; if it is larger than ``count``, the line is not ranked.
     """
 
     method: str
@@ -94,7 +95,7 @@ class Line:
 
 
 def lines_of(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> list[Line]:
-    """One line for each row of one recording and one hand; of ``numbers`` if none are given."""
+    """Returns one line for each row of one recording and one hand. Default metrics: ``numbers``."""
     metrics = numbers() if metrics is None else metrics
     return [
         Line(
@@ -110,10 +111,10 @@ def lines_of(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> li
 def overall(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> list[Line]:
     """Means over the trackers, one line for each method, of the rows of one hand.
 
-    Parts of one recording are one unit. A figure is the mean of its units' for each tracker, then
-    the mean over the trackers, so that many recordings of one tracker do not outweigh another. A
-    metric that some recordings do not have (no pinch) is the mean of those that do, which are the
-    same for all methods. Recordings on which every method failed do not count.
+    Parts of one recording are one unit. A value is averaged over the units of each tracker, then
+    over the trackers, so that many recordings of one tracker do not dominate. A metric that some
+    recordings do not have (no pinch) is averaged over the others, which are the same for all
+    methods. Recordings on which every method failed are ignored.
     """
     metrics = numbers() if metrics is None else metrics
     rows = list(rows)
@@ -141,7 +142,7 @@ def overall(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> lis
 
 
 def by_tracker(rows: Iterable[Row]) -> dict[str, list[Row]]:
-    """Rows of each tracker that any method succeeded on, in their order."""
+    """Rows of each tracker on which any method succeeded, in their order."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(row_tracker(row), []).append(row)
@@ -149,7 +150,7 @@ def by_tracker(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def sample_text(rows: Iterable[Row]) -> str:
-    """Numbers of recordings of each tracker, for a person: ``3 recordings: 2 glove, 1 camera``."""
+    """Human-readable numbers of recordings of each tracker: ``3 recordings: 2 glove, 1 camera``."""
     rows = [row for row in rows if row["status"] == "ok"]
     counts = {
         tracker: len({row_unit(row) for row in own}) for tracker, own in by_tracker(rows).items()
@@ -213,9 +214,9 @@ def footnotes(rows: Iterable[Row]) -> list[str]:
 
 
 def best(lines: Sequence[Line], metric: Metric) -> set[int]:
-    """Best lines at a metric; none where it is no merit, or all are alike.
+    """Best lines of a metric; empty if the metric has no better direction or all values are alike.
 
-    Lines that look the same are equally good: what can't be read can't be better.
+    Lines that are printed with the same value are equally good.
     """
     if not metric.goal:
         return set()
@@ -263,12 +264,13 @@ def _grouped(rows: Iterable[Row], names: Sequence[str]) -> dict[tuple[str, ...],
 
 
 COLLISION_LIMIT: Final = 0.05
-"""Largest share of frames in self-collision of a method that is named for grasping."""
+"""Largest fraction of frames in self-collision of a method that is recommended for grasping."""
 MOTION_FLOOR: Final = 0.9
-"""Least motion preservation of a method that is named for calm motion: a hand that does not move
-would be the calmest."""
+"""Smallest motion preservation of a method that is recommended for calm motion, because a hand that
+does not move would be the calmest."""
 FEW: Final = 5
-"""Recordings below which the page warns that the order may be another on others."""
+"""Number of recordings below which the page warns that the ranking may differ on other
+recordings."""
 
 RULES: Final = (
     "Overall is the mean rank over the columns of the table; equal values share a rank. "
@@ -278,7 +280,7 @@ RULES: Final = (
     "closest to 1. Calm motion: the smallest flatness among the methods with a motion "
     f"preservation of at least {MOTION_FLOOR:g}. Speed: the smallest median latency."
 )
-"""How the methods are chosen, for a person."""
+"""Human-readable rules by which methods are chosen."""
 
 RANK: Final = Metric("mean_rank", "", "down", "mean rank over these columns; 1 means first in all")
 """Column of the mean rank."""
@@ -299,8 +301,9 @@ class Use:
 
     Attributes:
         name: the use.
-        methods: the best, several where they look the same; empty where none serves.
-        figures: figures of the choice, or the reason for none.
+        methods: the best methods, several if their values look the same; empty if no method
+            qualifies.
+        figures: values behind the choice, or the reason why there is none.
     """
 
     name: str
@@ -309,10 +312,10 @@ class Use:
 
 
 def mean_ranks(lines: Sequence[Line]) -> dict[str, float]:
-    """Mean rank of each method over the columns that any method has a value in; 1 is the best.
+    """Mean rank of each method over the columns in which any method has a value; 1 is the best.
 
-    Methods that failed on a recording do not compete. A method without a value is the last of its
-    column; figures that look the same in the table share a rank.
+    Methods that failed on a recording are not ranked. A method without a value is last in that
+    column; values that look the same in the table share a rank.
     """
     running = _competing(lines)
     ranks: list[np.ndarray] = []
@@ -333,7 +336,7 @@ def mean_ranks(lines: Sequence[Line]) -> dict[str, float]:
 
 
 def find_uses(lines: Sequence[Line]) -> list[Use]:
-    """The method for each use, by ``RULES``; empty where fewer than two methods compete."""
+    """The method for each use, by ``RULES``; empty if fewer than two methods are ranked."""
     running = _competing(lines)
     if len(running) < 2:
         return []
@@ -356,7 +359,8 @@ def find_uses(lines: Sequence[Line]) -> list[Use]:
 
 
 def verdict(lines: Sequence[Line]) -> str:
-    """One sentence: the best overall, and the best for each use; empty where nothing competes."""
+    """One sentence that names the best method overall and for each use; empty without ranked
+    methods."""
     ranks = mean_ranks(lines)
     uses = find_uses(lines)
     if len(ranks) < 2 or not uses:
@@ -383,7 +387,7 @@ def _use(
     shown: Sequence[Metric],
     why_none: str,
 ) -> Use:
-    """The best of ``lines``; where one of ``every`` has a better figure, it is named, too."""
+    """The best of ``lines``. If one of ``every`` has a better value, it is also named."""
     measured = [line for line in lines if line.values.get(by.name) is not None]
     if not measured:
         return Use(name, (), why_none if not lines else f"no {_words(by)} was measured")
@@ -433,10 +437,10 @@ def _at_least(line: Line, metric: Metric, bound: float) -> bool:
 Verdict: TypeAlias = Literal["better", "worse", "same"]
 
 NOISE: Final = 0.005
-"""Figures that differ by less than this share count as the same: of their value, or where one is
-the goal, of their distance from it. A processor that rounds in another way changes less."""
+"""Relative difference below which values count as equal. For metrics with the goal one, it is
+relative to the distance from one. Different rounding of processors changes less."""
 LATENCY_NOISE: Final = 0.1
-"""The same for latencies: a repeated run differs as much."""
+"""Relative difference below which latencies count as equal; repeated runs differ by as much."""
 
 
 @dataclass(frozen=True)
@@ -447,7 +451,7 @@ class Change:
         metric: which.
         now: its value here.
         before: its value there.
-        verdict: by the metric's goal; ``same`` also for facts that are no merit.
+        verdict: by the metric's goal; ``same`` also for metrics without a better direction.
     """
 
     metric: Metric
@@ -468,7 +472,7 @@ class Compared:
     Attributes:
         key: name of the cell.
         changes: changes of the metrics that both have, in their order.
-        notes: other differences, by which the figures may not be comparable.
+        notes: other differences that may make the values incomparable.
     """
 
     key: tuple[str, ...]
@@ -487,8 +491,8 @@ class Comparison:
     Attributes:
         name: name of the other one.
         cells: those that succeeded in both.
-        only_here: keys of cells that the other has not, or that failed there.
-        only_there: keys of cells that this has not, or that failed here.
+        only_here: keys of cells that are missing or failed in the other benchmark.
+        only_there: keys of cells that are missing or failed in this benchmark.
     """
 
     name: str

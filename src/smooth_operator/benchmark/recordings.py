@@ -1,11 +1,10 @@
-"""The recordings of a benchmark: files, folders, the synthetic operator; the broken ones, too.
+"""Recordings of a benchmark: files, folders and the synthetic operator, including unreadable files.
 
 A recording is named by its path, or ``synthetic`` or ``synthetic:SEED`` for the built-in operator,
-and may bring its own settings after an ``@``, separated by commas: a range of frames, a rate, a
+and may have its own settings after an ``@``, separated by commas: a range of frames, a rate, a
 side, an order of landmarks, a tracker; for the built-in operator also the length of its hand and
-its tempo, and the tracker is what it is seen through. ``glove.npz@:500``,
-``video.npz@30hz,mano,camera``, ``synthetic:3@left,100:300``, ``synthetic:3@headset``,
-``synthetic:3@17.5cm,1.2x``.
+its tempo; its tracker is simulated. ``glove.npz@:500``, ``video.npz@30hz,mano,camera``,
+``synthetic:3@left,100:300``, ``synthetic:3@headset``, ``synthetic:3@17.5cm,1.2x``.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ from smooth_operator.types import HandRecording, Side, as_side
 
 SYNTHETIC: Final = "synthetic"
 SYNTHETIC_SECONDS: Final = 20.0
-"""How long the built-in operator moves [s]."""
+"""Length of the built-in operator's motion [s]."""
 
 UNKNOWN_TRACKER: Final = "other"
-"""Kind of the recordings that name none and whose format does not tell."""
+"""Kind of tracker of recordings that do not state one and whose format does not determine it."""
 
 _TRACKER_OF: Final = {
     "manus": "glove", "avp": "headset", "hts": "headset",
@@ -49,20 +48,20 @@ _SPEED = re.compile(r"(\d+(?:\.\d+)?)\s*x", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Request:
-    """A recording as asked for.
+    """A requested recording with its settings.
 
     Attributes:
         path: the file; None for the built-in operator.
         seed: seed of the built-in operator.
         frames: ``A:B``, or None for all.
-        rate: frames a second [Hz]; None as the file says.
-        side: None as the file says.
-        hand_length: hand length of the built-in operator [m]; None as it comes.
+        rate: frame rate [Hz]; None uses that of the file.
+        side: None uses that of the file.
+        hand_length: hand length of the built-in operator [m]; None keeps the operator's own.
         speed: tempo of the built-in operator; 1 is natural.
         layout: order of the landmarks in a plain array; None for the project's own.
-        tracker: one of ``TRACKERS``; None as the format tells, and a perfect one for the built-in
-            operator.
-        mediapipe: it is a recording of MediaPipe, whose pinch gaps are known.
+        tracker: one of ``TRACKERS``; None derives it from the format; for the built-in operator,
+            None is a perfect tracker.
+        mediapipe: True for a recording of MediaPipe, whose pinch gaps are known.
     """
 
     path: Path | None
@@ -103,13 +102,13 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A recording that was looked for; either ``recording`` or ``error`` is None.
+    """Result of reading a requested recording; either ``recording`` or ``error`` is None.
 
     Attributes:
         request: request of the user.
         name: name in results, unique among the sources of a benchmark.
         recording: the frames.
-        error: why there are none.
+        error: reason why there are no frames.
         frames: range of these frames in the file.
         digest: SHA-256 of the frames; empty where there are none.
     """
@@ -123,7 +122,7 @@ class Source:
 
     @property
     def side(self) -> Side:
-        """Side of the recording; what was asked for, or right, where it can't be read."""
+        """Side of the recording; for an unreadable one, the requested side, or right."""
         return self.recording.side if self.recording else self.request.side or "right"
 
     @property
@@ -136,7 +135,7 @@ class Source:
 
     @property
     def pinch_gaps(self) -> Mapping[str, float]:
-        """Gaps that its tracker is known for, as for ``Retargeter``."""
+        """Known pinch gaps of its tracker, as for ``Retargeter``."""
         if self.request.mediapipe:
             return MEDIAPIPE
         return known_gaps(self.request.tracker if self.tracker == SYNTHETIC else None)
@@ -165,17 +164,17 @@ def parse_request(
     side: Side | None = None,
     layout: str | None = None,
 ) -> Request:
-    """A recording and its settings from one word.
+    """Parses a recording and its settings.
 
     Args:
         text: see the module.
-        frames: where the text has no range.
-        rate: where the text has no rate.
-        side: where the text has no side.
-        layout: where the text has no layout.
+        frames: default range of frames.
+        rate: default rate.
+        side: default side.
+        layout: default layout.
 
     Raises:
-        ConfigError: the part after the ``@`` is no setting, or the seed no number.
+        ConfigError: the part after the ``@`` is not a setting, or the seed is not a number.
     """
     name, at, options = text.rpartition("@")
     if not at or Path(text).exists():  # a file's name may hold an @
@@ -225,15 +224,14 @@ def parse_request(
 
 
 def load_sources(requests: Iterable[Request]) -> list[Source]:
-    """Reads what was asked for; folders are replaced by the recordings in them, however
-    deep.
+    """Reads the requested recordings. Folders are replaced by the recordings in them and in their
+    subfolders.
 
     Returns:
-        The sources in the order asked for, repeats left out; those that can't be read with the
-        reason.
+        The sources in the requested order, without duplicates; unreadable ones have a reason.
 
     Raises:
-        RecordingError: not one of them can be read; with the reason of the first.
+        RecordingError: none of them can be read; the message has the reason of the first.
     """
     unique = dict.fromkeys(one for request in requests for one in _expanded(request))
     sources = [_load(request) for request in unique]
@@ -253,7 +251,7 @@ def load_sources(requests: Iterable[Request]) -> list[Source]:
 
 
 def unique_names(named: Sequence[tuple[str, Path | None]]) -> list[str]:
-    """Names that distinguish files: those that clash get as many folders in front as it takes."""
+    """Unique names of files: names that clash are extended by as many folders as necessary."""
     paths = [None if path is None else path.absolute() for _, path in named]
 
     def at(depth: int, i: int) -> str:
@@ -291,9 +289,9 @@ def _expanded(request: Request) -> list[Request]:
 
 
 def _recordings_in(folder: Path, seen: set[Path]) -> Iterator[Path]:
-    """Files that are taken for recordings, and data sets, whose reader says what they are.
+    """Files that are treated as recordings, and data sets that a reader recognises.
 
-    Hidden ones, and files that hold commands and no hand, are passed over; links are followed once.
+    Hidden files and files with commands but no hand are skipped; links are followed once.
     """
     if folder.resolve() in seen:
         return

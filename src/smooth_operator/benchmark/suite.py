@@ -3,7 +3,7 @@
 In its folder, ``config.json`` holds the settings; ``cells/SLUG.npz`` and ``.json`` are the commands
 of a cell and its measurements, as ``smooth-operator retarget`` writes them;
 ``cells/SLUG.latency.json`` its latency; ``results.json`` and ``report.html`` the results of all.
-Files are whole or not there.
+Files are written atomically.
 """
 
 from __future__ import annotations
@@ -66,14 +66,14 @@ PLOTS: Final = "plots"
 def check_folder(
     folder: Path, command: str = COMMAND, former: str = "an earlier benchmark"
 ) -> None:
-    """Looks whether results may be written into a folder; writes nothing.
+    """Checks that results may be written into a folder. Does not write anything.
 
     Args:
-        command: whose results may stand there already.
+        command: command whose earlier results may be in the folder.
         former: origin of those, for the message.
 
     Raises:
-        OutputError: a file stands there, or the folder holds something other than such results.
+        OutputError: it is a file, or the folder contains anything other than such results.
     """
     if not folder.exists():
         return
@@ -91,9 +91,10 @@ def check_folder(
 
 
 class MeasuredCache(ResultCache):
-    """Measured cells: commands and configuration, as ``smooth-operator retarget`` writes them.
+    """Store of measured cells: commands and configuration, as ``smooth-operator retarget`` writes
+    them.
 
-    The metrics and what the cell depends on are in the configuration, under ``cell``.
+    The configuration has the metrics and the inputs of the cell under ``cell``.
     """
 
     def _read(self, path: Path) -> tuple[Mapping[str, Any], Measured]:
@@ -125,7 +126,7 @@ class BenchmarkFolder:
 
     Args:
         settings: settings of the benchmark; its ``output`` is the folder, which is created.
-        note: called with cells that can't be used.
+        note: called with stored cells that can't be used.
 
     Attributes:
         measured: measurements of cells, without latency.
@@ -145,13 +146,13 @@ class BenchmarkFolder:
         write_json(self.folder / CONFIG, config | self.environment, indent=2)
 
     def job(self, cell: Cell) -> Job[Cell]:
-        """A cell to be measured, unless that was done before; long recordings take longest."""
+        """A cell that has not been measured yet; long recordings take the longest."""
         key = fingerprint(cell, self.settings)
         effort = len(cell.source.recording or ())
         return Job(cell.slug, key, benchmark_code(), cell, cell.label, effort)
 
     def save_latency(self, cell: Cell, latency: Latency) -> None:
-        """Keeps the latency of a cell.
+        """Stores the latency of a cell.
 
         Raises:
             OutputError: it can't be written.
@@ -195,10 +196,10 @@ class Finished:
 
     Attributes:
         cell: the cell.
-        measured: without latency; None where it failed.
-        reason: why it failed; None where it did not.
-        latency: measured alone; None where it was not asked for, or the cell failed.
-        fresh: done by this run, not found done.
+        measured: measurements without latency; None if the cell failed.
+        reason: reason of a failure; None without a failure.
+        latency: latency; None if it was not requested or the cell failed.
+        fresh: True if this run measured the cell.
     """
 
     cell: Cell
@@ -209,11 +210,11 @@ class Finished:
 
 
 def plan_cells(settings: Settings) -> list[Cell]:
-    """All that is to be measured; reads the recordings, writes nothing.
+    """Plans all cells to measure. Reads the recordings and does not write anything.
 
     Raises:
-        SmoothOperatorError: the settings can't be met: an unknown name, no recording that can be
-            read, a folder that holds something else.
+        SmoothOperatorError: the settings are invalid: an unknown name, no readable recording, or a
+            folder with other contents.
     """
     check_folder(settings.output)
     add_metrics(settings.metrics)
@@ -233,10 +234,10 @@ def plan_cells(settings: Settings) -> list[Cell]:
 def run_suite(
     settings: Settings, cells: Sequence[Cell], reporter: Reporter | None = None
 ) -> list[Finished]:
-    """Measures all cells; those that an earlier run in the folder has finished are taken from it.
+    """Measures all cells. Cells that an earlier run in the folder has finished are reused.
 
-    Each finished cell is written before the next, so that a run that is stopped loses only those
-    that it was at. A cell that fails has a reason in place of figures, and the rest goes on.
+    Each finished cell is written before the next one, so a stopped run loses only the cells in
+    progress. A failed cell has a reason instead of metrics, and the run continues.
 
     Args:
         cells: result of ``plan_cells``.
@@ -247,7 +248,7 @@ def run_suite(
 
     Raises:
         OutputError: a result can't be written.
-        ConfigError: the workers can't be.
+        ConfigError: the workers can't be started.
     """
     reporter = Reporter() if reporter is None else reporter
     store = BenchmarkFolder(settings, partial(reporter.note, matters=True))
@@ -348,7 +349,7 @@ for all), ``operator`` (the calibration; null for none), ``cell``, ``seconds``, 
 ``hardware``, ``date``."""
 
 KEY: Final = ("recording", "hand", "side", "method", "preset")
-"""What names a row; no two rows share all of them."""
+"""Fields that together identify a row."""
 
 _HARDWARE: Final = ("platform", "cpu", "cpu_cores", "device")
 
@@ -414,7 +415,7 @@ def row_tracker(row: Mapping[str, Any]) -> str:
 
 
 def row_unit(row: Mapping[str, Any]) -> str:
-    """The recording that the row's frames are of, as a whole: parts of a file share it."""
+    """The whole recording that contains the row's frames; parts of a file share it."""
     return str(_source(row).get("unit") or row["recording"])
 
 
@@ -424,7 +425,8 @@ def _source(row: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def value_of(row: Mapping[str, Any], metric: Metric) -> float | None:
-    """A metric of a row as a number; None where it failed, was not measured or is no number."""
+    """A metric of a row as a number; None if the cell failed, or the metric was not measured or is
+    not a number."""
     metrics = row.get("metrics")
     if not isinstance(metrics, Mapping):
         return None
@@ -443,7 +445,7 @@ def read_results(path: Path) -> list[Row]:
         path: the file, or the folder of the benchmark.
 
     Raises:
-        RecordingError: there is no such file, it is damaged, or something other than results.
+        RecordingError: the file does not exist, is damaged, or does not contain results.
     """
     if path.is_dir():
         path = path / RESULTS

@@ -1,4 +1,4 @@
-"""Calibration of an operator: poses by prompt or by search, and the profile that follows."""
+"""Calibration of an operator: finds pinches by prompts or by search, and computes a profile."""
 
 from smooth_operator.lazy_names import public_names
 

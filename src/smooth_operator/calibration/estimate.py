@@ -1,4 +1,4 @@
-"""Gaps that a tracker leaves in an operator's pinches, from the pinches of a recording."""
+"""Estimates the gaps that a tracker leaves in an operator's pinches from a recording."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import HandRecording
 
 SURE: Final = 0.3
-"""Confidence below which a pinch is used only if there is no better one."""
+"""Confidence below which a pinch is used only if there is no better pinch."""
 MOST: Final = 0.6
 """Greatest gap of a pinch [palm lengths]."""
 
@@ -47,7 +47,7 @@ class Calibration:
     """Result of a calibration.
 
     Attributes:
-        operator: what is kept of it.
+        operator: operator profile to store.
         findings: one for each finger but the thumb.
         features: features of the recording, frame by frame.
         gaps: finger -> (N,) distance from thumb to tip in its pinches [m].
@@ -62,8 +62,8 @@ class Calibration:
 def calibrate(recording: HandRecording, segments: Sequence[Segment] | None = None) -> Calibration:
     """Measure the gaps that a tracker leaves in an operator's pinches.
 
-    A finger's gap is the median distance from the thumb in the nearest four fifths of the frames in
-    which it pinches: an operator who is asked may close late or open early.
+    The gap of a finger is the median distance from the thumb in the closest four fifths of the
+    frames of its pinches, because an operator may close late or open early.
 
     Args:
         recording: recording of the operator's hand.

@@ -1,4 +1,4 @@
-"""``operator.json``: what is known of an operator from an earlier session."""
+"""``operator.json``: stored profile of an operator from an earlier session."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _EXPECTED: Final = "expected the OPERATOR.json of `smooth-operator calibrate` or
 
 @dataclass(frozen=True)
 class OperatorProfile:
-    """What is known of an operator with his tracker.
+    """Profile of an operator with a tracker.
 
     Attributes:
         side: side of the hand.
-        pinch_gaps: finger -> gap that the tracker leaves between thumb and finger where they touch
-            [palm lengths]; without fingers whose gap is not known.
-        source: the recording or the tracker that it was found with.
+        pinch_gaps: gaps that the tracker leaves between thumb and finger when they touch, by finger
+            [palm lengths], without fingers whose gap is unknown.
+        source: recording or tracker from which the profile was computed.
 
     Raises:
         UnknownNameError: a finger has no such name, or is the thumb.
@@ -46,7 +46,7 @@ class OperatorProfile:
         check_gaps(self.pinch_gaps)
 
     def check(self, side: Side) -> None:
-        """Raises ConfigError unless the profile is of a hand of this side."""
+        """Raises ConfigError unless the profile is for a hand of this side."""
         if side != self.side:
             raise ConfigError(
                 f"this operator file is for the {self.side} hand and can't be used for the "
@@ -75,8 +75,8 @@ def read_operator(path: Path) -> OperatorProfile:
     """Read a profile that ``write_operator`` wrote.
 
     Raises:
-        ConfigError: there is no such file, it is no profile or of another version, or an entry is
-            missing, unknown or outside the range of a hand.
+        ConfigError: the file does not exist, is not a profile or has another version, or an entry
+            is missing, unknown or outside the range of a hand.
     """
     try:
         content = read_json(Path(path), most_bytes=_MOST_BYTES)

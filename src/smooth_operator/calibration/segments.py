@@ -1,6 +1,6 @@
-"""Pinches of a calibration: prompts for them, and a search for them in a recording.
+"""Finds the pinches of a calibration, by prompts or by a search in a recording.
 
-Prompts and search both give ``Segment`` to the estimator.
+Both produce ``Segment`` objects for the estimator.
 """
 
 from __future__ import annotations
@@ -77,10 +77,10 @@ def measure_features(recording: HandRecording) -> Features:
 FIST: Final = 0.65
 """Largest straightness of the long fingers in a fist, relative to each finger's largest."""
 PINCH_REACH: Final = 0.025
-"""Largest thumb-to-tip distance in a pinch [m]; trackers place the tips of pads that touch up to
-2 cm apart."""
+"""Largest thumb-to-tip distance in a pinch [m]; trackers report the tips of touching pads up to 2
+cm apart."""
 PINCH_DEPTH: Final = 0.018
-"""Distance that a pinch must reach [m]."""
+"""Distance below which thumb and finger must come for a pinch [m]."""
 CORE: Final = 0.004
 """Distance above its minimum up to which a pinch counts as held [m]."""
 
@@ -114,7 +114,8 @@ def find_segments(features: Features, stamps: Float[np.ndarray, " T"]) -> list[S
 
 
 def _relative(features: Features) -> Float[np.ndarray, "T 4"]:
-    """Straightness of the long fingers relative to their largest, which noise puts below 1."""
+    """Straightness of the long fingers relative to their maximum, which is below 1 because of
+    noise."""
     straight = features.straightness[:, 1:]
     return np.asarray(straight / np.clip(np.nanpercentile(straight, 98, axis=0), 0.9, 1.0))
 
@@ -160,7 +161,7 @@ def _runs(
 
 @dataclass(frozen=True)
 class Prompt:
-    """A pinch that the operator is to hold.
+    """A pinch that the operator is asked to hold.
 
     Attributes:
         finger: the finger that pinches.

@@ -97,14 +97,14 @@ def summary_text(rows: Sequence[Row], settings: Settings) -> str:
 
 
 def _short(metric: Metric, value: float | None) -> str:
-    """A value in three digits."""
+    """Formats a value with three digits."""
     if value is None or metric.name.endswith("share"):
         return shown_value(metric, value)
     return f"{value:.3f}" if metric.goal == "->1" else f"{value:.3g}"
 
 
 def command_of(settings: Settings) -> str:
-    """The command of a benchmark, with the names of recordings without their folders."""
+    """The command of a benchmark, with recordings named without their folders."""
     names = [Path(text).name for text in settings.recordings]
     words = ["smooth-operator", "bench", *names, "--methods", ",".join(settings.methods)]
     words += ["--hands", ",".join(settings.hands)]
@@ -114,7 +114,7 @@ def command_of(settings: Settings) -> str:
 
 
 BUSY: Final = 0.25
-"""Share of the cores in others' hands from which a latency is warned of."""
+"""Fraction of the cores used by other processes above which the report warns about latency."""
 
 _PAPER_HAND: Final = "mimic_p050"
 
@@ -136,8 +136,8 @@ PAPER_TABLE: Final[dict[str, dict[str, float]]] = {
         "flatness": 7.17e-7, "workspace_utilisation": 0.210, "latency_ms.p50": 3.664,
     },
 }  # fmt: skip
-"""Source: the paper's table of simulation metrics. Its latency is one number a method; it stands
-here under the median."""
+"""Source: the paper's table of simulation metrics. It has one latency per method, which is shown
+here in the column of the median."""
 
 PAPER_NOTE: Final = (
     "The paper's numbers were measured on other data (14 operators at about 100 Hz, mimic "
@@ -169,7 +169,7 @@ def facts_table(facts: Mapping[str, Any]) -> Html:
 
 
 def player(clip: Mapping[str, object]) -> Html:
-    """One pane a method, with play, pause, a slider and a speed.
+    """One pane per method, with play, pause, a slider and a speed.
 
     Args:
         clip: result of ``make_clip``.
@@ -189,7 +189,7 @@ def write_report(
     Args:
         finished: result of ``run_suite``.
         rows: result of ``make_rows``.
-        shape: gives the shape that a robot hand is drawn with.
+        shape: returns the shape with which a robot hand is drawn.
 
     Returns:
         The page. It needs no other file, and nothing from the network.
@@ -332,7 +332,8 @@ def _timing(
 def _recordings(
     rows: Sequence[Row], panels: Mapping[Any, Panel], colors: Mapping[str, str], plots: Plots
 ) -> Iterator[dict[str, Any]]:
-    """Content of each recording on a hand; those on which all failed stand under failures."""
+    """Content of each recording on a hand. Recordings on which all methods failed are listed under
+    failures."""
     hands = sum(len(panel.runs) + 1 for panel in panels.values())
     for key, own in ranking.by_panel(rows).items():
         good = [row for row in own if row["status"] == "ok"]
@@ -363,7 +364,7 @@ def _recordings(
 
 
 def _machines(rows: Sequence[Row]) -> list[dict[str, object]]:
-    """Facts of the machines and versions that made the cells, each once."""
+    """Machines and versions with which the cells were measured, without duplicates."""
     machines: dict[str, dict[str, object]] = {}
     for row in rows:
         if row["status"] == "ok":
@@ -424,7 +425,8 @@ def _meanings() -> dict[str, list[Metric]]:
 def _finger_lines(
     rows: Sequence[Row],
 ) -> Iterator[tuple[Metric, list[str], dict[str, list[tuple[float | None, bool]]]]]:
-    """Metric, fingers, and of each method the fingers' values and whether they are the best."""
+    """Rows of the table of fingers: metric, fingers and, for each method, the values of the
+    fingers, with a mark for the best."""
     good = [row for row in rows if isinstance(row.get("fingers"), Mapping)]
     fingers = list(dict.fromkeys(finger for row in good for finger in row["fingers"]))
     for metric in PER_FINGER:
