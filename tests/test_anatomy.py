@@ -104,7 +104,9 @@ def test_a_mirror_image_is_the_other_hand(operator):
         assert (found.side, found.layout) == (other, None)
         assert f"--side {other}" in found.remedy
     assert doubt(mirrored, "left") is None
-    with pytest.raises(RecordingError, match=r"takes: by its shape this is a left hand.*--side"):
+    with pytest.raises(
+        RecordingError, match=r"takes: judging by its shape, this is a left hand.*--side"
+    ):
         check_hand(mirrored, "right", where="takes")
 
 
@@ -306,11 +308,11 @@ def test_a_file_in_another_layout_is_refused_and_converted(tmp_path, operator):
 
 def test_a_mirrored_file_is_refused_whether_it_says_its_side_or_not(tmp_path, operator):
     mirrored = operator.landmarks * MIRROR
-    with pytest.raises(RecordingError, match=r"a left hand.*say --side left"):
+    with pytest.raises(RecordingError, match=r"a left hand.*use --side left"):
         read_recording(saved(tmp_path / "a.npz", mirrored))
     assert read_recording(tmp_path / "a.npz", side="left").side == "left"
     labelled = saved(tmp_path / "b.npz", mirrored, side=np.array("right"))
-    with pytest.raises(RecordingError, match=r"a left hand.*the file says right: correct that"):
+    with pytest.raises(RecordingError, match=r"a left hand.*the file says right: correct the side"):
         read_recording(labelled)
 
 

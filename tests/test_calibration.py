@@ -105,7 +105,7 @@ def test_pinches_that_prompts_mark_calibrate_like_those_of_a_search(exact, found
 
 def test_the_wrong_side_is_noticed(exact, found):
     mirrored = replace(exact, landmarks=exact.landmarks * np.array([-1.0, 1.0, 1.0]))
-    with pytest.raises(RecordingError, match=r"this is a left hand.*say --side left"):
+    with pytest.raises(RecordingError, match=r"this is a left hand.*use --side left"):
         calibrate(mirrored)
     other = calibrate(replace(mirrored, side="left")).operator
     assert other.side == "left"

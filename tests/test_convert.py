@@ -267,7 +267,7 @@ def bad_commands(kind):
         ("inf", "command 5 has 'middle' at inf rad"),
         ("1e15", "command 5 has 'middle' at 1e[+]15 rad"),
         ("huge and held", "command 5 has 'middle' at 1e[+]15 rad"),
-        ("twice", "commands 5 and 6 have the same stamp"),
+        ("twice", "commands 5 and 6 have the same timestamp"),
         ("back", "the timestamps go backwards at command 6"),
         ("span", "1e[+]10 s, at most 1e[+]09 s"),
     ],
@@ -352,7 +352,7 @@ def test_a_log_whose_stamps_do_not_increase_is_refused(tmp_path, stamps):
         for stamp, points in zip(stamps, landmarks, strict=False):
             log._hand_stamp = -np.inf  # another program's writer may not look at it
             log.write_hand(HandFrame(points, stamp))
-    with pytest.raises(RecordingError, match=r"a\.mcap: .*(same stamp|go backwards)"):
+    with pytest.raises(RecordingError, match=r"a\.mcap: .*(same timestamp|go backwards)"):
         read_episode(tmp_path / "a.mcap")
 
 
@@ -393,7 +393,7 @@ def test_hdf5_of_others_needs_the_documented_arrays_only(tmp_path):
         file["hand/landmarks"] = hand().landmarks.astype(np.float32)
     with pytest.raises(RecordingError, match="40 frames and no timestamps; give the number"):
         read_recording(path)
-    with pytest.raises(RecordingError, match="by its shape this is a right hand"):
+    with pytest.raises(RecordingError, match="judging by its shape, this is a right hand"):
         read_recording(path, rate=50.0, side="left")
     found = read_episode(path, rate=50.0)
     assert "does not state the side" in found.notes[0]
@@ -518,7 +518,7 @@ def test_dataset_whose_extra_metadata_another_tool_dropped(tmp_path):
     assert_same(replace(expected, recording=recording), back)
     rewrite(data, lambda t: t.drop_columns(["left_hand"]))
     assert read_episode(root, side="left").notes == ()
-    with pytest.raises(RecordingError, match="say --side left"):
+    with pytest.raises(RecordingError, match="use --side left"):
         read_episode(root)
     (tmp_path / "right").mkdir()
     root = write(tmp_path / "right", episode(side="right"), "lerobot")
@@ -542,7 +542,7 @@ def test_a_dataset_of_another_tool_is_checked_as_other_files_are(tmp_path):
         return read_episode(root, **asked).recording
 
     np.testing.assert_array_equal(read(landmarks, "right", "fine").landmarks, landmarks)
-    with pytest.raises(RecordingError, match="the file says left: correct that"):
+    with pytest.raises(RecordingError, match="the file says left: correct the side"):
         read(landmarks, "left", "side")
     with pytest.raises(RecordingError, match=r"millimetres \(multiply by 0.001\)"):
         read(1e3 * landmarks, "right", "units")
@@ -620,10 +620,10 @@ def test_commands_of_another_recording_are_refused(tmp_path, run):
     status, err = run(glove, "--commands", out, "--output", tmp_path / "a.mcap")
     assert status == 2
     assert "was not made from" in err
-    assert "0 of its 40 time stamps" in err
+    assert "0 of its 40 timestamps" in err
     assert run(glove, "--commands", glove, "--output", tmp_path / "a.mcap")[1].count("no commands")
     status, err = run(out, "--commands", out, "--output", tmp_path / "a.mcap")
-    assert "it holds no hand frames" in err
+    assert "this contains no hand frames" in err
     assert not (tmp_path / "a.mcap").exists()
 
 
@@ -695,8 +695,8 @@ def test_a_log_of_another_program_is_not_replaced(tmp_path, run):
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        (lambda e: replace(e, commands=None, stages_ms={}), "a holds commands and b holds none"),
-        (lambda e: replace(e, recording=None), "a holds hand frames and b holds none"),
+        (lambda e: replace(e, commands=None, stages_ms={}), "a has commands but b has none"),
+        (lambda e: replace(e, recording=None), "a has hand frames but b has none"),
         (
             lambda e: replace(e, commands=replace(e.commands, joint_names=("x", "y", "z"))),
             "commands for different joints",
@@ -948,7 +948,7 @@ ROWS = "meta/episodes/chunk-000/file-000.parquet"
             lambda p: edit(p, codebase_version="v2.1"),
             "v2.1, but only v3.0",
         ),
-        ("meta/info.json", lambda p: edit(p, features={}), "with no columns: it holds no human"),
+        ("meta/info.json", lambda p: edit(p, features={}), "with no columns: it contains no human"),
         ("meta/info.json", lambda p: edit(p, data_path="../{chunk_index}"), "out of the dataset"),
         ("meta/info.json", lambda p: edit(p, data_path="{x}"), "do not say where episode 0 is"),
         (DATA, lambda p: p.unlink(), "no such file; the dataset is incomplete"),
@@ -967,7 +967,7 @@ ROWS = "meta/episodes/chunk-000/file-000.parquet"
                 p,
                 lambda t: t.set_column(t.column_names.index("landmarks"), "landmarks", t["stamp"]),
             ),
-            "the column 'landmarks' must hold 63 numbers a row, not double",
+            "the column 'landmarks' must hold 63 numbers per row, not double",
         ),
         (
             DATA,

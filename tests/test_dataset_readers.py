@@ -228,7 +228,7 @@ def test_landmarks_may_be_nodes_of_a_headset_without_stamps(tmp_path):
         ({"valid_left": np.full((COUNT, 21), 0.4)}, r"'valid_left' must be true or false.*0\.4"),
         ({"valid_left": np.ones((COUNT, 7))}, r"'valid_left' must have shape \(30,\).*\(30, 21\)"),
         ({"T_world_wrist_left": np.tile([0, 0, 1, 30, 20, 90, 1], (COUNT, 1))}, "of length 97"),
-        ({"T_world_object_cup": np.full((COUNT, 4, 4), 0.5)}, "frame 0 is no rotation"),
+        ({"T_world_object_cup": np.full((COUNT, 4, 4), 0.5)}, "frame 0 is not a rotation"),
         ({"confidence_right": np.full(COUNT, 5.0)}, r"reach 5; .*percent \(divide by 100\)"),
         ({"confidence_right": np.full(COUNT, 130)}, r"reach 130; .*bytes \(divide by 255\)"),
         ({"confidence_right": np.arange(COUNT) % 3}, "reach 2; .*levels"),

@@ -590,7 +590,7 @@ def test_names_that_lie_lower_the_confidence_and_change_nothing(tmp_path):
     assert [f.tip_body for f in found.fingers] == [f.tip_body for f in honest.fingers]
     assert found.spec.side == "left"
     assert sure(found, "side") < sure(honest, "side")
-    assert "though names" in because(found, "side")
+    assert "although names" in because(found, "side")
 
 
 @pytest.fixture

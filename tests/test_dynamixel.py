@@ -63,7 +63,15 @@ def patiently(action: Callable[[], T], between: Callable[[], object] = int) -> T
 
 def calm(sink: HardwareSink) -> bool:
     """Whether the hand follows; its note may still count what went wrong before."""
-    words = ("approaches", "waits", "rests", "emergency", "retrying", "no answer", "squeezes")
+    words = (
+        "approaches",
+        "waiting",
+        "rests",
+        "emergency",
+        "retrying",
+        "no answer",
+        "contact limit",
+    )
     return not any(word in sink.note for word in words)
 
 

@@ -110,7 +110,7 @@ def test_a_dataset_observes_the_measured_joints(log, tmp_path, hand):
     np.testing.assert_array_equal(again.states.stamps, episode.states.stamps)
     np.testing.assert_array_equal(again.states.positions, episode.states.positions)
     bare = replace(episode, states=None, name="bare")
-    with pytest.raises(RecordingError, match="holds measured joints and bare holds none"):
+    with pytest.raises(RecordingError, match="has measured joints but bare has none"):
         write_dataset(tmp_path / "mixed", [lambda: episode, lambda: bare], fps=100)
 
 

@@ -207,7 +207,7 @@ def test_the_monitor_shows_the_hand_and_moves_nothing(capsys, device, hand):
     assert set(lines[0]["joints"]) == set(hand.joint_names)
     assert len({line["time"] for line in lines}) == len(lines)
     assert main([*common, "0.05"]) == 0
-    assert "waits for the first command" in capsys.readouterr().out
+    assert "waiting for the first command" in capsys.readouterr().out
     assert not any(fake.count("write") for fake in made)
     assert main(["hardware", "monitor", "mujoco"]) == 2
     assert "is not a real hand" in capsys.readouterr().err

@@ -33,7 +33,15 @@ PERIOD = 0.01
 
 def calm(sink: HardwareSink) -> bool:
     """Whether the hand follows; its note may still count what went wrong before."""
-    words = ("approaches", "waits", "rests", "emergency", "retrying", "no answer", "squeezes")
+    words = (
+        "approaches",
+        "waiting",
+        "rests",
+        "emergency",
+        "retrying",
+        "no answer",
+        "contact limit",
+    )
     return not any(word in sink.note for word in words)
 
 
@@ -105,7 +113,7 @@ def test_it_starts_where_the_hand_is_and_approaches_slowly(make, hand):
     with Driven(sink, hand) as driven:
         until(lambda: sink.state("right"))
         assert driven.fake.count("write") == 0  # nothing moves before there is a command
-        assert "waits" in sink.note
+        assert "waiting" in sink.note
         driven.tick = tick_at(hand, 30.0)
         until(lambda: driven.fake.count("write") and calm(sink))
         until(lambda: driven.fake.commands()[-1, 1] == pytest.approx(150.0))
@@ -361,7 +369,7 @@ def test_a_joint_that_squeezes_goes_no_further_and_opens_again(make, hand):
         until(lambda: driven.fake.commands()[-1, 2] == pytest.approx(235.0))  # the others go on
         driven.tick = tick_at(hand, 5.0)  # the operator opens
         until(lambda: driven.fake.commands()[-1, 0] == pytest.approx(185.0))
-        until(lambda: "squeezes" not in sink.note)
+        until(lambda: "contact limit" not in sink.note)
         # and an object that is gone: it closes again
         driven.tick = tick_at(hand, 55.0)
         until(lambda: "contact limit reached: m0" in sink.note)

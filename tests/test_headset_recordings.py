@@ -67,7 +67,7 @@ def test_a_recording_of_tracking_streamer(tmp_path):
         read_recording(path)
     path.write_text("\n".join(avp_lines(("left",))))
     assert read_recording(path).side == "left"  # the right one was never seen
-    with pytest.raises(RecordingError, match="no right hand in it"):
+    with pytest.raises(RecordingError, match="contains no right hand"):
         read_recording(path, side="right")
 
 

@@ -161,7 +161,7 @@ def test_pipes_and_sockets_are_not_opened(tmp_path, capsys):
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(tmp_path / "s.npz"))
         for name, kind in (("x.npz", "a pipe"), ("s.npz", "a socket")):
-            with pytest.raises(RecordingError, match=f"it is {kind}, not a regular file"):
+            with pytest.raises(RecordingError, match=f"it is {kind}, not a plain file"):
                 read_recording(tmp_path / name)
             with pytest.raises(DocumentError, match=kind):
                 read_text(tmp_path / name)
@@ -268,7 +268,7 @@ def test_commands_without_a_time_are_refused(tmp_path, stamp):
     path = tmp_path / "out.npz"
     with np.load(io.BytesIO(encode_commands(commands))) as file:
         np.savez(path, **{**file, "timestamps": stamps})
-    with pytest.raises(RecordingError, match=r"the stamp of command 3 is -?(nan|inf)"):
+    with pytest.raises(RecordingError, match=r"the timestamp of command 3 is -?(nan|inf)"):
         read_commands(path)
 
 

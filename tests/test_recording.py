@@ -148,7 +148,7 @@ def test_manus_without_ids_is_assumed_and_says_so(tmp_path):
         ({"data": np.ones((3, 26, 7)), "keypoint_ids": np.r_[np.arange(25), 3]}, "more than once"),
         ({"data": np.ones((3, 20, 7)), "keypoint_ids": None}, "25 nodes, this one 20"),
         ({"quaternion_order": np.array("zyxw")}, "must be 'wxyz' or 'xyzw', not"),
-        ({"data": np.zeros((0, 25, 7)), "timestamps": np.zeros(0)}, "holds no frames"),
+        ({"data": np.zeros((0, 25, 7)), "timestamps": np.zeros(0)}, "contains no frames"),
         ({"chirality": np.array(["RIGHT", "LEFT"])}, "mixes left and right"),
         ({"chirality": np.array("BOTH")}, "side must be 'right' or 'left', not 'BOTH'"),
         ({"chirality": np.array(1)}, "must hold text"),
@@ -215,7 +215,7 @@ SEEN = np.repeat(np.arange(FRAMES) % 4 != 1, 21).reshape(FRAMES, 21)
 @pytest.mark.parametrize(
     "flags",
     [SEEN, SEEN.astype(np.uint8), SEEN.astype(float), SEEN[:, 0], SEEN[:, :1].astype(np.int64)],
-    ids=["bool", "uint8", "float", "one a frame", "a column"],
+    ids=["bool", "uint8", "float", "one per frame", "a column"],
 )
 def test_flags_of_any_type_are_read(tmp_path, flags, nodes):
     if flags.ndim == 2 and flags.shape[1] == 21:
@@ -246,7 +246,7 @@ def test_flags_follow_the_order_of_the_landmarks(tmp_path):
         (np.full(FRAMES, 0.4), r"'valid' must be true or false, or 1 or 0, not float64 with 0\.4"),
         (np.full((FRAMES, 21), np.nan), "must be true or false"),
         (np.full(FRAMES, "yes"), "must be true or false, or 1 or 0, not <U3"),
-        (np.ones((FRAMES, 5)), r"must have shape \(12,\), one a frame, or \(12, 21\)"),
+        (np.ones((FRAMES, 5)), r"must have shape \(12,\), one per frame, or \(12, 21\)"),
     ],
 )
 def test_flags_that_are_none_are_refused(tmp_path, flags, match):
@@ -282,7 +282,7 @@ def test_the_wrist_may_be_matrices_or_either_order_of_quaternion(tmp_path, nodes
     ("wrist", "match"),
     [
         (np.tile([0, 0, 1, 30, 20, 90, 1], (FRAMES, 1)), "frame 0 has a quaternion of length 97"),
-        (np.tile(2.0 * np.eye(4), (FRAMES, 1, 1)), "frame 0 is no rotation and position"),
+        (np.tile(2.0 * np.eye(4), (FRAMES, 1, 1)), "frame 0 is not a rotation and position"),
         (np.swapaxes(matrices(np.tile([1, 2, 3, 1, 0, 0, 0], (FRAMES, 1))), 1, 2), "transposed"),
         (np.zeros((FRAMES, 6)), r"must have shape \(12, 7\)"),
         (np.zeros((FRAMES - 1, 7)), r"must have shape \(12, 7\).*not \(11, 7\)"),
@@ -390,7 +390,7 @@ def test_single_frame_needs_no_rate(tmp_path, form):
         ((FRAMES, 2, 21, 3), "several hands"),
         ((FRAMES, 20, 3), r"must have shape \(T, 21, 3\)"),
         ((63,), r"not \(63,\)"),
-        ((0, 21, 3), "holds no frames"),
+        ((0, 21, 3), "contains no frames"),
     ],
 )
 def test_wrong_shapes(tmp_path, shape, hint):
@@ -525,7 +525,7 @@ def stamps_with(**changes: float) -> np.ndarray:
     ("stamps", "match"),
     [
         (stamps_with(i5=0.001), "go backwards at frame 5: 0.04 s, then 0.001 s"),
-        (stamps_with(i5=0.04), "frames 4 and 5 have the same stamp, 0.04 s"),
+        (stamps_with(i5=0.04), "frames 4 and 5 have the same timestamp, 0.04 s"),
         (stamps_with()[::-1], "go backwards at frame 1"),
         (np.random.default_rng(0).permutation(stamps_with()), "shuffled"),
         (stamps_with(i3=np.nan), "stamp of frame 3 is nan"),
@@ -626,7 +626,10 @@ def test_torch_files_are_pickles(tmp_path):
         (b"NO_OF_FRAMES\t1\n", "a Qualisys table .*markers on the skin"),
         (b"SQLite format 3\x00", "bags of ROS 2 .*ros2 bag play"),
         (b"#ROSBAG V2.0\n", "a bag of ROS 1; .*--source ros2"),
-        (b'{"data": [{"states": {"right_ee": {"qpos": [0]}}}]}', "a robot: it holds no human hand"),
+        (
+            b'{"data": [{"states": {"right_ee": {"qpos": [0]}}}]}',
+            "a robot: it contains no human hand",
+        ),
         (b'{"frames": []}', "a JSON file of another program; save its landmarks with numpy.savez"),
         (b"tracking_timestamp_us,tx_left_landmark_0_device\n1,0.1\n", "Aria.*--layout aria"),
         (b"\x93NUM", "cut off after 4 bytes"),
@@ -694,7 +697,7 @@ def test_every_command_names_the_data_of_a_robot(tmp_path, monkeypatch, capsys, 
     assert main([word.replace("SET", "set") for word in command]) == 2
     said = capsys.readouterr().err
     assert f"LeRobot data set (version {version}) of the robot 'humanoid', with " in said, said
-    assert "(left_arm_0, left_arm_1, ...): it holds no human hand" in said
+    assert "(left_arm_0, left_arm_1, ...): it contains no human hand" in said
 
 
 def test_the_data_of_a_robot_among_recordings_is_one_failure(tmp_path):

@@ -551,7 +551,7 @@ def test_something_else_that_answers_is_no_teleoperation(answer):
 
 def test_a_client_that_is_asked_the_impossible_says_so(monkeypatch):
     for make, words in (
-        (lambda: RemoteTeleop("127.0.0.1:5558"), "no ZeroMQ address"),
+        (lambda: RemoteTeleop("127.0.0.1:5558"), "not a ZeroMQ address"),
         (lambda: RemoteTeleop("tcp://127.0.0.1:5558", 0.0), "timeout_s"),
         (lambda: RemoteTeleop("tcp://no such:5558").request("x"), "can't be reached"),
         (lambda: RemoteTeleop("tcp://127.0.0.1:1").request("x", y={1, 2}), "JSON can't hold"),

@@ -188,7 +188,7 @@ def test_a_step_without_time_is_refused(motion):
         with pytest.raises(ConfigError, match=r"no timestamp, and step\(\) has no clock.*rate=30"):
             retargeter.step(retargeter.init(), frame)
     retargeter(motion.landmarks[0])
-    with pytest.raises(ConfigError, match=r"with and without stamps are mixed.*reset\(\)"):
+    with pytest.raises(ConfigError, match=r"with and without timestamps are mixed.*reset\(\)"):
         retargeter(motion[1])
     retargeter.reset()
     assert retargeter(motion[1]).command.stamp == motion[1].stamp

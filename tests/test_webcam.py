@@ -265,7 +265,9 @@ def test_the_newest_picture_is_taken_and_the_others_are_dropped(captures, monkey
 
 def test_no_camera_says_what_was_tried(captures, fake):
     captures.left = []
-    with pytest.raises(SourceError, match=r"camera 0: it can't be opened\. Tried through .*video:"):
+    with pytest.raises(
+        SourceError, match=r"camera 0: it can't be opened\. Interfaces that were tried: .*video:"
+    ):
         Webcam().start(Mailbox())
     captures.left = [0]
     with pytest.raises(SourceError, match="another program"):

@@ -249,7 +249,7 @@ class Host:
         return link, said["session"]
 
     def arrival(self, side: Side) -> Arrival:
-        assert self.mailbox.wait([side], 5.0), "no frame came"
+        assert self.mailbox.wait([side], 5.0), "no frame arrived"
         return self.mailbox.take(side)
 
     def state(self) -> str:

@@ -130,7 +130,9 @@ def test_what_the_network_gives_of_a_mirrored_picture_is_refused(tmp_path):
     for frame in frames:
         frame[1]["wilor_preds"]["pred_keypoints_3d"] *= np.float32([-1, 1, 1])
     (tmp_path / "a.pkl").write_bytes(pickle.dumps(frames))
-    with pytest.raises(RecordingError, match=r"left hand: by its shape this is a right hand.*\(-1"):
+    with pytest.raises(
+        RecordingError, match=r"left hand: judging by its shape, this is a right hand.*\(-1"
+    ):
         clip_of(tmp_path / "a.pkl")
 
 
@@ -139,7 +141,9 @@ def test_exchanged_hands_are_refused(tmp_path):
     (tmp_path / "wilor_hands.json").write_text(files.egotouch_lines(exchanged=True))
     (tmp_path / "b.json").write_text(json.dumps(files.hawor_tags(exchanged=True)))
     for name in ("a.pkl", "wilor_hands.json", "b.json"):
-        with pytest.raises(RecordingError, match="right hand: by its shape this is a left hand"):
+        with pytest.raises(
+            RecordingError, match="right hand: judging by its shape, this is a left hand"
+        ):
             clip_of(tmp_path / name)
 
 

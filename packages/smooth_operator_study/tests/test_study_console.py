@@ -118,7 +118,7 @@ def test_a_note_never_stands_in_the_way(store):
 
 def test_a_command_for_somebody_who_is_not_on_is_refused(store):
     service = SessionService(store, operator="P02")
-    with pytest.raises(StudyError, match="for operator P01, but operator P02 is on"):
+    with pytest.raises(StudyError, match="for operator P01, but operator P02 is selected"):
         service.carry_out(command(store.progress("P01"), "calibrated"), "experimenter")
     assert kinds(store) == []
 

@@ -131,7 +131,7 @@ def test_missing_columns_rows_and_files_are_named(case, tmp_path):
     with pytest.raises(StudyError, match=r"no trials in tlx\.csv"):
         read_study([tlx])
     trials, _ = case.write(tmp_path / "both")
-    with pytest.raises(StudyError, match="both hold trials"):
+    with pytest.raises(StudyError, match="both contain trials"):
         read_study([trials, trials])
     bad = tmp_path / "bad.json"
     bad.write_text('{"trials": [}', encoding="utf-8")

@@ -90,7 +90,7 @@ def test_an_answer_goes_to_the_operator_of_its_question(chromium, tmp_path):
             service.carry_out(other, "experimenter")
             page.locator("#who", has_text="P02").wait_for()
             page.locator("#ask-yes").click()
-            page.get_by_text("it is for operator P01, but operator P02 is on").wait_for()
+            page.get_by_text("it is for operator P01, but operator P02 is selected").wait_for()
             assert store.progress("P02").withdrawn is None
             assert not pages.problems
             pages.context.close()

@@ -177,10 +177,10 @@ def test_a_design_is_scaled_in_its_shares(operators):
     ("changes", "says"),
     [
         ({"conditions": (Condition("sbr"),)}, "at least two conditions; it has 1"),
-        ({"conditions": (Condition("dexpilot"),) * 2}, "'dexpilot' comes twice"),
+        ({"conditions": (Condition("dexpilot"),) * 2}, "'dexpilot' occurs twice"),
         ({"baseline": "dexpilo"}, "Did you mean 'dexpilot'"),
         ({"tasks": ()}, "needs at least one task"),
-        ({"operators": 5}, "by 12 operators, but the study has 5"),
+        ({"operators": 5}, "for 12 operators, but the study has 5"),
         ({"operators": 90}, "the tasks take only 26"),
         ({"operators": True}, "whole number"),
         ({"familiarisation_s": float("nan")}, "familiarisation must be 0 to 86400 s"),
@@ -343,7 +343,7 @@ def test_a_condition_is_typed_with_its_method_and_preset():
         (["--primary", "tlx/A", "--questionnaires", "none"], "needs questionnaires"),
         (["--margin", "success"], "OUTCOME=DIFFERENCE"),
         (["--margin", "success=10"], "10 percentage points"),
-        (["--margin", "time=3", "--margin", "time=4"], "comes twice"),
+        (["--margin", "time=3", "--margin", "time=4"], "occurs twice"),
     ],
 )
 def test_study_new_refuses(tmp_path, arguments, says, capsys):

@@ -108,7 +108,7 @@ def test_what_does_not_answer_a_form_is_refused(answers, why):
     ("made", "why"),
     [
         ({"kind": "choice"}, "at least two choices"),
-        ({"kind": "text", "choices": ("a", "b")}, "nothing else"),
+        ({"kind": "text", "choices": ("a", "b")}, "other kinds have none"),
         ({"kind": "tick"}, "kind must be one of text"),
         ({"label": " "}, "needs a label"),
         ({"kind": "number", "least": 2, "most": 1}, "least is 2, most 1"),

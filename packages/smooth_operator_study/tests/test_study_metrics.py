@@ -61,7 +61,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 def test_takes_are_cut_to_trials_and_measured(study, capsys):
     record(study / "takes")
     main(["study", "metrics", str(study)])
-    assert "1 rows of 1 trials" in capsys.readouterr().err
+    assert "1 rows from 1 trials" in capsys.readouterr().err
     (row,) = csv.DictReader((study / "sim_metrics.csv").open(encoding="utf-8"))
     with open_study(study) as store:
         block = store.plan.blocks("P01")[0]

@@ -228,10 +228,10 @@ def test_honest_tests_err_less_and_find_less(tmp_path):
     [
         (["--operators", "2"], "from 3 on"),
         (["--success", "sbr=1.5"], "probability from 0.005 to 0.995"),
-        (["--success", "ako=0.5"], "given for 'ako'"),
+        (["--success", "ako=0.5"], "set for 'ako'"),
         (["--time", "sbr"], "NAME=NUMBER"),
         (["--studies", "0"], "one simulated study"),
-        (["--operators", "6", "6"], "comes twice"),
+        (["--operators", "6", "6"], "occurs twice"),
     ],
 )
 def test_study_power_refuses(tmp_path, arguments, says, capsys):

@@ -163,7 +163,11 @@ def test_the_head_says_what_the_tables_hold(output):
             )
             where = shown if one["p_dunnett"] < 0.05 else open_
             assert re.search(rf"{retargeter} [+−].*?\[{re.escape(ends)}\]", where)
-    assert lines[4].lower().endswith("a difference that is not shown is no evidence of equality.")
+    assert (
+        lines[4]
+        .lower()
+        .endswith("a difference that is not significant is not evidence of equality.")
+    )
 
 
 def test_the_primary_outcome_of_the_plan_comes_first(data):

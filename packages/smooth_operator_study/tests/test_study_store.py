@@ -421,7 +421,9 @@ def test_stores_that_can_not_be_opened(tmp_path):
     with sqlite3.connect(tmp_path / "newer.db") as database:
         database.execute("CREATE TABLE events (id INTEGER)")
         database.execute("PRAGMA user_version = 9")
-    with pytest.raises(StudyError, match="in format 9, this program reads 1: update it"):
+    with pytest.raises(
+        StudyError, match="in format 9, but this program reads 1: update the program"
+    ):
         open_study(tmp_path / "newer.db")
 
 

@@ -72,7 +72,7 @@ def margins_of(words: Iterable[str]) -> dict[str, float]:
                 f"expected OUTCOME=DIFFERENCE as in success=0.1, not {word!r}"
             ) from None
         if outcome in margins:
-            raise ValueError(f"{outcome} comes twice")
+            raise ValueError(f"{outcome} occurs twice")
         margins[outcome] = margin
     check_margins(margins)
     return margins
