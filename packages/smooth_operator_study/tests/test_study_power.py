@@ -226,7 +226,7 @@ def test_honest_tests_err_less_and_find_less(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--operators", "2"], "from 3 on"),
+        (["--operators", "2"], "of at least 3"),
         (["--success", "sbr=1.5"], "probability from 0.005 to 0.995"),
         (["--success", "ako=0.5"], "set for 'ako'"),
         (["--time", "sbr"], "NAME=NUMBER"),

@@ -132,7 +132,7 @@ class Doubt:
                 "was mirrored, mirror it back: points * (-1, 1, 1)"
             )
         if self.layout is not None:
-            return f"say --layout {self.layout} (in Python: layout={self.layout!r})"
+            return f"use --layout {self.layout} (in Python: layout={self.layout!r})"
         return self.mend or f"reorder them: points[:, {list(self.order or ())}]"
 
     @property
