@@ -318,7 +318,9 @@ def test_exchanged_hands_are_refused(tmp_path, layout):
         wrong, whole = files.wrong_frames(recording.landmarks, recording.valid, side)
         assert (wrong, whole > 20) == (0, True)
     write(tmp_path / name, True)
-    with pytest.raises(RecordingError, match="right hand: by its shape this is a left hand"):
+    with pytest.raises(
+        RecordingError, match="right hand: judging by its shape, this is a left hand"
+    ):
         clip_of(tmp_path / name)
 
 

@@ -554,7 +554,10 @@ def test_a_client_that_is_asked_the_impossible_says_so(monkeypatch):
         (lambda: RemoteTeleop("127.0.0.1:5558"), "not a ZeroMQ address"),
         (lambda: RemoteTeleop("tcp://127.0.0.1:5558", 0.0), "timeout_s"),
         (lambda: RemoteTeleop("tcp://no such:5558").request("x"), "can't be reached"),
-        (lambda: RemoteTeleop("tcp://127.0.0.1:1").request("x", y={1, 2}), "can't be written as JSON"),
+        (
+            lambda: RemoteTeleop("tcp://127.0.0.1:1").request("x", y={1, 2}),
+            "can't be written as JSON",
+        ),
     ):
         with pytest.raises(ConfigError, match=words):
             make()

@@ -241,7 +241,7 @@ def test_a_session_of_the_other_hand_or_in_another_order_is_refused(retargeter, 
     """From its first few frames on, whatever the pose; the next session is judged by itself."""
     mano = np.argsort(LAYOUTS["mano"])
     faults = {
-        "by its shape it is a left hand": lambda points: points * [-1.0, 1.0, 1.0],
+        "judging by its shape, it is a left hand": lambda points: points * [-1.0, 1.0, 1.0],
         "landmarks in the order 'mano'; for a source, set layout=mano": lambda points: points[mano],
     }
     for why, fault in faults.items():

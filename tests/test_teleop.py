@@ -617,11 +617,11 @@ def test_refused_frames_are_counted_in_the_summary(capsys, tmp_path, monkeypatch
     out, err = capsys.readouterr()
     summary = json.loads(out)
     (why,) = summary["frames_refused"]["right"]
-    assert "by its shape it is a left hand" in why
+    assert "by its shape, it is a left hand" in why
     refused = summary["frames_refused"]["right"][why]
     assert refused + summary["frames_overwritten"] == summary["frames_received"] == 60
     assert summary["frames_answered"] == summary["frames_unusable"] == 0
-    assert f"frames refused: {refused} x by its shape it is a left" in err
+    assert f"frames refused: {refused} x judging by its shape, it is a left" in err
     recorded = read_log(log).loop
     events = [event for events in recorded.events.values() for event in events]
     assert sum("frame refused" in event for event in events) == refused

@@ -270,7 +270,7 @@ def test_no_camera_says_what_was_tried(captures, fake):
     ):
         Webcam().start(Mailbox())
     captures.left = [0]
-    with pytest.raises(SourceError, match="another program"):
+    with pytest.raises(SourceError, match="no other program"):
         Webcam().start(Mailbox())
 
 

@@ -129,5 +129,5 @@ def read_words(path: Path) -> TlxWords:
             raise StudyError(f"{path}: expected a table with scales and texts")
         entries = Entries(str(path), table, StudyError)
     else:
-        entries = read_entries(path, "words of NASA-TLX", StudyError, most_bytes=_MOST_BYTES)
+        entries = read_entries(path, "wording of NASA-TLX", StudyError, most_bytes=_MOST_BYTES)
     return _words(entries, ENGLISH.texts)
