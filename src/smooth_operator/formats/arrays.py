@@ -33,8 +33,7 @@ ARRAYS_RATIO: Final = 16
 """Largest size of arrays in memory, as a multiple of the size of the file."""
 
 LOG_RATIO: Final = 64
-"""Largest size of the text of a log in memory, as a multiple of its size in the file; text
-compresses better."""
+"""The same limit for the text of a log, which compresses better."""
 
 NUMBER_BYTES: Final = 8
 """Smallest number of bytes counted per element, because every number is read as float64."""
@@ -69,8 +68,7 @@ class Allowance:
         return cls(path, max(FREE_BYTES, ratio * size))
 
     def take(self, part: str, count: int) -> None:
-        """Counts the bytes of a part before it is unpacked. A part that is unpacked again is
-        counted once.
+        """Counts the bytes of a part before it is unpacked. A repeated part counts once.
 
         Raises:
             TooLargeError: the total would exceed the limit.

@@ -134,8 +134,7 @@ def read_preset_file(path: Path) -> PresetFile:
     """Reads a preset file.
 
     Raises:
-        ConfigError: the file does not exist or is not a preset file; the message says what is
-            expected.
+        ConfigError: the file does not exist or is not a preset file.
     """
     entries = read_entries(path, "preset file", most_bytes=_MOST_BYTES)
     entries.check_format(FORMAT)

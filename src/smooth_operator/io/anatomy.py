@@ -4,8 +4,7 @@ Order: the distances between neighbouring landmarks hardly depend on the pose. T
 compared with those of a human hand for every order of the fingers and for the layouts of other
 trackers and datasets (``LAYOUTS``). Points that match no order are not a hand. Side: fingers bend
 to the palm, the thumb's base is in front of it, and the knuckles arch away from it; a mirror image
-has the opposite properties. ``smooth_operator_research.judging.input_check`` measures both on real
-recordings.
+has the opposite properties. ``smooth_operator_research.judging.input_check`` measures both.
 """
 
 from __future__ import annotations
@@ -71,8 +70,7 @@ Over five frames recordings come to 0.6 at most, with 4 mm of noise too, the bui
 """
 
 NO_HAND_FRAME: Final = 1.5
-"""Largest mean deviation of the lengths in a single frame. Frames with 8 mm of noise stay below
-it."""
+"""Largest mean deviation of the lengths in one frame. Frames with 8 mm of noise are below it."""
 
 _LONGEST: Final = 2.0  # palm lengths of any length; 1.1 in hands and robot hands
 _UNSTEADY: Final = 0.3  # of the logarithms of bones; recordings 0.1, with 15 mm of noise 0.23
@@ -181,8 +179,7 @@ def in_our_order(
     """Converts points of a layout to the project's 21 landmarks.
 
     ``aria`` has the centre of the palm instead of the thumb's CMC. The CMC is estimated from the
-    wrist and the MCPs of thumb, index and pinky, with a mean error of 6 to 11 mm in recordings of
-    gloves and cameras.
+    wrist and the MCPs of thumb, index and pinky, with a mean error of 6 to 11 mm.
 
     Raises:
         UnknownNameError: there is no such layout.
@@ -325,13 +322,11 @@ def _of_the_other(side: Side) -> Doubt:
 
 
 def chirality(landmarks: Float[np.ndarray, "T 21 3"]) -> Float[np.ndarray, " T"]:
-    """Chirality of each frame, judged by its shape: positive for a right hand, negative for a left
-    hand.
+    """Chirality of each frame, judged by its shape: positive for a right hand, else negative.
 
     It is the sum of three terms: the distance of thumb CMC and MCP in front of the plane of the
     palm, the distance of middle and ring MCP behind it, both in palm lengths, and the mean sine of
-    the fingers' bends. It is at most 2. A mirror image has the negative. Landmarks that are NaN
-    have no effect.
+    the fingers' bends. It is at most 2. A mirror image has the negative. NaN has no effect.
 
     Args:
         landmarks: (T, 21, 3) positions in the project's order, in any right-handed frame.
@@ -345,8 +340,7 @@ def sides(landmarks: Float[np.ndarray, "T 21 3"]) -> Int[np.ndarray, " T"]:
     """Side of each frame, judged by its shape: 1 right, -1 left, 0 unknown.
 
     Bent fingers determine the side. Straight fingers determine it only if thumb and knuckles stand
-    out clearly, because trackers disagree about the palm of a flat hand. Landmarks that are NaN
-    have no effect.
+    out clearly, because trackers disagree about the palm of a flat hand. NaN has no effect.
 
     Args:
         landmarks: (T, 21, 3) positions in the project's order, in any right-handed frame.
@@ -408,8 +402,7 @@ class HandCheck:
     def see(
         self, landmarks: Float[np.ndarray, "21 3"], valid: Bool[np.ndarray, "21"], at: float
     ) -> Doubt | None:
-        """Adds a frame and returns the problem with the last frames; None if there is no problem or
-        too little data.
+        """Adds a frame and returns the problem with the last frames; None if there is none.
 
         Args:
             landmarks: positions [m].

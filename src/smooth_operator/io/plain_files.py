@@ -3,8 +3,7 @@
 The parsers of the standard library accept texts that later cause failures: brackets nested until
 the stack ends, whole numbers of thousands of digits that no float holds, dotted keys that take
 minutes. Every document from a user, a file or a network is read with ``read_text``, ``parse_toml``
-(``io.entries``) or ``parse_json`` (``io.documents``), so that callers only need to handle one
-error, ``DocumentError``.
+(``io.entries``) or ``parse_json`` (``io.documents``), which only raise ``DocumentError``.
 """
 
 from __future__ import annotations

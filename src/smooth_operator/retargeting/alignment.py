@@ -1,5 +1,4 @@
-"""Alignment of human landmarks to the robot's palm frame, by Kabsch-Umeyama on the palm
-landmarks."""
+"""Alignment of human landmarks to the robot's palm, by Kabsch-Umeyama on the palm landmarks."""
 
 from __future__ import annotations
 

@@ -5,8 +5,7 @@ robot's fingers are up to twice as long as a human's. Therefore each fingertip t
 relative to the robot's own knuckle, at the same distance as the human's fingertip from the human
 knuckle, in units of finger length. When thumb and finger approach each other, their targets move
 together until the vector between them equals the human's. The lengths of the human's fingers are
-measured in each frame, because trackers stretch bones: a finger is as straight as its own frame
-shows it.
+measured in each frame, because trackers stretch bones.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from smooth_operator.settings import check_numbers
 
 _FOLDS: Final = 0.2  # range of extensions in which a finger begins to count as unfolded
 _POSES: Final = 256  # random ones, for the thumb's length
-# distance up to which pinches are pressed fully [m]; at twice this distance they are not pressed
+# distance of full pressing [m]; none at twice this distance
 _PRESSED: Final = 0.012
 _TINY: Final = 1e-9
 
@@ -38,8 +37,8 @@ class CorrespondenceConfig:
     """Settings of the correspondence of human and robot fingers.
 
     Attributes:
-        share: interpolation between the human's aligned fingertip (0) and the target on the robot's
-            finger (1).
+        share: interpolation from the human's aligned fingertip (0) to the robot finger's target
+            (1).
         near: distance between thumb and finger, on the robot's scale, below which the vector
             between their targets equals the human's [m].
         far: distance above which thumb and finger do not affect each other's targets [m].
@@ -47,13 +46,10 @@ class CorrespondenceConfig:
             distances that are large compared to it [m].
         folded: extension of a finger (base-to-tip distance over length) at which a pinch has half
             effect, because a thumb next to a fist is not pinching. 0 disables this.
-        thumb_share: weight of a nearby finger in the thumb's target; the weight of the thumb itself
-            is 1.
-        thumb_follows: weight of a finger at any distance, which keeps the thumb on the same side of
-            the hand as the human's.
+        thumb_share: weight of a nearby finger in the thumb's target; that of the thumb is 1.
+        thumb_follows: weight of a finger at any distance, to keep the thumb on the human's side.
         catch_up: margin by which the speed of a fingertip target may exceed the human's step times
-            the finger's gain, because changes of finger lengths and pinches also move targets
-            [m/s].
+            the finger's gain, because finger lengths and pinches also move targets [m/s].
     """
 
     share: float = 1.0

@@ -8,8 +8,7 @@ therefore begin without delay, a few shake amplitudes behind the human's, and ca
 
 The amplitude of the shake is measured during use: it is the deviation of points from steady motion
 over some hundredths of a second, in the quietest quarter of the time. This measure does not depend
-on the frame rate. Steps that are too long for a hand are followed only in part, so outliers have
-little effect.
+on the frame rate. Steps that are too long for a hand are followed only in part.
 """
 
 from __future__ import annotations
@@ -44,8 +43,7 @@ class FingertipFilterConfig:
 
     Attributes:
         share: fraction of a point's step that is followed at once at rest; 1 disables the filter.
-        reach: distance from the filtered point, in shake amplitudes, at which half of the rest of a
-            step is followed.
+        reach: distance from the filtered point, in shakes, at which half of the rest is followed.
         settle: time in which a resting point is reached [s].
         jump: step per frame of which half is followed, at a high frame rate [m].
         jump_speed: growth of ``jump`` with the time between two frames [m/s].

@@ -39,8 +39,7 @@ FLAT_HAND: Final[Float[np.ndarray, "21 3"]] = np.array(
 """Landmarks of a flat right hand, 0.19 m long: palmar, radial, distal from the wrist [m].
 
 It is the hand of the built-in operator, ``pose_hand(draw_anatomy(0.19, 0), zeros)`` of
-``smooth_operator.synthetic``; a test compares the two. They are stored as numbers, so no hand model
-is needed.
+``smooth_operator.synthetic``; a test compares the two. No hand model is needed.
 """
 
 
@@ -73,7 +72,6 @@ def open_rays(hand: Hand) -> Float[np.ndarray, "F 3"]:
     """(F, 3) vectors from base to tip of the open hand, palm frame [m].
 
     Its joints are at zero, or as close to zero as their limits allow, because vendors define the
-    open hand there. At the neutral pose, and therefore at ``Hand.straight_pose``, many hands have
-    bent knuckles.
+    open hand there. At the neutral pose, as at ``Hand.straight_pose``, knuckles are often bent.
     """
     return finger_rays(hand, np.clip(0.0, *hand.limits.T))

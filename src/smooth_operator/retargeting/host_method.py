@@ -31,13 +31,11 @@ class HostMethod(Method):
 
     @abstractmethod
     def prepare(self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]) -> Any:
-        """Returns the problem of one frame as a pytree, for the arguments of ``step``;
-        traceable."""
+        """Returns the problem of one frame as a pytree, from the arguments of ``step``."""
 
     @abstractmethod
     def solve(self, state: Any, problem: Any) -> tuple[Any, MethodOutput]:
-        """Solves a problem that ``prepare`` returned, with the same state. Takes and returns NumPy
-        arrays; has no side effects."""
+        """Solves a problem of ``prepare``, with NumPy arrays and without side effects."""
 
     def step(
         self, state: Any, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]

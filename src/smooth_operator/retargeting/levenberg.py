@@ -27,8 +27,7 @@ DAMPINGS: Final = (0.0, 0.2, 2.0)
 GROWTH: Final = 20.0
 """Factor on the damping after a step in which no candidate lowers the cost."""
 LEAST: Final = 0.01
-"""Smallest damping. The pull of each joint to the neutral pose contributes five times as much
-curvature."""
+"""Smallest damping. Each joint's pull to the neutral pose has five times this curvature."""
 MOST: Final = 1e5
 """Damping at which a step hardly moves, so the descent ends."""
 
@@ -70,8 +69,7 @@ def newton_candidates(
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     dampings: Float[Array, " c"] | tuple[float, ...],
 ) -> Float[Array, "c m"]:
-    """Returns the (c, m) end points of damped Newton steps from a point, clipped to (m, 2) bounds;
-    one candidate per damping.
+    """Returns the (c, m) ends of damped Newton steps, clipped to (m, 2) bounds, one per damping.
 
     Variables at a bound that the gradient pushes outwards are held fixed. An indefinite damped
     Hessian has no Cholesky factor, so its candidate and its cost are NaN.
@@ -102,12 +100,10 @@ def damped_newton(
     iterations: int,
     still: float = STILL,
 ) -> tuple[Float[Array, " m"], Float[Array, ""], Int[Array, ""]]:
-    """Minimise a cost within bounds, with one evaluation of derivatives per step. The cost never
-    increases.
+    """Minimise a cost within bounds, with derivatives once per step. The cost never increases.
 
     This is Levenberg's method with several damping values in parallel. Where parts of the hand
-    touch, the quadratic model changes from step to step, and a damping that suits one step rarely
-    suits the next.
+    touch, the quadratic model changes from step to step, and so does the best damping.
 
     Args:
         value_grad_hess: (m,) to cost, (m,) gradient and (m, m) Hessian.

@@ -2,8 +2,7 @@
 
 To write your own method, define two classes: a frozen dataclass of settings, derived from
 ``MethodConfig``, whose ``build`` returns the method for one hand; and the method, derived from
-``Method``, whose ``step`` maps the aligned landmarks of one frame to joint positions. Everything
-else has a default.
+``Method``, whose ``step`` maps the aligned landmarks of one frame to joint positions.
 """
 
 from __future__ import annotations
@@ -55,13 +54,11 @@ class Method(ABC):
     hand: Hand
 
     on_host: ClassVar[bool] = False
-    """True for a ``HostMethod``, whose solver runs on the host; False for a single compiled
-    program."""
+    """True for a ``HostMethod``, whose solver runs on the host, outside the program."""
 
     uneven: ClassVar[bool] = False
     """True if the solver takes much longer for some frames than for others. On a CPU, each
-    recording then runs in its own thread, because frames in one batch would wait for the
-    slowest."""
+    recording then runs in its own thread, because batches wait for the slowest."""
 
     @property
     @abstractmethod
@@ -146,8 +143,7 @@ class MethodConfig(ABC):
 
     shareable: ClassVar[bool] = True
     """True if retargeters with equal settings, and those of a mirrored hand, may share one compiled
-    program. False if the settings do not determine the program, for example if they contain the
-    path of a file."""
+    program. False if the settings do not determine the program, such as the path of a file."""
 
     color: ClassVar[str | None] = None
     """Colour of a plugin's method in reports, ``#rrggbb``; None derives a colour from its name. The
@@ -155,8 +151,7 @@ class MethodConfig(ABC):
 
     @property
     def one_thread(self) -> bool:
-        """True if one thread is faster than one per core. Otherwise loops use the widest
-        vectors."""
+        """True if one thread is faster than one per core. Otherwise vectors are widest."""
         return True
 
     @abstractmethod
@@ -164,8 +159,7 @@ class MethodConfig(ABC):
         """The method for one hand.
 
         Raises:
-            SmoothOperatorError: the method can't be used with the hand; the message gives the
-                reason.
+            SmoothOperatorError: the method can't be used with the hand, for the given reason.
         """
 
     def with_alignment(self: C, **changes: Any) -> C:
@@ -177,16 +171,14 @@ class MethodConfig(ABC):
         return _replaced(self, alignment=dataclasses.replace(self.alignment, **changes))
 
     def with_file(self: C, path: Path) -> C | None:
-        """These settings with a file that replaces a preset, such as a trained model; None if the
-        method does not use files."""
+        """These settings with a file, such as a trained model; None if the method uses no files."""
         del path
         return None
 
     def without_pull(self: C) -> C:
         """These settings with almost no pull to the neutral pose, to test a hand or a solver.
 
-        A small pull remains, to decide between joint positions that match the landmarks equally
-        well.
+        A small pull remains, to decide between equally good joint positions.
         """
         return self
 
@@ -215,16 +207,14 @@ def _replaced(config: C, **changes: Any) -> C:
 
 
 _SHORTEST: Final = 0.5 / RATE_RANGE_HZ[1]
-"""Shortest time between frames [s], half a period of the fastest tracker. Frames that arrive in a
-burst count as this far apart."""
+"""Shortest time between frames [s], half a period of the fastest tracker. It limits bursts."""
 
 
 USUAL_RATE: Final = 100.0
 """Frame rate that is assumed if timestamps do not increase [Hz]."""
 
 LONGEST_GAP: Final = 0.25
-"""Longest time between frames that counts as motion [s]. After a longer gap, the last command is
-not used."""
+"""Longest time between frames that counts as motion [s]; after it, the last command is not used."""
 
 
 class FrameClock(NamedTuple):

@@ -205,8 +205,7 @@ class _Near(NamedTuple):
 
 class _Chosen(NamedTuple):
     """Positions of a term's points in the list of all points, which is in the order of the terms.
-    ``at`` is a slice if they are adjacent, which is cheaper; ``end`` is one more than the last
-    index."""
+    ``at`` is a slice if they are adjacent, which is cheaper; ``end`` is exclusive."""
 
     at: slice | np.ndarray
     end: int
@@ -219,8 +218,7 @@ class _Chosen(NamedTuple):
         return cls(slice(first, last + 1) if neighbours else np.array(index), last + 1)
 
     def added(self, total: Float[Array, "T 3"], values: Float[Array, "P 3"]) -> Array:
-        """Adds a term's gradient to the sum of the previous terms; the sum is longer if the term
-        adds points."""
+        """Adds a term's gradient to the sum, which becomes longer if the term adds points."""
         rows = len(total)
         if isinstance(self.at, slice) and self.at.start == rows:
             return jnp.concatenate([total, values]) if rows else values

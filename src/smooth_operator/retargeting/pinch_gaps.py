@@ -65,8 +65,7 @@ class PinchGapState(NamedTuple):
         """State before the first frame, for the fingers of a hand, thumb first; see ``check_gaps``.
 
         Args:
-            known: known gaps of the tracker or the operator, by finger; None disables the closing
-                of gaps.
+            known: known gaps of the tracker or the operator, by finger; None closes no gaps.
         """
         check_gaps(known or {})
         zero = np.zeros(len(fingers) - 1, np.float32)
@@ -137,8 +136,7 @@ class PinchGapEstimate:
         dt: Float[Array, ""],
         restart: Bool[Array, ""],
     ) -> PinchGapState:
-        """Updates the state with a frame's distances from the thumb [palm lengths] and
-        extensions."""
+        """Updates the state with a frame's thumb distances [palm lengths] and extensions."""
         level = jnp.clip(state.level, distance - _STEADY, distance + _STEADY)
         held = jnp.where((level == state.level) & ~restart, state.held + dt, 0.0)
         remaining = distance - state.closed

@@ -1,5 +1,4 @@
-"""The program of one frame: computes a command, a status and the next state from landmarks and
-state.
+"""The program of one frame: computes command, status and next state from landmarks and state.
 
 Traced functions take the state as trees of arrays. Between frames the state is one array, because a
 program takes and returns one array in a third of the time of twenty.
@@ -124,8 +123,7 @@ class RetargetState:
         words: (n,) joined 32-bit arrays of the method's state and the last command.
         others: further arrays of the method's state.
         layout: positions of the state's arrays in ``words`` and ``others``.
-        stamp: timestamp of the last frame [s] if the retargeter counts frames at a rate; otherwise
-            None. It stays on the host.
+        stamp: timestamp of the last frame [s] with a frame rate, otherwise None; on the host.
         answered: timestamp [s] and ticks (``tick_after``) of the last frame with a command; None
             before the first. They stay on the host, in the precision of a timestamp.
     """
@@ -242,8 +240,7 @@ def align_frame(
 
 
 def packed_result(*parts: Array | np.ndarray | float) -> Array:
-    """Joined into one array, because the host's reading time depends on the number of arrays, not
-    on their size."""
+    """Joined into one array, because reading each array has a cost."""
     return jnp.concatenate([jnp.atleast_1d(jnp.asarray(part, jnp.float32)) for part in parts])
 
 
@@ -325,8 +322,7 @@ def ticks_of(stamps: Float[ArrayLike, "*R T"]) -> UInt32[np.ndarray, "*R T"]:
 
     Args:
         stamps: (..., T) timestamps of the frames of recordings [s]. A timestamp that is not finite
-            counts as 0. A step back counts as -1 tick, and a step over ``LONGEST_TICKS`` as
-            ``LONGEST_TICKS``.
+            counts as 0. A step back counts as -1 tick, and longer ones are cut.
     """
     whole = np.round(np.nan_to_num(np.asarray(stamps, float), posinf=0.0, neginf=0.0) * 1e6)
     passed = np.diff(whole, axis=-1, prepend=whole[..., :1])
@@ -359,8 +355,7 @@ class SharedProgram(NamedTuple):
     Attributes:
         method: the method that it was made from.
         run: the program of one frame.
-        reflects: True if the program is that of the hand's mirror image and takes reflected
-            landmarks.
+        reflects: True if the program is that of the hand's mirror image.
         compiled: set after the first frame with the status OK.
     """
 

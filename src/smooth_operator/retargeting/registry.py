@@ -1,8 +1,7 @@
 """Registry of the built-in and plugin methods by name. This module does not import JAX.
 
 A name refers to a mapping of preset names to configurations, of which the first is the default, or
-to one configuration, whose preset is called ``default``. A class of configurations refers to its
-instance without arguments.
+to one configuration, whose preset is called ``default``. A class refers to its default instance.
 """
 
 from __future__ import annotations

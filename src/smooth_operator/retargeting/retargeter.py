@@ -1,5 +1,4 @@
-"""Retargeter: converts hand frames to joint commands with one compiled program and explicit
-state."""
+"""Retargeter: converts hand frames to joint commands, with explicit state."""
 
 from __future__ import annotations
 
@@ -58,13 +57,11 @@ class Retargeter:
     clock and refuses a frame without a timestamp unless there is a rate.
 
     A frame that is invalid, not finite, degenerate or not a hand in metres gives the last good
-    command (before the first good frame: the neutral pose) with a status that says why, and does
-    not change the state.
+    command (before the first good frame: the neutral pose) with a status, and keeps the state.
 
     Args:
         hand: name of a hand, the path of a spec file, a description, or a loaded hand.
-        side: side of a hand that is given by name. Default: ``right``. A spec file defines its own
-            side.
+        side: side of a hand that is given by name. Default: ``right``.
         method: name of the method.
         preset: name of the preset; None for the method's default.
         config: a configuration of your own, instead of method and preset.
@@ -85,8 +82,7 @@ class Retargeter:
     Raises:
         UnknownNameError: for an unknown hand, method or preset.
         HandModelError: if the hand's model can't be used.
-        ConfigError: if the rate is outside 1 to 2000 Hz, or a pinch gap is outside 0 to 1 palm
-            length.
+        ConfigError: if the rate is outside 1 to 2000 Hz, or a pinch gap outside 0 to 1 palm length.
     """
 
     def __init__(
@@ -141,8 +137,7 @@ class Retargeter:
 
         Args:
             seed: seed of the random numbers; None for the retargeter's own.
-            before: an earlier state of the same operator, whose estimate of pinch gaps is
-                continued.
+            before: earlier state of the operator, whose pinch gap estimate is continued.
         """
         method = self.method.init(self.seed if seed is None else seed)
         if before is None:
@@ -205,8 +200,7 @@ class Retargeter:
             state: a state from ``step``; None for the internal state.
 
         Returns:
-            (F, 3), thumb first; None before the first frame, and for methods without fingertip
-            targets.
+            (F, 3), thumb first; None before the first frame or without fingertip targets.
         """
         state = self._state if state is None else state
         targets = self.method.fingertip_targets(state.method)
@@ -239,8 +233,7 @@ class Retargeter:
     def program_landmarks(
         self, landmarks: Float[np.ndarray, "*batch 21 3"]
     ) -> Float[np.ndarray, "*batch 21 3"]:
-        """Converts landmarks [m] for the program: to its precision, reflected if the program is
-        that of the mirror image."""
+        """Converts landmarks [m] to the program's precision, and reflects them if necessary."""
         with np.errstate(over="ignore"):  # overflows are not finite, which has its own status
             points = landmarks.astype(np.float32, copy=False)
         return points * _REFLECTION if self.shared.reflects else points
@@ -315,8 +308,7 @@ class Retargeter:
             elapsed time [s].
 
         Raises:
-            HandModelError: no command was found for these frames, so the hand or the method has a
-                problem.
+            HandModelError: no command was found for these frames.
         """
         from smooth_operator.retargeting.flat_hand import FLAT_HAND
 
@@ -377,8 +369,7 @@ class Retargeter:
         """Retargets recordings of any length in parallel in one program, each from a fresh state.
 
         A result equals that of ``run`` except for rounding and for latencies, which are NaN. It
-        does not depend on the other recordings. Methods with a solver on the host process one
-        recording after the other.
+        does not depend on the other recordings. Methods with a solver on the host run in turn.
 
         Args:
             recordings: recordings of the retargeter's side; the other side raises ``ConfigError``.
@@ -406,8 +397,7 @@ class Retargeter:
         seed: int | None = None,
         lanes: int | None = None,
     ) -> BatchArrays:
-        """Retargets recordings that are stored in one array: like ``batch``, without creating
-        objects.
+        """Retargets recordings in one array: like ``batch``, without creating objects.
 
         On a GPU, ``batch`` spends half of its time on objects. Unknown landmarks are NaN, and so
         are the missing frames at the end of shorter recordings.

@@ -5,8 +5,7 @@ human's fingertips, while their positions are corrected gradually, mostly during
 that can reach the human's positions reach them exactly. The thumb's vectors are controlled by angle
 and length, not by distance alone. The thumb's pad faces in the same direction as the human's. Parts
 of the hand do not penetrate each other. The fingertip filter removes most of the tracker's shake
-and limits its jumps. docs/explanation/smooth.md has the equations, smooth-appendix.md the
-measurements.
+and limits its jumps. docs/explanation/smooth.md has the equations.
 """
 
 from __future__ import annotations
@@ -69,13 +68,11 @@ error decays in the same time at any frame rate."""
 
 ASTRAY: Final = 0.01
 """Distance from its target at which a fingertip is lost [m], in excess of the distance of the
-nearest pose in the table. Its motion then has half of its weight, and hardly any weight farther
-away."""
+nearest pose in the table. Its motion then has half of its weight."""
 PATIENCE: Final = 0.3
 """Time for which a fingertip must be lost before another pose is searched [s]."""
 BETTER: Final = 0.7
-"""The other pose is used if its cost is less than this fraction of the cost of the hand's own
-pose."""
+"""Cost of another pose, relative to that of the hand's own pose, below which it is used."""
 LEAP: Final = (0.03, 1.0)
 """Distance [m] and speed [m/s] beyond which a fingertip has jumped between two frames: the tracker
 is wrong now, or was wrong before."""
@@ -97,8 +94,7 @@ class SmoothConfig(ObjectiveMethodConfig):
         pinch_damping: added to the velocity weight of joints that move the thumb or a finger that
             is latched to it, because moving fingers roll a held object out of the pinch. It falls
             with speed like the motion weight, so that an opening hand is not held back.
-        spread_weight: cost of a long finger that spreads by more than 0.2 rad to one side, per
-            squared radian of excess.
+        spread_weight: cost of the squared excess of a long finger's spread over 0.2 rad [1/rad^2].
         pad_weight: cost of one minus the cosine between the last segments of the robot's and the
             human's thumb.
         fingertip_position: cost of small position errors of fingertips.
@@ -195,8 +191,7 @@ class _Observed(NamedTuple):
     possible: Float[Array, " F"]
 
     def beyond(self, tips: Float[Array, "F 3"]) -> Float[Array, " F"]:
-        """Excess distance of the fingertips from their targets, compared with the pose of the table
-        [m]."""
+        """Distance of the fingertips from their targets, beyond that of the table's pose [m]."""
         off = tips - self.places
         return jnp.maximum(jnp.sqrt((off * off).sum(-1)) - self.possible, 0.0)
 
@@ -385,8 +380,7 @@ class Smooth(Method):
     def _solve(
         self, state: SmoothState, frame: _Observed
     ) -> tuple[Float[Array, " m"], Float[Array, "F 3"], Float[Array, ""]]:
-        """Returns the (m,) solution [rad], its (F, 3) fingertips [m], and the time for which a
-        finger has been lost [s].
+        """Returns the (m,) solution, its (F, 3) fingertips [m], and the time of a lost finger [s].
 
         Normally, one descent starts from the last command. Without a last command, and shortly
         after a fingertip has jumped, two descents without the terms about the past start from the
@@ -468,8 +462,7 @@ SMOOTH_PRECISE: Final = replace(
     direction_length=DirectionLengthConfig(direction=2.5),
 )
 """Preset for the paper's metrics: matches the human's fingertip positions after aligning the palms,
-and gives priority to the directions from the thumb. Fingers with other lengths than the human's
-stay bent in an open hand."""
+and gives priority to the directions from the thumb. Fingers may stay bent in an open hand."""
 
 SMOOTH_OFFLINE: Final = TrajectoryMethodConfig(
     SMOOTH_PRECISE,

@@ -35,8 +35,7 @@ BELOW_THUMB_TIP: Final = LANDMARKS[TIPS[0] - 1]
 _SHORT: Final = 0.002
 """Smoothing length of vectors, because a vector of length 0 has no direction [m]."""
 _LEAST: Final = 0.25
-"""Fraction of the curvature that is kept if a vector points away, where the true curvature is
-negative."""
+"""Fraction of the curvature that is kept if a vector points away, where it is negative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +165,11 @@ def _turned(
 
 @dataclass(frozen=True, eq=False)
 class PadDirection(PointTerm):
-    """Cost term that points the thumb's last segment like the human's, which orients the thumb's
-    pad.
+    """Cost term that points the thumb's last segment, and so its pad, like the human's.
 
     Weight times one minus the cosine between the two segments. Most thumbs have more joints than
-    the position of the fingertip determines. The direction of the pad then determines whether a
-    held object stays or rolls.
+    the position of the fingertip determines. The direction of the pad decides if a held object
+    rolls.
 
     Attributes:
         hand: the robot hand.
@@ -279,8 +277,7 @@ class DirectionLengthConfig:
 
 @dataclass(frozen=True, eq=False)
 class DirectionLength(VectorTerm):
-    """Cost term on direction (1 - cosine) and length errors of the vectors from the thumb's tip to
-    the other tips.
+    """Cost term on direction (1 - cosine) and length errors of the vectors from the thumb's tip.
 
     Where parts that touch keep a short vector from its target, the nearest point to the target may
     lie in any direction. With a cost of its own, the direction stays the human's.
@@ -328,8 +325,7 @@ class SelfCollisionConfig:
     Attributes:
         weight: weight of a pair that is too close, in the units of a keyvector's weight: the cost
             is weight x d^2 / (2 x 20 mm) for a depth d; 0 leaves the term out.
-        margin: distance below which a pair counts [m]. A negative margin allows soft parts to
-            overlap.
+        margin: distance below which a pair counts [m]. If negative, soft parts overlap.
     """
 
     weight: float = 12000.0
@@ -341,8 +337,7 @@ class SelfCollisionConfig:
 
 @dataclass(frozen=True, eq=False)
 class SelfCollision(PointTerm):
-    """Cost term on self-collision: squared depth of each pair of capsules that are closer than the
-    margin."""
+    """Cost term on self-collision: squared depth of pairs of capsules within the margin."""
 
     hand: Hand
     config: SelfCollisionConfig

@@ -1,6 +1,4 @@
-"""Keyvectors, the base class of policies that set their targets and weights, and the policy of
-``smooth``.
-"""
+"""Keyvectors, and the policies that set their targets and weights: base class and ``smooth``."""
 
 from __future__ import annotations
 
@@ -25,8 +23,7 @@ from smooth_operator.settings import check_numbers
 class VectorLayout(ABC):
     """Vectors between landmarks for which a target policy sets targets.
 
-    Subclasses define ``vectors``. The corresponding points of a robot have the same names as the
-    landmarks.
+    Subclasses define ``vectors``. The robot's points have the names of the landmarks.
     """
 
     @property
@@ -156,14 +153,12 @@ class TargetPolicy(ABC, Generic[LayoutT, StateT]):
 class CloseTargets(TargetPolicy[KeyvectorLayout, Bool[Array, " P"]]):
     """Targets of ``smooth``: the human's vectors from the wrist and from the thumb's tip.
 
-    The vectors from the wrist have a weight; those from the thumb only have the costs of
-    ``DirectionLength``.
+    The vectors from the wrist have a weight; those from the thumb only have ``DirectionLength``.
 
     Attributes:
         w_wrist: weight of the wrist-to-tip keyvectors.
         project, escape: a finger is latched to the thumb when the distance of their tips falls
-            below ``project``, and released when it rises above ``escape`` [m]. Latching does not
-            change the targets.
+            below ``project``, and released when it rises above ``escape`` [m].
     """
 
     w_wrist: float = 18.0

@@ -45,8 +45,7 @@ class FrameGoal(NamedTuple):
         weights: (K,) their weights.
         previous: (m,) last command of the actuated joints [rad].
         velocity_weight: lambda_vel of the frame, or (m,) of each joint; 0 without a last command.
-        tips: (F, 3) positions that fingertips reach if they copy the human's motion [m]; only for
-            the term of fingertip motion.
+        tips: (F, 3) where fingertips arrive with the human's motion [m]; for the motion term only.
         motion_weights: (F,) weights of that term, in the units of a keyvector's weight.
         pad: (3,) direction of the last segment of the human's thumb; for ``PadDirection`` only.
     """
@@ -70,8 +69,7 @@ class Quadratic(NamedTuple):
         cost: cost at the pose.
         gradient: (P, 3) of the cost with respect to the term's points.
         rows: (R, J) derivatives of R residuals with respect to the J joints; or (K, 3, J) if second
-            derivatives mix residuals in groups of three; or a function that computes the rows from
-            a motion.
+            derivatives mix residuals in groups of three; or a function of a motion.
         weights: (R,) second derivatives of the cost with respect to the residuals; or (K, 3, 3).
     """
 
@@ -107,8 +105,7 @@ class PointTerm(Term, ABC):
         """Names of the P points: landmarks that a joint moves, or points of ``own_points``."""
 
     def own_points(self) -> Mapping[str, tuple[int, np.ndarray]]:
-        """Points that are not landmarks: maps names to (body of the model, (3,) position in it
-        [m])."""
+        """Further points: maps names to (body of the model, (3,) position in it [m])."""
         return {}
 
     @abstractmethod
@@ -226,8 +223,7 @@ class VectorSlopes(NamedTuple):
     Attributes:
         cost: sum of their costs.
         first: (K, 3) first derivative with respect to each vector.
-        second: (K, 3) second derivative without negative parts, if components are independent;
-            otherwise (K, 3, 3).
+        second: (K, 3) second derivative without negative parts; (K, 3, 3) if components mix.
     """
 
     cost: Float[Array, ""]
@@ -328,8 +324,7 @@ class LeastSquaresTerm(PointTerm):
 
     @abstractmethod
     def residuals(self, points: Float[Array, "P 3"], goal: FrameGoal) -> Float[Array, " R"]:
-        """(R,) residuals at one pose, each multiplied by the square root of its weight;
-        differentiable."""
+        """(R,) residuals at one pose, each times the square root of its weight."""
 
     def expand(
         self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal

@@ -13,8 +13,7 @@ from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.settings import LARGEST, check_numbers
 
 SPEEDING: Final = 500.0
-"""Cost of a joint's change beyond the speed limit [1/rad^2]; the cost of a frame is about a few
-units."""
+"""Cost of a joint's change beyond the speed limit [1/rad^2]; a frame costs a few units."""
 
 
 @dataclass(frozen=True)
