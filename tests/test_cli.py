@@ -177,13 +177,13 @@ def user_errors(folder: Path) -> dict[str, tuple[tuple[object, ...], str]]:
         "onto itself": (("retarget", glove, "--output", glove), "is the recording itself"),
         "foreign json": (
             ("retarget", glove, "--output", folder / "foreign.npz"),
-            "holds something else",
+            "it exists and is not a configuration",
         ),
         "under a file": (
             ("retarget", glove, "--output", folder / "file" / "out.npz"),
-            "a file stands where a folder",
+            "it is a file, but a folder is expected",
         ),
-        "demo on a file": (("demo", "--output", folder / "file"), "a file stands there"),
+        "demo on a file": (("demo", "--output", folder / "file"), "it is a file; name a folder"),
         "demo too short": (("demo", "--duration", 0, "--output", folder / "d"), "duration must be"),
         "demo loss": (("demo", "--frame-loss", -1, "--output", folder / "d"), "frame_loss must be"),
         "no commands": (("view", glove, glove), "not a file of commands"),
@@ -288,10 +288,11 @@ def test_a_summary_says_what_is_good_and_what_to_do(capsys):
     print_summary("a title", "smooth", SUMMED, ["Next: something"])
     lines = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
     assert [mark for mark, _ in lines[1:6]] == ["good", "look", "good", "–", "look"]
-    text = "\n".join(sentence for _, sentence in lines)
+    text = " ".join(" ".join(parts) for parts in lines)
+    text = " ".join(text.split())  # the terminal wraps sentences
     assert "7.25° away" in text
     assert "1.75 % of the frames" in text
-    assert "good: up to 10 ms" in text  # a frame at 100 Hz
+    assert "12 ms (good: up to 10 ms, the time between two frames)" in text
     assert text.count("calibrate") == 1
     assert "doctor" in text
     assert lines[-1] == ["Next:", "something"]
@@ -481,7 +482,9 @@ def test_a_command_of_another_distribution_says_what_to_install(
     assert main(command.split()) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.endswith(distribution)
-    assert "which is not installed; in a clone of the repository: python -m pip install" in line
+    assert "which is not installed; in a clone of the repository, run: python" in line
+        "which is not installed; in a clone of the repository, run: python -m pip install" in line
+    )
 
 
 def test_a_plugin_adds_a_command_to_a_group(monkeypatch, capsys):

@@ -73,7 +73,7 @@ SUMMARY: Final = (
            "There are too few frames to detect jumps",
            "check the jumps with smooth-operator view; the tracker may have jumped as well"),
     Figure("latency_ms.p99", None,
-           "99 % of the commands took at most {:.3g} ms (good: up to {:.3g} ms, the time "
+           "Of 100 commands, 99 took at most {:.3g} ms (good: up to {:.3g} ms, the time "
                "between two frames)",
            "Computation time was not measured",
            "smooth-operator doctor shows what slows this machine down"),

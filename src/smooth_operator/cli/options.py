@@ -286,8 +286,8 @@ COMMANDS: Final = Registry(
     "command",
     {name: Entry(f"{kind.__module__}:{kind.__name__}") for name, kind in _COMMANDS.items()},
     elsewhere={
-        name: f"this command belongs to {owner}, which is not installed; install it in a clone of "
-        f"the repository: {line}"
+        name: f"a command of {owner}, which is not installed; in a clone of the repository, run: "
+        f"{line}"
         for name, (owner, line) in _DISTRIBUTIONS.items()
     },
 )
