@@ -97,8 +97,8 @@ def test_what_the_headset_has_not_seen_is_no_hand():
 def test_messages_that_are_none_are_refused():
     good = app.avp_update(both())
     for data, words in (
-        (good[:-3], "cut off"),
-        (good[:500], "cut off"),
+        (good[:-3], "truncated"),
+        (good[:500], "truncated"),
         (b"\xff" * 40, "damaged"),
         (b"\x0b", "not a HandUpdate"),
         (b"\x00\x00", "not a HandUpdate"),

@@ -435,7 +435,7 @@ def test_user_errors_come_before_the_long_work(done, recordings, tmp_path, monke
         (recordings / "broken.npz",): "not a recording",
         (empty,): "contain no recordings",
         (good, "--frames", "900:"): "selects nothing",
-        (good, "--output", foreign): "something other than an earlier benchmark",
+        (good, "--output", foreign): "files that are not from an earlier benchmark",
         (good, "--output", good): "a file stands there",
         (good, "--compare", tmp_path / "gone.json"): "no such file",
         (good, "--compare", tmp_path / "cut.json"): "damaged",

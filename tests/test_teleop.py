@@ -488,7 +488,7 @@ class Unfinished(Sink):
         (["--source", "gloves"], "unknown source 'gloves'"),
         (["--source", "replay:/nowhere.npz"], "/nowhere.npz"),
         (["--sink", "robot"], "unknown sink 'robot'"),
-        (["--sink", "zmq:tcp://127.0.0.1"], "is no ZeroMQ address"),
+        (["--sink", "zmq:tcp://127.0.0.1"], "is not a ZeroMQ address"),
         (["--sink", f"{__name__}:Unfinished"], "it lacks close, label, open, send"),
         (["--hand", "my.urdf"], "hands add my.urdf"),
         (["--source", "synthetic:sped=2"], "Did you mean 'speed'"),

@@ -258,7 +258,7 @@ def test_what_cannot_be_asked_for(words, said, tmp_path, monkeypatch, capsys):
 
 def test_a_folder_of_another_benchmark_is_refused(tmp_path):
     (tmp_path / "config.json").write_text('{"program": "smooth-operator", "command": "bench"}')
-    with pytest.raises(Exception, match="something other than an earlier bench --physics"):
+    with pytest.raises(Exception, match="files that are not from an earlier bench --physics"):
         plan_cases(PhysicsSettings(output=tmp_path))
 
 

@@ -66,8 +66,8 @@ _REASONS = {
     Status.DEGENERATE_PALM: "palm landmarks are collinear or coincident; last good command held",
     Status.SOLVER_FAILED: "the solver found no finite command; last good command held",
     Status.IMPLAUSIBLE_HAND: (
-        "the landmarks do not have the size [m] or shape of a hand of this side (unit, order or "
-        "side may be wrong); last good command held"
+        "the landmarks do not have the size in metres or the shape of a hand of this side (unit, "
+        "order or side may be wrong); last good command held"
     ),
 }
 

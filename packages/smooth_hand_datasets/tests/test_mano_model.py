@@ -170,7 +170,7 @@ def test_what_differs_is_said(tmp_path, arrays):
     }
     for name, (changed, said) in cases.items():
         assert said in refused(tmp_path / name, held, **changed)
-    assert "by its shape, it is a left hand" in refused(tmp_path / "g", arrays["left"])
+    assert "by its shape it is a left hand" in refused(tmp_path / "g", arrays["left"])
     del (short := dict(held))["posedirs"]
     assert "it lacks posedirs" in refused(tmp_path / "h", short)
 
