@@ -436,7 +436,7 @@ def test_user_errors_come_before_the_long_work(done, recordings, tmp_path, monke
         (empty,): "contain no recordings",
         (good, "--frames", "900:"): "selects nothing",
         (good, "--output", foreign): "files that are not from an earlier benchmark",
-        (good, "--output", good): "a file stands there",
+        (good, "--output", good): "it is a file; name a folder",
         (good, "--compare", tmp_path / "gone.json"): "no such file",
         (good, "--compare", tmp_path / "cut.json"): "damaged",
         (good, "--compare", tmp_path / "object.json"): "not a list",
