@@ -177,11 +177,11 @@ def user_errors(folder: Path) -> dict[str, tuple[tuple[object, ...], str]]:
         "onto itself": (("retarget", glove, "--output", glove), "is the recording itself"),
         "foreign json": (
             ("retarget", glove, "--output", folder / "foreign.npz"),
-            "it exists and is not a configuration",
+            "is not a configuration",
         ),
         "under a file": (
             ("retarget", glove, "--output", folder / "file" / "out.npz"),
-            "it is a file, but a folder is expected",
+            "a folder is expected",
         ),
         "demo on a file": (("demo", "--output", folder / "file"), "it is a file; name a folder"),
         "demo too short": (("demo", "--duration", 0, "--output", folder / "d"), "duration must be"),
@@ -483,8 +483,6 @@ def test_a_command_of_another_distribution_says_what_to_install(
     (line,) = capsys.readouterr().err.splitlines()
     assert line.endswith(distribution)
     assert "which is not installed; in a clone of the repository, run: python" in line
-        "which is not installed; in a clone of the repository, run: python -m pip install" in line
-    )
 
 
 def test_a_plugin_adds_a_command_to_a_group(monkeypatch, capsys):

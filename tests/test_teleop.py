@@ -527,7 +527,7 @@ def nothing_slow(monkeypatch: pytest.MonkeyPatch) -> None:
         (["--source", "webxr:127.0.0.1,port={taken}"], "{taken}"),
         (["--sink", "zmq:tcp://127.0.0.1:{taken}"], "{taken}"),
         (["--control", "tcp://127.0.0.1:{taken}"], "{taken}"),
-        (["--sink", "record:{folder}/there.mcap"], "a file stands there already"),
+        (["--sink", "record:{folder}/there.mcap"], "the file already exists"),
         (["--sink", "record:{folder}/none/take.mcap"], "does not exist"),
         (["--source", "video:{folder}/none.mp4"], "none.mp4"),
         (["--source", "replay:{folder}/none.npz"], "none.npz"),
