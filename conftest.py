@@ -23,8 +23,15 @@ import pytest
 # caches, signals. Set when this file is imported, which is before any test module is, and before
 # JAX reads its variables. Worker processes and command lines inherit it.
 _MARK = "SMOOTH_OPERATOR_TEST_HOME"
-_HOMES = ("HOME", "USERPROFILE", "XDG_CONFIG_HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME",
-          "APPDATA", "LOCALAPPDATA")  # fmt: skip
+_HOMES = (
+    "HOME",
+    "USERPROFILE",
+    "XDG_CONFIG_HOME",
+    "XDG_CACHE_HOME",
+    "XDG_DATA_HOME",
+    "APPDATA",
+    "LOCALAPPDATA",
+)
 _ALLOWED = (_MARK,)
 """Variables of this program that a run passes on to its own workers."""
 
@@ -115,16 +122,39 @@ for name in ("SIGHUP", "SIGQUIT"):  # ignored in the same way; commands that tes
 SHARED = Path(__file__).resolve().parents[1] / "shared"
 
 LONG_FILES = (
-    "test_lint.py", "test_live_page.py", "test_study_console_browser.py", "test_examples.py",
-    "test_batch.py", "test_offline_smoother.py", "test_calibration.py", "test_study_analysis.py",
-    "test_slsqp_method.py", "test_published_methods.py", "test_hand_validation.py",
-    "test_corpus.py", "test_cli.py",
-    "test_dynamixel.py", "test_retarget_folder.py", "test_dataset_pipeline.py", "test_parallel.py",
-    "test_smooth.py", "test_texts_on_pages.py", "test_signals.py", "test_study_report.py",
-    "test_hand_matrix.py", "test_study_power.py", "test_remote.py", "test_bad_requests.py",
-    "test_smooth_posture.py", "test_site.py", "test_plugin.py", "test_membership.py",
-    "test_clip.py", "test_extras.py", "test_compiled_program.py",
-)  # fmt: skip
+    "test_lint.py",
+    "test_live_page.py",
+    "test_study_console_browser.py",
+    "test_examples.py",
+    "test_batch.py",
+    "test_offline_smoother.py",
+    "test_calibration.py",
+    "test_study_analysis.py",
+    "test_slsqp_method.py",
+    "test_published_methods.py",
+    "test_hand_validation.py",
+    "test_corpus.py",
+    "test_cli.py",
+    "test_dynamixel.py",
+    "test_retarget_folder.py",
+    "test_dataset_pipeline.py",
+    "test_parallel.py",
+    "test_smooth.py",
+    "test_texts_on_pages.py",
+    "test_signals.py",
+    "test_study_report.py",
+    "test_hand_matrix.py",
+    "test_study_power.py",
+    "test_remote.py",
+    "test_bad_requests.py",
+    "test_smooth_posture.py",
+    "test_site.py",
+    "test_plugin.py",
+    "test_membership.py",
+    "test_clip.py",
+    "test_extras.py",
+    "test_compiled_program.py",
+)
 """Files that take long for how few tests they have, the longest first. They run first: the worker
 that took one of them last would be alone with it. The others follow by number of tests, as
 pytest-xdist has it."""
@@ -180,10 +210,16 @@ def chromium() -> Iterator[Any]:
     path = next((found for name in names if (found := shutil.which(name))), None)
     if path is None:
         pytest.skip(f"no browser: none of {', '.join(names)} is on the path")
-    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
-             "--enable-unsafe-swiftshader", "--webgl-antialiasing-mode=none",
-             "--disable-background-networking",
-             "--disable-component-update", "--disable-sync"]  # fmt: skip
+    flags = [
+        "--no-sandbox",
+        "--use-gl=angle",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--webgl-antialiasing-mode=none",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+    ]
     with sync_api.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=path, headless=True, args=flags)
         yield browser

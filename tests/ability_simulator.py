@@ -23,8 +23,9 @@ class AbilityHand:
 
     def __init__(self, address: int = 0x50) -> None:
         lower, upper = [0.0] * 5 + [-100.0], [100.0] * 5 + [0.0]
-        self.servos = Servos([15.0] * 5 + [-15.0], speed=1200.0, lower=lower, upper=upper,
-                             slack=0.01)  # fmt: skip
+        self.servos = Servos(
+            [15.0] * 5 + [-15.0], speed=1200.0, lower=lower, upper=upper, slack=0.01
+        )
         self.address = address
         self.faults = Faults()
         self.hot = 0

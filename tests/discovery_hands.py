@@ -66,8 +66,9 @@ def make_hand(
     rng = np.random.default_rng(seed)
     size = rng.uniform(0.7, 1.5)
     count = fingers - 1
-    parts: list[Part] = [Part("palm", None, np.zeros(3), end=np.array([0, 0, 0.07]) * size,
-                              radius=0.02 * size)]  # fmt: skip
+    parts: list[Part] = [
+        Part("palm", None, np.zeros(3), end=np.array([0, 0, 0.07]) * size, radius=0.02 * size)
+    ]
     tips: list[tuple[str, Vector]] = []
     label = iter(range(1000))
 
@@ -85,8 +86,18 @@ def make_hand(
                 mimic = (leader, 0.9, 0.05)
             end = last if final else following
             drawn = end if np.linalg.norm(end) > 0.004 else None
-            parts.append(Part(name, parent, offset, axis=axis, joint=joint, limits=(low, high),
-                              end=drawn, mimic=mimic))  # fmt: skip
+            parts.append(
+                Part(
+                    name,
+                    parent,
+                    offset,
+                    axis=axis,
+                    joint=joint,
+                    limits=(low, high),
+                    end=drawn,
+                    mimic=mimic,
+                )
+            )
             parent, offset, leader = name, following, joint
         tips.append((parent, last))
 
@@ -116,8 +127,10 @@ def make_hand(
     if side == "left":
         body = {name: mirrored(p) for name, p in body.items()}
         tips = [(name, tip * (-1, 1, 1)) for name, tip in tips]
-    body = {name: flipped(p) if p.axis is not None and rng.random() < 0.5 else p
-            for name, p in body.items()}  # fmt: skip
+    body = {
+        name: flipped(p) if p.axis is not None and rng.random() < 0.5 else p
+        for name, p in body.items()
+    }
     for name, p in list(body.items()):  # a flipped leader turns its followers' gain round
         if p.mimic is not None:
             leader = next(q for q in body.values() if q.joint == p.mimic[0])
@@ -137,9 +150,18 @@ def make_hand(
     top = None
     first: list[Part] = []
     for k in range(arm):
-        first.append(Part(f"a{k}", top, np.array([0.0, 0.02, 0.25]),
-                          axis=np.eye(3)[k % 3], joint=f"aj{k}", limits=(-2.5, 2.5),
-                          end=np.array([0.0, 0.0, 0.2]), radius=0.03))  # fmt: skip
+        first.append(
+            Part(
+                f"a{k}",
+                top,
+                np.array([0.0, 0.02, 0.25]),
+                axis=np.eye(3)[k % 3],
+                joint=f"aj{k}",
+                limits=(-2.5, 2.5),
+                end=np.array([0.0, 0.0, 0.2]),
+                radius=0.03,
+            )
+        )
         top = f"a{k}"
     place = Rotation.from_rotvec(rng.normal(size=3)).as_matrix() if turned else np.eye(3)
     ordered[0] = replace(ordered[0], parent=top, position=np.array(at), rotation=place)

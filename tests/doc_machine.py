@@ -224,9 +224,13 @@ def end_study_when_served(monkeypatch: pytest.MonkeyPatch) -> None:
 
 _SERVOS: Final = {"leap": range(16), "dynamixel": range(1, 13)}
 _RIGS: Final = {
-    "ability": "ability", "allegro": "allegro-v5", "inspire": "inspire", "linker": "linker-l20",
-    "revo2": "revo2", "wuji": "wuji",
-}  # fmt: skip
+    "ability": "ability",
+    "allegro": "allegro-v5",
+    "inspire": "inspire",
+    "linker": "linker-l20",
+    "revo2": "revo2",
+    "wuji": "wuji",
+}
 
 
 class Devices:

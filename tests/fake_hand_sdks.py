@@ -35,9 +35,12 @@ class WujiWorld:
 
         class Hand(WujiHand):
             def __init__(
-                self, serial_number: str | None = None, usb_pid: int = 8192, usb_vid: int = 1155,
+                self,
+                serial_number: str | None = None,
+                usb_pid: int = 8192,
+                usb_vid: int = 1155,
                 mask: Any = None,
-            ) -> None:  # fmt: skip
+            ) -> None:
                 super().__init__(world)
 
         self.module.Hand = Hand

@@ -79,9 +79,13 @@ class GloveFaults:
 
 
 def messages(
-    recording: HandRecording, rate: float, side: Hands, faults: GloveFaults, seed: int = 0,
+    recording: HandRecording,
+    rate: float,
+    side: Hands,
+    faults: GloveFaults,
+    seed: int = 0,
     start: str = "0",
-) -> Iterator[tuple[float, bytes]]:  # fmt: skip
+) -> Iterator[tuple[float, bytes]]:
     """(time due [s], message), without an end; the recording is played there and back.
 
     Args:
@@ -117,9 +121,11 @@ def messages(
         for name in sides_of(side):
             shown = frame if recording.side == name else _mirrored(frame)
             head: dict[str, Any] = {
-                "glove_id": _GLOVES[name], "side": _OTHER[name] if wrong["swap"] else name,
-                "session": f"{start}-{session}", "stamp": round(stamp, 6),
-            }  # fmt: skip
+                "glove_id": _GLOVES[name],
+                "side": _OTHER[name] if wrong["swap"] else name,
+                "session": f"{start}-{session}",
+                "stamp": round(stamp, 6),
+            }
             text = json.dumps(head)[:-1].encode() + b',"nodes":' + write_manus(shown) + b"}"
             text = head["side"].upper().encode() + b" " + text
             sent.append(text[: len(text) // 2] if wrong["garbage"] else text)

@@ -340,10 +340,17 @@ def _linked(link: Path, port: str) -> Path:
 
 
 RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
-    "inspire": InspireTcp, "inspire-rtu": InspireRtu, "linker-l20": Linker, "linker-l10": LinkerL10,
-    "allegro-v5": Allegro, "allegro-v4": AllegroV4, "ability": Ability, "wuji": Wuji,
-    "revo2": Revo2, "revo2-sdk": Revo2Real,
-}  # fmt: skip
+    "inspire": InspireTcp,
+    "inspire-rtu": InspireRtu,
+    "linker-l20": Linker,
+    "linker-l10": LinkerL10,
+    "allegro-v5": Allegro,
+    "allegro-v4": AllegroV4,
+    "ability": Ability,
+    "wuji": Wuji,
+    "revo2": Revo2,
+    "revo2-sdk": Revo2Real,
+}
 """Name -> a driver with its simulator."""
 
 ON_A_PTY: Final = ("inspire-rtu", "ability", "revo2-sdk")

@@ -35,8 +35,9 @@ class Servos:
         self._position = np.array(start, float)
         self.target = self._position.copy()
         self.speed = speed
-        self.lower, self.upper = (np.broadcast_to(np.asarray(end, float), self._position.shape)
-                                  for end in (lower, upper))  # fmt: skip
+        self.lower, self.upper = (
+            np.broadcast_to(np.asarray(end, float), self._position.shape) for end in (lower, upper)
+        )
         self._slack = slack
         self._clock, self._last = clock, clock()
         self.lock = threading.RLock()

@@ -90,11 +90,17 @@ def damaged_parquet(draw: DrawFn, data: bytes) -> bytes:
     table = pq.read_table(io.BytesIO(data))
     rows = table.num_rows
     columns = [
-        pa.nulls(rows), pa.array([[1]] * rows), pa.array(["x" * 3000] * rows),
-        pa.array([-1] * rows), pa.array([2**62] * rows), pa.array([1e308] * rows),
-        pa.array([float("nan")] * rows), pa.array([{"a": 1}] * rows),
-        pa.array([[[1e308] * 3] * 21] * rows), pa.array([[[0.0] * 3] * 20] * rows),
-    ]  # fmt: skip
+        pa.nulls(rows),
+        pa.array([[1]] * rows),
+        pa.array(["x" * 3000] * rows),
+        pa.array([-1] * rows),
+        pa.array([2**62] * rows),
+        pa.array([1e308] * rows),
+        pa.array([float("nan")] * rows),
+        pa.array([{"a": 1}] * rows),
+        pa.array([[[1e308] * 3] * 21] * rows),
+        pa.array([[[0.0] * 3] * 20] * rows),
+    ]
     for _ in range(draw(st.sampled_from((1, 1, 3)))):
         at, other = (draw(st.integers(0, table.num_columns - 1)) for _ in range(2))
         name = table.column_names[at]
@@ -139,9 +145,30 @@ def damaged_pickle(draw: DrawFn, data: bytes) -> bytes:
     if draw(st.integers(0, 9)) > 5:
         return draw(fuzzing.damaged_bytes(data))
     value = pickle.loads(data)
-    strange = (None, 0, 1, -1, 1e308, float("nan"), 10**30, "", "right", [], {}, [[]], b"x", (),
-               np.zeros(0), np.zeros((21, 3)), np.full((1, 21, 3), 1e30), np.array("x"),
-               np.zeros((21, 3), np.float16), True, 10**6, 999_999)  # fmt: skip
+    strange = (
+        None,
+        0,
+        1,
+        -1,
+        1e308,
+        float("nan"),
+        10**30,
+        "",
+        "right",
+        [],
+        {},
+        [[]],
+        b"x",
+        (),
+        np.zeros(0),
+        np.zeros((21, 3)),
+        np.full((1, 21, 3), 1e30),
+        np.array("x"),
+        np.zeros((21, 3), np.float16),
+        True,
+        10**6,
+        999_999,
+    )
     for _ in range(draw(st.sampled_from((1, 1, 3, 20)))):
         holders = fuzzing.holders(value)
         if not holders:

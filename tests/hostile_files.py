@@ -126,9 +126,12 @@ def good_episode() -> Episode:
         points, stamps, "right", metacarpals=rng.normal(size=(FRAMES, 4, 3)), meta={"a": [1]}
     )
     answers = CommandTrajectory(
-        rng.normal(size=(FRAMES, 2)), ("j1", "j2"), stamps, np.ones(FRAMES),
+        rng.normal(size=(FRAMES, 2)),
+        ("j1", "j2"),
+        stamps,
+        np.ones(FRAMES),
         np.full(FRAMES, Status.OK, np.int8),
-    )  # fmt: skip
+    )
     times = {"solve": np.ones(FRAMES)}
     return Episode(hand, answers, {"program": "smooth-operator", "x": [1, None]}, times, "t", "a")
 
@@ -145,9 +148,13 @@ def _manus() -> bytes:
     data[:, METACARPALS_MANUS_25, :3] = 0.01
     data[:, FROM_MANUS_25, :3] = hand_points(FRAMES, seed=1)
     return _npz(
-        data=data, timestamps=0.01 * np.arange(FRAMES), keypoint_ids=np.arange(25),
-        chirality="right", quaternion_order="wxyz", glove_ids=np.array([7]),
-    )  # fmt: skip
+        data=data,
+        timestamps=0.01 * np.arange(FRAMES),
+        keypoint_ids=np.arange(25),
+        chirality="right",
+        quaternion_order="wxyz",
+        glove_ids=np.array([7]),
+    )
 
 
 def _operator(folder: Path) -> bytes:
@@ -160,14 +167,28 @@ def _operator(folder: Path) -> bytes:
 
 def _geort() -> bytes:
     rng = np.random.default_rng(0)
-    shapes = {"w1": (2, 3, 4), "b1": (2, 4), "w2": (2, 4, 4), "b2": (2, 4), "w3": (2, 4, 2),
-              "b3": (2, 2), "centre": (2, 3), "scale": (2,), "poses": (8, 3),
-              "tips": (8, 2, 3)}  # fmt: skip
+    shapes = {
+        "w1": (2, 3, 4),
+        "b1": (2, 4),
+        "w2": (2, 4, 4),
+        "b2": (2, 4),
+        "w3": (2, 4, 2),
+        "b3": (2, 2),
+        "centre": (2, 3),
+        "scale": (2,),
+        "poses": (8, 3),
+        "tips": (8, 2, 3),
+    }
     about = {
-        "format": "smooth-operator geort", "version": 1, "hand": "h", "side": "right",
-        "fingers": ["thumb", "index"], "joints": [["a", "b"], ["c"]],
-        "limits": [[[0, 1], [0, 1]], [[0, 1]]], "training": {"steps": 3},
-    }  # fmt: skip
+        "format": "smooth-operator geort",
+        "version": 1,
+        "hand": "h",
+        "side": "right",
+        "fingers": ["thumb", "index"],
+        "joints": [["a", "b"], ["c"]],
+        "limits": [[[0, 1], [0, 1]], [[0, 1]]],
+        "training": {"steps": 3},
+    }
     arrays = {name: rng.normal(size=shape) for name, shape in shapes.items()}
     return _npz(about=np.array(json.dumps(about)), **arrays)
 
@@ -266,21 +287,46 @@ def damaged_hdf5(draw: DrawFn, data: bytes) -> bytes:
         if kind < 3:
             del file[name]
         if kind == 1:
-            file[name] = draw(st.sampled_from((
-                h5py.ExternalLink("other.h5", "/x"), h5py.SoftLink("/hand"), np.zeros(3), "text",
-                np.zeros((2, 21, 3), complex), np.array(b"x"), h5py.Empty("f8"), [b"a", b"b"],
-                np.zeros(3, [("a", "f8")]), 7,
-            )))  # fmt: skip
+            file[name] = draw(
+                st.sampled_from(
+                    (
+                        h5py.ExternalLink("other.h5", "/x"),
+                        h5py.SoftLink("/hand"),
+                        np.zeros(3),
+                        "text",
+                        np.zeros((2, 21, 3), complex),
+                        np.array(b"x"),
+                        h5py.Empty("f8"),
+                        [b"a", b"b"],
+                        np.zeros(3, [("a", "f8")]),
+                        7,
+                    )
+                )
+            )
         elif kind == 2:
             shapes = ((10**9,), (10**6, 21, 3), (10**12, 2), (0, 21, 3), (5, 21, 3))
             file.create_dataset(name, draw(st.sampled_from(shapes)), "f8", chunks=True)
         elif kind > 2:
             keys = ("format", "version", "name", "task", "side", "meta", "status_names", "stage")
             attributes = draw(st.sampled_from((file, file[name]))).attrs
-            attributes[draw(st.sampled_from(keys))] = draw(st.sampled_from((
-                "{", "[" * 5000, "é" * 9000, 1, 1e300, b"\xff", [1, 2], ["a", "b"], np.nan,
-                "smooth-operator", '{"a": ' * 90 + "1" + "}" * 90, h5py.Empty("S4"),
-            )))  # fmt: skip
+            attributes[draw(st.sampled_from(keys))] = draw(
+                st.sampled_from(
+                    (
+                        "{",
+                        "[" * 5000,
+                        "é" * 9000,
+                        1,
+                        1e300,
+                        b"\xff",
+                        [1, 2],
+                        ["a", "b"],
+                        np.nan,
+                        "smooth-operator",
+                        '{"a": ' * 90 + "1" + "}" * 90,
+                        h5py.Empty("S4"),
+                    )
+                )
+            )
     return stream.getvalue()
 
 
@@ -296,10 +342,21 @@ def damaged_dataset(draw: DrawFn, good: Path, folder: Path) -> Path:
     kind = draw(st.integers(0, 3))
     if kind == 0:
         content = json.loads(info.read_bytes())
-        content["data_path"] = draw(st.sampled_from((
-            "{chunk_index.foo}", "{chunk_index:2000000000}", "a\0b", "../{file_index}", "{",
-            "{chunk_index.__class__}", "{0}", "x" * 5000, "{chunk_index!r:>{file_index}}",
-        )))  # fmt: skip
+        content["data_path"] = draw(
+            st.sampled_from(
+                (
+                    "{chunk_index.foo}",
+                    "{chunk_index:2000000000}",
+                    "a\0b",
+                    "../{file_index}",
+                    "{",
+                    "{chunk_index.__class__}",
+                    "{0}",
+                    "x" * 5000,
+                    "{chunk_index!r:>{file_index}}",
+                )
+            )
+        )
         info.write_text(json.dumps(content))
         return folder
     if kind == 1:
@@ -312,11 +369,19 @@ def damaged_dataset(draw: DrawFn, good: Path, folder: Path) -> Path:
     table = pq.read_table(path, partitioning=None)
     rows = table.num_rows
     name = draw(st.sampled_from(table.column_names))
-    new = draw(st.sampled_from((
-        pa.nulls(rows), pa.array([[1]] * rows), pa.array(["[" * 3000] * rows),
-        pa.array([-1] * rows), pa.array([2**62] * rows), pa.array([float("nan")] * rows),
-        pa.array([{"a": 1}] * rows),
-    )))  # fmt: skip
+    new = draw(
+        st.sampled_from(
+            (
+                pa.nulls(rows),
+                pa.array([[1]] * rows),
+                pa.array(["[" * 3000] * rows),
+                pa.array([-1] * rows),
+                pa.array([2**62] * rows),
+                pa.array([float("nan")] * rows),
+                pa.array([{"a": 1}] * rows),
+            )
+        )
+    )
     pq.write_table(table.set_column(table.column_names.index(name), name, new), path)
     return folder
 
@@ -336,11 +401,17 @@ def seeds(folder: Path) -> Seeds:
     marks = _npz(landmarks=one.recording.landmarks, timestamps=one.recording.stamps, side="right")
     stream = io.BytesIO()
     np.save(stream, one.recording.landmarks[:1])
-    arrays = [("a.npz", marks, fuzzing.damaged_npz), ("m.npz", _manus(), fuzzing.damaged_npz),
-              ("a.npy", stream.getvalue(), fuzzing.damaged_npy),
-              ("b.npy", stream.getvalue(), fuzzing.damaged_bytes)]  # fmt: skip
-    own = [("e.npz", npz, fuzzing.damaged_npz), ("e.mcap", log, damaged_log),
-           ("e.h5", h5, damaged_hdf5)]  # fmt: skip
+    arrays = [
+        ("a.npz", marks, fuzzing.damaged_npz),
+        ("m.npz", _manus(), fuzzing.damaged_npz),
+        ("a.npy", stream.getvalue(), fuzzing.damaged_npy),
+        ("b.npy", stream.getvalue(), fuzzing.damaged_bytes),
+    ]
+    own = [
+        ("e.npz", npz, fuzzing.damaged_npz),
+        ("e.mcap", log, damaged_log),
+        ("e.h5", h5, damaged_hdf5),
+    ]
     return {
         "recording": [*arrays, *own],
         "episode": own,
@@ -352,7 +423,7 @@ def seeds(folder: Path) -> Seeds:
         "preset": [("p.toml", _PRESET, fuzzing.damaged_table)],
         "geort": [("model.npz", _geort(), fuzzing.damaged_npz)],
         "trial": [("t.npz", _trial(folder), fuzzing.damaged_npz)],
-    }  # fmt: skip
+    }
 
 
 def read_mutants(

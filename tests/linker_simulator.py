@@ -14,9 +14,13 @@ from hand_servos import Faults, Servos
 
 LAYOUT: Final = {
     "l10": {0x01: [0, 1, 2, 3, 4, 5], 0x04: [6, 7, 8, 9]},
-    "l20": {0x01: [0, 1, 2, 3, 4], 0x02: [5, 6, 7, 8, 9], 0x03: [10, None, None, None, None],
-            0x04: [11, 12, 13, 14, 15]},
-}  # fmt: skip
+    "l20": {
+        0x01: [0, 1, 2, 3, 4],
+        0x02: [5, 6, 7, 8, 9],
+        0x03: [10, None, None, None, None],
+        0x04: [11, 12, 13, 14, 15],
+    },
+}
 """Property byte -> motors of its values; None is a value without motor."""
 
 

@@ -80,19 +80,27 @@ def curled_at_zero() -> Drawing:
     drawing.finger(
         "Daumen",
         np.array([0.026, -0.008, 0.018]),
-        [(0 * X, inward, (-0.6, 0.7)), (0.012 * out, -Z, (-0.8, 0.8)),
-         (0.04 * out, inward, (-0.7, 0.7)), (0.032 * out, inward, (-0.6, 0.8))],
+        [
+            (0 * X, inward, (-0.6, 0.7)),
+            (0.012 * out, -Z, (-0.8, 0.8)),
+            (0.04 * out, inward, (-0.7, 0.7)),
+            (0.032 * out, inward, (-0.6, 0.8)),
+        ],
         0.026 * out,
-    )  # fmt: skip
+    )
     for k, name in enumerate(("Zeige", "Mitte", "Ringf", "Klein")):
         long = (0.044, 0.046, 0.044, 0.036)[k]
         drawing.finger(
             name,
             np.array([0.03 - 0.02 * k, 0.0, 0.09 - 0.004 * abs(k - 1)]),
-            [(0 * X, Y, (-0.25, 0.25)), (0 * X, X, (-0.7, 0.8)),
-             (long * bend(0.7), X, (-0.7, 0.9)), (0.6 * long * bend(1.4), X, (-0.6, 0.6))],
+            [
+                (0 * X, Y, (-0.25, 0.25)),
+                (0 * X, X, (-0.7, 0.8)),
+                (long * bend(0.7), X, (-0.7, 0.9)),
+                (0.6 * long * bend(1.4), X, (-0.6, 0.6)),
+            ],
             0.5 * long * bend(1.9),
-        )  # fmt: skip
+        )
     return drawing
 
 
@@ -103,10 +111,13 @@ def six_joints_a_finger() -> Drawing:
     drawing.finger(
         "k",
         np.array([0.036, -0.014, 0.026]),
-        [(0 * X, -Z, (-0.3, 1.6)), (0.014 * out, np.array([0.6, 0, -0.8]), (-0.4, 0.4)),
-         *((0.03 * out, -Y, (-0.1, 1.0)) for _ in range(4))],
+        [
+            (0 * X, -Z, (-0.3, 1.6)),
+            (0.014 * out, np.array([0.6, 0, -0.8]), (-0.4, 0.4)),
+            *((0.03 * out, -Y, (-0.1, 1.0)) for _ in range(4)),
+        ],
         0.024 * out,
-    )  # fmt: skip
+    )
     arch = np.array([0.55, 0.0, 0.85])
     drawing.parts.append(
         Part(
@@ -125,11 +136,14 @@ def six_joints_a_finger() -> Drawing:
         drawing.finger(
             name,
             place - (np.array([-0.005, 0, 0.02]) if arched else 0),
-            [(0 * X, Z, (-0.2, 0.2)), (0.006 * Z, Y, (-0.3, 0.3)),
-             *(((0.004 if i == 0 else 0.03) * Z, X, (-0.1, 1.1)) for i in range(4))],
+            [
+                (0 * X, Z, (-0.2, 0.2)),
+                (0.006 * Z, Y, (-0.3, 0.3)),
+                *(((0.004 if i == 0 else 0.03) * Z, X, (-0.1, 1.1)) for i in range(4)),
+            ],
             0.024 * Z,
             parent="m9" if arched else "",
-        )  # fmt: skip
+        )
     return drawing
 
 
@@ -180,10 +194,13 @@ def pincer_with_a_wide_thumb() -> Drawing:
     drawing.finger(
         "alpha",
         np.array([0.03, -0.03, 0.0]),
-        [(0 * X, -Z, (-0.2, 1.8)), (0.02 * out, np.array([-0.7, -0.7, 0.0]), (-0.2, 1.2)),
-         (0.05 * out, np.array([-0.7, -0.7, 0.0]), (0.0, 1.2))],
+        [
+            (0 * X, -Z, (-0.2, 1.8)),
+            (0.02 * out, np.array([-0.7, -0.7, 0.0]), (-0.2, 1.2)),
+            (0.05 * out, np.array([-0.7, -0.7, 0.0]), (0.0, 1.2)),
+        ],
         0.04 * out,
-    )  # fmt: skip
+    )
     for name, x in (("beta", 0.022), ("gamma", -0.022)):
         drawing.finger(
             name,
@@ -276,8 +293,13 @@ def four_bar_gripper() -> Drawing:
             0.04 * Z,
             follow={1: (0, 1.0)},
         )
-        _bar(drawing, name, "gripper", np.array([0.012 * sign, 0.0, 0.066]),
-             [(0 * X, -sign * Y, (-0.1, 0.8))])  # fmt: skip
+        _bar(
+            drawing,
+            name,
+            "gripper",
+            np.array([0.012 * sign, 0.0, 0.066]),
+            [(0 * X, -sign * Y, (-0.1, 0.8))],
+        )
     led = {"a0_j": 1.0, "a1_j": 1.0, "bar_t0_j": 1.0, "bar_a0_j": 1.0}
     drawing.parts = [
         replace(p, mimic=("t0_j", led[p.joint], 0.0)) if p.joint in led else p

@@ -66,40 +66,67 @@ def allegro(side: str) -> RealHand:
     def finger(f: str, tip: float, base: str) -> Finger:
         return at(f"{f}_{base}"), at(f"{f}_medial"), at(f"{f}_distal"), at(f"{f}_distal", z=tip)
 
-    fingers = {n: finger(f, 0.0387, "proximal")
-               for n, f in zip(LONG[:3], ("ff", "mf", "rf"), strict=True)}  # fmt: skip
+    fingers = {
+        n: finger(f, 0.0387, "proximal") for n, f in zip(LONG[:3], ("ff", "mf", "rf"), strict=True)
+    }
     thumb = (at("th_base"), at("th_medial"), at("th_distal"), at("th_distal", z=0.0543))
     return RealHand(
-        f"hands/wonik_allegro_hand/{side}_hand.xml", "palm", at("palm", z=-0.095),
+        f"hands/wonik_allegro_hand/{side}_hand.xml",
+        "palm",
+        at("palm", z=-0.095),
         {"thumb": thumb} | fingers,
-    )  # fmt: skip
+    )
 
 
 def leap_right() -> RealHand:
     def finger(k: str, tip: str) -> Finger:
-        return (at(f"mcp_joint{k}", z=0.0145), at(f"dip{k}", z=0.015), at(f"fingertip{k}", z=0.015),
-                at(f"{tip}_tip_head"))  # fmt: skip
+        return (
+            at(f"mcp_joint{k}", z=0.0145),
+            at(f"dip{k}", z=0.015),
+            at(f"fingertip{k}", z=0.015),
+            at(f"{tip}_tip_head"),
+        )
 
-    thumb = (at("thumb_temp_base"), at("thumb_dip", z=-0.015), at("thumb_fingertip", z=-0.015),
-             at("thumb_tip_head"))  # fmt: skip
+    thumb = (
+        at("thumb_temp_base"),
+        at("thumb_dip", z=-0.015),
+        at("thumb_fingertip", z=-0.015),
+        at("thumb_tip_head"),
+    )
     return RealHand(
-        "hands/leap_hand/right_hand.xml", "palm_lower", at("base"),
-        {"thumb": thumb, "index": finger("", "index"), "middle": finger("_2", "middle"),
-         "ring": finger("_3", "ring")},
-    )  # fmt: skip
+        "hands/leap_hand/right_hand.xml",
+        "palm_lower",
+        at("base"),
+        {
+            "thumb": thumb,
+            "index": finger("", "index"),
+            "middle": finger("_2", "middle"),
+            "ring": finger("_3", "ring"),
+        },
+    )
 
 
 def leap_left() -> RealHand:
     def finger(f: str) -> Finger:
-        return (at(f"{f}_bs", z=0.0145), at(f"{f}_md", z=0.015), at(f"{f}_ds", z=0.015),
-                at(f"{f}_ds", y=-0.048, z=0.015))  # fmt: skip
+        return (
+            at(f"{f}_bs", z=0.0145),
+            at(f"{f}_md", z=0.015),
+            at(f"{f}_ds", z=0.015),
+            at(f"{f}_ds", y=-0.048, z=0.015),
+        )
 
-    thumb = (at("th_mp"), at("th_px", z=-0.015), at("th_ds", z=-0.015),
-             at("th_ds", y=-0.06, z=-0.015))  # fmt: skip
+    thumb = (
+        at("th_mp"),
+        at("th_px", z=-0.015),
+        at("th_ds", z=-0.015),
+        at("th_ds", y=-0.06, z=-0.015),
+    )
     return RealHand(
-        "hands/leap_hand/left_hand_kinematics_only.xml", "palm", None,
+        "hands/leap_hand/left_hand_kinematics_only.xml",
+        "palm",
+        None,
         {"thumb": thumb, "index": finger("if"), "middle": finger("mf"), "ring": finger("rf")},
-    )  # fmt: skip
+    )
 
 
 def wuji() -> RealHand:
@@ -116,10 +143,19 @@ def dexee() -> RealHand:
     fingers = {}
     for k, name in ((0, "thumb"), (2, "index"), (1, "middle")):
         f = f"F{k}/finger_"
-        fingers[name] = (at(f + "proximal"), at(f + "middle"), at(f + "distal"),
-                         at(f + "distal", y=-0.0062, z=0.04))  # fmt: skip
-    return RealHand("hands/shadow_dexee_hand/shadow_dexee.xml", "hand_base", None, fingers,
-                    moving=("thumb", "index", "middle"))  # fmt: skip
+        fingers[name] = (
+            at(f + "proximal"),
+            at(f + "middle"),
+            at(f + "distal"),
+            at(f + "distal", y=-0.0062, z=0.04),
+        )
+    return RealHand(
+        "hands/shadow_dexee_hand/shadow_dexee.xml",
+        "hand_base",
+        None,
+        fingers,
+        moving=("thumb", "index", "middle"),
+    )
 
 
 def orca() -> RealHand:
@@ -128,16 +164,23 @@ def orca() -> RealHand:
 
     tip = "FingerTipAssembly_"
     return RealHand(
-        "hands/orca_v2_hand/right_hand_kinematics_only.xml", "right_R-Carpals_8d1f1041", None,
+        "hands/orca_v2_hand/right_hand_kinematics_only.xml",
+        "right_R-Carpals_8d1f1041",
+        None,
         {
-            "thumb": (at("right_T-TP-R_1c2b802d"), at("right_T-PP_68395e98"),
-                      at("right_T-DP_b7429e50"), at("right_T-DP_b7429e50", x=-0.007, z=0.025)),
+            "thumb": (
+                at("right_T-TP-R_1c2b802d"),
+                at("right_T-PP_68395e98"),
+                at("right_T-DP_b7429e50"),
+                at("right_T-DP_b7429e50", x=-0.007, z=0.025),
+            ),
             "index": finger("I-PP_bacbd481", f"I-{tip}ec49c16c"),
             "middle": finger("M-PP_08efa608", f"M-{tip}34afb748"),
             "ring": finger("M-PP_8660a1eb", f"M-{tip}424a8e75"),
             "pinky": finger("P-PP_1d411b9b", f"P-{tip}cd219176"),
-        }, moving=LONG,
-    )  # fmt: skip
+        },
+        moving=LONG,
+    )
 
 
 def ability(side: str) -> RealHand:
@@ -153,12 +196,18 @@ def inspire(side: str) -> RealHand:
     fingers: dict[str, Finger] = {
         n: (at(f"{n}_proximal"), at(f"{n}_intermediate"), None, at(f"{n}_tip")) for n in LONG
     }
-    thumb = (at("thumb_proximal_base"), at("thumb_intermediate"), at("thumb_distal"),
-             at("thumb_tip"))  # fmt: skip
+    thumb = (
+        at("thumb_proximal_base"),
+        at("thumb_intermediate"),
+        at("thumb_distal"),
+        at("thumb_tip"),
+    )
     return RealHand(
-        f"hands_urdf/inspire_hand/inspire_hand_{side}.urdf", "hand_base_link", None,
+        f"hands_urdf/inspire_hand/inspire_hand_{side}.urdf",
+        "hand_base_link",
+        None,
         {"thumb": thumb} | fingers,
-    )  # fmt: skip
+    )
 
 
 def svh(side: str) -> RealHand:
@@ -167,15 +216,20 @@ def svh(side: str) -> RealHand:
         return a, b, c, at(tip)
 
     fingers = {
-        "thumb": finger("abc", "thtip"), "index": finger("lpt", "fftip"),
-        "middle": finger("kos", "mftip"), "ring": finger("jnr", "rftip"),
+        "thumb": finger("abc", "thtip"),
+        "index": finger("lpt", "fftip"),
+        "middle": finger("kos", "mftip"),
+        "ring": finger("jnr", "rftip"),
         "pinky": finger("imq", "lftip"),
-    }  # fmt: skip
+    }
     return RealHand(
-        f"hands_urdf/schunk_hand/schunk_svh_hand_{side}.urdf", f"{side}_hand_e1",
-        at(f"{side}_hand_e1"), fingers, ("left_hand_j5",) if side == "left" else (),
+        f"hands_urdf/schunk_hand/schunk_svh_hand_{side}.urdf",
+        f"{side}_hand_e1",
+        at(f"{side}_hand_e1"),
+        fingers,
+        ("left_hand_j5",) if side == "left" else (),
         moving=("ring", "pinky"),
-    )  # fmt: skip
+    )
 
 
 REAL: dict[tuple[str, str], RealHand] = {
@@ -186,11 +240,17 @@ REAL: dict[tuple[str, str], RealHand] = {
     ("wuji_hand", "right"): wuji(),
     ("shadow_dexee", "right"): dexee(),
     ("orca_v2", "right"): orca(),
-    **{(f"{name}", side): make(side)
-       for name, make in (("allegro_hand", allegro), ("ability_hand", ability),
-                          ("inspire_hand", inspire), ("schunk_svh", svh))
-       for side in ("right", "left")},
-}  # fmt: skip
+    **{
+        (f"{name}", side): make(side)
+        for name, make in (
+            ("allegro_hand", allegro),
+            ("ability_hand", ability),
+            ("inspire_hand", inspire),
+            ("schunk_svh", svh),
+        )
+        for side in ("right", "left")
+    },
+}
 """The published models by our name and side; the mimic hand has its own tests."""
 
 

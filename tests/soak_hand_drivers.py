@@ -103,15 +103,24 @@ def soak(name: str, seconds: float) -> dict[str, object]:
             "late": late,
             "refused": refused,
             "faults": count,
-            "send_ms": {"p50": float(np.median(ms)), "p99": float(np.percentile(ms, 99)),
-                        "max": float(ms.max())},
-            "machine_ms": {"p99": 1e3 * float(np.percentile(machine, 99)),
-                           "max": 1e3 * float(max(machine))},
+            "send_ms": {
+                "p50": float(np.median(ms)),
+                "p99": float(np.percentile(ms, 99)),
+                "max": float(ms.max()),
+            },
+            "machine_ms": {
+                "p99": 1e3 * float(np.percentile(machine, 99)),
+                "max": 1e3 * float(max(machine)),
+            },
             "outside": rig.outside(),
-            "largest_error_of_range": {"p50": float(np.median(errors)), "p99":
-                                       float(np.percentile(errors, 99))} if errors else None,
+            "largest_error_of_range": {
+                "p50": float(np.median(errors)),
+                "p99": float(np.percentile(errors, 99)),
+            }
+            if errors
+            else None,
             **figures,
-        }  # fmt: skip
+        }
 
 
 if __name__ == "__main__":

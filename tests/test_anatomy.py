@@ -32,9 +32,11 @@ from smooth_operator.types import CommandTrajectory, HandRecording, Side
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 RECORDINGS = [
-    "manus_right_subject-000_run-010.npz", "human_alex_21x3.npy", "wilor_test_long_21x3.npz",
+    "manus_right_subject-000_run-010.npz",
+    "human_alex_21x3.npy",
+    "wilor_test_long_21x3.npz",
     "wilor_workspace_21x3.npz",
-]  # fmt: skip
+]
 FOREIGN = [name for name in LAYOUTS if name not in ("mediapipe", "openpose")]
 
 
@@ -470,9 +472,12 @@ def test_the_synthetic_operator_may_lose_frames(operator):
 
 @pytest.mark.parametrize(
     ("name", "head"),
-    [("clip.mp4", b"\x00\x00\x00\x20ftypisom"), ("clip.mkv", b"\x1aE\xdf\xa3\x01\x00\x00\x00"),
-     ("clip.avi", b"RIFF\x00\x00\x00\x00AVI LIST")],
-)  # fmt: skip
+    [
+        ("clip.mp4", b"\x00\x00\x00\x20ftypisom"),
+        ("clip.mkv", b"\x1aE\xdf\xa3\x01\x00\x00\x00"),
+        ("clip.avi", b"RIFF\x00\x00\x00\x00AVI LIST"),
+    ],
+)
 def test_a_video_is_told_where_it_goes(tmp_path, name, head):
     path = tmp_path / name
     path.write_bytes(head + bytes(64))

@@ -54,13 +54,20 @@ def _flange(arm: str, q: list[float]) -> tuple[np.ndarray, np.ndarray]:
 
 def _standard_ur5e(q: list[float]) -> np.ndarray:
     """The maker's own form: standard Denavit-Hartenberg, UR5e."""
-    rows = [(0, 0.1625, np.pi / 2), (-0.425, 0, 0), (-0.3922, 0, 0), (0, 0.1333, np.pi / 2),
-            (0, 0.0997, -np.pi / 2), (0, 0.0996, 0)]  # fmt: skip
+    rows = [
+        (0, 0.1625, np.pi / 2),
+        (-0.425, 0, 0),
+        (-0.3922, 0, 0),
+        (0, 0.1333, np.pi / 2),
+        (0, 0.0997, -np.pi / 2),
+        (0, 0.0996, 0),
+    ]
     out = np.eye(4)
     for (a, d, alpha), theta in zip(rows, q, strict=True):
         c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-        out = out @ np.array([[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s],
-                              [0, sa, ca, d], [0, 0, 0, 1]])  # fmt: skip
+        out = out @ np.array(
+            [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+        )
     return out
 
 
@@ -304,9 +311,14 @@ class _Kept(Sink):
 def test_one_command_moves_two_arms_with_their_hands():
     kept = _Kept()
     request = TeleopRequest(
-        source="synthetic:wrist=0.1", sink=("mujoco",), hand="leap_hand", side="both",
-        method="joint_angle", arm="ur5e:spacing=1.2", duration=2.0,
-    )  # fmt: skip
+        source="synthetic:wrist=0.1",
+        sink=("mujoco",),
+        hand="leap_hand",
+        side="both",
+        method="joint_angle",
+        arm="ur5e:spacing=1.2",
+        duration=2.0,
+    )
     teleoperate(request, sinks=[kept])
     for side in ("right", "left"):
         arms = [tick.arm for tick in kept.ticks if tick.side == side]

@@ -21,8 +21,18 @@ JOINTS = ("a", "b", "c")
 def _arm(number: int, measured: bool) -> ArmCommand:
     q = np.array([0.1, 0.2, 0.3]) * number
     pose = np.array([0.5, 0.0, 0.4, 1.0, 0.0, 0.0, 0.0])
-    return ArmCommand("ur5e", JOINTS, q, q / 2, pose, 0.001, 0.002, 0.05, "following",
-                      q + 0.01 if measured else None)  # fmt: skip
+    return ArmCommand(
+        "ur5e",
+        JOINTS,
+        q,
+        q / 2,
+        pose,
+        0.001,
+        0.002,
+        0.05,
+        "following",
+        q + 0.01 if measured else None,
+    )
 
 
 @pytest.fixture

@@ -172,10 +172,15 @@ def test_a_wrong_request_is_refused_and_prints_nothing(server):
 def test_messages_that_are_none_print_nothing(server):
     ping = b"\x89\x80\0\0\0\0"
     messages = [
-        b"\x82\x85\0\0\0\0hello", b"\x81\x85\0\0\0\0hello", b"\x82\x83\0\0\0\0\xff\xff\xff",
-        b"\xf2\x80\0\0\0\0", b"\x8f\x80\0\0\0\0", b"\x82\x05hello", b"\x88\x82\0\0\0\0\x00\x01",
+        b"\x82\x85\0\0\0\0hello",
+        b"\x81\x85\0\0\0\0hello",
+        b"\x82\x83\0\0\0\0\xff\xff\xff",
+        b"\xf2\x80\0\0\0\0",
+        b"\x8f\x80\0\0\0\0",
+        b"\x82\x05hello",
+        b"\x88\x82\0\0\0\0\x00\x01",
         b"\x82\xff\x7f\xff\xff\xff\xff\xff\xff\xff",
-    ]  # fmt: skip
+    ]
     for message in (*messages, ping * 20_000, ping * 20_000):
         with server.connected() as one:
             one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))

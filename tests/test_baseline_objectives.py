@@ -93,17 +93,21 @@ def ako_cost(hand: Hand, human: np.ndarray, previous: np.ndarray) -> Cost:
 def steepest(cost: Cost, q: np.ndarray, limits: np.ndarray) -> float:
     """The largest component of the gradient that the limits leave free."""
     step = 1e-5
-    gradient = np.array([
-        (cost(q + step * axis) - cost(q - step * axis)) / (2 * step) for axis in np.eye(len(q))
-    ])  # fmt: skip
+    gradient = np.array(
+        [(cost(q + step * axis) - cost(q - step * axis)) / (2 * step) for axis in np.eye(len(q))]
+    )
     return float(np.abs(np.clip(q - gradient, *limits.T) - q).max())
 
 
 @pytest.mark.parametrize(
     ("method", "expected"),
-    [("keyvector", keyvector_cost), ("hybrid", keyvector_cost), ("dexpilot", dexpilot_cost),
-     ("ako", ako_cost)],
-)  # fmt: skip
+    [
+        ("keyvector", keyvector_cost),
+        ("hybrid", keyvector_cost),
+        ("dexpilot", dexpilot_cost),
+        ("ako", ako_cost),
+    ],
+)
 def test_the_answer_minimises_the_methods_own_cost(hand, method, expected):
     human = human_pinch(hand)
     retargeter = Retargeter(hand, method=method, preset="fast", rate=30)

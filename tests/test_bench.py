@@ -115,9 +115,17 @@ def save(path: Path, frames: int = 24, seed: int = 2, side: str = "right") -> Pa
 def done(recordings, tmp_path_factory) -> Bench:
     folder = tmp_path_factory.mktemp("bench") / "new" / "out"
     arguments = (
-        "bench", str(recordings), "--methods", "sbr:tiny,picky", "--output", str(folder),
-        "--workers", "0", "--latency-frames", "20",
-    )  # fmt: skip
+        "bench",
+        str(recordings),
+        "--methods",
+        "sbr:tiny,picky",
+        "--output",
+        str(folder),
+        "--workers",
+        "0",
+        "--latency-frames",
+        "20",
+    )
     status, out, err = captured(arguments)
     return Bench(folder, arguments, status, out, err, "a<i>&'$x^")
 
@@ -261,8 +269,16 @@ def test_names_from_files_are_escaped(done):
 
 def test_the_report_holds_all_that_was_asked_for(done):
     text = " ".join(Page(done.page).text)
-    expected = ("Failures", "DexPilot, paper", "other data", "Finger by finger", "All metrics",
-                "cpu_cores", "Measured alone", "thumb-to-tip")  # fmt: skip
+    expected = (
+        "Failures",
+        "DexPilot, paper",
+        "other data",
+        "Finger by finger",
+        "All metrics",
+        "cpu_cores",
+        "Measured alone",
+        "thumb-to-tip",
+    )
     for words in expected:
         assert words in text, words
     assert len(re.findall(r'<img src="data:image/webp;base64,\w', done.page)) == 1
@@ -281,9 +297,19 @@ def test_the_report_holds_all_that_was_asked_for(done):
 def test_no_report_and_quiet(recordings, tmp_path):
     out = tmp_path / "out"
     status, stdout, stderr = captured(
-        ("bench", recordings / "a<i>&'$x^.npz", "--methods", "picky", "--output", out, "--quiet",
-         "--no-report", "--workers", 0)
-    )  # fmt: skip
+        (
+            "bench",
+            recordings / "a<i>&'$x^.npz",
+            "--methods",
+            "picky",
+            "--output",
+            out,
+            "--quiet",
+            "--no-report",
+            "--workers",
+            0,
+        )
+    )
     assert status == 1
     assert stdout == ""
     assert "six fingers" in stderr
@@ -360,15 +386,32 @@ def test_what_is_asked_for_in_another_way_is_done_again(recordings):
     same = of(path)
     assert of(path) == same
     assert of(path, workers=3, latency_frames=7) == same
-    changed = [of(path, seed=1), of(path, definition="paper"), of(f"{path}@:30"), of("synthetic:2"),
-               of(path, "sbr:paper")]  # fmt: skip
+    changed = [
+        of(path, seed=1),
+        of(path, definition="paper"),
+        of(f"{path}@:30"),
+        of("synthetic:2"),
+        of(path, "sbr:paper"),
+    ]
     assert len({same, *changed}) == 6
 
 
 def test_ctrl_c_keeps_what_is_finished(recordings, tmp_path, monkeypatch):
     good, out = recordings / "a<i>&'$x^.npz", tmp_path / "out"
-    arguments = ("bench", f"{good}@:12", f"{good}@12:24", "--methods", "sbr:tiny", "--output", out,
-                 "--workers", 0, "--latency-frames", 0, "--no-report")  # fmt: skip
+    arguments = (
+        "bench",
+        f"{good}@:12",
+        f"{good}@12:24",
+        "--methods",
+        "sbr:tiny",
+        "--output",
+        out,
+        "--workers",
+        0,
+        "--latency-frames",
+        0,
+        "--no-report",
+    )
     begun = []
 
     def stopped(task: tuple[Cell, Settings]) -> Any:
@@ -484,8 +527,10 @@ def test_the_path_of_a_hand_in_a_plots_name_is_no_folder(tmp_path):
         Plots(tmp_path / "plots").element(Figure(), stem, "a figure")
     names = sorted(each.name for each in (tmp_path / "plots").glob("*.svg"))
     assert [name[:24] for name in names] == [
-        "latency-..-..-other.toml", "latency-hands-my-hand.to", "latency-leap_hand.svg"
-    ]  # fmt: skip
+        "latency-..-..-other.toml",
+        "latency-hands-my-hand.to",
+        "latency-leap_hand.svg",
+    ]
 
 
 def test_a_benchmark_is_the_same_as_itself(done):
@@ -543,8 +588,14 @@ def test_overall_is_a_mean_over_the_recordings_that_can_be_read():
             what = {"status": "ok", "reason": None, "metrics": {"flatness": value}}
         return names | {"preset": "p"} | what
 
-    rows = [row("a", "m", 1.0), row("a", "n", 2.0), row("b", "m", 3.0), row("b", "n", None),
-            row("c", "m", None), row("c", "n", None)]  # fmt: skip
+    rows = [
+        row("a", "m", 1.0),
+        row("a", "n", 2.0),
+        row("b", "m", 3.0),
+        row("b", "n", None),
+        row("c", "m", None),
+        row("c", "n", None),
+    ]
     first, second = overall(rows, [NAMED["flatness"]])
     assert (first.values["flatness"], first.count, first.of) == (2.0, 2, 2)
     assert (second.values["flatness"], second.count, second.of) == (2.0, 1, 2)
@@ -573,8 +624,11 @@ def test_a_perfect_copy_has_perfect_fingers():
 def test_requests_and_their_settings(tmp_path):
     request = parse_request("x.npz@30hz,left,1:9", frames=":5", rate=60, side="right")
     assert (request.path, request.rate, request.side, request.frames) == (
-        Path("x.npz"), 30.0, "left", "1:9",
-    )  # fmt: skip
+        Path("x.npz"),
+        30.0,
+        "left",
+        "1:9",
+    )
     assert parse_request("x.npz", frames=":5", rate=60).frames == ":5"
     operator = parse_request("synthetic:7@50hz", rate=60)
     assert (operator.path, operator.seed, operator.rate) == (None, 7, 50.0)
@@ -660,8 +714,10 @@ def test_a_clip_holds_the_landmarks_to_a_tenth_of_a_millimetre():
     assert len(clip["humans"]) == 1  # shared by the two
     frames = [round(100 * t) for t in clip["times"]]
     assert 100 < len(frames) < 130  # 30 Hz
-    packed = [np.frombuffer(base64.b64decode(text), "<i2").reshape(-1, 21, 3) / 1e4
-              for text in (clip["panes"][0]["robot"], clip["humans"][0])]  # fmt: skip
+    packed = [
+        np.frombuffer(base64.b64decode(text), "<i2").reshape(-1, 21, 3) / 1e4
+        for text in (clip["panes"][0]["robot"], clip["humans"][0])
+    ]
     assert (packed[1][:, 7] == -3.2768).all()
     turned = robot[frames] @ view_basis(hand).T
     shift = turned[0, 0] - packed[0][0, 0]
@@ -746,8 +802,14 @@ def test_the_page_plays_without_complaints(done, chromium, scheme):
     problems: list[str] = []
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
-    page.on("request", lambda r: problems.append(r.url) if "file:" not in r.url[:5] and
-            not r.url.startswith("data:") else None)  # fmt: skip
+    page.on(
+        "request",
+        lambda r: (
+            problems.append(r.url)
+            if "file:" not in r.url[:5] and not r.url.startswith("data:")
+            else None
+        ),
+    )
     page.goto((done.folder / "report.html").as_uri())
     read: Callable[[], str] = page.locator(".player output").inner_text
     pixels = "c => new Set(c.getContext('2d').getImageData(0, 0, c.width, c.height).data).size"

@@ -27,9 +27,15 @@ from smooth_operator.reporting.drawing import colors_of, styled, write_figure
 METRIC = {metric.name: metric for metric in METRICS}
 COLUMN_NAMES = [metric.name for metric in COLUMNS]
 NAMES = (
-    "cosine_similarity", "scale_ratio", "motion_preservation", "flatness", "pinch_touch_share",
-    "self_collision.share", "workspace_utilisation", "latency_ms.p50",
-)  # fmt: skip
+    "cosine_similarity",
+    "scale_ratio",
+    "motion_preservation",
+    "flatness",
+    "pinch_touch_share",
+    "self_collision.share",
+    "workspace_utilisation",
+    "latency_ms.p50",
+)
 
 
 def line(method: str, *values: float | None, of: int = 1, extension: float | None = None) -> Line:
@@ -92,18 +98,31 @@ def test_the_sentence_names_what_the_table_marks():
     for seed in range(200):
         rng = np.random.default_rng(seed)
         lines = [
-            line(name, *rng.uniform(0.2, 1.2, 2), rng.uniform(0.8, 1), *rng.uniform(0, 1, 2),
-                 rng.choice([0.0, 0.04, 0.3]), *rng.uniform(0.1, 1, 2),
-                 extension=rng.uniform(0, 0.2))
+            line(
+                name,
+                *rng.uniform(0.2, 1.2, 2),
+                rng.uniform(0.8, 1),
+                *rng.uniform(0, 1, 2),
+                rng.choice([0.0, 0.04, 0.3]),
+                *rng.uniform(0.1, 1, 2),
+                extension=rng.uniform(0, 0.2),
+            )
             for name in "abcd"
-        ]  # fmt: skip
+        ]
         ranks = ranking.mean_ranks(lines)
         first = min(ranks, key=lambda name: ranks[name])
         assert ranking.verdict(lines).startswith(first)
-        for use, name in zip(ranking.find_uses(lines), (
-            "finger_extension_error", "pinch_touch_share", "cosine_similarity", "flatness",
-            "latency_ms.p50",
-        ), strict=True):  # fmt: skip
+        for use, name in zip(
+            ranking.find_uses(lines),
+            (
+                "finger_extension_error",
+                "pinch_touch_share",
+                "cosine_similarity",
+                "flatness",
+                "latency_ms.p50",
+            ),
+            strict=True,
+        ):
             marked = {lines[i].method for i in best(lines, METRIC[name])}
             excused = re.findall(r"; (\w) does not count", use.figures)
             assert not use.methods or set(use.methods) == marked or set(excused) <= marked, seed
@@ -119,11 +138,17 @@ def test_figures_that_look_the_same_share_a_rank():
 
 def row(method: str, tracker: str, file: str, part: str, error: float) -> Row:
     return {
-        "recording": f"{file}[{part}]", "hand": "h", "side": "right", "method": method,
-        "preset": "p", "status": "ok", "reason": None, "date": "2026-11-26T10:00:00",
+        "recording": f"{file}[{part}]",
+        "hand": "h",
+        "side": "right",
+        "method": method,
+        "preset": "p",
+        "status": "ok",
+        "reason": None,
+        "date": "2026-11-26T10:00:00",
         "source": {"tracker": tracker, "unit": file},
         "metrics": {"finger_extension_error": error, "cosine_similarity": 1 - error},
-    }  # fmt: skip
+    }
 
 
 def test_the_mean_is_over_parts_then_recordings_then_trackers():
@@ -211,8 +236,13 @@ def test_tables_sort_and_plots_answer_to_the_pointer(chromium, tmp_path):
 def test_empty_cells_have_a_footnote():
     def row(recording: str, touch: float | None, share: float | None, status: str = "ok") -> Row:
         metrics = {"pinch_touch_share": touch, "self_collision": {"share": share}}
-        return {"recording": recording, "hand": "bare", "side": "left", "status": status,
-                "metrics": metrics}  # fmt: skip
+        return {
+            "recording": recording,
+            "hand": "bare",
+            "side": "left",
+            "status": status,
+            "metrics": metrics,
+        }
 
     assert ranking.footnotes([row("a", 0.5, 0.0), row("a", None, 0.0)]) == []
     collision, pinches = ranking.footnotes(

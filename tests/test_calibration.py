@@ -232,9 +232,18 @@ def test_calibrate_and_retarget(tmp_path, run):
     def known(name: str, *more: object) -> object:
         target = tmp_path / f"{name}.npz"
         status, _, err = run(
-            "retarget", glove, "--method", "joint_angle", "--frames", ":20", "--quiet", "--json",
-            "--output", target, *more,
-        )  # fmt: skip
+            "retarget",
+            glove,
+            "--method",
+            "joint_angle",
+            "--frames",
+            ":20",
+            "--quiet",
+            "--json",
+            "--output",
+            target,
+            *more,
+        )
         assert status == 0, err
         return json.loads(target.with_suffix(".json").read_text(encoding="utf-8"))["pinch_gaps"]
 
@@ -290,9 +299,20 @@ def test_a_folder_is_made_again_for_other_fingers_or_another_operator(tmp_path, 
     file = tmp_path / "operator.json"
     write_operator(file, KNOWN)
     status, _, err = run(
-        "retarget", recordings, "--output", output, "--method", "joint_angle", "--workers", "0",
-        "--operator", file, "--fingers", THREE, "--quiet",
-    )  # fmt: skip
+        "retarget",
+        recordings,
+        "--output",
+        output,
+        "--method",
+        "joint_angle",
+        "--workers",
+        "0",
+        "--operator",
+        file,
+        "--fingers",
+        THREE,
+        "--quiet",
+    )
     assert status == 0, err
 
     def left(fingers: str | None, operator: OperatorProfile | None, **more: object) -> int:
@@ -315,9 +335,19 @@ def test_a_benchmark_measures_again_for_other_fingers_or_another_operator(tmp_pa
 
     def bench(*more: object) -> tuple[dict[str, object], bool]:
         status, _, err = run(
-            "bench", f"{glove}@:24", "--methods", "joint_angle", "--output", tmp_path / "out",
-            "--workers", "0", "--latency-frames", "0", "--no-report", *more,
-        )  # fmt: skip
+            "bench",
+            f"{glove}@:24",
+            "--methods",
+            "joint_angle",
+            "--output",
+            tmp_path / "out",
+            "--workers",
+            "0",
+            "--latency-frames",
+            "0",
+            "--no-report",
+            *more,
+        )
         assert status == 0, err
         (row,) = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
         return row, "not measured again" in err
@@ -337,9 +367,18 @@ def test_a_benchmark_measures_again_for_other_fingers_or_another_operator(tmp_pa
 
 def test_the_demo_drives_some_fingers_and_says_so(tmp_path, run):
     status, _, err = run(
-        "demo", "--no-view", "--duration", "0.2", "--method", "joint_angle", "--fingers", THREE,
-        "--output", tmp_path / "demo", "--quiet",
-    )  # fmt: skip
+        "demo",
+        "--no-view",
+        "--duration",
+        "0.2",
+        "--method",
+        "joint_angle",
+        "--fingers",
+        THREE,
+        "--output",
+        tmp_path / "demo",
+        "--quiet",
+    )
     assert status == 0, err
     config = json.loads((tmp_path / "demo" / "config.json").read_text(encoding="utf-8"))
     assert config["fingers"] == CHOSEN
@@ -370,9 +409,14 @@ def test_a_session_waits_while_no_hand_is_seen_and_labels_what_was_held():
     else:
         pytest.fail("it never ends")
     assert phases == [
-        (0, "wait"), (0, "settle"), (0, "hold"), (0, "wait"), (0, "hold"),
-        (1, "settle"), (1, "hold"),
-    ]  # fmt: skip
+        (0, "wait"),
+        (0, "settle"),
+        (0, "hold"),
+        (0, "wait"),
+        (0, "hold"),
+        (1, "settle"),
+        (1, "hold"),
+    ]
     recording, segments = session.recording(), session.segments()
     assert [s.finger for s in segments] == ["index", "ring"]
     held = [np.ptp(recording.stamps[s.start : s.stop]) for s in segments]

@@ -147,8 +147,13 @@ def test_what_a_model_excludes_from_collision_stays_excluded(whole, tmp_path):
     pair = frozenset(int(body(name).id) for name in tips)
     assert pair in links(parts_apart(whole), whole)
     exclude = f'<contact><exclude body1="{tips[0]}" body2="{tips[1]}"/></contact>'
-    bits = re.sub(rf'(<body name="{tips[0]}".*?<geom )', r'\1contype="2" conaffinity="2" ', text,
-                  count=1, flags=re.DOTALL)  # fmt: skip
+    bits = re.sub(
+        rf'(<body name="{tips[0]}".*?<geom )',
+        r'\1contype="2" conaffinity="2" ',
+        text,
+        count=1,
+        flags=re.DOTALL,
+    )
     for number, made in enumerate((text.replace("<actuator>", exclude + "<actuator>"), bits)):
         path = tmp_path / f"{number}.xml"
         path.write_text(made, encoding="utf-8")

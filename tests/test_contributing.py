@@ -17,10 +17,23 @@ from test_lint import COMMANDS
 
 PROJECT = Path(__file__).resolve().parents[1]
 PARTS = (
-    "method", "term", "hand", "source", "sink", "real hand", "reader",
-    "data set layout", "data set format", "metric", "command",
-    "research data set", "experiment", "physics measure", "demonstration", "doc page",
-)  # fmt: skip
+    "method",
+    "term",
+    "hand",
+    "source",
+    "sink",
+    "real hand",
+    "reader",
+    "data set layout",
+    "data set format",
+    "metric",
+    "command",
+    "research data set",
+    "experiment",
+    "physics measure",
+    "demonstration",
+    "doc page",
+)
 YAML_FILES = sorted({*PROJECT.glob(".github/**/*.yml"), PROJECT / ".pre-commit-config.yaml"})
 
 

@@ -43,9 +43,13 @@ def items(source: Path, layout: str | None = LAYOUT) -> list[Item]:
 
 def request(source: Path, output: Path, **more: Any) -> DatasetRequest:
     options: dict[str, Any] = {
-        "no_limits": True, "format": "parquet", "workers": 0, "layout": LAYOUT,
-        "hand": "leap_hand", "method": "joint_angle",  # the quickest to compile
-    }  # fmt: skip
+        "no_limits": True,
+        "format": "parquet",
+        "workers": 0,
+        "layout": LAYOUT,
+        "hand": "leap_hand",
+        "method": "joint_angle",  # the quickest to compile
+    }
     return DatasetRequest(sources=(str(source),), output=output, **options | more)
 
 
@@ -61,9 +65,12 @@ def digests(output: Path) -> dict[str, str]:
 
 @pytest.mark.parametrize(
     ("format", "workers"),
-    [("parquet", (0, 2)), ("webdataset", (0,)),
-     pytest.param("webdataset", (0, 2), marks=pytest.mark.weekly)],
-)  # fmt: skip
+    [
+        ("parquet", (0, 2)),
+        ("webdataset", (0,)),
+        pytest.param("webdataset", (0, 2), marks=pytest.mark.weekly),
+    ],
+)
 def test_workers_write_the_parts_of_a_large_data_set(
     tmp_path, source, format, workers, monkeypatch
 ):

@@ -14,9 +14,13 @@ import smooth_operator_study
 from smooth_operator.formats.csv_table import csv_text, plain_cell
 
 FORMULAS = (
-    '=HYPERLINK("http://elsewhere.example","click")', "-1+cmd|' /C calc'!A0", "+1+1", "@SUM(A1)",
-    "＝1+1", "'=1+1",
-)  # fmt: skip
+    '=HYPERLINK("http://elsewhere.example","click")',
+    "-1+cmd|' /C calc'!A0",
+    "+1+1",
+    "@SUM(A1)",
+    "＝1+1",
+    "'=1+1",
+)
 SAFE = re.compile(r"[^=+\-@\t\r\n＝＋－＠]|[+-]?[\d.]+(e[+-]?\d+)?$|$")
 
 

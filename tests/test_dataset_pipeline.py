@@ -180,8 +180,13 @@ def test_episodes_are_cut_where_no_hand_is_seen(whole):
     found = lines(output)
     kept = {name: line["frames"] for name, line in found.items() if line["kept"]}
     # Frames 5 to 9 lack one hand only; 20 to 49 both; from 60 on the left one is not sure.
-    assert kept == {"a": 30, "b_000000-000020": 20, "b_000050-000070": 20, "deep/c": 64,
-                    "deep/er/d": 41}  # fmt: skip
+    assert kept == {
+        "a": 30,
+        "b_000000-000020": 20,
+        "b_000050-000070": 20,
+        "deep/c": 64,
+        "deep/er/d": 41,
+    }
     assert found["b_000020-000050"]["reasons"] == {"hands": "no hand is seen"}
     figures = found["b_000050-000070"]["figures"]
     assert figures["right.valid"] == 1.0
@@ -365,8 +370,12 @@ def test_notes_on_the_reading_of_recordings_are_in_the_report(tmp_path):
     hand = SyntheticOperator(side="right", rate_hz=30).record(1.5)
     (tmp_path / "in").mkdir()
     for name in ("a", "b"):
-        np.savez(tmp_path / "in" / f"{name}.npz", landmarks=hand.landmarks, timestamps=hand.stamps,
-                 is_tracked=np.ones(len(hand), bool))  # fmt: skip
+        np.savez(
+            tmp_path / "in" / f"{name}.npz",
+            landmarks=hand.landmarks,
+            timestamps=hand.stamps,
+            is_tracked=np.ones(len(hand), bool),
+        )
     summary = make(request(tmp_path / "in", tmp_path / "out", layout="files"))
     assert summary.clips == 2
     assert summary.notes[:2] == [
@@ -383,8 +392,9 @@ def test_a_bad_file_does_not_end_the_run(folder, tmp_path):
     (tmp_path / "in" / "bad.pair.npz").write_bytes(b"PK\x03\x04")
     save_pair(tmp_path / "in" / "short.pair.npz", 1)
     nothing = np.full((30, 21, 3), np.nan)
-    save_pair(tmp_path / "in" / "blind.pair.npz", 30, right_landmarks=nothing,
-              left_landmarks=nothing)  # fmt: skip
+    save_pair(
+        tmp_path / "in" / "blind.pair.npz", 30, right_landmarks=nothing, left_landmarks=nothing
+    )
     summary = make(request(tmp_path / "in", tmp_path / "out"))
     assert summary.clips == 2
     assert [*summary.failed] == ["bad", "blind", "short"]  # in any order of the workers
@@ -592,9 +602,12 @@ def test_a_robot_in_the_posture_of_an_operator_of_shorter_fingers_reaches(short)
     shares, count = [], len(recording)
     for poses_ in (np.clip(posture, *hand.limits.T), np.tile(hand.limits[:, 1], (count, 1))):
         commands = CommandTrajectory(
-            hand.full_configuration(poses_), hand.joint_names, recording.stamps,
-            np.zeros(count), np.zeros(count, np.int8),
-        )  # fmt: skip
+            hand.full_configuration(poses_),
+            hand.joint_names,
+            recording.stamps,
+            np.zeros(count),
+            np.zeros(count, np.int8),
+        )
         loss = [np.zeros(count)]
         (tracks,) = quality_tracks([recording], [commands], loss, hand, AlignmentConfig())
         shares.append((float(tracks["tip_error_max"].max()), float(tracks["reached"].mean())))

@@ -368,8 +368,10 @@ def test_of_two_hands_the_side_chooses(tmp_path, arm, fingers):
         side: make_hand(k, side=side, arm=arm, fingers=fingers, prefix=side[0], at=(0.4 * k, 0, 0))
         for k, side in enumerate(("right", "left"))
     }
-    apart = [replace(p, position=p.position + np.array([0.5, 0, 0])) if p.parent is None else p
-             for p in hands["left"].parts]  # fmt: skip
+    apart = [
+        replace(p, position=p.position + np.array([0.5, 0, 0])) if p.parent is None else p
+        for p in hands["left"].parts
+    ]
     path = write(tmp_path, urdf((*hands["right"].parts, *apart)))
     with pytest.raises(HandModelError, match=r"holds 2 hands .*--side"):
         discover(path)
@@ -383,18 +385,29 @@ def test_three_like_fingers_and_a_gripper_are_not_guessed_at(tmp_path):
         out = np.array([np.cos(2.1 * k), np.sin(2.1 * k), 0.0])
         axis = np.array([-out[1], out[0], 0.0])
         up = np.array([0.0, 0.0, 0.06])
-        parts.append(Part(f"a{k}", "base", 0.05 * out, axis=axis, joint=f"p{k}", end=up,
-                          limits=(-1.3, 0.5)))  # fmt: skip
-        parts.append(Part(f"b{k}", f"a{k}", up, axis=axis, joint=f"q{k}", end=up,
-                          limits=(-1.3, 0.5)))  # fmt: skip
+        parts.append(
+            Part(f"a{k}", "base", 0.05 * out, axis=axis, joint=f"p{k}", end=up, limits=(-1.3, 0.5))
+        )
+        parts.append(
+            Part(f"b{k}", f"a{k}", up, axis=axis, joint=f"q{k}", end=up, limits=(-1.3, 0.5))
+        )
     found = discover(write(tmp_path, urdf(tuple(parts))))
     assert sure(found, "side") < 0.5
     assert sure(found, "thumb") < 0.8
     claw = [Part("hand", None, np.zeros(3), end=np.array([0.0, 0.0, 0.05]))]
     for name, sign in (("lf", 1.0), ("rf", -1.0)):
-        claw.append(Part(name, "hand", np.array([0, 0.01 * sign, 0.06]), slide=True, joint=name,
-                         axis=np.array([0.0, sign, 0.0]), limits=(0.0, 0.04),
-                         end=np.array([0.0, 0.0, 0.05])))  # fmt: skip
+        claw.append(
+            Part(
+                name,
+                "hand",
+                np.array([0, 0.01 * sign, 0.06]),
+                slide=True,
+                joint=name,
+                axis=np.array([0.0, sign, 0.0]),
+                limits=(0.0, 0.04),
+                end=np.array([0.0, 0.0, 0.05]),
+            )
+        )
     found = discover(write(tmp_path, urdf(tuple(claw))))
     assert {"side", "thumb"} <= {f.subject for f in found.unsure}
     assert [f.name for f in found.fingers] == ["thumb", "index"]  # rf is no ring finger here
@@ -569,8 +582,11 @@ def test_a_broken_hand_is_refused_with_what_to_do(tmp_path):
 def test_words_are_told_apart():
     assert words("rightIndexTip_2") == ("right", "index", "tip")
     assert fingers_said([["ffproximal"], ["thbase"], ["rf_medial"], ["lfj3"]]) == [
-        "index", "thumb", "ring", "pinky",
-    ]  # fmt: skip
+        "index",
+        "thumb",
+        "ring",
+        "pinky",
+    ]
     # said of all, a word tells none from another; initials of two may be left and right
     assert fingers_said([["a_middle"], ["b_middle"]]) == [None, None]
     assert fingers_said([["rf"], ["lf"]]) == [None, None]

@@ -45,8 +45,9 @@ def with_moving_knuckle(shift: float) -> tuple[tuple[Part, ...], str]:
         chain.append(above)
     knuckle = chain[-2]  # the last of the chain spreads
     step = np.array([0.0, 0.0, shift])
-    parts = tuple(replace(p, position=p.position + step) if p.name == knuckle else p
-                  for p in hand.parts)  # fmt: skip
+    parts = tuple(
+        replace(p, position=p.position + step) if p.name == knuckle else p for p in hand.parts
+    )
     return parts, knuckle
 
 
@@ -81,9 +82,18 @@ def test_a_knuckle_that_no_joint_moves_stays_on_its_link(tmp_path):
 def test_a_base_on_a_slide_stays_too(tmp_path):
     claw = [Part("hand", None, np.zeros(3), end=np.array([0.0, 0.0, 0.05]))]
     for name, sign in (("a", 1.0), ("b", -1.0)):
-        claw.append(Part(name, "hand", np.array([0, 0.01 * sign, 0.06]), slide=True, joint=name,
-                         axis=np.array([0.0, sign, 0.0]), limits=(0.0, 0.04),
-                         end=np.array([0.0, 0.0, 0.05])))  # fmt: skip
+        claw.append(
+            Part(
+                name,
+                "hand",
+                np.array([0, 0.01 * sign, 0.06]),
+                slide=True,
+                joint=name,
+                axis=np.array([0.0, sign, 0.0]),
+                limits=(0.0, 0.04),
+                end=np.array([0.0, 0.0, 0.05]),
+            )
+        )
     found = found_in(tmp_path, tuple(claw))
     assert base_travel(load_hand_spec(found.spec)).max() < 1e-6
     assert "thumb, index, by up to 4" in because(found, "bases")
@@ -155,8 +165,9 @@ def ring_of_fingers(radius: float) -> tuple[Part, ...]:
         out = np.array([np.cos(2.1 * k), np.sin(2.1 * k), 0.0])
         axis = np.array([-out[1], out[0], 0.0])
         for name, parent, at in ((f"a{k}", "base", radius * out), (f"b{k}", f"a{k}", up)):
-            parts.append(Part(name, parent, at, axis=axis, joint=f"j{name}", end=up,
-                              limits=(-1.3, 0.9)))  # fmt: skip
+            parts.append(
+                Part(name, parent, at, axis=axis, joint=f"j{name}", end=up, limits=(-1.3, 0.9))
+            )
     return tuple(parts)
 
 

@@ -106,12 +106,28 @@ def test_a_hand_of_tendons_on_an_arm(tmp_path, side):
         parts.append(part)
     mount = Part("armmount", "arm1", np.array([0.0, 0.0, 0.1]))
     arm = [
-        Part("arm0", None, np.zeros(3), axis=odd_hands.Z, joint="arm0_j", limits=(-3.0, 3.0),
-             end=np.array([0.0, 0.0, 0.4]), radius=0.05),
-        Part("arm1", "arm0", np.array([0.0, 0.0, 0.4]), axis=odd_hands.Y, joint="arm1_j",
-             limits=(-2.0, 2.0), end=np.array([0.0, 0.0, 0.1]), radius=0.04),
+        Part(
+            "arm0",
+            None,
+            np.zeros(3),
+            axis=odd_hands.Z,
+            joint="arm0_j",
+            limits=(-3.0, 3.0),
+            end=np.array([0.0, 0.0, 0.4]),
+            radius=0.05,
+        ),
+        Part(
+            "arm1",
+            "arm0",
+            np.array([0.0, 0.0, 0.4]),
+            axis=odd_hands.Y,
+            joint="arm1_j",
+            limits=(-2.0, 2.0),
+            end=np.array([0.0, 0.0, 0.1]),
+            radius=0.04,
+        ),
         mount,
-    ]  # fmt: skip
+    ]
     parts[0] = replace(parts[0], parent="armmount")
     # as MJCF, a finger ends in half a ball, and its tip is on that
     tips = tuple((n, t * (1 + 0.006 / np.linalg.norm(t))) for n, t in model.truth.tips)
@@ -184,9 +200,16 @@ def test_a_piece_of_a_finger_is_no_hand(tmp_path):
     fork = next(p for p in drawing.parts if p.name == "Daumen2")
     for k, x in enumerate((0.01, -0.01)):
         drawing.parts.append(
-            Part(f"fork{k}", fork.name, np.array([x, 0.0, 0.02]), axis=odd_hands.X,
-                 joint=f"fork{k}_j", limits=(-0.5, 0.5), end=np.array([0.0, 0.0, 0.02]))
-        )  # fmt: skip
+            Part(
+                f"fork{k}",
+                fork.name,
+                np.array([x, 0.0, 0.02]),
+                axis=odd_hands.X,
+                joint=f"fork{k}_j",
+                limits=(-0.5, 0.5),
+                end=np.array([0.0, 0.0, 0.02]),
+            )
+        )
     with pytest.raises(HandModelError, match=r"Zeige3.*more than the fingers of a hand"):
         found_in(tmp_path, urdf(drawing.model("right", 0).parts))
 
@@ -199,8 +222,10 @@ def test_a_finger_whose_joints_lack_limits_is_not_lost(tmp_path):
         names.add(lost := above)
     text = urdf(model.parts)
     for name in names:
-        text = text.replace(f'name="{parts[name].joint}" type="revolute"',
-                            f'name="{parts[name].joint}" type="continuous"')  # fmt: skip
+        text = text.replace(
+            f'name="{parts[name].joint}" type="revolute"',
+            f'name="{parts[name].joint}" type="continuous"',
+        )
     with pytest.raises(HandModelError, match=r"rotates without limits.*--palm palm"):
         found_in(tmp_path, text)
     (tmp_path / "model.urdf").write_text(text)

@@ -48,8 +48,10 @@ def ran(**variables: str) -> tuple[list[str], str]:
     done = subprocess.run(
         [sys.executable, "-c", COMMAND],
         env=environment | {"JAX_PLATFORMS": "cpu"} | variables,
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return done.stdout.splitlines(), done.stderr
 
 

@@ -33,10 +33,15 @@ LINES = {page: lines for page in PAGES if (lines := list(command_lines(page.read
 USERS = [
     page
     for page in LINES
-    if page == README or page.relative_to(PROJECT).parts[:2] in {
-        ("docs", "how-to"), ("docs", "tutorials"), ("docs", "robots"), ("docs", "reference"),
+    if page == README
+    or page.relative_to(PROJECT).parts[:2]
+    in {
+        ("docs", "how-to"),
+        ("docs", "tutorials"),
+        ("docs", "robots"),
+        ("docs", "reference"),
     }
-]  # fmt: skip
+]
 QUICK = ("docs/how-to/calibrate.md", "docs/how-to/lerobot.md", "docs/how-to/manus.md")
 """Pages that run in every run of the tests; the others once a week."""
 

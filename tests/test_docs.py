@@ -23,10 +23,15 @@ SOURCE = PROJECT / "src" / "smooth_operator"
 RESEARCH = PROJECT / "research" / "src" / "smooth_operator_research"
 STUDY = PROJECT / "packages" / "smooth_operator_study" / "smooth_operator_study"
 OTHER_NAMES = {
-    "smooth_operator.method", "smooth_operator.origin",  # metadata records of the log
-    "smooth_operator.sources", "smooth_operator.sinks", "smooth_operator.readers",  # entry points
-    "smooth_operator.commands", "smooth_operator.methods", "smooth_operator.writers",
-}  # fmt: skip
+    "smooth_operator.method",
+    "smooth_operator.origin",  # metadata records of the log
+    "smooth_operator.sources",
+    "smooth_operator.sinks",
+    "smooth_operator.readers",  # entry points
+    "smooth_operator.commands",
+    "smooth_operator.methods",
+    "smooth_operator.writers",
+}
 """Names that are no modules."""
 SKIP = "<!-- no-test -->"
 FENCE = re.compile(r"^(?P<fence>`{3,}|~{3,})(?P<language>[\w+-]*)")

@@ -23,23 +23,74 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 BASE = {"flatbuffers", "jax", "jaxtyping", "mujoco", "numpy", "rich", "scipy", "tyro"}
 """Distributions that everyone gets; their modules have the same names."""
 EXTRAS = [
-    "teleop", "lab", "all", "ability", "allegro", "arm", "avp", "cluster", "datasets",
-    "dynamixel", "hdf5", "inspire", "isaac", "lerobot", "linker", "menagerie", "orca",
-    "ros2", "rerun", "revo2", "webcam", "webxr", "wuji", "zmq", "docs", "test",
-]  # fmt: skip
+    "teleop",
+    "lab",
+    "all",
+    "ability",
+    "allegro",
+    "arm",
+    "avp",
+    "cluster",
+    "datasets",
+    "dynamixel",
+    "hdf5",
+    "inspire",
+    "isaac",
+    "lerobot",
+    "linker",
+    "menagerie",
+    "orca",
+    "ros2",
+    "rerun",
+    "revo2",
+    "webcam",
+    "webxr",
+    "wuji",
+    "zmq",
+    "docs",
+    "test",
+]
 """Names that stand in scripts."""
 LIBRARIES = [
-    "bc_stark_sdk", "can", "cryptography", "cv2", "google", "grpc", "cyclonedds", "daqp",
-    "dynamixel_sdk", "h5py", "isaacteleop", "jinja2", "mcap", "mediapipe", "matplotlib",
-    "mink", "mujoco_menagerie", "optax", "orca_core", "pyarrow", "pymodbus", "ray",
-    "rerun", "serial", "trimesh", "viser", "websockets", "wujihandpy",
-    "zmq", "zstandard",
-]  # fmt: skip
+    "bc_stark_sdk",
+    "can",
+    "cryptography",
+    "cv2",
+    "google",
+    "grpc",
+    "cyclonedds",
+    "daqp",
+    "dynamixel_sdk",
+    "h5py",
+    "isaacteleop",
+    "jinja2",
+    "mcap",
+    "mediapipe",
+    "matplotlib",
+    "mink",
+    "mujoco_menagerie",
+    "optax",
+    "orca_core",
+    "pyarrow",
+    "pymodbus",
+    "ray",
+    "rerun",
+    "serial",
+    "trimesh",
+    "viser",
+    "websockets",
+    "wujihandpy",
+    "zmq",
+    "zstandard",
+]
 """Modules of the extras."""
 AT_THE_TOP = (
-    "teleop/arm/", "teleop/isaac.py", "teleop/pages/", "teleop/recording/messages.py",
+    "teleop/arm/",
+    "teleop/isaac.py",
+    "teleop/pages/",
+    "teleop/recording/messages.py",
     "teleop/ros2/",
-)  # fmt: skip
+)
 """Where they may be imported with the module: its package says first what is missing."""
 
 

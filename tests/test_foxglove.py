@@ -23,15 +23,38 @@ from smooth_operator.types import JointCommand, Status
 REQUIRED = {
     "foxglove.SceneUpdate": {"deletions", "entities"},
     "foxglove.SceneEntity": {
-        "timestamp", "frame_id", "id", "lifetime", "frame_locked", "metadata", "arrows", "cubes",
-        "spheres", "cylinders", "lines", "triangles", "texts", "models",
+        "timestamp",
+        "frame_id",
+        "id",
+        "lifetime",
+        "frame_locked",
+        "metadata",
+        "arrows",
+        "cubes",
+        "spheres",
+        "cylinders",
+        "lines",
+        "triangles",
+        "texts",
+        "models",
     },
     "foxglove.LinePrimitive": {
-        "type", "pose", "thickness", "scale_invariant", "points", "color", "colors", "indices",
+        "type",
+        "pose",
+        "thickness",
+        "scale_invariant",
+        "points",
+        "color",
+        "colors",
+        "indices",
     },
     "foxglove.FrameTransforms": {"transforms"},
     "foxglove.FrameTransform": {
-        "timestamp", "parent_frame_id", "child_frame_id", "translation", "rotation",
+        "timestamp",
+        "parent_frame_id",
+        "child_frame_id",
+        "translation",
+        "rotation",
     },
     "foxglove.JointStates": {"timestamp", "joints"},
     "foxglove.JointState": {"name", "position", "velocity", "acceleration", "effort"},
@@ -40,7 +63,7 @@ REQUIRED = {
     "foxglove.Vector3": {"x", "y", "z"},
     "foxglove.Point3": {"x", "y", "z"},
     "foxglove.Color": {"r", "g", "b", "a"},
-}  # fmt: skip
+}
 TOPICS = {
     "/foxglove/hand": "foxglove.SceneUpdate",
     "/foxglove/robot": "foxglove.SceneUpdate",
@@ -96,8 +119,11 @@ def test_schemas_are_foxgloves(session):
     for name, required in REQUIRED.items():
         assert {field.name for field in found[name].fields} == required, name
     assert {f.name for f in found["foxglove.JointState"].fields if f.has_presence} == {
-        "position", "velocity", "acceleration", "effort",
-    }  # fmt: skip
+        "position",
+        "velocity",
+        "acceleration",
+        "effort",
+    }
     line = found["foxglove.LinePrimitive"].fields_by_name
     assert line["type"].enum_type.values_by_name["LINE_LIST"].number == 2
     assert line["indices"].type == line["indices"].TYPE_FIXED32

@@ -114,9 +114,17 @@ CLOUD = np.random.default_rng(3).normal(0, 0.05, (4, 3))
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize(
     ("source", "target"),
-    [(LINE, CLOUD), (CLOUD, LINE), (LINE, LINE), (POINT, CLOUD), (CLOUD, POINT), (POINT, POINT),
-     (np.zeros((4, 3)), np.zeros((4, 3))), (LINE[[0, 0, 3, 3]], CLOUD)],
-)  # fmt: skip
+    [
+        (LINE, CLOUD),
+        (CLOUD, LINE),
+        (LINE, LINE),
+        (POINT, CLOUD),
+        (CLOUD, POINT),
+        (POINT, POINT),
+        (np.zeros((4, 3)), np.zeros((4, 3))),
+        (LINE[[0, 0, 3, 3]], CLOUD),
+    ],
+)
 def test_degenerate_sets_are_finite_and_say_so(source, target, dtype):
     fit = umeyama(source.astype(dtype), target.astype(dtype))
     assert all(np.isfinite(part).all() for part in fit)
@@ -168,8 +176,10 @@ def test_a_fixed_scale_is_held_and_the_rest_is_optimal():
 def test_similarities_form_a_group():
     rng = np.random.default_rng(6)
     a, b, c = rng.normal(0, 0.05, (3, 40, 5, 3))
-    b, c = (moved(a, random_rotations(rng, 40), rng.uniform(0.5, 2, 40), rng.normal(0, 1, (40, 3)))
-            for _ in range(2))  # fmt: skip
+    b, c = (
+        moved(a, random_rotations(rng, 40), rng.uniform(0.5, 2, 40), rng.normal(0, 1, (40, 3)))
+        for _ in range(2)
+    )
     same = umeyama(a, a)
     np.testing.assert_allclose(same.rotation, np.broadcast_to(np.eye(3), (40, 3, 3)), atol=1e-10)
     np.testing.assert_allclose(same.scale, 1.0, atol=1e-12)

@@ -32,9 +32,18 @@ def gaussian(costs: np.ndarray, base: np.ndarray, elites: int) -> tuple[np.ndarr
     following = KEY, jnp.int32(1)
     words: Any = KEY
     mean, chol, _ = next_gaussian(
-        jnp.asarray(costs, jnp.float32), mean, chol, words, following, jnp.asarray(base),
-        limits, elites, TEMPERATURE, JITTER, interpret=True,
-    )  # fmt: skip
+        jnp.asarray(costs, jnp.float32),
+        mean,
+        chol,
+        words,
+        following,
+        jnp.asarray(base),
+        limits,
+        elites,
+        TEMPERATURE,
+        JITTER,
+        interpret=True,
+    )
     return np.asarray(mean), np.asarray(chol)
 
 
@@ -88,9 +97,13 @@ def test_the_elites_are_those_of_a_sort(kind):
 
 @pytest.mark.parametrize(
     ("count", "size", "elites"),
-    [(8192, 3, 128), (33, 1, 1), pytest.param(8192, 16, 128, marks=LARGE),
-     pytest.param(40, 17, 40, marks=LARGE)],
-)  # fmt: skip
+    [
+        (8192, 3, 128),
+        (33, 1, 1),
+        pytest.param(8192, 16, 128, marks=LARGE),
+        pytest.param(40, 17, 40, marks=LARGE),
+    ],
+)
 def test_sizes_that_are_no_powers_of_two(count, size, elites):
     rng = np.random.default_rng(2)
     costs = rng.random(count).astype(np.float32)
@@ -108,9 +121,18 @@ def test_fresh_normals_and_the_next_key(size):
     words = random_words(jnp.asarray(KEY), 4)
     limits = np.repeat(LIMITS, size, axis=0)
     mean, chol, following = next_gaussian(
-        jnp.asarray(costs), jnp.full(size, 0.05), 0.3 * jnp.eye(size), words[1],
-        (jnp.asarray(KEY), jnp.int32(2)), None, limits, 24, TEMPERATURE, JITTER, interpret=True,
-    )  # fmt: skip
+        jnp.asarray(costs),
+        jnp.full(size, 0.05),
+        0.3 * jnp.eye(size),
+        words[1],
+        (jnp.asarray(KEY), jnp.int32(2)),
+        None,
+        limits,
+        24,
+        TEMPERATURE,
+        JITTER,
+        interpret=True,
+    )
     base = np.zeros((size, 300), np.float32)
     base[:, index] = counter_normal_matrix(jnp.asarray(index, jnp.uint32), words[1], size)
     for value, other in zip((mean, chol), expected(costs, base, index), strict=True):

@@ -35,9 +35,17 @@ from smooth_operator.retargeting.presets import live_presets
 from smooth_operator.synthetic import SyntheticOperator
 
 NAMES = (
-    "ability_hand", "allegro_hand", "inspire_hand", "leap_hand", "mimic_p050", "orca_v2",
-    "schunk_svh", "shadow_dexee", "shadow_hand", "wuji_hand",
-)  # fmt: skip
+    "ability_hand",
+    "allegro_hand",
+    "inspire_hand",
+    "leap_hand",
+    "mimic_p050",
+    "orca_v2",
+    "schunk_svh",
+    "shadow_dexee",
+    "shadow_hand",
+    "wuji_hand",
+)
 EVERY_RUN = {
     "inspire_hand": ("keyvector",),
     "leap_hand": ("ako", "joint_angle"),
@@ -50,11 +58,18 @@ SIDES = ("right", "left")
 BOTH_SIDES = ("mimic_p050",)
 """Hands of each run of the tests whose left side is tried, too."""
 SIDED = [
-    *((name, side) for name in EVERY_RUN for side in SIDES
-      if side == "right" or name in BOTH_SIDES),
-    *(pytest.param(name, side, id=f"{name}-{side}-all", marks=pytest.mark.weekly)
-      for name in NAMES for side in SIDES),
-]  # fmt: skip
+    *(
+        (name, side)
+        for name in EVERY_RUN
+        for side in SIDES
+        if side == "right" or name in BOTH_SIDES
+    ),
+    *(
+        pytest.param(name, side, id=f"{name}-{side}-all", marks=pytest.mark.weekly)
+        for name in NAMES
+        for side in SIDES
+    ),
+]
 WEEKLY = [pytest.param(name, id=f"{name}-all", marks=pytest.mark.weekly) for name in NAMES]
 METHODS = ("sbr", "smooth", "dexpilot", "ako", "keyvector", "hybrid", "joint_angle", "geort")
 MIRRORED = ("mimic_p050", "orca_v2", "shadow_dexee", "wuji_hand")
@@ -64,9 +79,15 @@ REFUSED: dict[tuple[str, str], str] = {}
 """(hand, method) -> why the method can't serve the hand; none so far."""
 
 FLOORS = {
-    "sbr": 0.88, "smooth": 0.9, "dexpilot": 0.92, "ako": 0.88, "keyvector": 0.84, "hybrid": 0.84,
-    "joint_angle": 0.8, "geort": 0.5,
-}  # fmt: skip
+    "sbr": 0.88,
+    "smooth": 0.9,
+    "dexpilot": 0.92,
+    "ako": 0.88,
+    "keyvector": 0.84,
+    "hybrid": 0.84,
+    "joint_angle": 0.8,
+    "geort": 0.5,
+}
 """Mean cosine of the thumb-to-tip vectors that every hand exceeds; what was measured is 0.02 to
 0.05 higher. GeoRT's is of networks that were not trained, but for the hand that has them."""
 LOWER = {("shadow_dexee", "ako"): 0.75, ("shadow_dexee", "smooth"): 0.65}
@@ -138,9 +159,16 @@ def run_side(name: str, side: str, weekly: bool) -> dict[str, Run]:
         q = commands.joint_positions
         tips = hand.tips(q)
         trace = Trace(
-            human, tips, hand.wrist, hand.fingers, q, hand.joint_limits, recording.stamps,
-            commands.status, commands.latency_ms,
-        )  # fmt: skip
+            human,
+            tips,
+            hand.wrist,
+            hand.fingers,
+            q,
+            hand.joint_limits,
+            recording.stamps,
+            commands.status,
+            commands.latency_ms,
+        )
         runs[method] = Run(q, tips, commands.status, evaluate(trace))
     return runs
 
@@ -175,10 +203,17 @@ def fitted_networks(hand: Hand) -> GeortModel:
         w3[f, :, : len(joints)], b3[f, : len(joints)] = answer[:-1], answer[-1]
     weights = Weights(*(np.asarray(a, np.float32) for a in (w1, b1, w2, b2, w3, b3)))
     return GeortModel(
-        weights, centre, scale, hand.name, hand.spec.side, hand.fingers,
+        weights,
+        centre,
+        scale,
+        hand.name,
+        hand.spec.side,
+        hand.fingers,
         tuple(tuple(hand.actuated_names[j] for j in joints) for joints in own),
-        tuple(hand.limits[list(joints)] for joints in own), *recognition(hand), {},
-    )  # fmt: skip
+        tuple(hand.limits[list(joints)] for joints in own),
+        *recognition(hand),
+        {},
+    )
 
 
 Matrix = dict[tuple[str, str], dict[str, Run]]
@@ -321,8 +356,9 @@ def test_after_a_warm_up_no_frame_compiles_or_imports():
 @pytest.mark.parametrize("method", [m for m in METHODS if m != "geort"])
 def test_after_a_warm_up_no_frame_compiles_or_imports_with_any_hand(method):
     for preset in live_presets()[method]:
-        nothing_is_late(*(f"{name}:{side}:{method}:{preset}"
-                          for name in hand_names() for side in SIDES))  # fmt: skip
+        nothing_is_late(
+            *(f"{name}:{side}:{method}:{preset}" for name in hand_names() for side in SIDES)
+        )
 
 
 @pytest.mark.parametrize("name", NAMES)

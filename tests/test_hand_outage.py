@@ -144,7 +144,7 @@ class Run:
         settings = WorkerSettings(PERIOD, SILENCE, lost_s, guard)
         worker = HandWorker(
             "fake", self.bus, self.lock, self.bound, "right", self.hand.name, settings
-        )  # fmt: skip
+        )
         tick = make_tick(self.hand)
 
         def pace(worker: HandWorker, cycle: float) -> None:

@@ -79,9 +79,11 @@ def test_inspire_sets_its_limits_and_says_what_the_motors_report():
         for _ in range(8):
             reading = device.read()
         assert reading.errors == (
-            "little: rotor locked", "middle: too hot", "middle: too much current",
+            "little: rotor locked",
+            "middle: too hot",
+            "middle: too much current",
             "thumb_rotation: motor does not answer",
-        )  # fmt: skip
+        )
         assert reading.temperatures.tolist() == [31, 32, 33, 34, 35, 36]
         assert reading.currents.tolist() == [0, 0, 0, 1500, 0, 0]
         assert reading.touch.tolist() == [0, 0, 0, 300, 0, 0]

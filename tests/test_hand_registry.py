@@ -30,24 +30,53 @@ from smooth_operator.synthetic.gestures import RELAXED
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, mirror, pose_hand
 
 NAMES = (
-    "ability_hand", "allegro_hand", "brainco_revo2", "inspire_hand", "leap_hand", "linker_l10",
-    "linker_l20", "mimic_p050", "orca_v2", "schunk_svh", "shadow_dexee", "shadow_hand",
-    "sharpa_wave", "tesollo_dg5f", "unitree_dex3", "unitree_dex5", "wuji_hand",
-)  # fmt: skip
+    "ability_hand",
+    "allegro_hand",
+    "brainco_revo2",
+    "inspire_hand",
+    "leap_hand",
+    "linker_l10",
+    "linker_l20",
+    "mimic_p050",
+    "orca_v2",
+    "schunk_svh",
+    "shadow_dexee",
+    "shadow_hand",
+    "sharpa_wave",
+    "tesollo_dg5f",
+    "unitree_dex3",
+    "unitree_dex5",
+    "wuji_hand",
+)
 HANDS = [(name, side) for name in NAMES for side in ("right", "left")]
 FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
-    "ability_hand": (5, 6, 10), "allegro_hand": (4, 16, 16), "brainco_revo2": (5, 6, 11),
-    "inspire_hand": (5, 6, 12), "leap_hand": (4, 16, 16), "linker_l10": (5, 10, 20),
-    "linker_l20": (5, 16, 21), "mimic_p050": (5, 16, 20), "orca_v2": (5, 16, 16),
-    "schunk_svh": (5, 9, 20), "shadow_dexee": (3, 12, 12), "shadow_hand": (5, 18, 22),
-    "sharpa_wave": (5, 22, 22), "tesollo_dg5f": (5, 20, 20), "unitree_dex3": (3, 7, 7),
-    "unitree_dex5": (5, 16, 20), "wuji_hand": (5, 20, 20),
-}  # fmt: skip
+    "ability_hand": (5, 6, 10),
+    "allegro_hand": (4, 16, 16),
+    "brainco_revo2": (5, 6, 11),
+    "inspire_hand": (5, 6, 12),
+    "leap_hand": (4, 16, 16),
+    "linker_l10": (5, 10, 20),
+    "linker_l20": (5, 16, 21),
+    "mimic_p050": (5, 16, 20),
+    "orca_v2": (5, 16, 16),
+    "schunk_svh": (5, 9, 20),
+    "shadow_dexee": (3, 12, 12),
+    "shadow_hand": (5, 18, 22),
+    "sharpa_wave": (5, 22, 22),
+    "tesollo_dg5f": (5, 20, 20),
+    "unitree_dex3": (3, 7, 7),
+    "unitree_dex5": (5, 16, 20),
+    "wuji_hand": (5, 20, 20),
+}
 MIRRORED = ("linker_l10", "mimic_p050", "orca_v2", "shadow_dexee", "wuji_hand")
 ALIKE = {  # hands with a file for each side; how far their landmarks are from mirror images [mm]
-    "brainco_revo2": 2.0, "linker_l20": 15.0, "sharpa_wave": 0.01, "tesollo_dg5f": 0.01,
-    "unitree_dex3": 0.01, "unitree_dex5": 0.01,
-}  # fmt: skip
+    "brainco_revo2": 2.0,
+    "linker_l20": 15.0,
+    "sharpa_wave": 0.01,
+    "tesollo_dg5f": 0.01,
+    "unitree_dex3": 0.01,
+    "unitree_dex5": 0.01,
+}
 LATER = tuple(name for name in NAMES if name in ALIKE or name == "linker_l10")
 """Hands whose published models are not beside the checkout, to be compared with."""
 
@@ -253,9 +282,15 @@ def test_couplings_are_the_published_ones(shared, name, side):
 @pytest.mark.shared
 @pytest.mark.parametrize(
     ("name", "side"),
-    [("shadow_hand", "right"), ("allegro_hand", "left"), ("inspire_hand", "left"),
-     ("schunk_svh", "right"), ("wuji_hand", "right"), ("leap_hand", "right")],
-)  # fmt: skip
+    [
+        ("shadow_hand", "right"),
+        ("allegro_hand", "left"),
+        ("inspire_hand", "left"),
+        ("schunk_svh", "right"),
+        ("wuji_hand", "right"),
+        ("leap_hand", "right"),
+    ],
+)
 def test_a_description_is_carried_over_to_the_vendors_model(shared, name, side):
     hand = load_hand(name, side)
     there = on_model(hand, shared / REAL[name, side].file)
@@ -356,8 +391,10 @@ def test_another_finger_drives():
 
 def test_choices_as_text():
     assert parse_fingers("thumb, index,pinky=ring") == {
-        "thumb": "thumb", "index": "index", "pinky": "ring",
-    }  # fmt: skip
+        "thumb": "thumb",
+        "index": "index",
+        "pinky": "ring",
+    }
     for text in ("", "thumb,,index", "thumb,index=", "=ring"):
         with pytest.raises(HandModelError, match="is not a list of fingers"):
             parse_fingers(text)
@@ -383,11 +420,20 @@ def test_impossible_choices(fingers, error, message):
 
 @pytest.mark.parametrize(
     ("name", "side", "method"),
-    [("shadow_dexee", "right", "sbr"), ("ability_hand", "left", "joint_angle"),
-     *(pytest.param(name, "left" if at % 2 else "right", "joint_angle",
-                    marks=pytest.mark.weekly if at > 1 else ())
-       for at, name in enumerate(LATER))],
-)  # fmt: skip
+    [
+        ("shadow_dexee", "right", "sbr"),
+        ("ability_hand", "left", "joint_angle"),
+        *(
+            pytest.param(
+                name,
+                "left" if at % 2 else "right",
+                "joint_angle",
+                marks=pytest.mark.weekly if at > 1 else (),
+            )
+            for at, name in enumerate(LATER)
+        ),
+    ],
+)
 def test_a_frame_is_retargeted(name, side, method):
     """Three fingers; two joints a finger, on the left; and the hands that the matrix leaves out."""
     hand = load_hand(name, side)

@@ -40,20 +40,44 @@ from smooth_operator.types import JointCommand, Result, Status
 
 ALLEGRO = load_hand("allegro_hand").spec
 BASICS = {
-    "size", "palm frame", "palm tilt", "joint ranges", "joints used", "fingertips", "neutral pose",
-    "shapes", "flexion", "side", "pinches",
-}  # fmt: skip
+    "size",
+    "palm frame",
+    "palm tilt",
+    "joint ranges",
+    "joints used",
+    "fingertips",
+    "neutral pose",
+    "shapes",
+    "flexion",
+    "side",
+    "pinches",
+}
 MIRROR_IMAGES = ("linker_l10", "sharpa_wave", "tesollo_dg5f", "unitree_dex3", "unitree_dex5")
 """Their left hands are exact mirror images of the right ones: ``test_hand_registry.py``."""
 SIDES = [
     (name, side)
-    for name in ("ability_hand", "allegro_hand", "brainco_revo2", "inspire_hand", "leap_hand",
-                 "linker_l10", "linker_l20", "mimic_p050", "orca_v2", "schunk_svh", "shadow_dexee",
-                 "shadow_hand", "sharpa_wave", "tesollo_dg5f", "unitree_dex3", "unitree_dex5",
-                 "wuji_hand")
+    for name in (
+        "ability_hand",
+        "allegro_hand",
+        "brainco_revo2",
+        "inspire_hand",
+        "leap_hand",
+        "linker_l10",
+        "linker_l20",
+        "mimic_p050",
+        "orca_v2",
+        "schunk_svh",
+        "shadow_dexee",
+        "shadow_hand",
+        "sharpa_wave",
+        "tesollo_dg5f",
+        "unitree_dex3",
+        "unitree_dex5",
+        "wuji_hand",
+    )
     for side in ("right", "left")
     if side == "right" or name not in MIRROR_IMAGES
-]  # fmt: skip
+]
 EVERY_RUN = (("allegro_hand", "left"), ("inspire_hand", "left"), ("mimic_p050", "right"))
 """Hands of each run of the tests; the weekly run checks all."""
 
@@ -80,9 +104,14 @@ def test_a_built_in_hand_passes(name, side):
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("file", ["ability_hand/ability_hand_left.urdf",
-                                  "leap_hand/leap_hand_right.urdf",
-                                  "schunk_hand/schunk_svh_hand_right.urdf"])  # fmt: skip
+@pytest.mark.parametrize(
+    "file",
+    [
+        "ability_hand/ability_hand_left.urdf",
+        "leap_hand/leap_hand_right.urdf",
+        "schunk_hand/schunk_svh_hand_right.urdf",
+    ],
+)
 def test_a_discovered_hand_passes(shared, file):
     """URDFs without their meshes: some shapes are left, and are no reason for an alarm."""
     found = basics(discover(shared / "hands_urdf" / file, name="mine").spec)

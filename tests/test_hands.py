@@ -136,8 +136,9 @@ def test_an_equality_counts_from_the_references(tmp_path):
     import mujoco
 
     for equality in (LINE, '<joint joint1="i2" joint2="i3" polycoef="0.1 0.5 0 0 0"/>'):
-        spec = pincer(tmp_path, equality=equality, i2='ref="0.3" range="-1 2"',
-                      i3='ref="-0.2" range="-4 6"')  # fmt: skip
+        spec = pincer(
+            tmp_path, equality=equality, i2='ref="0.3" range="-1 2"', i3='ref="-0.2" range="-4 6"'
+        )
         hand = load_hand(spec)
         data = mujoco.MjData(hand.model)
         for i2 in (0.2, 0.7):
@@ -263,8 +264,13 @@ def test_a_urdf_with_a_mimic(tmp_path):
 
 
 def test_mimic_defaults_and_chains(tmp_path):
-    hand = load_hand(urdf(tmp_path, mimic='<mimic joint="i2"/>',
-                          mimic2='<mimic joint="i1" multiplier="-1" offset="0.3"/>'))  # fmt: skip
+    hand = load_hand(
+        urdf(
+            tmp_path,
+            mimic='<mimic joint="i2"/>',
+            mimic2='<mimic joint="i1" multiplier="-1" offset="0.3"/>',
+        )
+    )
     np.testing.assert_allclose(hand.full_configuration([0, 0, 0.2]), [0, 0, 0.2, 0.1, 0.1])
     np.testing.assert_allclose(hand.limits[-1], [-0.9, 0.8])  # 0.3 - q within [-0.5, 1.2]
 
@@ -301,24 +307,55 @@ def test_a_mimic_of_an_unknown_joint_or_without_numbers(tmp_path):
 @pytest.mark.parametrize(
     ("model", "palm", "thumb", "index", "couplings", "actuated"),
     [
-        ("inspire_hand/inspire_hand_right", "hand_base_link",
-         ("thumb_proximal_base", "thumb_tip"), ("index_proximal", "index_tip"), 6, 6),
-        ("inspire_hand/inspire_hand_left", "hand_base_link",
-         ("thumb_proximal_base", "thumb_tip"), ("index_proximal", "index_tip"), 6, 6),
-        ("ability_hand/ability_hand_right", "base", ("thumb_L1", "thumb_tip"),
-         ("index_L1", "index_tip"), 4, 6),
-        ("schunk_hand/schunk_svh_hand_right", "right_hand_base_link",
-         ("right_hand_a", "thtip"), ("right_hand_virtual_l", "fftip"), 11, 9),
+        (
+            "inspire_hand/inspire_hand_right",
+            "hand_base_link",
+            ("thumb_proximal_base", "thumb_tip"),
+            ("index_proximal", "index_tip"),
+            6,
+            6,
+        ),
+        (
+            "inspire_hand/inspire_hand_left",
+            "hand_base_link",
+            ("thumb_proximal_base", "thumb_tip"),
+            ("index_proximal", "index_tip"),
+            6,
+            6,
+        ),
+        (
+            "ability_hand/ability_hand_right",
+            "base",
+            ("thumb_L1", "thumb_tip"),
+            ("index_L1", "index_tip"),
+            4,
+            6,
+        ),
+        (
+            "schunk_hand/schunk_svh_hand_right",
+            "right_hand_base_link",
+            ("right_hand_a", "thtip"),
+            ("right_hand_virtual_l", "fftip"),
+            11,
+            9,
+        ),
     ],
-)  # fmt: skip
+)
 def test_published_urdfs(shared, model, palm, thumb, index, couplings, actuated):
     """Their meshes are not at hand; half of their joints follow others."""
     fingers = tuple(
         FingerSpec(name, (Point(base), None, None, Point(tip)))
         for name, (base, tip) in (("thumb", thumb), ("index", index))
     )
-    spec = HandSpec("vendor", "right", shared / f"hands_urdf/{model}.urdf", palm, Point(palm),
-                    fingers, align=("wrist", "thumb", "index"))  # fmt: skip
+    spec = HandSpec(
+        "vendor",
+        "right",
+        shared / f"hands_urdf/{model}.urdf",
+        palm,
+        Point(palm),
+        fingers,
+        align=("wrist", "thumb", "index"),
+    )
     hand = load_hand(spec)
     assert (len(hand.couplings), len(hand.actuated)) == (couplings, actuated)
     q = limited_poses(np.random.default_rng(10), hand.limits, 50)
@@ -345,10 +382,12 @@ def broken(text: str) -> Callable[[HandSpec], HandSpec]:
         (broken("<mujoco>"), "not well-formed XML"),
         (broken("<sdf/>"), "starts with <sdf>; expected <mujoco>"),
         (broken("<mujoco><worldbody><robot/></worldbody></mujoco>"), "MuJoCo can't read"),
-        (broken("<mujoco><worldbody><body name='palm'><joint/></body></worldbody></mujoco>"),
-         "body 't1'|MuJoCo can't compile|unknown body"),
+        (
+            broken("<mujoco><worldbody><body name='palm'><joint/></body></worldbody></mujoco>"),
+            "body 't1'|MuJoCo can't compile|unknown body",
+        ),
     ],
-)  # fmt: skip
+)
 def test_files_that_are_no_hand(tmp_path, change, message):
     with pytest.raises((HandModelError, UnknownNameError), match=message):
         load_hand(change(pincer(tmp_path)))
@@ -425,8 +464,15 @@ def finger(name: str) -> FingerSpec:
 )
 def test_descriptions_are_checked(names, align, message):
     with pytest.raises(HandModelError, match=message):
-        HandSpec("h", "right", Path("h.xml"), "palm", Point("palm"),
-                 tuple(finger(name) for name in names), align)  # fmt: skip
+        HandSpec(
+            "h",
+            "right",
+            Path("h.xml"),
+            "palm",
+            Point("palm"),
+            tuple(finger(name) for name in names),
+            align,
+        )
 
 
 def test_fingers_are_checked():

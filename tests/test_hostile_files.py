@@ -89,8 +89,10 @@ def zeros_npz(path: Path, frames: int) -> Path:
 
 def names_npz(path: Path) -> Path:
     """A billion texts of no characters take no byte."""
-    parts = {"joint_positions": "'<f8', 'fortran_order': False, 'shape': (0, 1000000000)",
-             "joint_names": "'<U0', 'fortran_order': False, 'shape': (1000000000,)"}  # fmt: skip
+    parts = {
+        "joint_positions": "'<f8', 'fortran_order': False, 'shape': (0, 1000000000)",
+        "joint_names": "'<U0', 'fortran_order': False, 'shape': (1000000000,)",
+    }
     with zipfile.ZipFile(path, "w") as archive:
         for name, text in parts.items():
             header = ("{'descr': " + text + ", }").ljust(117) + "\n"

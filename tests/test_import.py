@@ -27,9 +27,14 @@ LIBRARIES = (*HEAVY, "jax", "mujoco", "numpy", "scipy", "trimesh")
 MOST_NAMES = 50
 PUBLIC_NAMES = Path(__file__).with_name("public_names.txt")
 PUBLIC_PACKAGES = (
-    "calibration", "formats", "hand_discovery", "hands", "metrics", "retargeting",
+    "calibration",
+    "formats",
+    "hand_discovery",
+    "hands",
+    "metrics",
+    "retargeting",
     "teleop",
-)  # fmt: skip
+)
 
 PUBLIC_MODULES = ("errors", "landmarks")
 """Modules whose public names are in their ``__all__``."""

@@ -53,9 +53,15 @@ def test_the_random_trees_hold_every_case():
         seen |= {"branch"} if len(set(parents)) < len(parents) else set()
         seen |= {"slide above"} if any(p >= 0 and tree.joints[p].slide for p in parents) else set()
     assert seen == {
-        "palm below the root", "several joints on a body", "fixed body", "reference", "slide",
-        "hinge", "branch", "slide above",
-    }  # fmt: skip
+        "palm below the root",
+        "several joints on a body",
+        "fixed body",
+        "reference",
+        "slide",
+        "hinge",
+        "branch",
+        "slide above",
+    }
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
@@ -117,9 +123,12 @@ def test_gradients_by_finite_differences(seed):
     q = limited_poses(np.random.default_rng(seed), tree.limits, 1)[0]
     step = 1e-6
     numeric = np.stack(
-        [(tree.positions(q + e) - tree.positions(q - e)) / (2 * step)
-         for e in step * np.eye(len(q))], axis=-1,
-    )  # fmt: skip
+        [
+            (tree.positions(q + e) - tree.positions(q - e)) / (2 * step)
+            for e in step * np.eye(len(q))
+        ],
+        axis=-1,
+    )
     with float64():
         exact = jax.jit(jax.jacfwd(tree.positions))(jnp.asarray(q))
         assert exact.dtype == jnp.float64

@@ -89,9 +89,10 @@ def plugin(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
     if not REAL:
         robot = sys.modules[f"{ROBOT}.robot"]
         monkeypatch.setattr(
-            robot, "_cameras",
+            robot,
+            "_cameras",
             lambda config: {n: package.SmoothHandCamera(c) for n, c in config.cameras.items()},
-        )  # fmt: skip
+        )
     yield SimpleNamespace(package=package, errors=errors)
     for name in [n for n in sys.modules if n.startswith(ROBOT) and not REAL]:
         del sys.modules[name]  # they hold the classes of a stand-in that is gone
@@ -198,8 +199,12 @@ def test_a_machine_that_draws_too_slowly_is_told_what_to_set(drawing):
     drawing.now += 1.9
     with pytest.raises(TimeoutError) as raised:
         drawing.camera.read_latest()
-    for words in ("1.9 s old, more than 1 s", "smaller width and height", "stale_s: 5",
-                  "must be deleted before the next try"):  # fmt: skip
+    for words in (
+        "1.9 s old, more than 1 s",
+        "smaller width and height",
+        "stale_s: 5",
+        "must be deleted before the next try",
+    ):
         assert words in str(raised.value)
 
 

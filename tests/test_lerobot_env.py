@@ -35,9 +35,12 @@ def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
 
 @pytest.mark.parametrize(
     ("hand", "side", "task"),
-    [("mimic_p050", "right", "card"), ("shadow_hand", "left", "cube"),
-     ("leap_hand", "right", "screwdriver")],
-)  # fmt: skip
+    [
+        ("mimic_p050", "right", "card"),
+        ("shadow_hand", "left", "cube"),
+        ("leap_hand", "right", "screwdriver"),
+    ],
+)
 def test_each_task_is_an_environment_by_gymnasiums_own_check(make, hand, side, task):
     from gymnasium.utils.env_checker import check_env
 
@@ -108,8 +111,11 @@ def test_a_goal_that_is_met_is_a_success(make):
             w, x, y, z = physics.data.qpos[address + 3 : address + 7]
             c, s = turned  # about the world's z
             physics.data.qpos[address + 3 : address + 7] = (
-                c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w
-            )  # fmt: skip
+                c * w - s * z,
+                c * x - s * y,
+                c * y + s * x,
+                c * z + s * w,
+            )
         results.append(environment.step(rest))
         if results[-1][2]:
             break
@@ -120,9 +126,7 @@ def test_a_goal_that_is_met_is_a_success(make):
 
 
 def test_pictures_are_of_the_size_that_was_chosen(make):
-    environment = make(
-        task="cube", pictures=True, width=96, height=64, render_mode="rgb_array"
-    )  # fmt: skip
+    environment = make(task="cube", pictures=True, width=96, height=64, render_mode="rgb_array")
     try:
         seen, _ = environment.reset(seed=0)
     except ConfigError as error:
@@ -136,9 +140,13 @@ def test_pictures_are_of_the_size_that_was_chosen(make):
 
 @pytest.mark.parametrize(
     ("settings", "words"),
-    [({"fps": 0}, "steps a second"), ({"seconds": 0.0}, "time limit"),
-     ({"start": [0.0]}, "16 finite numbers"), ({"variation": -1.0}, "variation")],
-)  # fmt: skip
+    [
+        ({"fps": 0}, "steps a second"),
+        ({"seconds": 0.0}, "time limit"),
+        ({"start": [0.0]}, "16 finite numbers"),
+        ({"variation": -1.0}, "variation"),
+    ],
+)
 def test_settings_out_of_range_are_refused(make, settings, words):
     with pytest.raises(ConfigError, match=words):
         make(**settings)

@@ -35,35 +35,65 @@ pytestmark = [
 
 FPS, TASK = 10, "Move the fingers"
 SMALL = {
-    "type": "act", "device": "cpu", "push_to_hub": "false", "dim_model": 32, "n_heads": 2,
-    "dim_feedforward": 64, "n_encoder_layers": 1, "use_vae": "false", "chunk_size": 5,
-    "n_action_steps": 5, "pretrained_backbone_weights": "null",
-}  # fmt: skip
+    "type": "act",
+    "device": "cpu",
+    "push_to_hub": "false",
+    "dim_model": 32,
+    "n_heads": 2,
+    "dim_feedforward": 64,
+    "n_encoder_layers": 1,
+    "use_vae": "false",
+    "chunk_size": 5,
+    "n_action_steps": 5,
+    "pretrained_backbone_weights": "null",
+}
 CAMERA = "{front: {type: smooth_hand, width: 96, height: 64, fps: 10, stale_s: 30}}"
 
 
 def run(module: str, folder: Path, options: dict[str, Any]) -> str:
     """One of LeRobot's programs, offline; what it said."""
     environment = {
-        **os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(folder / "huggingface"),
+        **os.environ,
+        "HF_HUB_OFFLINE": "1",
+        "HF_HOME": str(folder / "huggingface"),
         "JAX_PLATFORMS": "cpu",
-    }  # fmt: skip
+    }
     done = subprocess.run(
-        [sys.executable, "-m", f"lerobot.scripts.{module}",
-         *(f"--{name}={value}" for name, value in options.items())],
-        env=environment, cwd=folder, capture_output=True, encoding="utf-8", timeout=3000,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            f"lerobot.scripts.{module}",
+            *(f"--{name}={value}" for name, value in options.items()),
+        ],
+        env=environment,
+        cwd=folder,
+        capture_output=True,
+        encoding="utf-8",
+        timeout=3000,
+    )
     assert done.returncode == 0, f"{module}: {done.stderr[-4000:]}"
     return done.stdout + done.stderr
 
 
 def train(folder: Path, data: Path, name: str, **more: Any) -> Path:
     """Three steps of ACT; the folder of the weights."""
-    run("lerobot_train", folder, {
-        "dataset.repo_id": f"test/{data.name}", "dataset.root": data, "steps": 3, "save_freq": 3,
-        "batch_size": 4, "num_workers": 0, "env_eval_freq": 0, "output_dir": folder / name,
-        "wandb.enable": "false", **{f"policy.{key}": value for key, value in SMALL.items()}, **more,
-    })  # fmt: skip
+    run(
+        "lerobot_train",
+        folder,
+        {
+            "dataset.repo_id": f"test/{data.name}",
+            "dataset.root": data,
+            "steps": 3,
+            "save_freq": 3,
+            "batch_size": 4,
+            "num_workers": 0,
+            "env_eval_freq": 0,
+            "output_dir": folder / name,
+            "wandb.enable": "false",
+            **{f"policy.{key}": value for key, value in SMALL.items()},
+            **more,
+        },
+    )
     model = folder / name / "checkpoints" / "last" / "pretrained_model"
     assert (model / "model.safetensors").exists()
     return model
@@ -84,26 +114,46 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("policy")
     address = f"tcp://127.0.0.1:{free_port()}"
     teleop = [
-        "teleop", "--source", "synthetic", "--hand", "mimic_p050", "--method", "joint_angle",
-        "--sink", f"zmq:{address},valid_for_s=10", "mujoco", f"record:{folder / 'take.mcap'}",
+        "teleop",
+        "--source",
+        "synthetic",
+        "--hand",
+        "mimic_p050",
+        "--method",
+        "joint_angle",
+        "--sink",
+        f"zmq:{address},valid_for_s=10",
+        "mujoco",
+        f"record:{folder / 'take.mcap'}",
         "--no-view",
-    ]  # fmt: skip
+    ]
     record = {
-        "robot.type": "smooth_hand", "robot.hand": "mimic_p050", "teleop.type": "smooth_operator",
-        "teleop.address": address, "teleop.timeout_s": 120, "dataset.num_episodes": 1,
-        "dataset.episode_time_s": 3, "dataset.reset_time_s": 0, "dataset.fps": FPS,
-        "dataset.single_task": TASK, "dataset.push_to_hub": "false", "dataset.video": "false",
+        "robot.type": "smooth_hand",
+        "robot.hand": "mimic_p050",
+        "teleop.type": "smooth_operator",
+        "teleop.address": address,
+        "teleop.timeout_s": 120,
+        "dataset.num_episodes": 1,
+        "dataset.episode_time_s": 3,
+        "dataset.reset_time_s": 0,
+        "dataset.fps": FPS,
+        "dataset.single_task": TASK,
+        "dataset.push_to_hub": "false",
+        "dataset.video": "false",
         "play_sounds": "false",
-    }  # fmt: skip
+    }
     with subprocess.Popen(
-        [sys.executable, "-m", "smooth_operator", *teleop], cwd=folder,
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, encoding="utf-8",
-    ) as operator:  # fmt: skip
+        [sys.executable, "-m", "smooth_operator", *teleop],
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+    ) as operator:
         try:
             for name, more in (
                 ("plain", {}),
                 ("seen", {"robot.cameras": CAMERA}),
-            ):  # fmt: skip
+            ):
                 if name == "seen" and not can_draw():
                     continue
                 where = {"dataset.repo_id": f"test/{name}", "dataset.root": folder / name}
@@ -133,11 +183,21 @@ def test_act_is_trained_on_a_recording_with_a_simulated_camera(recorded):
     inputs = json.loads((model / "config.json").read_text())["input_features"]
     assert set(inputs) == {"observation.state", "observation.images.front"}
     # the policy moves the simulated robot that the take was recorded with
-    text = run("lerobot_rollout", recorded, {
-        "policy.path": model, "policy.device": "cpu", "robot.type": "smooth_hand",
-        "robot.hand": "mimic_p050", "robot.cameras": CAMERA, "task": TASK, "fps": FPS,
-        "duration": 2, "play_sounds": "false",
-    })  # fmt: skip
+    text = run(
+        "lerobot_rollout",
+        recorded,
+        {
+            "policy.path": model,
+            "policy.device": "cpu",
+            "robot.type": "smooth_hand",
+            "robot.hand": "mimic_p050",
+            "robot.cameras": CAMERA,
+            "task": TASK,
+            "fps": FPS,
+            "duration": 2,
+            "play_sounds": "false",
+        },
+    )
     assert "Rollout finished" in text
 
 
@@ -148,11 +208,18 @@ def test_a_log_merges_with_a_recording_by_lerobots_tool(recorded):
     own, log = load(recorded / "plain"), load(output)
     assert log.features == own.features
     assert log.meta.robot_type == own.meta.robot_type == "smooth_hand"
-    run("lerobot_edit_dataset", recorded, {
-        "new_repo_id": f"test/{merged.name}", "new_root": merged, "operation.type": "merge",
-        "operation.repo_ids": f"[test/plain, test/{output.name}]",
-        "operation.roots": f"[{recorded / 'plain'}, {output}]", "push_to_hub": "false",
-    })  # fmt: skip
+    run(
+        "lerobot_edit_dataset",
+        recorded,
+        {
+            "new_repo_id": f"test/{merged.name}",
+            "new_root": merged,
+            "operation.type": "merge",
+            "operation.repo_ids": f"[test/plain, test/{output.name}]",
+            "operation.roots": f"[{recorded / 'plain'}, {output}]",
+            "push_to_hub": "false",
+        },
+    )
     both = load(merged)
     assert (both.num_episodes, len(both)) == (2, len(own) + len(log))
     np.testing.assert_array_equal(both[len(own)]["action"], log[0]["action"])
@@ -167,24 +234,33 @@ def test_a_policy_is_evaluated_in_the_environment(recorded):
     environment = package.HandTask(task="card", fps=FPS)
     joints = [f"{name}.pos" for name in environment.hand.actuated_names]
     names = {
-        "observation.state": joints, "observation.environment_state": list(OBJECT_NAMES),
+        "observation.state": joints,
+        "observation.environment_state": list(OBJECT_NAMES),
         "action": joints,
-    }  # fmt: skip
+    }
     data = LeRobotDataset.create(
-        "test/card", FPS, root=recorded / "card", robot_type="smooth_hand", use_videos=False,
+        "test/card",
+        FPS,
+        root=recorded / "card",
+        robot_type="smooth_hand",
+        use_videos=False,
         features={
             key: {"dtype": "float32", "shape": (len(each),), "names": each}
             for key, each in names.items()
         },
-    )  # fmt: skip
+    )
     for seed in range(2):
         seen, _ = environment.reset(seed=seed)
         for _ in range(15):
             action = environment.hand.neutral.astype(np.float32)
-            data.add_frame({
-                "observation.state": seen["agent_pos"], "action": action, "task": "card",
-                "observation.environment_state": seen["environment_state"],
-            })  # fmt: skip
+            data.add_frame(
+                {
+                    "observation.state": seen["agent_pos"],
+                    "action": action,
+                    "task": "card",
+                    "observation.environment_state": seen["environment_state"],
+                }
+            )
             seen, *_ = environment.step(action)
         data.save_episode()
     data.finalize()
@@ -192,12 +268,24 @@ def test_a_policy_is_evaluated_in_the_environment(recorded):
 
 
 def evaluate(recorded: Path, model: Path, name: str) -> None:
-    run("lerobot_eval", recorded, {
-        "policy.path": model, "policy.device": "cpu", "env.type": "smooth_hand",
-        "env.task": "card", "env.fps": FPS, "env.seconds": 1, "env.width": 64, "env.height": 64,
-        "eval.n_episodes": 2, "eval.batch_size": 2, "output_dir": recorded / name,
-        "eval.recording": str(not can_draw()).lower(),  # else it renders videos
-    })  # fmt: skip
+    run(
+        "lerobot_eval",
+        recorded,
+        {
+            "policy.path": model,
+            "policy.device": "cpu",
+            "env.type": "smooth_hand",
+            "env.task": "card",
+            "env.fps": FPS,
+            "env.seconds": 1,
+            "env.width": 64,
+            "env.height": 64,
+            "eval.n_episodes": 2,
+            "eval.batch_size": 2,
+            "output_dir": recorded / name,
+            "eval.recording": str(not can_draw()).lower(),  # else it renders videos
+        },
+    )
     info = json.loads((recorded / name / "eval_info.json").read_text())
     assert info["overall"]["n_episodes"] == 2
     assert 0.0 <= info["overall"]["pc_success"] <= 100.0

@@ -69,12 +69,22 @@ class Session:
         self.number += 1
         for side in self.sides:
             message = {
-                "side": side, "type": "command", "format": 1, "hand": "orca_v2",
-                "number": self.number, "mode": "tracking", "names": self.names,
-                "positions": self.angles, "velocities": [0.0, 0.0], "stamp": 0.0,
+                "side": side,
+                "type": "command",
+                "format": 1,
+                "hand": "orca_v2",
+                "number": self.number,
+                "mode": "tracking",
+                "names": self.names,
+                "positions": self.angles,
+                "velocities": [0.0, 0.0],
+                "stamp": 0.0,
                 "time": self.clock.now - 5000.0 if sent is None else sent,
-                "unix_time": 0.0, "valid_for_s": 0.2, "wrist": self.wrist, **more,
-            }  # fmt: skip
+                "unix_time": 0.0,
+                "valid_for_s": 0.2,
+                "wrist": self.wrist,
+                **more,
+            }
             self.newest.receive(json.dumps(message).encode())
 
 

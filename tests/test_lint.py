@@ -27,6 +27,9 @@ def test_the_code_is_clean(command):
         pytest.skip(f"judged with the versions of requirements.lock, not with {', '.join(others)}")
     done = subprocess.run(
         [sys.executable, "-m", *command.split()],
-        cwd=PROJECT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"

@@ -148,22 +148,41 @@ def test_live_messages_are_decoded_by_the_types_in_the_file(tmp_path):
     np.testing.assert_equal(
         found["/loop"],
         {
-            "stamp": 3.0, "number": 2**40, "mode": "holding", "time": 1.5, "received": np.nan,
-            "tracker_stamp": np.nan, "session": -2, "tracking_loss": np.nan, "scale": 1.1,
+            "stamp": 3.0,
+            "number": 2**40,
+            "mode": "holding",
+            "time": 1.5,
+            "received": np.nan,
+            "tracker_stamp": np.nan,
+            "session": -2,
+            "tracking_loss": np.nan,
+            "scale": 1.1,
             "events": ["späte", "b"],
         },
-    )  # fmt: skip
+    )
     assert found["/wrist"] == {
-        "stamp": 3.0, "pose": pose.tolist(), "engaged": True, "valid": False, "world": "base",
-    }  # fmt: skip
+        "stamp": 3.0,
+        "pose": pose.tolist(),
+        "engaged": True,
+        "valid": False,
+        "world": "base",
+    }
     np.testing.assert_equal(
         found["/arm"],
         {
-            "stamp": 3.0, "name": "ur5e", "names": ["a", "b"], "positions": [0.1, np.nan],
-            "velocities": [0.0, 0.0], "measured": [], "pose": pose.tolist(), "state": "following",
-            "clearance": np.inf, "position_error": 0.5, "rotation_error": np.nan,
+            "stamp": 3.0,
+            "name": "ur5e",
+            "names": ["a", "b"],
+            "positions": [0.1, np.nan],
+            "velocities": [0.0, 0.0],
+            "measured": [],
+            "pose": pose.tolist(),
+            "state": "following",
+            "clearance": np.inf,
+            "position_error": 0.5,
+            "rotation_error": np.nan,
         },
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.filterwarnings("ignore:.*_time is deprecated:DeprecationWarning")

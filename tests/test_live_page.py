@@ -159,8 +159,11 @@ def test_the_trackers_rate_is_not_the_command_rate(stage):
     meter = RateMeter(2.0)
     assert [meter.count(k, k / 25) or meter.rate for k in range(52)][-3:] == [None, 25.0, 25.0]
     eventually(lambda: stage.see()["status"]["frame_rates"]["right"])
-    status = {**stage.see()["status"], "frame_rates": {"right": 25.0, "left": 1.4},
-              "rates": {"right": 100.0, "left": None}}  # fmt: skip
+    status = {
+        **stage.see()["status"],
+        "frame_rates": {"right": 25.0, "left": 1.4},
+        "rates": {"right": 100.0, "left": None},
+    }
     text = plain(live_texts.summary(status))
     assert text.startswith("tracker 25 / 1.4 frames/s · commands 100 / – Hz")
     assert text.count("player") == 1  # the source is named once
@@ -433,9 +436,11 @@ def test_what_is_compiled_is_shown_with_its_seconds(stage):
     seen = stage.see()
     assert seen["hands"]["right"]["human"]  # the operator's own hand moves meanwhile
     assert "compiling for 0 s" in live_texts.modes(seen["hands"])
-    for mode, words in (("waiting", "compiling the method, robot holding"),
-                        ("holding", "compiling the method, robot holding"),
-                        ("stopped", "STOPPED")):  # fmt: skip
+    for mode, words in (
+        ("waiting", "compiling the method, robot holding"),
+        ("holding", "compiling the method, robot holding"),
+        ("stopped", "STOPPED"),
+    ):
         shown = live_texts.modes({"right": {**seen["hands"]["right"], "mode": mode}})
         assert words in shown
         assert "tracker" not in shown.split("wrist:")[0]
@@ -723,9 +728,16 @@ def worded_by_others(seen: Any) -> Any:
         "refused": {"right": {f"{ATTACK} reason": 3}},
         "latched": [f"{ATTACK} latched"],
         "stages": {f"{ATTACK} stage": {"p50": 1.0, "p99": 2.0}, "total": {"p50": 1.0, "p99": 2.0}},
-        "sinks": [{"label": f"{ATTACK} sink", "state": "open", "sent": 1, "failed": 0,
-                   "detail": f"{ATTACK} of a sink"}],
-    }  # fmt: skip
+        "sinks": [
+            {
+                "label": f"{ATTACK} sink",
+                "state": "open",
+                "sent": 1,
+                "failed": 0,
+                "detail": f"{ATTACK} of a sink",
+            }
+        ],
+    }
     return {
         key: replaced[key]
         if key in replaced
@@ -741,12 +753,15 @@ def worded_by_others(seen: Any) -> Any:
 def test_what_others_worded_is_shown_and_never_run(chromium, stage, tmp_path):
     seen = worded_by_others(stage.see())
     seen["trial"] = {
-        "phase": "waiting", "number": 1, "count": 3, "elapsed_s": 0.0, "limit_s": 60.0,
-        "title": f"{ATTACK} title", "instruction": f"{ATTACK} instruction",
-    }  # fmt: skip
-    seen["hands"]["right"]["wrist"] = {
-        "engaged": True, "released": False, "tracked": False
-    }  # fmt: skip
+        "phase": "waiting",
+        "number": 1,
+        "count": 3,
+        "elapsed_s": 0.0,
+        "limit_s": 60.0,
+        "title": f"{ATTACK} title",
+        "instruction": f"{ATTACK} instruction",
+    }
+    seen["hands"]["right"]["wrist"] = {"engaged": True, "released": False, "tracked": False}
     hands: dict[Side, Any] = {"right": load_hand(hostile_hand(tmp_path / ATTACK))}
     server = open_server("127.0.0.1", 0)
     try:
@@ -1043,11 +1058,13 @@ def test_another_hand_while_it_runs(monkeypatch, tmp_path):
     thread = threading.Thread(
         target=lambda: ended.append(
             teleoperate(
-                TeleopRequest(method="joint_angle"), sinks=[sink], reporter=reporter,
+                TeleopRequest(method="joint_angle"),
+                sinks=[sink],
+                reporter=reporter,
                 page=PageSettings(port=0, open_browser=False),
             )
         )
-    )  # fmt: skip
+    )
     thread.start()
     try:
         eventually(lambda: sessions and sessions[0].look(text=False)["hands"])
@@ -1060,9 +1077,7 @@ def test_another_hand_while_it_runs(monkeypatch, tmp_path):
         assert len(sessions) == 1
         first.do("hand", "leap_hand")
         changing = first.look(text=True)  # nothing reads as ended or closed
-        assert changing == {
-            "hands": {}, "notice": "changing to leap_hand", "stopped": False
-        }  # fmt: skip
+        assert changing == {"hands": {}, "notice": "changing to leap_hand", "stopped": False}
         assert "changing to leap_hand …" in live_texts.modes({}, changing["notice"])
         eventually(lambda: len(sessions) == 2)
         eventually(lambda: sessions[1].look(text=False)["hands"])

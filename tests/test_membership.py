@@ -161,9 +161,12 @@ def test_what_follows_a_joint_of_the_arm_stays_where_that_is(tmp_path):
 
 @pytest.mark.parametrize(
     ("method", "settled"),
-    [("joint_angle", 0), pytest.param("sbr", 0, marks=pytest.mark.weekly),
-     pytest.param(DEFAULT_METHOD, 10, marks=pytest.mark.weekly)],
-)  # fmt: skip
+    [
+        ("joint_angle", 0),
+        pytest.param("sbr", 0, marks=pytest.mark.weekly),
+        pytest.param(DEFAULT_METHOD, 10, marks=pytest.mark.weekly),
+    ],
+)
 def test_a_finger_that_is_left_out_stays_at_neutral_and_in_the_command(tmp_path, method, settled):
     """At once, or after the frames in which what the first one left is worked off."""
     path = tmp_path / "m.urdf"

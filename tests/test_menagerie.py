@@ -67,14 +67,20 @@ def vendors(folder: Path) -> Path:
     text = (MODELS / "shadow_hand_right.xml").read_text(encoding="utf-8")
     for old, new in (
         ("<compiler ", '<compiler meshdir="assets" '),
-        ("<worldbody>", """<asset><mesh name="palm" file="palm.stl"/></asset><worldbody>
+        (
+            "<worldbody>",
+            """<asset><mesh name="palm" file="palm.stl"/></asset><worldbody>
           <body name="base"><geom type="box" size="0.3 0.3 0.01"/>
           <body name="forearm" pos="0.1 0.2 0.6" quat="0.6 0 0.8 0">
-          <joint name="elbow" axis="0 1 0" range="-1 1"/><geom type="sphere" size="0.2"/>"""),
+          <joint name="elbow" axis="0 1 0" range="-1 1"/><geom type="sphere" size="0.2"/>""",
+        ),
         ("</worldbody>", "</body></body></worldbody>"),
-        ('<body name="palm">', """<body name="palm"><joint name="wrist" axis="1 0 0" range="-1 1"/>
-          <geom type="mesh" mesh="palm" pos="0 0 0.05"/>"""),
-    ):  # fmt: skip
+        (
+            '<body name="palm">',
+            """<body name="palm"><joint name="wrist" axis="1 0 0" range="-1 1"/>
+          <geom type="mesh" mesh="palm" pos="0 0 0.05"/>""",
+        ),
+    ):
         assert old in text
         text = text.replace(old, new, 1)
     path = folder / "right_hand.xml"
@@ -302,9 +308,16 @@ def test_a_player_has_both_in_one_place(root, tmp_path):
     recording = SyntheticOperator(seed=4).record(duration=0.2)
     q = np.tile(hand.full_configuration(hand.neutral), (len(recording), 1))
     trace = Trace(
-        recording.landmarks, hand.tips(q), hand.wrist, hand.fingers, q, hand.joint_limits,
-        recording.stamps, np.zeros(len(recording), np.int8), np.ones(len(recording)),
-    )  # fmt: skip
+        recording.landmarks,
+        hand.tips(q),
+        hand.wrist,
+        hand.fingers,
+        q,
+        hand.joint_limits,
+        recording.stamps,
+        np.zeros(len(recording), np.int8),
+        np.ones(len(recording)),
+    )
     server = open_server("127.0.0.1", 0)
     try:
         run = Playback("t", hand, trace, there)

@@ -68,8 +68,11 @@ def test_pinches_touch_by_their_surfaces():
     assert result["pinch_touch_share"] == pytest.approx((15 + 9) / 39)
     assert result["pinch_deep_share"] == pytest.approx(5 / 39)
     assert result["pinch_touch_share_per_finger"] == {
-        "index": pytest.approx(3 / 4), "middle": 0.0, "ring": None, "pinky": None,
-    }  # fmt: skip
+        "index": pytest.approx(3 / 4),
+        "middle": 0.0,
+        "ring": None,
+        "pinky": None,
+    }
     for unknown in (None, np.full((40, 4), np.nan)):  # no shapes, no pinches
         result = evaluate(make_trace(human_motion(40), pinch_distances=unknown))
         assert result["pinch_touch_share"] is result["pinch_deep_share"] is None

@@ -95,9 +95,11 @@ def played_back(hand: Hand, off: float = 0.0) -> tuple[Trace, HandRecording]:
 
 
 HANDS = [
-    ("shadow_dexee", None), ("allegro_hand", None), ("leap_hand", None),
+    ("shadow_dexee", None),
+    ("allegro_hand", None),
+    ("leap_hand", None),
     ("shadow_hand", ("thumb", "middle", "pinky")),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("side", ["right", "left"])

@@ -36,8 +36,13 @@ def trace_of(human: np.ndarray, robot: np.ndarray, size: float = 1.0) -> Trace:
 def test_a_copy_of_another_size_has_no_error():
     human = hand_with(20, 30, 40)
     result = evaluate(trace_of(human, hand_with(20, 30, 40, size=1.5), size=1.5))
-    for name in ("finger_extension_error", "curl_error_deg", "finger_direction_error_deg",
-                 "thumb_direction_error_deg", "spread_error_deg"):  # fmt: skip
+    for name in (
+        "finger_extension_error",
+        "curl_error_deg",
+        "finger_direction_error_deg",
+        "thumb_direction_error_deg",
+        "spread_error_deg",
+    ):
         assert result[name] == pytest.approx(0, abs=1e-5), name
 
 
@@ -134,6 +139,11 @@ def test_a_shift_of_all_fingers():
 
 def test_without_the_robots_points_posture_is_unknown():
     result = evaluate(make_trace(human_motion(20)))
-    for name in ("finger_extension_error", "curl_error_deg", "finger_direction_error_deg",
-                 "jumps_per_1000", "settling_s"):  # fmt: skip
+    for name in (
+        "finger_extension_error",
+        "curl_error_deg",
+        "finger_direction_error_deg",
+        "jumps_per_1000",
+        "settling_s",
+    ):
         assert result[name] is None, name

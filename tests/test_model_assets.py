@@ -28,8 +28,20 @@ from smooth_operator.hands.stand_ins import stand_in_note, stand_ins
 from smooth_operator.planning import make_request
 from smooth_operator.teleop.pages.hand_picture import save_hand_picture
 
-FACES = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6),
-         (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]  # fmt: skip
+FACES = [
+    (0, 1, 3),
+    (0, 3, 2),
+    (4, 6, 7),
+    (4, 7, 5),
+    (0, 4, 5),
+    (0, 5, 1),
+    (2, 3, 7),
+    (2, 7, 6),
+    (0, 2, 6),
+    (0, 6, 4),
+    (1, 5, 7),
+    (1, 7, 3),
+]
 JOINT = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>'
 
 
@@ -237,9 +249,11 @@ def test_a_model_that_would_not_end_is_refused_before_mujoco_sees_it(case, tmp_p
 @pytest.mark.parametrize("tag", ["mesh", "texture", "include"])
 def test_a_name_of_a_pipe_is_refused(tag, tmp_path):
     os.mkfifo(tmp_path / "pipe.stl")
-    inner = {"mesh": '<asset><mesh name="m" file="pipe.stl"/></asset>',
-             "texture": '<asset><texture name="m" type="2d" file="pipe.stl"/></asset>',
-             "include": '<include file="pipe.stl"/>'}[tag]  # fmt: skip
+    inner = {
+        "mesh": '<asset><mesh name="m" file="pipe.stl"/></asset>',
+        "texture": '<asset><texture name="m" type="2d" file="pipe.stl"/></asset>',
+        "include": '<include file="pipe.stl"/>',
+    }[tag]
     path = tmp_path / "model.xml"
     path.write_text(world("<body><joint/>" + GEOM + "</body>", inner))
     with ReaderProcess([str(Path(__file__).parent)]) as reader:

@@ -21,8 +21,16 @@ def motion(at: float, count: int, seed: int = 0) -> np.ndarray:
     return 0.2 * np.sin(2 * np.pi * rates * at + phases).sum(axis=0)
 
 
-def driven(hand: Hand, delay: float, *, rate: float = 100.0, seed: int = 0, seconds: float = 6.0,
-           noise: float = 0.0, moving: float = 1.0) -> MotionDelay:  # fmt: skip
+def driven(
+    hand: Hand,
+    delay: float,
+    *,
+    rate: float = 100.0,
+    seed: int = 0,
+    seconds: float = 6.0,
+    noise: float = 0.0,
+    moving: float = 1.0,
+) -> MotionDelay:
     """What a hand with a delay, read 60 times a second, gives."""
     found, count = MotionDelay(), len(hand.joint_names)
     random, base, state = np.random.default_rng(1), make_tick(hand), None

@@ -43,19 +43,25 @@ def test_a_free_quadratic_takes_one_step():
     rng = np.random.default_rng(4)
     root, best = rng.standard_normal((5, 5)), rng.uniform(-0.5, 0.5, 5)
     limits = np.tile([-5.0, 5.0], (5, 1))
-    found = solve(lambda q: ((root @ (q - best)) ** 2).sum(), np.ones(5), limits,
-                  NewtonConfig(iterations=1, damping=(0.0,)))  # fmt: skip
+    found = solve(
+        lambda q: ((root @ (q - best)) ** 2).sum(),
+        np.ones(5),
+        limits,
+        NewtonConfig(iterations=1, damping=(0.0,)),
+    )
     np.testing.assert_allclose(found, best, atol=1e-9)
 
 
 def test_a_minimum_beyond_all_bounds_ends_in_the_corner():
     limits = np.array([[0.2, 0.9], [-0.7, -0.1], [0.3, 0.4]])
-    found = solve(lambda q: ((q - jnp.array([5.0, -5.0, 5.0])) ** 2).sum(),
-                  limits.mean(axis=1), limits)  # fmt: skip
+    found = solve(
+        lambda q: ((q - jnp.array([5.0, -5.0, 5.0])) ** 2).sum(), limits.mean(axis=1), limits
+    )
     np.testing.assert_array_equal(found, [0.9, -0.7, 0.4])
     # and from the wrong corner, where every variable has to let go of its bound
-    found = solve(lambda q: ((q - jnp.array([5.0, -5.0, 5.0])) ** 2).sum(),
-                  np.array([0.2, -0.1, 0.3]), limits)  # fmt: skip
+    found = solve(
+        lambda q: ((q - jnp.array([5.0, -5.0, 5.0])) ** 2).sum(), np.array([0.2, -0.1, 0.3]), limits
+    )
     np.testing.assert_array_equal(found, [0.9, -0.7, 0.4])
 
 
@@ -66,8 +72,13 @@ def rosenbrock(q):
 def test_a_curved_valley_equals_l_bfgs_b():
     limits = np.array([[-1.5, 0.8], [-1.0, 2.0], [-1.0, 2.0]])
     found = solve(rosenbrock, np.array([-1.2, 1.0, 0.5]), limits, NewtonConfig(iterations=100))
-    reference = minimize(rosenbrock, [0.5, 0.5, 0.5], bounds=limits, method="L-BFGS-B",
-                         options={"ftol": 1e-15, "gtol": 1e-12})  # fmt: skip
+    reference = minimize(
+        rosenbrock,
+        [0.5, 0.5, 0.5],
+        bounds=limits,
+        method="L-BFGS-B",
+        options={"ftol": 1e-15, "gtol": 1e-12},
+    )
     assert found[0] == 0.8
     np.testing.assert_allclose(found, reference.x, atol=1e-5)
 

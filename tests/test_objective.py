@@ -28,14 +28,31 @@ FIVE = KeyvectorLayout(FINGERS)
 
 def test_five_fingers_have_fifteen_keyvectors_in_order():
     assert FIVE.pairs == (
-        (0, 1), (0, 2), (0, 3), (0, 4), (0, 5),
-        (1, 2), (1, 3), (1, 4), (1, 5),
-        (2, 3), (2, 4), (2, 5), (3, 4), (3, 5), (4, 5),
-    )  # fmt: skip
+        (0, 1),
+        (0, 2),
+        (0, 3),
+        (0, 4),
+        (0, 5),
+        (1, 2),
+        (1, 3),
+        (1, 4),
+        (1, 5),
+        (2, 3),
+        (2, 4),
+        (2, 5),
+        (3, 4),
+        (3, 5),
+        (4, 5),
+    )
     assert FIVE.pairs[FIVE.thumb] == ((1, 2), (1, 3), (1, 4), (1, 5))
     assert FIVE.between == (
-        (9, 0, 1), (10, 0, 2), (11, 0, 3), (12, 1, 2), (13, 1, 3), (14, 2, 3),
-    )  # fmt: skip
+        (9, 0, 1),
+        (10, 0, 2),
+        (11, 0, 3),
+        (12, 1, 2),
+        (13, 1, 3),
+        (14, 2, 3),
+    )
     assert [LANDMARKS[i] for i in FIVE.landmarks] == ["wrist", *(f"{f}_tip" for f in FINGERS)]
 
 
@@ -51,8 +68,11 @@ def test_fewer_fingers_have_fewer(fingers, count):
 def test_fingers_left_out_are_left_out_of_the_landmarks():
     layout = KeyvectorLayout(("thumb", "middle", "pinky"))
     assert [LANDMARKS[i] for i in layout.landmarks] == [
-        "wrist", "thumb_tip", "middle_tip", "pinky_tip",
-    ]  # fmt: skip
+        "wrist",
+        "thumb_tip",
+        "middle_tip",
+        "pinky_tip",
+    ]
 
 
 def test_human_and_robot_keyvectors():
@@ -106,8 +126,10 @@ def test_fingers_latch_on_their_own():
         [[0.009, 0.1, 0.012, 0.1], [0.012, 0.009, 0.012, 0.1], [0.1, 0.012, 0.1, 0.005]],
     )
     assert seen == [
-        [True, False, False, False], [True, True, False, False], [False, True, False, True],
-    ]  # fmt: skip
+        [True, False, False, False],
+        [True, True, False, False],
+        [False, True, False, True],
+    ]
 
 
 def test_targets_and_weights_of_open_closed_and_latched_pairs():
@@ -232,10 +254,14 @@ def named_hand(name: str) -> Hand:
 
 @pytest.mark.parametrize(
     ("name", "loss", "pose", "velocity"),
-    [("right", "smooth_l1", 0.05, 0.1), ("right", "squared", 0.05, 0.0),
-     ("right", "smooth_l1", 0.0, 0.0), ("left", "squared", 0.0, 0.3),
-     ("three fingers", "smooth_l1", 0.05, 0.1)],
-)  # fmt: skip
+    [
+        ("right", "smooth_l1", 0.05, 0.1),
+        ("right", "squared", 0.05, 0.0),
+        ("right", "smooth_l1", 0.0, 0.0),
+        ("left", "squared", 0.0, 0.3),
+        ("three fingers", "smooth_l1", 0.05, 0.1),
+    ],
+)
 def test_the_batch_objective_is_eq_1(name, loss, pose, velocity):
     hand = named_hand(name)
     config = ObjectiveConfig(loss=loss, pose_weight=pose, velocity_weight=velocity)

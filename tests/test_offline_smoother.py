@@ -189,9 +189,16 @@ def test_a_cost_with_hills_never_rises():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"acceleration_weight": 0.0}, {"acceleration_weight": -1.0}, {"acceleration_weight": np.inf},
-     {"iterations": 0}, {"tolerance": 0.0}, {"speed_limit": 0.0}, {"motion_weight": -1.0}],
-)  # fmt: skip
+    [
+        {"acceleration_weight": 0.0},
+        {"acceleration_weight": -1.0},
+        {"acceleration_weight": np.inf},
+        {"iterations": 0},
+        {"tolerance": 0.0},
+        {"speed_limit": 0.0},
+        {"motion_weight": -1.0},
+    ],
+)
 def test_prices_that_cannot_be_are_refused(wrong):
     with pytest.raises(ConfigError):
         TrajectoryConfig(**{"acceleration_weight": 1.0, **wrong})
@@ -313,9 +320,14 @@ def test_short_gaps_are_bridged_long_ones_held(whole, full, recording, hand):
 def test_frames_that_never_came_are_bridged_in_time(whole, full, recording):
     kept = np.delete(np.arange(160), [60, 61, 62])
     thinned = replace(
-        recording, landmarks=recording.landmarks[kept], stamps=recording.stamps[kept],
-        valid=None, metacarpals=None, orientations=None, meta={},
-    )  # fmt: skip
+        recording,
+        landmarks=recording.landmarks[kept],
+        stamps=recording.stamps[kept],
+        valid=None,
+        metacarpals=None,
+        orientations=None,
+        meta={},
+    )
     found, _ = whole.run(thinned)
     assert np.abs(found.joint_positions - full[0].joint_positions[kept]).max() < 0.15
 
@@ -376,9 +388,23 @@ def test_a_folder_is_done_as_a_whole_and_kept(recording, monkeypatch, whole, tmp
     monkeypatch.setitem(PRESETS["sbr"], "tiny", CONFIG)
     (tmp_path / "in").mkdir()
     np.save(tmp_path / "in" / "take.npy", recording.landmarks)
-    words = ["retarget", str(tmp_path / "in"), "--rate", "60", "--side", "right", "--json",
-             "--method", "sbr", "--preset", "tiny", "--output", str(tmp_path / "out"),
-             "--workers", "0"]  # fmt: skip
+    words = [
+        "retarget",
+        str(tmp_path / "in"),
+        "--rate",
+        "60",
+        "--side",
+        "right",
+        "--json",
+        "--method",
+        "sbr",
+        "--preset",
+        "tiny",
+        "--output",
+        str(tmp_path / "out"),
+        "--workers",
+        "0",
+    ]
     assert main(words) == 0
     made = (tmp_path / "out" / "take.npz").read_bytes()
     read = read_recording(tmp_path / "in" / "take.npy", rate=60.0, side="right")

@@ -134,9 +134,13 @@ def test_one_pair_is_turned_as_rows_are():
     q = rng.normal(size=(200, 4))
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     q[:6] = [
-        [1, 0, 0, 0], [-1, 0, 0, 0], [np.nan] * 4, [-1, 1e-13, 0, 0], [0, 1, 0, 0],
+        [1, 0, 0, 0],
+        [-1, 0, 0, 0],
+        [np.nan] * 4,
+        [-1, 1e-13, 0, 0],
+        [0, 1, 0, 0],
         [-0.0, 0, 1, 0],
-    ]  # fmt: skip
+    ]
     r = np.roll(q, 1, axis=0)
     vectors = rng.normal(size=(200, 3))
     vectors[:4] = [[0, 0, 0], [np.nan, 0, 0], [1e-14, 0, 0], [np.pi, 0, 0]]

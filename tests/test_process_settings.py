@@ -85,8 +85,11 @@ def test_a_call_changes_no_setting_of_the_process(call, tmp_path):
     environment |= {"SMOOTH_OPERATOR_CACHE": str(tmp_path), "JAX_PLATFORMS": "cpu"}
     done = subprocess.run(
         [sys.executable, "-c", SETTINGS + libraries + CALLS[call] + compare],
-        env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1]) == {}
 
@@ -139,8 +142,11 @@ def test_private_parts_of_other_packages_are_found():
     code = "import a._b\nfrom c import _d\nfrom e._f import g\nh._i()\nself._own = 1\nx._own\n"
     tree = ast.parse(code)
     assert [use.split()[0] for use in private_uses(tree, set(names_of(tree)))] == [
-        "_b", "_d", "_f", "_i",
-    ]  # fmt: skip
+        "_b",
+        "_d",
+        "_f",
+        "_i",
+    ]
 
 
 def test_no_private_part_of_another_package_is_used():

@@ -38,11 +38,15 @@ def test_what_methods_say_of_themselves():
     hand = load_hand("mimic_p050")
     built = {name: method_config(name).build(hand) for name in PRESETS}
     assert {name for name, one in built.items() if one.on_host} == {
-        "keyvector", "hybrid", "dexpilot", "ako",
-    }  # fmt: skip
+        "keyvector",
+        "hybrid",
+        "dexpilot",
+        "ako",
+    }
     assert {name for name, one in built.items() if one.trajectory_objective is not None} == {
-        "sbr", "smooth",
-    }  # fmt: skip
+        "sbr",
+        "smooth",
+    }
     latches = {n for n, one in built.items() if one.latched(one.init(0)) is not None}
     assert latches == {"sbr", "dexpilot", "smooth"}
     assert isinstance(built["ako"], HostMethod)

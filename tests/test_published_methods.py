@@ -80,10 +80,13 @@ def test_on_a_glove_each_has_the_figures_of_its_authors_code(shared, hand, score
 @pytest.mark.shared
 @pytest.mark.parametrize(
     ("method", "cosine", "gap"),
-    [("dexpilot", None, 10.0), pytest.param("keyvector", 0.7877, 12.4, marks=WEEKLY),
-     pytest.param("hybrid", 0.7289, 17.6, marks=WEEKLY),
-     pytest.param("ako", None, 5.35, marks=WEEKLY)],
-)  # fmt: skip
+    [
+        ("dexpilot", None, 10.0),
+        pytest.param("keyvector", 0.7877, 12.4, marks=WEEKLY),
+        pytest.param("hybrid", 0.7289, 17.6, marks=WEEKLY),
+        pytest.param("ako", None, 5.35, marks=WEEKLY),
+    ],
+)
 def test_where_the_operator_pinches(shared, hand, score, method, cosine, gap):
     """Figures of the authors' code on these frames, as in docs/reference/benchmarks.md."""
     found = score(commands(shared, published(hand, method), PINCHING), hand.joint_names, PINCHING)

@@ -666,8 +666,12 @@ def robot_dataset(folder: Path, version: str = "v2.1") -> Path:
     """A LeRobot data set of a humanoid, with one Parquet file."""
     names = [f"left_arm_{k}" for k in range(7)]
     feature = {"dtype": "float32", "shape": [7], "names": names}
-    info = {"codebase_version": version, "robot_type": "humanoid", "data_path": "data/{x}",
-            "features": {"observation.state": feature, "action": feature}}  # fmt: skip
+    info = {
+        "codebase_version": version,
+        "robot_type": "humanoid",
+        "data_path": "data/{x}",
+        "features": {"observation.state": feature, "action": feature},
+    }
     (folder / "meta").mkdir(parents=True)
     (folder / "meta" / "info.json").write_text(json.dumps(info))
     (folder / "meta" / "episodes.jsonl").write_text('{"episode_index": 0, "tasks": []}\n')

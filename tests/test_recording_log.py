@@ -118,8 +118,10 @@ def test_opens_in_the_mcap_library_and_its_types_say_what_it_holds(tmp_path):
     third = {topic: rows[3] for topic, rows in found.items() if topic != "/config"}
     stamp = hands.stamps[3]
     assert third["/command"] == {
-        "stamp": stamp, "names": list(NAMES), "positions": [3 / 7, np.pi * (3 / 7)],
-    }  # fmt: skip
+        "stamp": stamp,
+        "names": list(NAMES),
+        "positions": [3 / 7, np.pi * (3 / 7)],
+    }
     reason = Status.INVALID_LANDMARKS.reason
     assert third["/status"] == {"stamp": stamp, "status": 1, "reason": reason}
     stages = [{"name": "solve", "ms": 0.03 * 3}]
@@ -236,8 +238,13 @@ def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path, compression):
     cut = tmp_path / "cut.mcap"
     rng = np.random.default_rng(5)
     edges = [
-        len(content) - 1, len(content) - 8, len(content) - 9, int(ends[0]), int(ends[0]) - 1, 8,
-    ]  # fmt: skip
+        len(content) - 1,
+        len(content) - 8,
+        len(content) - 9,
+        int(ends[0]),
+        int(ends[0]) - 1,
+        8,
+    ]
     for length in {*rng.integers(8, len(content), 20).tolist(), *edges}:
         cut.write_bytes(content[:length])
         log = read_log(cut)

@@ -121,9 +121,7 @@ def stage(tmp_path_factory) -> Iterator[Stage]:
         thread.start()
         until(lambda: ticks and ticks[-1].mode is Mode.TRACKING, LONG)
         teleop = RemoteTeleop(address, 20.0)
-        yield Stage(
-            loop, switcher, simulation, opened[0], handlers, session, folder, teleop, ticks
-        )  # fmt: skip
+        yield Stage(loop, switcher, simulation, opened[0], handlers, session, folder, teleop, ticks)
         loop.controls.quit()
         thread.join(LONG)
     session.close()
@@ -346,9 +344,21 @@ def test_blind_the_terminal_does_not_name_it(capsys, tmp_path):
     record = tmp_path / "take.mcap"
     with contextlib.suppress(SystemExit):
         main(
-            ["teleop", "--method", "joint_angle", "--blind", "--no-view", "--duration", "0.4",
-             "--sink", f"record:{record}", "table", "--control", "tcp://127.0.0.1:*"]
-        )  # fmt: skip
+            [
+                "teleop",
+                "--method",
+                "joint_angle",
+                "--blind",
+                "--no-view",
+                "--duration",
+                "0.4",
+                "--sink",
+                f"record:{record}",
+                "table",
+                "--control",
+                "tcp://127.0.0.1:*",
+            ]
+        )
     printed = "".join(capsys.readouterr())
     assert "compiling the method for mimic_p050" in printed
     assert "joint_angle" not in printed
@@ -403,8 +413,11 @@ def test_a_trial_from_begin_to_record(stage):
         stage.do("reset")
     done = stage.do("trial", finish=True, side="right")
     assert (done["phase"], done["ended"], done["line"], done["score"]) == (
-        "done", "finished", "not-done", 0.0,
-    )  # fmt: skip
+        "done",
+        "finished",
+        "not-done",
+        0.0,
+    )
     assert done["time_s"] == done["elapsed_s"] > 0.2
     assert done["text"]
     path = stage.folder / "trials" / "screwdriver-001.npz"
@@ -424,10 +437,16 @@ def test_a_trial_from_begin_to_record(stage):
     assert len(stage.runner.outcomes["right"]) == 1
     until(lambda: any("is forgotten" in " ".join(t.events) for t in stage.ticks[-50:]), LONG)
     said = [event for tick in stage.ticks for event in tick.events if event.startswith("trial ")]
-    assert said == [f"trial {n} of screwdriver: {what}" for n, what in (
-        (1, "begins"), (1, "the object is put back"), (1, "ends"), (2, "begins"),
-        (2, "is forgotten"),
-    )]  # fmt: skip
+    assert said == [
+        f"trial {n} of screwdriver: {what}"
+        for n, what in (
+            (1, "begins"),
+            (1, "the object is put back"),
+            (1, "ends"),
+            (2, "begins"),
+            (2, "is forgotten"),
+        )
+    ]
     stage.do("trial", begin=True)
     stage.do("task", task="card")  # which forgets it
     assert stage.do("trial")["phase"] == "ready"

@@ -25,12 +25,17 @@ def tick(number: int) -> Tick:
     landmarks = np.arange(63.0).reshape(21, 3) / 1000 + number
     landmarks[20] = np.nan  # a fingertip that the tracker lost
     return Tick(
-        "right", hand.name, JointCommand(positions, hand.joint_names, stamp),
-        np.zeros(len(positions)), Mode.TRACKING, stamp, number,
+        "right",
+        hand.name,
+        JointCommand(positions, hand.joint_names, stamp),
+        np.zeros(len(positions)),
+        Mode.TRACKING,
+        stamp,
+        number,
         arrival=Arrival(HandFrame(landmarks, stamp, "right"), stamp),
         state=HandState("right", hand.name, stamp, hand.joint_names, positions - 0.5),
         events=("tracking",) if number == 0 else (),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.skipif(not HERE, reason="rerun-sdk is not installed")

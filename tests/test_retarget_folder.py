@@ -107,8 +107,9 @@ def contents(output: Path) -> Bytes:
     """The results, without the report and the folder that later runs go on from."""
     own = {".work", "report.json", "episodes.jsonl"}
     files = (path.relative_to(output) for path in output.rglob("*") if path.is_file())
-    return {name.as_posix(): (output / name).read_bytes() for name in files
-            if name.parts[0] not in own}  # fmt: skip
+    return {
+        name.as_posix(): (output / name).read_bytes() for name in files if name.parts[0] not in own
+    }
 
 
 @pytest.fixture(scope="module")
@@ -473,8 +474,11 @@ def test_notes_on_the_reading_are_told_by_the_run_that_made_a_result_and_later_o
     (tmp_path / "in").mkdir()
     np.savez(
         tmp_path / "in" / "a.npz",
-        landmarks=one.landmarks, timestamps=one.stamps, side="right", is_tracked=np.ones(20, bool),
-    )  # fmt: skip
+        landmarks=one.landmarks,
+        timestamps=one.stamps,
+        side="right",
+        is_tracked=np.ones(20, bool),
+    )
     options = (tmp_path / "in", "--output", tmp_path / "out", *TINY_SBR, "--workers", 0)
     for _ in range(2):
         status, out, err = run(*options)

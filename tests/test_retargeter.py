@@ -282,8 +282,13 @@ def test_landmarks_that_are_not_needed_may_be_missing(usual, frames):
 def test_nonsense_gives_finite_commands_within_the_limits(usual, frames):
     rng = np.random.default_rng(0)
     limits = usual.hand.joint_limits
-    nonsense = [spoiled(frames[0], "huge"), *rng.normal(0, 10, (10, 21, 3)),
-                *rng.normal(0, 1e-6, (10, 21, 3)), *(frames[:5] * 1e-3), *frames[:3]]  # fmt: skip
+    nonsense = [
+        spoiled(frames[0], "huge"),
+        *rng.normal(0, 10, (10, 21, 3)),
+        *rng.normal(0, 1e-6, (10, 21, 3)),
+        *(frames[:5] * 1e-3),
+        *frames[:3],
+    ]
     for result in play(usual, nonsense):
         assert np.isfinite(result.command.joint_positions).all()
         assert (result.command.joint_positions >= limits[:, 0]).all()
@@ -534,8 +539,9 @@ def test_a_random_pose_comes_back():
 @pytest.mark.usefixtures("optimised")
 def test_a_hand_of_three_fingers():
     spec = load_hand().spec
-    spec = replace(spec, name="tripod", fingers=spec.fingers[:3],
-                   align=("thumb", "index", "middle"))  # fmt: skip
+    spec = replace(
+        spec, name="tripod", fingers=spec.fingers[:3], align=("thumb", "index", "middle")
+    )
     hand = load_hand(spec)
     miss = round_trip(hand, EXACT, 40).max(axis=1)
     assert np.mean(miss < 0.005) >= 0.95
@@ -559,8 +565,9 @@ def test_recordings_are_aligned_frame_by_frame(frames):
         )
     np.testing.assert_allclose(
         aligned[rest][:, list(hand.align_indices)],
-        np.broadcast_to(hand.align_points, (len(rest), 3, 3)), atol=1e-9,
-    )  # fmt: skip
+        np.broadcast_to(hand.align_points, (len(rest), 3, 3)),
+        atol=1e-9,
+    )
 
 
 def test_a_scale_is_calibrated_once(frames):

@@ -35,9 +35,14 @@ def episode(seconds: float = 2.0, wrist: bool = False, hand: str = "mimic_p050")
         there = np.ones(len(stamps), bool)
         track = WristTrack(poses, there, there)
     return Episode(
-        commands=commands, states=states, wrist=track, task="count", name="take",
-        config={"hand": hand, "side": "right"}, live=True,
-    )  # fmt: skip
+        commands=commands,
+        states=states,
+        wrist=track,
+        task="count",
+        name="take",
+        config={"hand": hand, "side": "right"},
+        live=True,
+    )
 
 
 def read(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray], Any]:
@@ -52,9 +57,12 @@ def test_a_row_is_a_moment_of_lerobots_clock(tmp_path):
     takes = [episode(), episode(1.0)]
     written: list[int] = []
     write_dataset(
-        tmp_path / "set", [lambda v=v: v for v in takes], columns="robot",
-        environment_state=True, done=written.append,
-    )  # fmt: skip
+        tmp_path / "set",
+        [lambda v=v: v for v in takes],
+        columns="robot",
+        environment_state=True,
+        done=written.append,
+    )
     info, columns, file = read(tmp_path / "set")
     assert (info["fps"], info["robot_type"], info["total_tasks"]) == (30, "smooth_hand", 1)
     keys = [f"{name}.pos" for name in HAND.actuated_names]

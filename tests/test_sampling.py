@@ -32,8 +32,9 @@ def minimise(cost, start, limits, config=SMALL, key=KEY) -> np.ndarray:
 @pytest.mark.parametrize("draws", ["fresh", "quasi"])
 def test_a_minimum_inside_the_bounds(draws):
     centre = [0.3, -0.2, 0.45, 0.1]
-    found = minimise(bowl(centre, [1, 2, 0.7, 3]), [0, 0, 0, 0], [[-1, 1]] * 4,
-                     replace(SMALL, draws=draws))  # fmt: skip
+    found = minimise(
+        bowl(centre, [1, 2, 0.7, 3]), [0, 0, 0, 0], [[-1, 1]] * 4, replace(SMALL, draws=draws)
+    )
     np.testing.assert_allclose(found, centre, atol=1e-3)
 
 
@@ -67,8 +68,9 @@ def test_the_lowest_of_several_minima():
         return sum(1 - jnp.cos(12 * (x - 0.3)) + 2 * (x - 0.3) ** 2 for x in q)
 
     start = [0.3 - 2 * np.pi / 12, 0.3 + 2 * np.pi / 12]  # in the next basins
-    found = minimise(egg_box, start, [[-1, 1]] * 2,
-                     replace(SMALL, samples=4096, elites=64, sigma=0.4, cycles=20))  # fmt: skip
+    found = minimise(
+        egg_box, start, [[-1, 1]] * 2, replace(SMALL, samples=4096, elites=64, sigma=0.4, cycles=20)
+    )
     np.testing.assert_allclose(found, [0.3, 0.3], atol=0.02)
 
 
@@ -102,8 +104,10 @@ def test_only_candidates_within_the_limits_are_scored():
     limits = np.array([[0.1, 0.2], [-0.05, 0.3]])
 
     def wall(q):
-        inside = [(x >= np.float32(lo)) & (x <= np.float32(hi))
-                  for x, (lo, hi) in zip(q, limits, strict=True)]  # fmt: skip
+        inside = [
+            (x >= np.float32(lo)) & (x <= np.float32(hi))
+            for x, (lo, hi) in zip(q, limits, strict=True)
+        ]
         return jnp.where(inside[0] & inside[1], bowl([0.15, 0.1])(q), jnp.nan)
 
     found = minimise(wall, [0.15, 0.0], limits)
@@ -113,8 +117,12 @@ def test_only_candidates_within_the_limits_are_scored():
 def test_a_constant_may_be_added_to_the_cost():
     """The softmax subtracts the lowest cost: without it, all weights would be nought."""
     plain = minimise(bowl([0.3, -0.2]), [0, 0], [[-1, 1]] * 2)
-    shifted = minimise(lambda q: bowl([0.3, -0.2])(q) + 1000.0, [0, 0], [[-1, 1]] * 2,
-                       replace(SMALL, temperature=1.0))  # fmt: skip
+    shifted = minimise(
+        lambda q: bowl([0.3, -0.2])(q) + 1000.0,
+        [0, 0],
+        [[-1, 1]] * 2,
+        replace(SMALL, temperature=1.0),
+    )
     assert np.isfinite(shifted).all()
     np.testing.assert_allclose(shifted, plain, atol=0.1)
 
@@ -178,12 +186,16 @@ def test_it_is_algorithm_1_to_the_letter(draws):
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
-        ({"samples": 0}, "samples must be"), ({"elites": 0}, "elites must be"),
-        ({"samples": 10, "elites": 11}, "elites=11"), ({"cycles": 0}, "cycles must be"),
-        ({"sigma": 0.0}, "sigma must be"), ({"temperature": -1.0}, "temperature must be"),
-        ({"jitter": 0.0}, "jitter must be"), ({"draws": "halton"}, "draws must be"),
+        ({"samples": 0}, "samples must be"),
+        ({"elites": 0}, "elites must be"),
+        ({"samples": 10, "elites": 11}, "elites=11"),
+        ({"cycles": 0}, "cycles must be"),
+        ({"sigma": 0.0}, "sigma must be"),
+        ({"temperature": -1.0}, "temperature must be"),
+        ({"jitter": 0.0}, "jitter must be"),
+        ({"draws": "halton"}, "draws must be"),
     ],
-)  # fmt: skip
+)
 def test_settings_are_checked(bad, message):
     with pytest.raises(ConfigError, match=message):
         SamplingConfig(**bad)

@@ -120,8 +120,9 @@ class Script:
             self.run = self.run.observe(self.state(fingers or {}, **moving))
         return self.run
 
-    def rest(self, seconds: float = 0.6, fingers: dict[int, float] | None = None,
-             **changes: object) -> TaskRun:  # fmt: skip
+    def rest(
+        self, seconds: float = 0.6, fingers: dict[int, float] | None = None, **changes: object
+    ) -> TaskRun:
         return self.to(seconds=seconds, fingers=fingers, **changes)
 
 
@@ -354,10 +355,13 @@ def test_screwdriver_that_falls_has_failed():
 
 @pytest.mark.parametrize(
     ("fingers", "changes"),
-    [(GRIP, {"fixed": True, "spin": np.zeros(3)}), ({}, HELD),
-     (GRIP, {"fixed": False, "spin": np.array([2.0, 0.0, 0.0])})],
+    [
+        (GRIP, {"fixed": True, "spin": np.zeros(3)}),
+        ({}, HELD),
+        (GRIP, {"fixed": False, "spin": np.array([2.0, 0.0, 0.0])}),
+    ],
     ids=["in the fixture", "in nothing", "swinging"],
-)  # fmt: skip
+)
 def test_screwdriver_points_down_and_that_is_not_enough(fingers, changes):
     script = Script("screwdriver")
     script.to(quaternion=pivoted(script, 0), seconds=1.0, fixed=True)
@@ -408,9 +412,14 @@ def test_every_task_has_a_scene_and_a_rubric_for_each_score():
 @pytest.mark.parametrize("task", list(SCENES))
 @pytest.mark.parametrize(
     ("name", "side"),
-    [("mimic_p050", "right"), ("mimic_p050", "left"), ("allegro_hand", "right"),
-     ("shadow_hand", "left"), ("schunk_svh", "right")],
-)  # fmt: skip
+    [
+        ("mimic_p050", "right"),
+        ("mimic_p050", "left"),
+        ("allegro_hand", "right"),
+        ("shadow_hand", "left"),
+        ("schunk_svh", "right"),
+    ],
+)
 def test_scenes_stand_around_hands(task, name, side):
     """The object lies still with its weight on what carries it, once the hand lets it."""
     hand = load_hand(name, side)
@@ -531,8 +540,9 @@ def test_a_hand_can_do_it(task, side, disturb):
 @pytest.mark.parametrize("task", list(SCENES))
 def test_a_hand_that_does_nothing_does_not_do_it(task):
     demonstration = load_demonstration("card")
-    idle = replace(demonstration, task=task, poses=0 * demonstration.poses + load_hand(
-        "mimic_p050").neutral)  # fmt: skip
+    idle = replace(
+        demonstration, task=task, poses=0 * demonstration.poses + load_hand("mimic_p050").neutral
+    )
     *_, (_, run) = play(idle)
     assert run.phase is Phase.RUNNING
     assert run.assessment.score == 0.0
@@ -551,8 +561,10 @@ def test_a_trial_that_was_recorded_scores_again_the_same(tmp_path):
     back = read_trial(path)
     assert back.outcome == record.outcome
     assert (back.about, back.joint_names, back.events) == (
-        record.about, record.joint_names, record.events
-    )  # fmt: skip
+        record.about,
+        record.joint_names,
+        record.events,
+    )
     again = rescore(TASKS["card"], scene_for("card", hand), back.states, back.events)
     assert again.outcome == record.outcome
     late = [*back.events, (1.0, "reset")]

@@ -31,9 +31,17 @@ from smooth_operator.types import Side
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
 BUILT_IN = [
-    "mimic_p050", "shadow_hand", "allegro_hand", "leap_hand", "wuji_hand",
-    "shadow_dexee", "orca_v2", "ability_hand", "inspire_hand", "schunk_svh",
-]  # fmt: skip
+    "mimic_p050",
+    "shadow_hand",
+    "allegro_hand",
+    "leap_hand",
+    "wuji_hand",
+    "shadow_dexee",
+    "orca_v2",
+    "ability_hand",
+    "inspire_hand",
+    "schunk_svh",
+]
 
 
 def test_all_built_in_hands_are_tried():
@@ -71,9 +79,13 @@ def test_follows_a_sine(name):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[pytest.mark.weekly] * (name not in ("mimic_p050", "inspire_hand")))
-     for name in BUILT_IN],
-)  # fmt: skip
+    [
+        pytest.param(
+            name, marks=[pytest.mark.weekly] * (name not in ("mimic_p050", "inspire_hand"))
+        )
+        for name in BUILT_IN
+    ],
+)
 def test_a_minute_of_random_commands(name):
     """Twelve jumps a second to anywhere, fingers through fingers: it stays whole and in bounds."""
     hand = load_hand(name, "right" if BUILT_IN.index(name) % 2 else "left")

@@ -327,8 +327,10 @@ def test_no_length_of_a_gap_counts_as_none(leap, gap):
             state, _ = leap.step(state, HandFrame(points, stamp))
         fresh = leap.step(leap.init(), HandFrame(fist, 0.0))[0]
         # an old answer would still be near the flat hand, 2 mm into its way
-        tips = [leap.hand.tips(leap.hand.full_configuration(np.asarray(s.method.q, float)))
-                for s in (state, fresh)]  # fmt: skip
+        tips = [
+            leap.hand.tips(leap.hand.full_configuration(np.asarray(s.method.q, float)))
+            for s in (state, fresh)
+        ]
         assert np.linalg.norm(tips[0] - tips[1], axis=-1).max() < 0.01
 
 

@@ -395,7 +395,12 @@ def test_each_hand_has_its_sessions_and_a_tracker_may_name_them():
     for k in range(len(script)):
         receiver.take((str(k).encode(),), 0.0)
     assert [(a.frame.side, a.session) for a in mailbox.all] == [
-        ("right", 0), ("left", 0), ("right", 1), ("left", 0), ("right", 2)]  # fmt: skip
+        ("right", 0),
+        ("left", 0),
+        ("right", 1),
+        ("left", 0),
+        ("right", 2),
+    ]
 
 
 def test_health_counts_what_could_not_be_read_and_tells_of_silence():

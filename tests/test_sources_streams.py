@@ -92,7 +92,9 @@ def test_one_message_may_hold_both_hands():
     data = json.dumps({"stamp": 3.0, "session": 9, "hands": hands}).encode()
     both = read_payload(data, side=None, received=7.0)
     assert [(r.frame.side, r.frame.stamp, r.stamped, r.session) for r in both] == [
-        ("right", 3.0, True, "9"), ("left", 3.0, True, "9")]  # fmt: skip
+        ("right", 3.0, True, "9"),
+        ("left", 3.0, True, "9"),
+    ]
 
 
 def test_what_a_tracker_does_not_see_is_invalid_and_no_error():
@@ -321,8 +323,13 @@ def test_datagrams_become_frames_and_bad_ones_are_counted():
     with running(source) as mailbox, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         port = int(source.endpoint.rpartition(":")[2])
         until(lambda: source.health().detail.startswith("listening"))
-        messages = [POINTS.astype("<f4").tobytes(), text(stamp=5.0), b"\x80\x04nonsense",
-                    (1e3 * POINTS).astype("<f8").tobytes(), text(side="left")]  # fmt: skip
+        messages = [
+            POINTS.astype("<f4").tobytes(),
+            text(stamp=5.0),
+            b"\x80\x04nonsense",
+            (1e3 * POINTS).astype("<f8").tobytes(),
+            text(side="left"),
+        ]
         for k, message in enumerate(messages):
             sender.sendto(message, ("127.0.0.1", port))
             if k < 2:
@@ -496,8 +503,9 @@ def test_a_simulated_glove_s_faults_are_as_often_as_asked():
     assert set(seen) == {0, 17, 21}
     assert [seen[0], seen[17]] == pytest.approx([75, 75], abs=9)
     # a right hand's index is on the other side of its pinky than a left one's
-    right = [(f.landmarks[5, 1] > f.landmarks[17, 1]) == (f.side == "right")
-             for f in hands(swap=0.1)]  # fmt: skip
+    right = [
+        (f.landmarks[5, 1] > f.landmarks[17, 1]) == (f.side == "right") for f in hands(swap=0.1)
+    ]
     assert np.mean(right) == pytest.approx(0.9, abs=0.04)
     assert (steps(duplicate=0.1) == 0).mean() > 0.06
     assert (steps(reorder=0.1) < 0).mean() > 0.05
@@ -512,8 +520,9 @@ COMMAND = [sys.executable, str(Path(__file__).with_name("glove_simulator.py"))]
 def start_glove(path: Path, address: str, *more: str) -> tuple[subprocess.Popen[str], str]:
     process = subprocess.Popen(
         [*COMMAND, "--recording", str(path), "--address", address, "--side", "both", *more],
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     return process, process.stdout.readline().split()[-1]
 
 

@@ -338,8 +338,14 @@ def test_a_picture(tmp_path, capsys):
 
 
 def test_a_picture_on_another_model(tmp_path):
-    run("render", "ability_hand", "--model", str(MODELS / "ability_hand_right.xml"),
-        "--output", str(tmp_path / "a.png"))  # fmt: skip
+    run(
+        "render",
+        "ability_hand",
+        "--model",
+        str(MODELS / "ability_hand_right.xml"),
+        "--output",
+        str(tmp_path / "a.png"),
+    )
     with pytest.raises(HandModelError, match="lacks the joints"):
         run("render", "ability_hand", "--model", str(MODELS / "leap_hand_right.xml"))
 

@@ -78,8 +78,9 @@ def test_bones_are_rigid_and_scale_with_the_hand(seed):
 
 def test_proportions_are_the_published_ones_within_a_few_percent():
     # Buryanov & Kotiuk 2010, [mm]: proximal, middle, distal + tip of index, middle, ring, pinky.
-    published = np.array([[39.78, 22.38, 19.66], [44.63, 26.33, 21.35],
-                          [41.37, 25.65, 21.25], [32.74, 18.11, 19.69]])  # fmt: skip
+    published = np.array(
+        [[39.78, 22.38, 19.66], [44.63, 26.33, 21.35], [41.37, 25.65, 21.25], [32.74, 18.11, 19.69]]
+    )
     people = [SyntheticOperator(seed=seed).anatomy for seed in range(40)]
     hands = np.concatenate([pose_hand(person, np.zeros((1, 20))).landmarks for person in people])
     drawn = bone_lengths(hands).reshape(40, 5, 4)

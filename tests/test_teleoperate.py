@@ -81,9 +81,13 @@ def test_a_run_is_one_call_from_text_or_objects_to_a_summary(tmp_path, caplog):
     caplog.set_level(logging.INFO, "smooth_operator.teleop")
     kept, log, loops = Kept(), tmp_path / "take.mcap", []
     request = TeleopRequest(
-        source="webcam", sink=(f"record:{log}",), hand="leap_hand", rate=50.0, duration=0.6,
+        source="webcam",
+        sink=(f"record:{log}",),
+        hand="leap_hand",
+        rate=50.0,
+        duration=0.6,
         **METHOD,
-    )  # fmt: skip
+    )
     source = build_source("synthetic")
     summary = teleoperate(request, source=source, sinks=[kept], started=loops.append)
     assert json.loads(json.dumps(summary)) == summary

@@ -85,8 +85,13 @@ def hand_xml() -> str:
 def human_hand(curl: np.ndarray) -> np.ndarray:
     """(T, 21, 3) a plain hand whose fingers bend toward -y by ``curl`` [rad] at each joint."""
     hand = np.zeros((len(curl), 21, 3))
-    bases = [(0.03, -0.01, 0.03), (0.03, 0, 0.09), (0.01, 0, 0.095), (-0.01, 0, 0.09),
-             (-0.03, 0, 0.08)]  # fmt: skip
+    bases = [
+        (0.03, -0.01, 0.03),
+        (0.03, 0, 0.09),
+        (0.01, 0, 0.095),
+        (-0.01, 0, 0.09),
+        (-0.03, 0, 0.08),
+    ]
     for finger, base in enumerate(bases):
         first = 1 + 4 * finger
         hand[:, first] = base
@@ -195,11 +200,15 @@ def test_the_clock_ends_at_once_on_a_single_frame():
         ("sphere", "0.02", (0.02, 0.02, 0.02), 4 / 3 * np.pi * 0.02**3),
         ("box", "0.01 0.02 0.03", (0.01, 0.02, 0.03), 8 * 0.01 * 0.02 * 0.03),
         ("cylinder", "0.02 0.05", (0.02, 0.02, 0.05), np.pi * 0.02**2 * 0.1),
-        ("capsule", "0.02 0.05", (0.02, 0.02, 0.07),
-         np.pi * 0.02**2 * 0.1 + 4 / 3 * np.pi * 0.02**3),
+        (
+            "capsule",
+            "0.02 0.05",
+            (0.02, 0.02, 0.07),
+            np.pi * 0.02**2 * 0.1 + 4 / 3 * np.pi * 0.02**3,
+        ),
         ("ellipsoid", "0.01 0.02 0.03", (0.01, 0.02, 0.03), 4 / 3 * np.pi * 6e-6),
     ],
-)  # fmt: skip
+)
 def test_primitive_meshes_have_mujocos_size(kind, size, half, volume):
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><worldbody><geom type="{kind}" size="{size}"/></worldbody></mujoco>'
@@ -522,8 +531,9 @@ def test_an_error_while_drawing_reaches_the_caller(server, monkeypatch):
         server.wait()
 
 
-@pytest.mark.parametrize(("host", "port"), [("192.0.2.1", 8080), ("no.such.host.invalid", 8080),
-                                            ("127.0.0.1", 70000)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("host", "port"), [("192.0.2.1", 8080), ("no.such.host.invalid", 8080), ("127.0.0.1", 70000)]
+)
 def test_an_impossible_address_is_refused(playback, host, port):
     with pytest.raises(ConfigError):
         PlaybackServer(playback, host=host, port=port).start()

@@ -164,9 +164,16 @@ def test_what_is_no_video_is_refused_with_its_name(tmp_path, name):
 
 @pytest.mark.parametrize(
     "text",
-    ["webcam:0,max_hands=3", "webcam:0,confidence=1.5", "webcam:-1", "webcam:0,rate=0",
-     "video:a.mp4,speed=0", "video:a.mp4,points=depth", "video"],
-)  # fmt: skip
+    [
+        "webcam:0,max_hands=3",
+        "webcam:0,confidence=1.5",
+        "webcam:-1",
+        "webcam:0,rate=0",
+        "video:a.mp4,speed=0",
+        "video:a.mp4,points=depth",
+        "video",
+    ],
+)
 def test_settings_are_checked_before_anything_starts(text):
     with pytest.raises(ConfigError):
         build_source(text)
@@ -522,8 +529,10 @@ WAIT = int(MEMORY_S / PERIOD) + 2
         ([BOTH, *[[seen("left", 0.2), seen("right", 0.8)]] * 2], PLACES),  # labels swap
         # of two hands with one label the surer one counts, or the one that was there
         ([[seen("right", 0.2, 0.7), seen("right", 0.8, 0.9)]], {"right": 0.8}),
-        ([[seen("right", 0.2)], [seen("right", 0.2, 0.7), seen("right", 0.8, 0.99)]],
-         {"right": 0.2}),
+        (
+            [[seen("right", 0.2)], [seen("right", 0.2, 0.7), seen("right", 0.8, 0.99)]],
+            {"right": 0.2},
+        ),
         ([BOTH, [seen("right", 0.2, 0.8), seen("right", 0.8, 0.9)]], PLACES),
         # one hand that is found twice
         ([[seen("left", 0.2 + 0.3 * PALM, 0.6), seen("right", 0.2, 0.9)]], {"right": 0.2}),
@@ -532,7 +541,7 @@ WAIT = int(MEMORY_S / PERIOD) + 2
         ([[seen("right", 0.2)], [seen("left", 0.2 + 1.4 * PALM)]], {"right": 0.34}),
         ([[seen("right", 0.2)], [seen("left", 0.2 + 1.6 * PALM)]], {"left": 0.36}),
     ],
-)  # fmt: skip
+)
 def test_each_hand_keeps_its_side(pictures, last):
     assert feed(pictures)[-1] == pytest.approx(last)
 

@@ -36,13 +36,34 @@ from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.teleop.sources.live import Arrival
 
 KINDS = (
-    "drop-out", "long drop-out", "wrist lost", "wrist untracked", "landmarks lost", "frame of NaN",
-    "wrist teleports", "wrist turns over", "quaternion changes sign", "noise of 2 cm",
-    "clutch pumped", "pause", "emergency stop", "late frames", "stamps go back", "stamps repeat",
-    "tracker starts again", "world changes", "method switched",
-    "actuator stuck", "bus errors", "loop stalls", "uneven steps", "arm not measured",
-    "out of reach", "into the table", "fingers opened and closed",
-)  # fmt: skip
+    "drop-out",
+    "long drop-out",
+    "wrist lost",
+    "wrist untracked",
+    "landmarks lost",
+    "frame of NaN",
+    "wrist teleports",
+    "wrist turns over",
+    "quaternion changes sign",
+    "noise of 2 cm",
+    "clutch pumped",
+    "pause",
+    "emergency stop",
+    "late frames",
+    "stamps go back",
+    "stamps repeat",
+    "tracker starts again",
+    "world changes",
+    "method switched",
+    "actuator stuck",
+    "bus errors",
+    "loop stalls",
+    "uneven steps",
+    "arm not measured",
+    "out of reach",
+    "into the table",
+    "fingers opened and closed",
+)
 """Faults: of the tracker, the operator, the loop, the arm and its bus."""
 
 PERIOD = 0.01

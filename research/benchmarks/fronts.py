@@ -76,9 +76,12 @@ def front(
 
 
 def draw_front(
-    ax: Any, curves: Mapping[str, np.ndarray], sweep: Mapping[str, Sequence[float]],
-    x: str, y: str,
-) -> None:  # fmt: skip
+    ax: Any,
+    curves: Mapping[str, np.ndarray],
+    sweep: Mapping[str, Sequence[float]],
+    x: str,
+    y: str,
+) -> None:
     """One curve a setting, each point with its value; the axes are two of the metrics."""
     columns = [list(COLUMNS.values()).index(name) for name in (x, y)]
     for name, means in curves.items():

@@ -147,9 +147,14 @@ def batches(report: Report, settings: Settings) -> None:
         report.add(f"batch/{name}", figures)
         rows.append([f"{method}:{preset}", f"{count} × {size}", *figures.values()])
     header = (
-        "method", "recordings", "arrays [frames/s]", "objects [frames/s]",
-        "arrays, best [frames/s]", "GPU busy", "first call [s]",
-    )  # fmt: skip
+        "method",
+        "recordings",
+        "arrays [frames/s]",
+        "objects [frames/s]",
+        "arrays, best [frames/s]",
+        "GPU busy",
+        "first call [s]",
+    )
     report.table("Recordings side by side", header, rows)
 
 

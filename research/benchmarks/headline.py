@@ -67,9 +67,13 @@ def _measured(
     options: argparse.Namespace, hand: str, methods: str, latency_frames: int = 0
 ) -> tuple[list[Finished], list[Row], Settings]:
     settings = Settings(
-        output=options.output / hand, recordings=tuple(options.recordings), hands=(hand,),
-        methods=comma_words(methods), workers=0, latency_frames=latency_frames,
-    )  # fmt: skip
+        output=options.output / hand,
+        recordings=tuple(options.recordings),
+        hands=(hand,),
+        methods=comma_words(methods),
+        workers=0,
+        latency_frames=latency_frames,
+    )
     finished = run_suite(settings, plan_cells(settings))
     return finished, make_rows(finished, settings), settings
 

@@ -175,11 +175,15 @@ def make_programs(settings: Settings, report: Report) -> list[Program]:
     else:
         python, more = settings.dex_python, ("--urdf", str(settings.dex_urdf))
         programs += [
-            Program(hand, f"dex-retargeting {kind}", python,
-                    ("dex-retargeting", "--hand", hand, "--method", kind, *more))
+            Program(
+                hand,
+                f"dex-retargeting {kind}",
+                python,
+                ("dex-retargeting", "--hand", hand, "--method", kind, *more),
+            )
             for hand in DEX_HANDS
             for kind in ("vector", "dexpilot")
-        ]  # fmt: skip
+        ]
     if settings.authors is None:
         report.notes.append("left out: the authors' commands, for which --authors names no folder")
     return programs

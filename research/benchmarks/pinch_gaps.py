@@ -28,8 +28,10 @@ from smooth_operator.types import HandRecording
 CLOSED, CONTACT, FAR, LEAST = 8.0, 3.0, 10.0, 15.0  # [mm]
 BUILT = {"24, 30, 19, 8 mm": (24.0, 30.0, 19.0, 8.0), "15 mm": (15.0,) * 4, "as it is": (0.0,) * 4}
 STARTS: Mapping[str, Mapping[str, float] | None] = {
-    "off": None, "no known gap": NO_GAPS, "MediaPipe's": MEDIAPIPE,
-}  # fmt: skip
+    "off": None,
+    "no known gap": NO_GAPS,
+    "MediaPipe's": MEDIAPIPE,
+}
 
 
 def distances(points: np.ndarray) -> np.ndarray:

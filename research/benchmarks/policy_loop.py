@@ -61,10 +61,20 @@ from smooth_operator_research.virtual_operator.trial import LOOKS_HZ
 FPS = 25
 """Frames of the tracker, commands and rows a second; a whole number of looks at the scene."""
 POLICY = {
-    "type": "act", "dim_model": 128, "n_heads": 4, "dim_feedforward": 512, "n_encoder_layers": 2,
-    "chunk_size": 25, "n_action_steps": 10, "use_vae": "true", "latent_dim": 8,
-    "n_vae_encoder_layers": 2, "optimizer_lr": 3e-4, "device": "cpu", "push_to_hub": "false",
-}  # fmt: skip
+    "type": "act",
+    "dim_model": 128,
+    "n_heads": 4,
+    "dim_feedforward": 512,
+    "n_encoder_layers": 2,
+    "chunk_size": 25,
+    "n_action_steps": 10,
+    "use_vae": "true",
+    "latent_dim": 8,
+    "n_vae_encoder_layers": 2,
+    "optimizer_lr": 3e-4,
+    "device": "cpu",
+    "push_to_hub": "false",
+}
 ALONE = {"HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}  # trainings run side by side
 RESAMPLES = 5000
 
@@ -136,10 +146,16 @@ def trial_in_world(task: str, hand: str, method: str, number: int) -> Trial:
     landmarks = DemonstrationLandmarks(demonstration)
     world = draw_perturbation(number + 1)
     done = run_trial(
-        retargeter(hand, method), world.scene(scene_for(task, demonstration.robot)),
-        task_named(task), PerturbedLandmarks(landmarks, world), rate_hz=LOOKS_HZ,
-        seconds=landmarks.seconds + STAYS_S, seed=0, prepare=world.prepare, trace=True,
-    )  # fmt: skip
+        retargeter(hand, method),
+        world.scene(scene_for(task, demonstration.robot)),
+        task_named(task),
+        PerturbedLandmarks(landmarks, world),
+        rate_hz=LOOKS_HZ,
+        seconds=landmarks.seconds + STAYS_S,
+        seed=0,
+        prepare=world.prepare,
+        trace=True,
+    )
     success = done.score == 1.0 and done.diverged == 0
     return sampled(demonstration.robot, success, done.seconds, done.trace)
 
@@ -193,14 +209,17 @@ def record(settings: Settings, pool: ProcessPoolExecutor, task: str, method: str
         return {"dtype": "float32", "shape": (len(names),), "names": names}
 
     dataset = LeRobotDataset.create(
-        f"policy_loop/{folder.name}", FPS, root=folder / "data", robot_type="smooth_hand",
+        f"policy_loop/{folder.name}",
+        FPS,
+        root=folder / "data",
+        robot_type="smooth_hand",
         use_videos=False,
         features={
             "observation.state": numbers(joints),
             "observation.environment_state": numbers(list(OBJECT_NAMES)),
             "action": numbers(joints),
         },
-    )  # fmt: skip
+    )
     instruction = task_named(task).task.instruction
     successes: list[int] = []
     lengths: list[int] = []
@@ -211,12 +230,14 @@ def record(settings: Settings, pool: ProcessPoolExecutor, task: str, method: str
             for state, environment, action in zip(
                 trial.state, trial.environment, trial.action, strict=True
             ):
-                dataset.add_frame({
-                    "observation.state": state.astype(np.float32),
-                    "observation.environment_state": environment.astype(np.float32),
-                    "action": action.astype(np.float32),
-                    "task": instruction,
-                })  # fmt: skip
+                dataset.add_frame(
+                    {
+                        "observation.state": state.astype(np.float32),
+                        "observation.environment_state": environment.astype(np.float32),
+                        "action": action.astype(np.float32),
+                        "task": instruction,
+                    }
+                )
             dataset.save_episode()
             lengths.append(len(trial.action))
             starts.append(trial.state[0])
@@ -247,18 +268,31 @@ def train(settings: Settings, task: str, method: str, seed: int) -> Path:
         return model
     shutil.rmtree(run, ignore_errors=True)
     options = {
-        "dataset.repo_id": f"policy_loop/{folder.name}", "dataset.root": folder / "data",
-        "output_dir": run, "steps": settings.steps, "save_freq": settings.steps,
-        "batch_size": settings.batch, "num_workers": 0, "seed": seed, "env_eval_freq": 0,
-        "log_freq": max(1, settings.steps // 10), "wandb.enable": "false",
+        "dataset.repo_id": f"policy_loop/{folder.name}",
+        "dataset.root": folder / "data",
+        "output_dir": run,
+        "steps": settings.steps,
+        "save_freq": settings.steps,
+        "batch_size": settings.batch,
+        "num_workers": 0,
+        "seed": seed,
+        "env_eval_freq": 0,
+        "log_freq": max(1, settings.steps // 10),
+        "wandb.enable": "false",
         **{f"policy.{name}": value for name, value in POLICY.items()},
-    }  # fmt: skip
+    }
     with (folder / f"train-{seed}.log").open("w") as log:
         done = subprocess.run(
-            [sys.executable, "-m", "lerobot.scripts.lerobot_train",
-             *(f"--{name}={value}" for name, value in options.items())],
-            stdout=log, stderr=subprocess.STDOUT, env={**os.environ, **ALONE},
-        )  # fmt: skip
+            [
+                sys.executable,
+                "-m",
+                "lerobot.scripts.lerobot_train",
+                *(f"--{name}={value}" for name, value in options.items()),
+            ],
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, **ALONE},
+        )
     if done.returncode:
         raise BenchmarkError(f"lerobot-train failed; its output is in {log.name}")
     return model
@@ -366,9 +400,16 @@ def main(settings: Settings) -> None:
                 operators = share_of_worlds(trials["successes"])
                 report.add(key, {"operator_success": operators[0], "demonstrations": len(frames)})
                 row: list[object] = [
-                    task, method, len(trials["successes"]), percent(*operators),
-                    len(frames), f"{np.median(frames) / FPS:.1f}" if frames else "", "", "", "",
-                ]  # fmt: skip
+                    task,
+                    method,
+                    len(trials["successes"]),
+                    percent(*operators),
+                    len(frames),
+                    f"{np.median(frames) / FPS:.1f}" if frames else "",
+                    "",
+                    "",
+                    "",
+                ]
                 rows.append(row)
                 if not frames:
                     continue
@@ -393,10 +434,19 @@ def main(settings: Settings) -> None:
                 print(f"{key}: success {row[6]} %", flush=True)
     report.table(
         "Policies by the retargeter of their demonstrations",
-        ("task", "method", "trials", "operators' success [%]", "demonstrations", "median [s]",
-         "policy's success [%]", "score", f"minus {settings.methods[0]} [%]"),
+        (
+            "task",
+            "method",
+            "trials",
+            "operators' success [%]",
+            "demonstrations",
+            "median [s]",
+            "policy's success [%]",
+            "score",
+            f"minus {settings.methods[0]} [%]",
+        ),
         rows,
-    )  # fmt: skip
+    )
     report.notes.append(
         f"ACT {POLICY['dim_model']} wide, {settings.steps} steps of {settings.batch}, "
         f"{settings.seeds} seeds, {settings.worlds} worlds, episodes of at most "

@@ -72,11 +72,24 @@ def main(settings: Settings) -> None:
                 for failures in FAILURES
             ]
             powers.append([design, f"{100 * share:g}", *cells])
-    titles = ("design", "success [%]", "preference [logit]", "studies with a separated retargeter",
-              "Dunnett", "Holm", "Dunnett, separated", "Holm, separated", "refused")  # fmt: skip
+    titles = (
+        "design",
+        "success [%]",
+        "preference [logit]",
+        "studies with a separated retargeter",
+        "Dunnett",
+        "Holm",
+        "Dunnett, separated",
+        "Holm, separated",
+        "refused",
+    )
     print(markdown(titles, errors), end="\n\n")
-    heading = ("design", "others succeed [%]", *(f"power, {k} failures" for k in FAILURES),
-              *(f"error among the others, {k} failures" for k in FAILURES))  # fmt: skip
+    heading = (
+        "design",
+        "others succeed [%]",
+        *(f"power, {k} failures" for k in FAILURES),
+        *(f"error among the others, {k} failures" for k in FAILURES),
+    )
     print(markdown(heading, powers))
 
 
@@ -86,8 +99,9 @@ def simulator(design: str, share: float, preference: float) -> Simulator:
     task = Task("A", trials=trials)
     conditions = tuple(Condition(name) for name in NAMES)
     plan = make_plan(Protocol("ceiling", conditions, (task,), NAMES[0], operators))
-    truth = assumptions_for(NAMES, success=dict.fromkeys(NAMES, share),
-                            interaction=Spread(preference, 2.0, 5.0))  # fmt: skip
+    truth = assumptions_for(
+        NAMES, success=dict.fromkeys(NAMES, share), interaction=Spread(preference, 2.0, 5.0)
+    )
     return Simulator(plan, truth)
 
 

@@ -140,10 +140,16 @@ def main(settings: Settings) -> None:
         for name in chosen
     ]
     jobs = [
-        Job("", {"chunk": vars(c), "design": repr(DESIGNS[c.design])}, code, c,
-            f"simulating {c.design}", c.count)
+        Job(
+            "",
+            {"chunk": vars(c), "design": repr(DESIGNS[c.design])},
+            code,
+            c,
+            f"simulating {c.design}",
+            c.count,
+        )
         for c in chunks
-    ]  # fmt: skip
+    ]
     progress = Progressing()
     counts: dict[str, Counter[str]] = {name: Counter() for name in chosen}
     with progress.bar("simulating studies") as show:

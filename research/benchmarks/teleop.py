@@ -31,9 +31,16 @@ from smooth_operator_research.run_report import Report, memory_mib
 
 RATE = 100.0
 FAULTS = {
-    "drop": 0.1, "silence-every": 15, "silence": 2.5, "missing": 0.03, "duplicate": 0.02,
-    "reorder": 0.02, "swap": 0.02, "garbage": 0.02, "restart-every": 40,
-}  # fmt: skip
+    "drop": 0.1,
+    "silence-every": 15,
+    "silence": 2.5,
+    "missing": 0.03,
+    "duplicate": 0.02,
+    "reorder": 0.02,
+    "swap": 0.02,
+    "garbage": 0.02,
+    "restart-every": 40,
+}
 """Options of ``tests/glove_simulator.py``."""
 
 ROBOT = """
@@ -185,13 +192,32 @@ def run(
         raise
     loop = subprocess.Popen(
         [
-            sys.executable, "-m", "smooth_operator", "teleop", "--source", f"manus:{gloves}",
-            "--sink", f"zmq:{commands}", f"record:{record}", "--rate", str(RATE),
-            "--duration", str(options.seconds), "--method", options.method, "--hand", options.hand,
-            "--json", "--priority", options.priority, "--no-view",
+            sys.executable,
+            "-m",
+            "smooth_operator",
+            "teleop",
+            "--source",
+            f"manus:{gloves}",
+            "--sink",
+            f"zmq:{commands}",
+            f"record:{record}",
+            "--rate",
+            str(RATE),
+            "--duration",
+            str(options.seconds),
+            "--method",
+            options.method,
+            "--hand",
+            options.hand,
+            "--json",
+            "--priority",
+            options.priority,
+            "--no-view",
         ],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     memory, printed = Memory(loop.pid), []
 
     def listen() -> None:

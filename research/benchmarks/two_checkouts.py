@@ -51,8 +51,16 @@ for line in sys.stdin:
 
 
 METHODS = (
-    "smooth", "sbr", "sbr:paper", "dexpilot", "ako", "keyvector", "hybrid", "joint_angle", "geort",
-)  # fmt: skip
+    "smooth",
+    "sbr",
+    "sbr:paper",
+    "dexpilot",
+    "ako",
+    "keyvector",
+    "hybrid",
+    "joint_angle",
+    "geort",
+)
 
 
 @dataclass(frozen=True)

@@ -380,8 +380,9 @@ def test_a_velocity_term_slows_the_answers_down(problem):
 
 def test_the_tracking_loss_is_the_objectives_own(problem):
     rng = np.random.default_rng(0)
-    q = np.clip(problem.start + 0.1 * rng.standard_normal((len(problem), 16)),
-                *problem.hand.limits.T)  # fmt: skip
+    q = np.clip(
+        problem.start + 0.1 * rng.standard_normal((len(problem), 16)), *problem.hand.limits.T
+    )
     ours = problem.tracking_loss(q)
     objective = jax.jit(
         lambda q, vectors, weights: problem.objective.tracking(
@@ -405,10 +406,13 @@ def test_the_hessian_is_that_of_the_cost_by_finite_differences_of_values(problem
     np.testing.assert_allclose(exact, np.swapaxes(exact, 1, 2), atol=1e-9)
     pairs = [(0, 0), (2, 2), (1, 3), (4, 6), (9, 9), (15, 14)]
     unit = step * np.eye(16)
-    points = np.array([
-        q[t] + a * unit[i] + b * unit[j]
-        for i, j in pairs for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
-    ])  # fmt: skip
+    points = np.array(
+        [
+            q[t] + a * unit[i] + b * unit[j]
+            for i, j in pairs
+            for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
+        ]
+    )
     many = dataclasses.replace(
         problem,
         vectors=np.repeat(problem.vectors[None, t], len(points), axis=0),

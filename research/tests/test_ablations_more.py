@@ -353,11 +353,17 @@ def test_the_table_has_six_metrics_by_both_definitions(context, field, monkeypat
     monkeypatch.setattr(table, "field_of", lambda context, names: field)
     outcome = table.BenchmarkTable().run(context)
     assert [v.claim.partition(":")[0].split(" (")[0].split(" [")[0] for v in outcome.verdicts] == [
-        "cosine similarity", "scale ratio", "motion preservation", "flatness",
-        "workspace utilisation", "latency",
-    ]  # fmt: skip
-    values = {(v["definition"], v["method"], v["metric"]): v["recordings"]
-              for v in outcome.figures["values"]}  # fmt: skip
+        "cosine similarity",
+        "scale ratio",
+        "motion preservation",
+        "flatness",
+        "workspace utilisation",
+        "latency",
+    ]
+    values = {
+        (v["definition"], v["method"], v["metric"]): v["recordings"]
+        for v in outcome.figures["values"]
+    }
     names = {source.name for source in context.sources}
     for definition in ("paper", "sound"):
         for label in field.choices:

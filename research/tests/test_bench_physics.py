@@ -109,8 +109,12 @@ def test_wilson_is_the_published_interval():
 
 
 def test_means_have_students_interval_and_average_rows_of_one_unit():
-    rows = [{"unit": "a", "error_mm": 1.0}, {"unit": "a", "error_mm": 3.0},
-            {"unit": "b", "error_mm": 4.0}, {"unit": "c", "error_mm": None}]  # fmt: skip
+    rows = [
+        {"unit": "a", "error_mm": 1.0},
+        {"unit": "a", "error_mm": 3.0},
+        {"unit": "b", "error_mm": 4.0},
+        {"unit": "c", "error_mm": None},
+    ]
     found = summarise(ERROR, rows)
     assert (found.value, found.count) == (3.0, 2)
     half = 12.706204736 * math.sqrt(2) / math.sqrt(2)  # t of one degree of freedom
@@ -207,11 +211,21 @@ def test_files_and_report(counting, tmp_path, capsys):
 def rows_of(method: str, values: Sequence[float | None]) -> list[Any]:
     """A row for each unit, with the error and one object of two held."""
     return [
-        {"hand": "h", "side": "right", "condition": "", "method": method, "preset": "any",
-         "unit": f"u{k}", "status": "ok", "reason": None, "error_mm": value, "held": k % 2,
-         "objects": 2}
+        {
+            "hand": "h",
+            "side": "right",
+            "condition": "",
+            "method": method,
+            "preset": "any",
+            "unit": f"u{k}",
+            "status": "ok",
+            "reason": None,
+            "error_mm": value,
+            "held": k % 2,
+            "objects": 2,
+        }
         for k, value in enumerate(values)
-    ]  # fmt: skip
+    ]
 
 
 def test_differences_are_taken_unit_by_unit():
@@ -285,9 +299,14 @@ def test_each_measure_offers_what_is_needed(name):
 def test_reachable_motion_runs_in_the_suite(tmp_path):
     """One real case for each condition, with the cheapest method."""
     settings = PhysicsSettings(
-        output=tmp_path, measures=("reachable",), methods=("joint_angle",), hands=("inspire_hand",),
-        quick=True, units=1, workers=0,
-    )  # fmt: skip
+        output=tmp_path,
+        measures=("reachable",),
+        methods=("joint_angle",),
+        hands=("inspire_hand",),
+        quick=True,
+        units=1,
+        workers=0,
+    )
     tmp_path.mkdir(exist_ok=True)
     (outcome,) = run_cases(settings, plan_cases(settings))
     clean, noisy = outcome.results.rows

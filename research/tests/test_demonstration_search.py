@@ -114,8 +114,12 @@ def test_progress_is_more_the_further_a_trial_gets(task):
 def test_an_operator_before_a_tracker_takes_part():
     """The same operator twice, another one, and none: the joints follow the demonstration."""
     demonstration = load_demonstration("cube")
-    worlds = [World(1000, 1, 2, "headset"), World(1000, 1, 2, "headset"),
-              World(1000, 1, 3, "headset"), World(1000, 1)]  # fmt: skip
+    worlds = [
+        World(1000, 1, 2, "headset"),
+        World(1000, 1, 2, "headset"),
+        World(1000, 1, 3, "headset"),
+        World(1000, 1),
+    ]
     first, again, other, own = judge(Candidate(demonstration, tuple(worlds)))
     assert first == again
     assert len({first, other, own}) == 3
@@ -140,9 +144,15 @@ def test_self_penetration_counts_beyond_what_a_pinch_needs():
     hand, demonstration = load_hand("mimic_p050"), load_demonstration("card")
     open_ = replace(demonstration, poses=np.broadcast_to(hand.neutral, demonstration.poses.shape))
     names = hand.actuated_names
-    inward = {"thumb_base2cmc": 0.47, "thumb_cmc2mcp": -0.53, "thumb_mcp2pp": 1.71,
-              "thumb_pp2dp_actuated": 1.45, "index_base2mcp": 0.49, "index_mcp2pp": 1.5,
-              "index_pp2mp": 1.33}  # fmt: skip
+    inward = {
+        "thumb_base2cmc": 0.47,
+        "thumb_cmc2mcp": -0.53,
+        "thumb_mcp2pp": 1.71,
+        "thumb_pp2dp_actuated": 1.45,
+        "index_base2mcp": 0.49,
+        "index_mcp2pp": 1.5,
+        "index_pp2mp": 1.33,
+    }
     deep = np.array(open_.poses)
     deep[4, [names.index(name) for name in inward]] = list(inward.values())
     deeper = deep.copy()

@@ -86,9 +86,15 @@ def test_the_pinch_gaps_of_a_webcam_are_known_of_a_camera():
     """They are another person's than the simulated ones."""
     unit = MEASURE.units(SETTINGS)[1]
     case = Case(
-        "demonstrations", "mimic_p050", "right", "smooth", "teleop", method_config("smooth"),
-        "card camera", unit,
-    )  # fmt: skip
+        "demonstrations",
+        "mimic_p050",
+        "right",
+        "smooth",
+        "teleop",
+        method_config("smooth"),
+        "card camera",
+        unit,
+    )
     found = {kind: case.retargeter(kind).known_gaps for kind in ("camera", "headset")}
     assert found == {"camera": MEDIAPIPE, "headset": {}}
     assert tuple(MEDIAPIPE.values()) != TRACKERS["camera"].pinch_gaps
@@ -118,13 +124,24 @@ def test_a_hand_without_a_demonstration_says_so():
 def test_the_plots_show_every_task():
     rows: list[Row] = [
         {
-            "measure": "demonstrations", "hand": "mimic_p050", "side": "right", "method": "ako",
-            "preset": "default", "condition": task, "unit": f"world {k}", "status": "ok",
-            "reason": "", "unperturbed": None, "success": float(k % 2), "success_half": 1.0,
-            "success_s": 4.0 if k % 2 else None, "ceiling": 1.0, "tip_error_mm": 0.3,
+            "measure": "demonstrations",
+            "hand": "mimic_p050",
+            "side": "right",
+            "method": "ako",
+            "preset": "default",
+            "condition": task,
+            "unit": f"world {k}",
+            "status": "ok",
+            "reason": "",
+            "unperturbed": None,
+            "success": float(k % 2),
+            "success_half": 1.0,
+            "success_s": 4.0 if k % 2 else None,
+            "ceiling": 1.0,
+            "tip_error_mm": 0.3,
         }
         for task in SCENES
         for k in range(1, 4)
-    ]  # fmt: skip
+    ]
     drawings = MEASURE.draw(MeasureResults(MEASURE.figures, rows), {"ako": "#000000"})
     assert [drawing.name for drawing in drawings] == [f"demonstrations-{task}" for task in SCENES]

@@ -51,9 +51,17 @@ def test_both_joints_beyond_the_knuckle_count():
     hand = load_hand("leap_hand")
     fingers = bends_past_straight(hand)
     names = [(hand.fingers[f], hand.actuated_names[joint]) for f, joint, *_ in fingers]
-    assert names == [(finger, str(joint)) for finger, joint in (
-        ("index", 2), ("index", 3), ("middle", 6), ("middle", 7), ("ring", 10), ("ring", 11)
-    )]  # fmt: skip
+    assert names == [
+        (finger, str(joint))
+        for finger, joint in (
+            ("index", 2),
+            ("index", 3),
+            ("middle", 6),
+            ("middle", 7),
+            ("ring", 10),
+            ("ring", 11),
+        )
+    ]
     tips = hand.tips(hand.full_configuration(hand.straight_pose.q)) - hand.wrist
     tips[1] = fingers[0].centre + np.array([0.0, 0.0, 0.1])  # a bent index finger
     low = np.asarray(frame_limits(hand, tips))[:, 0]

@@ -12,10 +12,13 @@ from smooth_operator_research.run_report import BenchmarkError
 def stand_in(task: pinch_front.Task) -> dict[str, float | None]:
     held = 0.9 if task.method == "smooth" else 0.5
     return {
-        "held": held, "dropped": 1 - held, "let_go": None, "cos thumb": 0.99,
+        "held": held,
+        "dropped": 1 - held,
+        "let_go": None,
+        "cos thumb": 0.99,
         "motion": 0.9 - 1e-4 * float(task.config.pinch_damping if held > 0.5 else 1000),
         "vel. corr.": 0.95,
-    }  # fmt: skip
+    }
 
 
 def test_table_and_picture(tmp_path, monkeypatch):

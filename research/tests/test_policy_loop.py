@@ -58,8 +58,9 @@ def test_intervals_are_of_seeds_and_worlds():
     assert high == pytest.approx(0.60, abs=0.02)
     seeds = np.array([[1.0] * 100, [0.0] * 100, [0.5] * 100])
     assert loop.interval(loop.resampled(seeds), 0.5, 100) == (
-        pytest.approx(0.0, abs=0.01), pytest.approx(1.0, abs=0.01),
-    )  # fmt: skip
+        pytest.approx(0.0, abs=0.01),
+        pytest.approx(1.0, abs=0.01),
+    )
     none = loop.interval(loop.resampled(np.zeros((3, 100))), 0.0, 100)
     assert none == (0.0, pytest.approx(0.037, abs=0.001))  # Wilson's, of 0 in 100
     assert loop.share_of_worlds([1, 1]) == (1.0, pytest.approx(0.342, abs=0.001), 1.0)

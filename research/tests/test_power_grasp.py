@@ -97,9 +97,16 @@ def test_the_object_lies_in_the_palm_and_touches_nothing():
 def test_the_measure_counts_what_was_tried(recording):
     measure = find_measure("grasp")
     case = Case(
-        "grasp", "mimic_p050", "right", "keyvector", "published", method_config("keyvector"), "",
-        Unit("one fist", data=recording), quick=True,
-    )  # fmt: skip
+        "grasp",
+        "mimic_p050",
+        "right",
+        "keyvector",
+        "published",
+        method_config("keyvector"),
+        "",
+        Unit("one fist", data=recording),
+        quick=True,
+    )
     row = measure.run(case).row
     assert row == measure.run(case).row  # deterministic
     assert (row["closings"], row["tried"], row["diverged"]) == (1, 1, 0)

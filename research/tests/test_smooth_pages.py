@@ -71,12 +71,21 @@ MOST_LINES = 1610
 """2,160 on 2026-11-27, without pinch gaps (102) and the thumb's pad (25), new since."""
 
 A_FRAME = (
-    "retargeting/program", "retargeting/alignment", "retargeting/method", "retargeting/smooth",
-    "retargeting/pinch_gaps", "retargeting/fingertip_filter", "retargeting/correspondence",
-    "retargeting/targets", "retargeting/terms", "retargeting/smooth_terms",
-    "retargeting/objective", "retargeting/levenberg", "hands/differential",
+    "retargeting/program",
+    "retargeting/alignment",
+    "retargeting/method",
+    "retargeting/smooth",
+    "retargeting/pinch_gaps",
+    "retargeting/fingertip_filter",
+    "retargeting/correspondence",
+    "retargeting/targets",
+    "retargeting/terms",
+    "retargeting/smooth_terms",
+    "retargeting/objective",
+    "retargeting/levenberg",
+    "hands/differential",
     "hands/pose_table",
-)  # fmt: skip
+)
 """Modules that a frame of ``smooth`` passes from landmarks to command."""
 
 

@@ -53,8 +53,10 @@ def test_the_trace_is_what_happened_and_the_loop_is_causal():
     assert result.dropped == 15
     assert result.frames == len(trace.times) - 15
     held = np.isnan(trace.landmarks[:, 0, 0])
-    np.testing.assert_array_equal(held, (trace.times >= 0.2) & (trace.times < 0.3)
-                                  | (trace.times >= 1.0) & (trace.times < 1.05))  # fmt: skip
+    np.testing.assert_array_equal(
+        held,
+        (trace.times >= 0.2) & (trace.times < 0.3) | (trace.times >= 1.0) & (trace.times < 1.05),
+    )
     before = np.flatnonzero(held) - 1
     np.testing.assert_array_equal(trace.commands[held], trace.commands[before])
     assert len(trace.states) == len(trace.commands) == len(trace.positions)

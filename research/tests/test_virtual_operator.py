@@ -283,9 +283,14 @@ def exact_person() -> Familiar:
     """A person who has the robot's hand, and makes no errors; only vision is delayed."""
     retargeter = Retargeter(load_hand("mimic_p050", "right"), method="keyvector")
     person = replace(
-        draw_person(0), bone_factors=np.ones((5, 3)), map_error=np.zeros((5, 3)), motor_noise=0.0,
-        tremor_m=0.0, pace=1.0, crossover=1e-9,
-    )  # fmt: skip
+        draw_person(0),
+        bone_factors=np.ones((5, 3)),
+        map_error=np.zeros((5, 3)),
+        motor_noise=0.0,
+        tremor_m=0.0,
+        pace=1.0,
+        crossover=1e-9,
+    )
     body = hand_model(person, retargeter.hand)
     return Familiar(person, retargeter, body, ExactMap(body, retargeter.hand))
 

@@ -17,10 +17,19 @@ from typing import Final
 from smooth_operator.terminal import printable
 
 __all__ = (
-    "ConfigError", "HandModelError", "MissingExtraError", "OutputError", "RecordingError",
-    "RemoteError", "RemoteRefusedError", "SinkError", "SmoothOperatorError", "SourceError",
-    "StudyError", "UnknownNameError",
-)  # fmt: skip
+    "ConfigError",
+    "HandModelError",
+    "MissingExtraError",
+    "OutputError",
+    "RecordingError",
+    "RemoteError",
+    "RemoteRefusedError",
+    "SinkError",
+    "SmoothOperatorError",
+    "SourceError",
+    "StudyError",
+    "UnknownNameError",
+)
 """Public names; the rest is for use inside this package."""
 
 

@@ -11,9 +11,15 @@ from __future__ import annotations
 from typing import Final
 
 __all__ = (
-    "FROM_MANUS_25", "FROM_OPENXR_26", "FROM_WEBXR_25", "LANDMARKS", "LAYOUTS",
-    "METACARPALS_MANUS_25", "METACARPALS_OPENXR_26", "METACARPALS_WEBXR_25",
-)  # fmt: skip
+    "FROM_MANUS_25",
+    "FROM_OPENXR_26",
+    "FROM_WEBXR_25",
+    "LANDMARKS",
+    "LAYOUTS",
+    "METACARPALS_MANUS_25",
+    "METACARPALS_OPENXR_26",
+    "METACARPALS_WEBXR_25",
+)
 """The public ones; the rest is for this package."""
 
 FINGERS: Final = ("thumb", "index", "middle", "ring", "pinky")
@@ -21,12 +27,27 @@ FINGERS: Final = ("thumb", "index", "middle", "ring", "pinky")
 
 LANDMARKS: Final = (
     "wrist",
-    "thumb_cmc", "thumb_mcp", "thumb_ip", "thumb_tip",
-    "index_mcp", "index_pip", "index_dip", "index_tip",
-    "middle_mcp", "middle_pip", "middle_dip", "middle_tip",
-    "ring_mcp", "ring_pip", "ring_dip", "ring_tip",
-    "pinky_mcp", "pinky_pip", "pinky_dip", "pinky_tip",
-)  # fmt: skip
+    "thumb_cmc",
+    "thumb_mcp",
+    "thumb_ip",
+    "thumb_tip",
+    "index_mcp",
+    "index_pip",
+    "index_dip",
+    "index_tip",
+    "middle_mcp",
+    "middle_pip",
+    "middle_dip",
+    "middle_tip",
+    "ring_mcp",
+    "ring_pip",
+    "ring_dip",
+    "ring_tip",
+    "pinky_mcp",
+    "pinky_pip",
+    "pinky_dip",
+    "pinky_tip",
+)
 """Names of the 21 landmarks, in order."""
 
 NUM_LANDMARKS: Final = len(LANDMARKS)

@@ -123,9 +123,13 @@ def user_cache() -> Path:
 _PLACES: Final = {
     "cache": ("LOCALAPPDATA", "AppData/Local", "Library/Caches", "XDG_CACHE_HOME", ".cache"),
     "settings": (
-        "APPDATA", "AppData/Roaming", "Library/Application Support", "XDG_CONFIG_HOME", ".config",
+        "APPDATA",
+        "AppData/Roaming",
+        "Library/Application Support",
+        "XDG_CONFIG_HOME",
+        ".config",
     ),
-}  # fmt: skip
+}
 """Kind -> variable and folder in the home on Windows, folder on macOS, both on Linux."""
 
 

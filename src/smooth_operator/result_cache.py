@@ -136,8 +136,15 @@ class ResultCache:
             own_key, own_code = record["key"], record["code"]
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError, EOFError, SmoothOperatorError,
-                zipfile.BadZipFile) as error:  # fmt: skip
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            TypeError,
+            EOFError,
+            SmoothOperatorError,
+            zipfile.BadZipFile,
+        ) as error:
             self.note(f"{path} is damaged or of an earlier version ({error}): computed again")
             return None
         if own_key != key_digest(key):

@@ -11,6 +11,11 @@ def joint_travel(trace):
 
 
 JOINT_TRAVEL = Metric(
-    "joint_travel", "rad/s", "down", "way of all joints in a second", "smoothness", joint_travel,
+    "joint_travel",
+    "rad/s",
+    "down",
+    "way of all joints in a second",
+    "smoothness",
+    joint_travel,
     short="travel",
-)  # fmt: skip
+)

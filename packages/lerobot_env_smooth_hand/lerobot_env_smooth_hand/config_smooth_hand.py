@@ -86,8 +86,14 @@ class SmoothHandEnv(EnvConfig):
     def gym_kwargs(self) -> dict[str, Any]:
         """Arguments of ``HandTask``."""
         return {
-            "hand": self.hand, "side": self.side, "fps": self.fps,
-            "seconds": self.seconds or None, "start": self.start or None,
-            "variation": self.variation, "pictures": self.pictures, "width": self.width,
-            "height": self.height, "render_mode": self.render_mode,
-        }  # fmt: skip
+            "hand": self.hand,
+            "side": self.side,
+            "fps": self.fps,
+            "seconds": self.seconds or None,
+            "start": self.start or None,
+            "variation": self.variation,
+            "pictures": self.pictures,
+            "width": self.width,
+            "height": self.height,
+            "render_mode": self.render_mode,
+        }

@@ -110,9 +110,12 @@ class InProcess:
         self._ending = threading.Event()
         method = method or "smooth"
         request = TeleopRequest(
-            source=source, hand=hand, side=side, method=method,
+            source=source,
+            hand=hand,
+            side=side,
+            method=method,
             methods=(method,),  # compiled before the first action
-        )  # fmt: skip
+        )
 
         def started(loop: Any) -> None:
             self._loop = loop

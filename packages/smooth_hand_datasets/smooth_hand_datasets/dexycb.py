@@ -35,12 +35,28 @@ from smooth_operator.types import Side, as_side
 RATE_HZ: Final = 30.0
 _MOST_BYTES: Final = 100_000  # of a .yml, which is read slowly
 _CLASSES: Final = (
-    "002_master_chef_can", "003_cracker_box", "004_sugar_box", "005_tomato_soup_can",
-    "006_mustard_bottle", "007_tuna_fish_can", "008_pudding_box", "009_gelatin_box",
-    "010_potted_meat_can", "011_banana", "019_pitcher_base", "021_bleach_cleanser", "024_bowl",
-    "025_mug", "035_power_drill", "036_wood_block", "037_scissors", "040_large_marker",
-    "051_large_clamp", "052_extra_large_clamp", "061_foam_brick",
-)  # fmt: skip
+    "002_master_chef_can",
+    "003_cracker_box",
+    "004_sugar_box",
+    "005_tomato_soup_can",
+    "006_mustard_bottle",
+    "007_tuna_fish_can",
+    "008_pudding_box",
+    "009_gelatin_box",
+    "010_potted_meat_can",
+    "011_banana",
+    "019_pitcher_base",
+    "021_bleach_cleanser",
+    "024_bowl",
+    "025_mug",
+    "035_power_drill",
+    "036_wood_block",
+    "037_scissors",
+    "040_large_marker",
+    "051_large_clamp",
+    "052_extra_large_clamp",
+    "061_foam_brick",
+)
 """The YCB objects by their number, from 1."""
 
 

@@ -22,8 +22,13 @@ from smooth_operator.formats.hand_arrays import shares
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.types import HandRecording, Side
 
-_COLUMNS: Final = ("frame_idx", "left_present", "right_present", "left_joints_3d",
-                   "right_joints_3d")  # fmt: skip
+_COLUMNS: Final = (
+    "frame_idx",
+    "left_present",
+    "right_present",
+    "left_joints_3d",
+    "right_joints_3d",
+)
 _SAID: Final = {
     b"coordinate_system": b"opencv_x_right_y_down_z_forward",
     b"joint_order": b"openpose21",

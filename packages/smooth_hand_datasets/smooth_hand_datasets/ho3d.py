@@ -27,8 +27,11 @@ RATE_HZ: Final = 30.0
 _OTHERS: Final = ("calibration", "manual_annotations")
 _FRAME: Final = re.compile(r"(\d{1,6})\.pkl")
 _TO_CAMERA: Final = world_pose(poses.axes("x", "-y", "-z"))
-_HANDS: Final[dict[str, Side]] = {"handPose": "right", "rightHandPose": "right",
-                                  "leftHandPose": "left"}  # fmt: skip
+_HANDS: Final[dict[str, Side]] = {
+    "handPose": "right",
+    "rightHandPose": "right",
+    "leftHandPose": "left",
+}
 
 
 class Ho3d:

@@ -45,9 +45,16 @@ _LONGEST_LINE: Final = 100_000
 _TWICE_NS: Final = 5_000_000  # cameras of one headset expose so close to each other
 _NEAR_NS: Final = 20_000_000  # an object's pose counts for a frame that is so near
 _COLUMNS: Final = (
-    "object_uid", "timestamp[ns]", "t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]",
-    "q_wo_w", "q_wo_x", "q_wo_y", "q_wo_z",
-)  # fmt: skip
+    "object_uid",
+    "timestamp[ns]",
+    "t_wo_x[m]",
+    "t_wo_y[m]",
+    "t_wo_z[m]",
+    "q_wo_w",
+    "q_wo_x",
+    "q_wo_y",
+    "q_wo_z",
+)
 
 
 class Hot3d:

@@ -45,9 +45,17 @@ _PLACE: Final = ("transl", "trans", "translation", "pred_cam_t_full")
 _HAND: Final = (*_ROOT, *_POSE, *_WHOLE, *_SHAPE, *_PLACE, "valid", "confidence")
 _SIDE: Final = ("side", "is_right", "is_rhand")
 _ABOUT: Final = (
-    *_SIDE, "flat_hand_mean", "use_pca", "mirrored", "center_idx",
-    "fps", "framerate", "timestamps", "world", "task",
-)  # fmt: skip
+    *_SIDE,
+    "flat_hand_mean",
+    "use_pca",
+    "mirrored",
+    "center_idx",
+    "fps",
+    "framerate",
+    "timestamps",
+    "world",
+    "task",
+)
 _WORLDS: Final = ("z_up", "openxr", "z_up_y_forward")
 _HEAD_BYTES: Final = 4 << 20
 _RIGID: Final = 0.02

@@ -46,9 +46,15 @@ _LEVELS: Final = tuple([3 * finger + level for finger in range(5)] for level in 
 _ORDER: Final = list(LAYOUTS["mano"])
 _SAME: Final = 1.0  # [m] sum of differences of the two hands' shapes, after smplx's issue 48
 _KEYS: Final = (
-    "v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table",
-    "hands_components", "hands_mean",
-)  # fmt: skip
+    "v_template",
+    "shapedirs",
+    "posedirs",
+    "J_regressor",
+    "weights",
+    "kintree_table",
+    "hands_components",
+    "hands_mean",
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -182,9 +182,12 @@ def _camera(held: dict[Any, Any], ids: np.ndarray, where: str) -> np.ndarray | N
     if not isinstance(names, dict) or not isinstance(extrinsics, dict):
         return None
     mine = [
-        key for serial, name in names.items() if "ego" in str(text(name)).lower()
-        for key in (serial, name) if isinstance(key, str) and key in extrinsics
-    ]  # fmt: skip
+        key
+        for serial, name in names.items()
+        if "ego" in str(text(name)).lower()
+        for key in (serial, name)
+        if isinstance(key, str) and key in extrinsics
+    ]
     frames = extrinsics.get(mine[0]) if mine else None
     if not isinstance(frames, dict) or not frames:
         return None

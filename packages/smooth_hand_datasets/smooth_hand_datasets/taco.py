@@ -50,8 +50,11 @@ class Taco:
         """The sequence; none in the other folders."""
         if path.name in _OTHERS:
             return
-        size = sum((path / f"{side}_hand.pkl").stat().st_size for side in _SIDES
-                   if (path / f"{side}_hand.pkl").is_file())  # fmt: skip
+        size = sum(
+            (path / f"{side}_hand.pkl").stat().st_size
+            for side in _SIDES
+            if (path / f"{side}_hand.pkl").is_file()
+        )
         yield ClipRef(path.resolve().name, path, layout="taco", size=size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:

@@ -387,10 +387,17 @@ _TORCH_MAGIC: Final = 0x1950A86A20F9469CFC6C
 _TORCH_TYPES: Final = {
     f"torch.{name}Storage": code
     for name, code in (
-        ("Float", "<f4"), ("Double", "<f8"), ("Half", "<f2"), ("Long", "<i8"), ("Int", "<i4"),
-        ("Short", "<i2"), ("Char", "i1"), ("Byte", "u1"), ("Bool", "?"),
+        ("Float", "<f4"),
+        ("Double", "<f8"),
+        ("Half", "<f2"),
+        ("Long", "<i8"),
+        ("Int", "<i4"),
+        ("Short", "<i2"),
+        ("Char", "i1"),
+        ("Byte", "u1"),
+        ("Bool", "?"),
     )
-}  # fmt: skip
+}
 
 
 def _storage(raw: bytes) -> np.ndarray:

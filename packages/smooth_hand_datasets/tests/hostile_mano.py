@@ -103,7 +103,12 @@ def damaged_zip(draw: DrawFn, data: bytes) -> bytes:
 
 
 DAMAGED: dict[str, fuzzing.Damaged] = {
-    ".npz": damaged_zip, ".npy": damaged_numbers, ".pkl": damaged_numbers,
-    ".ply": fuzzing.damaged_text, ".yml": fuzzing.damaged_table, ".csv": fuzzing.damaged_table,
-    ".json": fuzzing.damaged_json, ".jsonl": damaged_lines,
-}  # fmt: skip
+    ".npz": damaged_zip,
+    ".npy": damaged_numbers,
+    ".pkl": damaged_numbers,
+    ".ply": fuzzing.damaged_text,
+    ".yml": fuzzing.damaged_table,
+    ".csv": fuzzing.damaged_table,
+    ".json": fuzzing.damaged_json,
+    ".jsonl": damaged_lines,
+}

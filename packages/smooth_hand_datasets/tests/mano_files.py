@@ -21,8 +21,23 @@ TIPS = {
     ("manopth", "right"): (745, 317, 444, 556, 673),
     ("manopth", "left"): (745, 317, 445, 556, 673),
 }
-PARENT = {1: 0, 2: 1, 3: 2, 4: 0, 5: 4, 6: 5, 7: 0, 8: 7, 9: 8, 10: 0, 11: 10, 12: 11, 13: 0,
-          14: 13, 15: 14}  # fmt: skip
+PARENT = {
+    1: 0,
+    2: 1,
+    3: 2,
+    4: 0,
+    5: 4,
+    6: 5,
+    7: 0,
+    8: 7,
+    9: 8,
+    10: 0,
+    11: 10,
+    12: 11,
+    13: 0,
+    14: 13,
+    15: 14,
+}
 # Our landmark -> the joint, or the number of the tip, in MANO's order of joints and tips.
 ORDER = (0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20)
 
@@ -30,15 +45,30 @@ ORDER = (0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 2
 _RIGHT = np.array(
     [
         [0.095, 0.006, 0.006],
-        [0.007, 0.010, 0.027], [-0.025, 0.009, 0.031], [-0.048, 0.006, 0.033],
-        [0.001, 0.011, 0.004], [-0.032, 0.011, 0.004], [-0.060, 0.008, 0.004],
-        [0.027, 0.005, -0.034], [0.007, 0.003, -0.043], [-0.011, 0.001, -0.050],
-        [0.013, 0.009, -0.016], [-0.017, 0.009, -0.021], [-0.044, 0.006, -0.025],
-        [0.070, -0.010, 0.035], [0.050, -0.016, 0.056], [0.029, -0.021, 0.070],
+        [0.007, 0.010, 0.027],
+        [-0.025, 0.009, 0.031],
+        [-0.048, 0.006, 0.033],
+        [0.001, 0.011, 0.004],
+        [-0.032, 0.011, 0.004],
+        [-0.060, 0.008, 0.004],
+        [0.027, 0.005, -0.034],
+        [0.007, 0.003, -0.043],
+        [-0.011, 0.001, -0.050],
+        [0.013, 0.009, -0.016],
+        [-0.017, 0.009, -0.021],
+        [-0.044, 0.006, -0.025],
+        [0.070, -0.010, 0.035],
+        [0.050, -0.016, 0.056],
+        [0.029, -0.021, 0.070],
     ]
-)  # fmt: skip
-_TIP_OFFSETS = ((-0.024, -0.004, 0.012), (-0.023, -0.004, 0.001), (-0.024, -0.004, 0.0),
-                (-0.023, -0.004, -0.003), (-0.020, -0.003, -0.005))  # fmt: skip
+)
+_TIP_OFFSETS = (
+    (-0.024, -0.004, 0.012),
+    (-0.023, -0.004, 0.001),
+    (-0.024, -0.004, 0.0),
+    (-0.023, -0.004, -0.003),
+    (-0.020, -0.003, -0.005),
+)
 _LAST = (15, 3, 6, 12, 9)  # joints before the tips of thumb, index, middle, ring, pinky
 
 
@@ -89,12 +119,18 @@ def model_arrays(side: str, seed: int = 0, *, same_x: bool = True) -> dict[str, 
         components = (components.reshape(45, 15, 3) * [1.0, -1.0, -1.0]).reshape(45, 45)
     tree = np.array([[4294967295, *(PARENT[j] for j in range(1, JOINTS))], list(range(JOINTS))])
     return {
-        "v_template": template * flip, "shapedirs": shapes, "posedirs": poses_,
-        "J_regressor": regressor, "weights": weights, "hands_components": components,
-        "hands_mean": mean, "kintree_table": tree.astype(np.uint32),
-        "f": rng.integers(0, VERTICES, (1538, 3)).astype(np.uint32), "J": joints * flip,
+        "v_template": template * flip,
+        "shapedirs": shapes,
+        "posedirs": poses_,
+        "J_regressor": regressor,
+        "weights": weights,
+        "hands_components": components,
+        "hands_mean": mean,
+        "kintree_table": tree.astype(np.uint32),
+        "f": rng.integers(0, VERTICES, (1538, 3)).astype(np.uint32),
+        "J": joints * flip,
         "hands_coeffs": rng.normal(size=(3, 45)),
-    }  # fmt: skip
+    }
 
 
 def reference_landmarks(
@@ -118,8 +154,14 @@ def reference_landmarks(
     shaped = arrays["v_template"].copy()
     for number in range(10):
         shaped = shaped + betas[number] * arrays["shapedirs"][:, :, number]
-    joints = [sum(arrays["J_regressor"][j, v] * shaped[v] for v in range(VERTICES)
-                  if arrays["J_regressor"][j, v]) for j in range(JOINTS)]  # fmt: skip
+    joints = [
+        sum(
+            arrays["J_regressor"][j, v] * shaped[v]
+            for v in range(VERTICES)
+            if arrays["J_regressor"][j, v]
+        )
+        for j in range(JOINTS)
+    ]
     features = np.concatenate([(turn - np.eye(3)).ravel() for turn in turns[1:]])
     placed: list[np.ndarray] = []
     for joint in range(JOINTS):
@@ -274,10 +316,13 @@ class Csc:
         out.glob("__builtin__", "object").put(None).raw(b"tR")
         out.put(
             {
-                b"_shape": self.dense.shape, b"maxprint": 50, b"data": np.array(data),
-                b"indices": np.array(indices, np.int32), b"indptr": np.array(ends, np.int32),
+                b"_shape": self.dense.shape,
+                b"maxprint": 50,
+                b"data": np.array(data),
+                b"indices": np.array(indices, np.int32),
+                b"indptr": np.array(ends, np.int32),
             }
-        ).raw(b"b")  # fmt: skip
+        ).raw(b"b")
 
 
 class Tensor:
@@ -292,12 +337,22 @@ class Tensor:
         identifier = Pickled().raw(b"(").put("storage").glob("torch", "FloatStorage")
         identifier.put("94317").put("cpu").put(count).put(None).raw(b"tQ")
         parts = [
-            Pickled().put(0x1950A86A20F9469CFC6C).done(), Pickled().put(1001).done(),
-            Pickled().put({"protocol_version": 1001, "little_endian": True,
-                           "type_sizes": {"short": 2, "int": 4, "long": 4}}).done(),
-            identifier.done(), Pickled().put(["94317"]).done(),
-            struct.pack("<q", count), self.array.astype("<f4").tobytes(),
-        ]  # fmt: skip
+            Pickled().put(0x1950A86A20F9469CFC6C).done(),
+            Pickled().put(1001).done(),
+            Pickled()
+            .put(
+                {
+                    "protocol_version": 1001,
+                    "little_endian": True,
+                    "type_sizes": {"short": 2, "int": 4, "long": 4},
+                }
+            )
+            .done(),
+            identifier.done(),
+            Pickled().put(["94317"]).done(),
+            struct.pack("<q", count),
+            self.array.astype("<f4").tobytes(),
+        ]
         data = b"".join(parts)
         out.glob("torch._utils", "_rebuild_tensor_v2").raw(b"(")
         out.glob("torch.storage", "_load_from_bytes")

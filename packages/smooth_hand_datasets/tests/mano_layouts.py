@@ -83,9 +83,15 @@ def expected(
 def _reference(side: str, frame: int, tips: str, about_wrist: bool, whose: str) -> np.ndarray:
     pose, root = MOTION[side]
     return reference_landmarks(
-        ARRAYS[side], side, root[frame], pose[frame], BETAS[whose], PLACE[side][frame], tips,
+        ARRAYS[side],
+        side,
+        root[frame],
+        pose[frame],
+        BETAS[whose],
+        PLACE[side][frame],
+        tips,
         about_wrist,
-    )  # fmt: skip
+    )
 
 
 def coefficients(side: str, count: int, *, mean: bool) -> np.ndarray:
@@ -143,8 +149,12 @@ def dexycb(folder: Path, side: str = "right") -> Made:
     back = np.linalg.inv(tag)
     return Made(
         sequence,
-        [sequence / "pose.npz", sequence / "meta.yml", shape / "mano.yml",
-         cameras / "extrinsics.yml"],
+        [
+            sequence / "pose.npz",
+            sequence / "meta.yml",
+            shape / "mano.yml",
+            cameras / "extrinsics.yml",
+        ],
         expected(back[:3, :3], back[:3, 3], tips="manopth", sides=(side,)),
         {"025_mug": back @ _object()},
         back @ master,
@@ -152,7 +162,7 @@ def dexycb(folder: Path, side: str = "right") -> Made:
         "pick up the mug",
         {"025_mug": mesh},
         shape={side: BETAS[side]},
-    )  # fmt: skip
+    )
 
 
 def ho3d(folder: Path, hands: int = 1) -> Made:
@@ -181,10 +191,14 @@ def ho3d(folder: Path, hands: int = 1) -> Made:
     turn = np.diag([1.0, -1.0, -1.0])
     thing = homogeneous(turn, np.zeros(3)) @ _object()
     return Made(
-        sequence, files[:1] + files[3:4], expected(turn, sides=sides, shape_of_right=True),
-        {"025_mug": thing}, np.eye(4), np.arange(FRAMES) / 30.0,
+        sequence,
+        files[:1] + files[3:4],
+        expected(turn, sides=sides, shape_of_right=True),
+        {"025_mug": thing},
+        np.eye(4),
+        np.arange(FRAMES) / 30.0,
         shape={side: betas[side] for side in sides},
-    )  # fmt: skip
+    )
 
 
 def arctic(folder: Path) -> Made:
@@ -194,9 +208,12 @@ def arctic(folder: Path) -> Made:
     for side in SIDES:
         pose, root = MOTION[side]
         held[side] = {
-            "rot": root, "pose": pose - ARRAYS[side]["hands_mean"], "trans": PLACE[side],
-            "shape": BETAS[side], "fitting_err": [0.001] * FRAMES,
-        }  # fmt: skip
+            "rot": root,
+            "pose": pose - ARRAYS[side]["hands_mean"],
+            "trans": PLACE[side],
+            "shape": BETAS[side],
+            "fitting_err": [0.001] * FRAMES,
+        }
     hands = raw / "box_grab_01.mano.npy"
     hands.write_bytes(npy_of_object(held))
     bend = np.linspace(0.0, 1.0, FRAMES)
@@ -206,19 +223,28 @@ def arctic(folder: Path) -> Made:
     extrinsic = homogeneous(turn, np.linspace([0, 0, 1], [0.2, 0, 1], FRAMES))
     np.save(
         raw / "box_grab_01.egocam.dist.npy",
-        {"R_k_cam_np": extrinsic[:, :3, :3], "T_k_cam_np": extrinsic[:, :3, 3:],
-         "intrinsics": np.eye(3), "dist8": np.zeros(8)},
+        {
+            "R_k_cam_np": extrinsic[:, :3, :3],
+            "T_k_cam_np": extrinsic[:, :3, 3:],
+            "intrinsics": np.eye(3),
+            "dist8": np.zeros(8),
+        },
         allow_pickle=True,
-    )  # type: ignore[arg-type]  # fmt: skip
+    )  # type: ignore[arg-type]
     mesh = folder / "meta" / "object_vtemplates" / "box" / "top.obj"
     mesh.parent.mkdir(parents=True)
     mesh.write_text("v 0 0 0\n")
     hinge = homogeneous(Rotation.from_rotvec(bend[:, None] * [0, 0, -1.0]).as_matrix(), np.zeros(3))
     return Made(
-        hands, [hands, raw / "box_grab_01.object.npy", raw / "box_grab_01.egocam.dist.npy"],
-        expected(np.eye(3)), {"box/bottom": _object(), "box/top": _object() @ hinge},
-        np.linalg.inv(extrinsic), np.arange(FRAMES) / 30.0, "grab the box", {"box/top": mesh},
-    )  # fmt: skip
+        hands,
+        [hands, raw / "box_grab_01.object.npy", raw / "box_grab_01.egocam.dist.npy"],
+        expected(np.eye(3)),
+        {"box/bottom": _object(), "box/top": _object() @ hinge},
+        np.linalg.inv(extrinsic),
+        np.arange(FRAMES) / 30.0,
+        "grab the box",
+        {"box/top": mesh},
+    )
 
 
 def oakink2(folder: Path) -> Made:
@@ -238,12 +264,15 @@ def oakink2(folder: Path) -> Made:
     extrinsic = homogeneous(Rotation.from_rotvec([2.0, 0.1, 0.3]).as_matrix(), [0.1, 0.2, 1.0])
     held = {
         "cam_def": {"104422070969": "egocentric", "1": "allocentric_top"},
-        "cam_selection": ["egocentric"], "frame_id_list": ids[::4],
+        "cam_selection": ["egocentric"],
+        "frame_id_list": ids[::4],
         "cam_extr": {"104422070969": dict.fromkeys(ids[::4], extrinsic)},
-        "mocap_frame_id_list": ids, "obj_list": ["O02@0015@00001"],
+        "mocap_frame_id_list": ids,
+        "obj_list": ["O02@0015@00001"],
         "obj_transf": {"O02@0015@00001": dict(zip(ids, _object(), strict=True))},
-        "raw_smplx": {40: {"world_tsl": Tensor(np.zeros((1, 3)))}}, "raw_mano": mano,
-    }  # fmt: skip
+        "raw_smplx": {40: {"world_tsl": Tensor(np.zeros((1, 3)))}},
+        "raw_mano": mano,
+    }
     path = folder / "anno_preview" / f"{token}.pkl"
     path.parent.mkdir(parents=True)
     path.write_bytes(pickled(held))
@@ -257,10 +286,15 @@ def oakink2(folder: Path) -> Made:
     turn = np.array([[0, 0, -1.0], [-1, 0, 0], [0, 1, 0]])
     world = homogeneous(turn, np.zeros(3))
     return Made(
-        path, [path, target], expected(turn, tips="manopth", about_wrist=True),
-        {"O02@0015@00001": world @ _object()}, world @ np.linalg.inv(extrinsic),
-        np.arange(FRAMES) / 120.0, "Heat the beaker.", {"O02@0015@00001": mesh},
-    )  # fmt: skip
+        path,
+        [path, target],
+        expected(turn, tips="manopth", about_wrist=True),
+        {"O02@0015@00001": world @ _object()},
+        world @ np.linalg.inv(extrinsic),
+        np.arange(FRAMES) / 120.0,
+        "Heat the beaker.",
+        {"O02@0015@00001": mesh},
+    )
 
 
 def taco(folder: Path) -> Made:
@@ -285,8 +319,9 @@ def taco(folder: Path) -> Made:
         (hands / f"{side}_hand_shape.pkl").write_bytes(pickled(shape))
     np.save(objects / "tool_033.npy", _object())
     np.save(objects / "target_121.npy", _object()[::-1])
-    extrinsic = np.tile(homogeneous(Rotation.from_rotvec([1, 0, 0.5]).as_matrix(), [0, 0, 1.0]),
-                        (FRAMES, 1, 1))  # fmt: skip
+    extrinsic = np.tile(
+        homogeneous(Rotation.from_rotvec([1, 0, 0.5]).as_matrix(), [0, 0, 1.0]), (FRAMES, 1, 1)
+    )
     np.save(cameras / "egocentric_frame_extrinsic.npy", extrinsic)
     video = videos / "color.mp4"
     video.write_bytes(b"x")
@@ -295,13 +330,20 @@ def taco(folder: Path) -> Made:
     mesh.write_text("v 0 0 0\n")
     return Made(
         hands,
-        [hands / "right_hand.pkl", hands / "left_hand_shape.pkl", objects / "tool_033.npy",
-         cameras / "egocentric_frame_extrinsic.npy"],
+        [
+            hands / "right_hand.pkl",
+            hands / "left_hand_shape.pkl",
+            objects / "tool_033.npy",
+            cameras / "egocentric_frame_extrinsic.npy",
+        ],
         expected(np.eye(3), tips="manopth", about_wrist=True),
         {"tool/033": _object(), "target/121": _object()[::-1]},
-        np.linalg.inv(extrinsic), np.arange(FRAMES) / 30.0, "stir the bowl with the spoon",
-        {"tool/033": mesh}, video,
-    )  # fmt: skip
+        np.linalg.inv(extrinsic),
+        np.arange(FRAMES) / 30.0,
+        "stir the bowl with the spoon",
+        {"tool/033": mesh},
+        video,
+    )
 
 
 def grab(folder: Path) -> Made:
@@ -316,36 +358,67 @@ def grab(folder: Path) -> Made:
         arrays[side] = {**ARRAYS[side], "v_template": template}
         few[side] = c @ ARRAYS[side]["hands_components"][:24]
         lines = [" ".join(repr(float(v)) for v in row) for row in template]
-        head = ("ply", "format ascii 1.0", f"element vertex {len(lines)}", "property double x",
-                "property double y", "property double z", "element face 1",
-                "property list uchar int vertex_indices", "end_header")  # fmt: skip
+        head = (
+            "ply",
+            "format ascii 1.0",
+            f"element vertex {len(lines)}",
+            "property double x",
+            "property double y",
+            "property double z",
+            "element face 1",
+            "property list uchar int vertex_indices",
+            "end_header",
+        )
         (meshes / f"s1_{key}.ply").write_text("\n".join((*head, *lines, "3 0 1 2")) + "\n")
         held[key] = {
-            "params": {"global_orient": root, "hand_pose": c, "transl": PLACE[side],
-                       "fullpose": few[side]},
+            "params": {
+                "global_orient": root,
+                "hand_pose": c,
+                "transl": PLACE[side],
+                "fullpose": few[side],
+            },
             "vtemp": f"tools/subject_meshes/male/s1_{key}.ply",
-        }  # fmt: skip
+        }
     held["object"] = {
         "params": {"global_orient": -OBJECT[0].as_rotvec(), "transl": OBJECT[1]},
         "object_mesh": "tools/object_meshes/contact_meshes/mug.ply",
     }
     np.savez(
-        path, **held, obj_name="mug", sbj_id="s1", n_comps=24, gender="male", framerate=120.0,
-        motion_intent="drink", n_frames=FRAMES, body={"params": {}}, contact={"body": np.zeros(3)},
-    )  # type: ignore[arg-type]  # fmt: skip
+        path,
+        **held,
+        obj_name="mug",
+        sbj_id="s1",
+        n_comps=24,
+        gender="male",
+        framerate=120.0,
+        motion_intent="drink",
+        n_frames=FRAMES,
+        body={"params": {}},
+        contact={"body": np.zeros(3)},
+    )  # type: ignore[arg-type]
     landmarks: dict[str, dict[int, np.ndarray]] = {}
     for side in SIDES:
         landmarks[side] = {
             frame: reference_landmarks(
-                arrays[side], side, MOTION[side][1][frame], few[side][frame], np.zeros(10),
+                arrays[side],
+                side,
+                MOTION[side][1][frame],
+                few[side][frame],
+                np.zeros(10),
                 PLACE[side][frame],
             )
             for frame in JUDGED
-        }  # fmt: skip
+        }
     return Made(
-        path, [path, meshes / "s1_rhand.ply"], landmarks, {"mug": _object()}, None,
-        np.arange(FRAMES) / 120.0, "drink the mug", shape={},
-    )  # fmt: skip
+        path,
+        [path, meshes / "s1_rhand.ply"],
+        landmarks,
+        {"mug": _object()},
+        None,
+        np.arange(FRAMES) / 120.0,
+        "drink the mug",
+        shape={},
+    )
 
 
 def hot3d(folder: Path, headset: str = "Aria") -> Made:
@@ -354,9 +427,11 @@ def hot3d(folder: Path, headset: str = "Aria") -> Made:
     start, lines, rows = 56_752_108_188_860, [], []
     mended = {
         "right": ARRAYS["right"],
-        "left": {**ARRAYS["left"],
-                 "shapedirs": ARRAYS["left"]["shapedirs"] * np.array([-1, 1, 1])[:, None]},
-    }  # fmt: skip
+        "left": {
+            **ARRAYS["left"],
+            "shapedirs": ARRAYS["left"]["shapedirs"] * np.array([-1, 1, 1])[:, None],
+        },
+    }
     few = {
         side: coefficients(side, 15, mean=True) @ ARRAYS[side]["hands_components"][:15]
         + ARRAYS[side]["hands_mean"]
@@ -385,8 +460,9 @@ def hot3d(folder: Path, headset: str = "Aria") -> Made:
     table = sequence / "dynamic_objects.csv"
     table.write_text(
         "object_uid,timestamp[ns],t_wo_x[m],t_wo_y[m],t_wo_z[m],q_wo_w,q_wo_x,q_wo_y,q_wo_z\n"
-        + "\n".join(rows) + "\n"
-    )  # fmt: skip
+        + "\n".join(rows)
+        + "\n"
+    )
     about = sequence / "metadata.json"
     about.write_text(json.dumps({"headset": headset, "recording_name": sequence.name}))
     assets = folder / "assets"
@@ -398,17 +474,27 @@ def hot3d(folder: Path, headset: str = "Aria") -> Made:
     for side in SIDES:
         landmarks[side] = {
             frame: reference_landmarks(
-                mended[side], side, MOTION[side][1][frame], few[side][frame], BETAS["right"],
+                mended[side],
+                side,
+                MOTION[side][1][frame],
+                few[side][frame],
+                BETAS["right"],
                 PLACE[side][frame],
-            ) @ turn.T
+            )
+            @ turn.T
             for frame in JUDGED
-        }  # fmt: skip
+        }
     return Made(
-        sequence, [hands_file, table, about], landmarks,
-        {"mug_white": homogeneous(turn, np.zeros(3)) @ _object()}, None,
-        np.arange(FRAMES) * 33_333_333 / 1e9, None, {"mug_white": assets / f"{uid}.glb"},
+        sequence,
+        [hands_file, table, about],
+        landmarks,
+        {"mug_white": homogeneous(turn, np.zeros(3)) @ _object()},
+        None,
+        np.arange(FRAMES) * 33_333_333 / 1e9,
+        None,
+        {"mug_white": assets / f"{uid}.glb"},
         shape=dict.fromkeys(SIDES, BETAS["right"]),
-    )  # fmt: skip
+    )
 
 
 def mano(folder: Path) -> Made:
@@ -418,9 +504,11 @@ def mano(folder: Path) -> Made:
     for side in SIDES:
         pose, root = MOTION[side]
         arrays |= {
-            f"{side}_global_orient": root, f"{side}_hand_pose": pose, f"{side}_betas": BETAS[side],
+            f"{side}_global_orient": root,
+            f"{side}_hand_pose": pose,
+            f"{side}_betas": BETAS[side],
             f"{side}_transl": PLACE[side],
-        }  # fmt: skip
+        }
     np.savez(path, **arrays)
     turn = np.array([[0, 0, -1.0], [-1, 0, 0], [0, 1, 0]])
     return Made(path, [path], expected(turn), stamps=np.arange(FRAMES) / 30.0, task="a")
@@ -436,9 +524,10 @@ def mano_pickle(folder: Path) -> Made:
         held[side] = {
             "global_orient": Rotation.from_rotvec(root).as_matrix()[:, None],
             "hand_pose": turns.reshape(-1, 15, 3, 3),
-            "betas": Tensor(np.tile(BETAS[side], (FRAMES, 1))), "transl": PLACE[side],
+            "betas": Tensor(np.tile(BETAS[side], (FRAMES, 1))),
+            "transl": PLACE[side],
             "confidence": np.linspace(0, 1, FRAMES),
-        }  # fmt: skip
+        }
     path = folder / "take.pkl"
     path.write_bytes(pickled(held))
     return Made(
@@ -447,9 +536,15 @@ def mano_pickle(folder: Path) -> Made:
 
 
 WRITERS: dict[str, Callable[[Path], Made]] = {
-    "dexycb": dexycb, "ho3d": ho3d, "arctic": arctic, "oakink2": oakink2, "taco": taco,
-    "grab": grab, "hot3d": hot3d, "mano": mano,
-}  # fmt: skip
+    "dexycb": dexycb,
+    "ho3d": ho3d,
+    "arctic": arctic,
+    "oakink2": oakink2,
+    "taco": taco,
+    "grab": grab,
+    "hot3d": hot3d,
+    "mano": mano,
+}
 MORE: dict[str, tuple[str, Callable[[Path], Made]]] = {
     "dexycb left": ("dexycb", lambda folder: dexycb(folder, "left")),
     "ho3d two hands": ("ho3d", lambda folder: ho3d(folder, 2)),
@@ -457,5 +552,6 @@ MORE: dict[str, tuple[str, Callable[[Path], Made]]] = {
     "mano pickle": ("mano", mano_pickle),
 }
 CASES: dict[str, tuple[str, Callable[[Path], Made]]] = {
-    **{name: (name, writer) for name, writer in WRITERS.items()}, **MORE
-}  # fmt: skip
+    **{name: (name, writer) for name, writer in WRITERS.items()},
+    **MORE,
+}

@@ -21,9 +21,15 @@ AWARE: Final = "object-aware"
 BLIND: Final = "smooth:offline"
 
 COLUMNS: Final = (
-    "contact_precision", "contact_recall", "contact_f1", "contact_error_mm", "contact_place_mm",
-    "penetration_max_mm", "penetration_mean_mm", "cosine",
-)  # fmt: skip
+    "contact_precision",
+    "contact_recall",
+    "contact_f1",
+    "contact_error_mm",
+    "contact_place_mm",
+    "penetration_max_mm",
+    "penetration_mean_mm",
+    "cosine",
+)
 """Figures of a clip that are compared."""
 
 

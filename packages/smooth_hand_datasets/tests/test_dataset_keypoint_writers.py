@@ -59,10 +59,13 @@ def read_spider(root: Path, name: str, embodiment: str) -> dict[str, dict[str, n
         assert info["embodiment_type"] == embodiment
         data = dict(np.load(folder / "0" / "trajectory_keypoints.npz"))
         parts = [
-            data["qpos_wrist_right"][:, None], data["qpos_finger_right"],
-            data["qpos_wrist_left"][:, None], data["qpos_finger_left"],
-            data["qpos_obj_right"][:, None], data["qpos_obj_left"][:, None],
-        ]  # fmt: skip
+            data["qpos_wrist_right"][:, None],
+            data["qpos_finger_right"],
+            data["qpos_wrist_left"][:, None],
+            data["qpos_finger_left"],
+            data["qpos_obj_right"][:, None],
+            data["qpos_obj_left"][:, None],
+        ]
         together = np.concatenate(parts, axis=1)
         assert together.shape[1:] == (14, 7)
         assert np.isfinite(together).all()

@@ -44,9 +44,15 @@ def test_landmarks_are_those_of_loops_over_vertices(folder, arrays, side, tips):
         found, root, pose, betas, at = placed(model, tips=tips, moves=moves)
         for frame in range(len(root)):
             expected = reference_landmarks(
-                arrays[side], side, root[frame], pose[frame], betas[frame], at[frame], tips,
+                arrays[side],
+                side,
+                root[frame],
+                pose[frame],
+                betas[frame],
+                at[frame],
+                tips,
                 moves == "wrist",
-            )  # fmt: skip
+            )
             np.testing.assert_allclose(found.landmarks[frame], expected, atol=1e-10)
 
 
@@ -138,9 +144,11 @@ def test_missing_numbers_stay_missing(folder):
     assert not known[2:4].any()
     own = np.array([model.template + 0.01, model.template])
     moved = model.place(
-        model.rotations(root[:1], pose[:1], flat_hand_mean=True), np.zeros(10), at[:1],
+        model.rotations(root[:1], pose[:1], flat_hand_mean=True),
+        np.zeros(10),
+        at[:1],
         template=own[0],
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(moved.landmarks[0, 0], found.landmarks[0, 0] + 0.01)
 
 

@@ -158,9 +158,14 @@ def changed(folder: Path, **values: Any) -> Path:
     """One hand in a file, some names changed, or left out where the value is None."""
     pose, root = layouts.MOTION["right"]
     held: dict[str, Any] = {
-        "global_orient": root, "hand_pose": pose, "betas": layouts.BETAS["right"], "fps": 30.0,
-        "transl": layouts.PLACE["right"], "side": "right", "flat_hand_mean": True,
-    }  # fmt: skip
+        "global_orient": root,
+        "hand_pose": pose,
+        "betas": layouts.BETAS["right"],
+        "fps": 30.0,
+        "transl": layouts.PLACE["right"],
+        "side": "right",
+        "flat_hand_mean": True,
+    }
     held.update(values)
     folder.mkdir(exist_ok=True)
     np.savez(folder / "a.npz", **{key: value for key, value in held.items() if value is not None})
@@ -183,9 +188,14 @@ def test_ambiguous_parameters_are_refused(tmp_path, models):
         ({"world": "upside_down"}, "world must be camera or one of z_up"),
         ({"side": "left"}, "left hand: the fingers bend out of the back of the hand in "),
         ({"transl": np.full((8, 3), np.nan)}, "no frame has a hand"),
-        ({"global_orient": np.tile(2 * np.eye(3), (8, 1, 1)),
-          "hand_pose": np.tile(np.eye(3), (8, 15, 1, 1))}, "matrices that are no rotations"),
-    ):  # fmt: skip
+        (
+            {
+                "global_orient": np.tile(2 * np.eye(3), (8, 1, 1)),
+                "hand_pose": np.tile(np.eye(3), (8, 15, 1, 1)),
+            },
+            "matrices that are no rotations",
+        ),
+    ):
         assert said in refused("mano", changed(tmp_path, **values), models), values
 
 
@@ -206,9 +216,12 @@ def test_other_names_and_forms_give_the_same_hand(tmp_path, models):
         {"global_orient": None, "hand_pose": None, "poses": np.concatenate([root, pose], axis=1)},
         {"transl": None, "trans": layouts.PLACE["right"], "betas": layouts.BETAS["right"][None]},
         {"side": None, "is_right": np.ones(8)},
-        {"hand_pose": layouts.coefficients("right", 45, mean=True), "use_pca": True,
-         "flat_hand_mean": False},
-    )  # fmt: skip
+        {
+            "hand_pose": layouts.coefficients("right", 45, mean=True),
+            "use_pca": True,
+            "flat_hand_mean": False,
+        },
+    )
     for number, values in enumerate(same):
         other = read("mano", changed(tmp_path / str(number + 1), **values), models)
         np.testing.assert_allclose(other.hands["right"].landmarks, plain, atol=1e-9)
@@ -234,8 +247,12 @@ def test_hands_of_the_other_side_are_refused(tmp_path, models):
     for side, other in (("right", "left"), ("left", "right")):
         pose, root = layouts.MOTION[other]
         pose = pose - layouts.ARRAYS[side]["hands_mean"]
-        held[side] = {"rot": root, "pose": pose, "trans": layouts.PLACE[side],
-                      "shape": layouts.BETAS[side]}  # fmt: skip
+        held[side] = {
+            "rot": root,
+            "pose": pose,
+            "trans": layouts.PLACE[side],
+            "shape": layouts.BETAS[side],
+        }
     made.path.write_bytes(mano_files.npy_of_object(held))
     assert "fingers bend out of the back" in refused("arctic", made.path, models)
 

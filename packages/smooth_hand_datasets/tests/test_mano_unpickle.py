@@ -32,10 +32,17 @@ def load(folder: Path, data: bytes, name: str = "a.pkl") -> Any:
 def test_plain_values_of_every_protocol(tmp_path, protocol):
     shared = [1, 2]
     value = {
-        "text": "é\u20ac", "bytes": b"\x00\xff", "numbers": [0, -1, 255, 70_000, -(2**40), 2**70],
-        "floats": (1.5, -1e-300), "nested": {"a": [shared, shared, None, True, False]}, 3: "int",
-        (1, 2): "pair", "many": list(range(300)), "table": OrderedDict([("a", 1)]), "set": {1, 2},
-    }  # fmt: skip
+        "text": "é\u20ac",
+        "bytes": b"\x00\xff",
+        "numbers": [0, -1, 255, 70_000, -(2**40), 2**70],
+        "floats": (1.5, -1e-300),
+        "nested": {"a": [shared, shared, None, True, False]},
+        3: "int",
+        (1, 2): "pair",
+        "many": list(range(300)),
+        "table": OrderedDict([("a", 1)]),
+        "set": {1, 2},
+    }
     found = load(tmp_path, pickle.dumps(value, protocol))
     assert found == value
     assert found["nested"]["a"][0] is found["nested"]["a"][1]
@@ -45,10 +52,15 @@ def test_plain_values_of_every_protocol(tmp_path, protocol):
 def test_arrays_of_every_protocol(tmp_path, protocol):
     rng = np.random.default_rng(0)
     value = {
-        "f4": rng.normal(size=(3, 4)).astype(np.float32), "fortran": np.asfortranarray(np.eye(3)),
-        "big": np.arange(5, dtype=">i4"), "bool": np.array([True, False]), "none": np.zeros((0, 3)),
-        "one": np.float64(2.5), "text": np.array(["ab", "é"]), "int": np.int32(7),
-    }  # fmt: skip
+        "f4": rng.normal(size=(3, 4)).astype(np.float32),
+        "fortran": np.asfortranarray(np.eye(3)),
+        "big": np.arange(5, dtype=">i4"),
+        "bool": np.array([True, False]),
+        "none": np.zeros((0, 3)),
+        "one": np.float64(2.5),
+        "text": np.array(["ab", "é"]),
+        "int": np.int32(7),
+    }
     found = load(tmp_path, pickle.dumps(value, protocol))
     for name in ("f4", "fortran", "big", "bool", "none"):
         np.testing.assert_array_equal(numbers(found[name]), value[name])
@@ -62,8 +74,10 @@ def test_what_python_2_chumpy_scipy_and_torch_wrote(tmp_path):
     value = {
         b"ch": mano_files.Ch(a),
         b"select": mano_files.Select(mano_files.Ch(a), np.array([3, 1]), (2, 1)),
-        b"sparse": mano_files.Csc(dense), b"tensor": mano_files.Tensor(a), b"u\xe9": b"latin",
-    }  # fmt: skip
+        b"sparse": mano_files.Csc(dense),
+        b"tensor": mano_files.Tensor(a),
+        b"u\xe9": b"latin",
+    }
     found = load(tmp_path, Pickled(3).put(value).done())
     np.testing.assert_array_equal(numbers(found["ch"]), a)
     np.testing.assert_array_equal(numbers(found["select"]), a.ravel()[[3, 1]][:, None])
@@ -165,7 +179,7 @@ def attacks(folder: Path) -> dict[str, bytes]:
         "stride": _tensor((1_000_000, 1_000_000), (0, 0)),
         "beyond": _tensor((5,), (1 << 38,)),
         "sparse": _sparse((1 << 30, 1 << 30)),
-    }  # fmt: skip
+    }
     # recursion
     deep = {
         "deep lists": b"\x80\x02" + b"](" * 100_000 + b"e" * 100_000 + b".",
@@ -303,12 +317,18 @@ def test_mutants_are_read_or_refused(tmp_path):
     good = [
         pickle.dumps({"a": np.eye(3), "b": [1, (2.0, "x")], "c": None}, 2),
         pickle.dumps({"a": np.eye(3), "b": [1, (2.0, "x")], "c": None}, 5),
-        Pickled(3).put({"t": mano_files.Tensor(np.eye(3)), "s": mano_files.Csc(np.eye(3)),
-                        "c": mano_files.Select(mano_files.Ch(np.eye(3)), np.arange(4), (2, 2)),
-                        }).done(),
+        Pickled(3)
+        .put(
+            {
+                "t": mano_files.Tensor(np.eye(3)),
+                "s": mano_files.Csc(np.eye(3)),
+                "c": mano_files.Select(mano_files.Ch(np.eye(3)), np.arange(4), (2, 2)),
+            }
+        )
+        .done(),
         mano_files.npy_of_object({"x": np.eye(2)}),
         stream.getvalue(),
-    ]  # fmt: skip
+    ]
     refused = []
 
     def read(mutant: bytes) -> None:

@@ -239,12 +239,15 @@ def test_derivatives_of_the_costs_by_finite_differences():
     step = 2e-3
     numeric = np.stack(
         [
-            (costs.all_costs(shapes, x + step * e, rows)[0]
-             - costs.all_costs(shapes, x - step * e, rows)[0]) / (2 * step)
+            (
+                costs.all_costs(shapes, x + step * e, rows)[0]
+                - costs.all_costs(shapes, x - step * e, rows)[0]
+            )
+            / (2 * step)
             for e in np.eye(x.shape[1])
         ],
         axis=1,
-    )  # fmt: skip
+    )
     size = np.linalg.norm(gradient, axis=1)
     assert (size > 0.1).all()
     assert (np.linalg.norm(gradient - numeric, axis=1) < 0.03 * size).all()

@@ -66,15 +66,23 @@ class FakeSimulation(FakeTeleop):
         if do == "reset":
             self.trial["resets"] += self.trial["phase"] == "running"
         return {
-            **answer, **(self.trial if do in ("trial", "reset") else {}),
-            "simulation": self.simulated, "task": self.task, "object": self.there,
+            **answer,
+            **(self.trial if do in ("trial", "reset") else {}),
+            "simulation": self.simulated,
+            "task": self.task,
+            "object": self.there,
             "trial": None if self.task is None else dict(self.trial),
-        }  # fmt: skip
+        }
 
     def done(self, line: str, score: float, seconds: float) -> None:
         """The trial ends."""
-        self.trial |= {"phase": "done", "line": line, "score": score, "time_s": seconds,
-                       "paused": False}  # fmt: skip
+        self.trial |= {
+            "phase": "done",
+            "line": line,
+            "score": score,
+            "time_s": seconds,
+            "paused": False,
+        }
 
     def _trial(self, fields: Mapping[str, Any]) -> None:
         phase = self.trial["phase"]
@@ -98,6 +106,15 @@ class FakeSimulation(FakeTeleop):
 
 def _ready(task: str | None) -> dict[str, Any]:
     limit = None if task is None else task_named(task).seconds
-    return {"phase": "ready", "line": "not-done", "score": 0.0, "reason": "", "resets": 0,
-            "time_s": None, "limit_s": limit, "about": {}, "paused": False,
-            "pauses": 0}  # fmt: skip
+    return {
+        "phase": "ready",
+        "line": "not-done",
+        "score": 0.0,
+        "reason": "",
+        "resets": 0,
+        "time_s": None,
+        "limit_s": limit,
+        "about": {},
+        "paused": False,
+        "pauses": 0,
+    }

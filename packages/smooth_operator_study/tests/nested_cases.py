@@ -73,9 +73,13 @@ def frame_of(rows: list[Row]) -> Frame:
     """The rows as the analysis has them."""
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return make_frame(
-        columns["y"].astype(float), columns["retargeter"], columns["task"], columns["operator"],
-        columns["index"].astype(float), "dexpilot",
-    )  # fmt: skip
+        columns["y"].astype(float),
+        columns["retargeter"],
+        columns["task"],
+        columns["operator"],
+        columns["index"].astype(float),
+        "dexpilot",
+    )
 
 
 def intercepts_with_t(frame: Frame, *, limits: bool = False) -> ScopeResult:

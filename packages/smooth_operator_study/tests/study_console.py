@@ -37,10 +37,15 @@ def console_plan(trials: int = 3, *, seconds: float = 0.0, resets: int = 1) -> P
     task = Task("card", trials=trials, title="Card pickup", rubric=rubric, time_limit_s=60.0)
     return make_plan(
         Protocol(
-            "console", conditions, (task,), "secrettwo", 2,
-            familiarisation_s=seconds, resets=resets,
+            "console",
+            conditions,
+            (task,),
+            "secrettwo",
+            2,
+            familiarisation_s=seconds,
+            resets=resets,
         )
-    )  # fmt: skip
+    )
 
 
 def command(
@@ -76,10 +81,13 @@ def ratings(k: int) -> dict[str, int]:
 def due_command(progress: Progress, line: str = "done") -> Command | None:
     """The next command of the protocol; None where all is done or something else is awaited."""
     words = {
-        "calibrate": "calibrated", "start_block": "start_block", "start_trial": "start_trial",
-        "start_familiarisation": "start_familiarisation", "familiarise": "end_familiarisation",
+        "calibrate": "calibrated",
+        "start_block": "start_block",
+        "start_trial": "start_trial",
+        "start_familiarisation": "start_familiarisation",
+        "familiarise": "end_familiarisation",
         "break": "end_break",
-    }  # fmt: skip
+    }
     what = progress.step.what
     if what in words:
         return command(progress, words[what])
@@ -162,10 +170,17 @@ class Tab:
     def send(self, asked: Command) -> None:
         self.socket.send(
             json.dumps(
-                {"type": "command", "token": asked.token, "do": asked.do, "after": asked.after,
-                 "operator": asked.operator, "fields": asked.fields, "waited_s": asked.waited_s}
+                {
+                    "type": "command",
+                    "token": asked.token,
+                    "do": asked.do,
+                    "after": asked.after,
+                    "operator": asked.operator,
+                    "fields": asked.fields,
+                    "waited_s": asked.waited_s,
+                }
             )
-        )  # fmt: skip
+        )
 
     def ask(self, asked: Command) -> dict[str, Any]:
         self.send(asked)
@@ -185,9 +200,16 @@ class ConsoleProcess:
             self.port = int(free.getsockname()[1])
         self.log = study.parent / f"console-{self.port}.log"
         self._command = [
-            sys.executable, "-m", "smooth_operator", "study", "run", str(study),
-            "--port", str(self.port), *options,
-        ]  # fmt: skip
+            sys.executable,
+            "-m",
+            "smooth_operator",
+            "study",
+            "run",
+            str(study),
+            "--port",
+            str(self.port),
+            *options,
+        ]
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:

@@ -22,17 +22,21 @@ def study(path: Path) -> None:
 
 TRIALS = "operator,task,retargeter,block,trial_in_block,trial_global,score,time_s\n" + "".join(
     f"P{o},A,{r},{b},{t},{2 * (b - 1) + t},{t % 2},{3.5 + t}\n"
-    for o in range(3) for b, r in ((1, "sbr"), (2, "dexpilot")) for t in (1, 2)
-)  # fmt: skip
+    for o in range(3)
+    for b, r in ((1, "sbr"), (2, "dexpilot"))
+    for t in (1, 2)
+)
 
 
 def _study_json() -> bytes:
     lines = [line.split(",") for line in TRIALS.split()]
     rows = [dict(zip(lines[0], row, strict=True)) | {"block": int(row[3])} for row in lines[1:]]
-    return json.dumps({
-        "trials": rows,
-        "simulation_metrics": [{"operator": "P0", "retargeter": "sbr", "jitter": 0.5}],
-    }).encode()  # fmt: skip
+    return json.dumps(
+        {
+            "trials": rows,
+            "simulation_metrics": [{"operator": "P0", "retargeter": "sbr", "jitter": 0.5}],
+        }
+    ).encode()
 
 
 def _plan() -> bytes:

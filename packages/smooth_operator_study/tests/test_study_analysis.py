@@ -277,9 +277,10 @@ def test_singular_fits_and_few_operators_are_flagged(tmp_path):
 
 def test_as_many_coefficients_as_operators_is_flagged(case, tmp_path):
     few = [
-        row for row in case.trials
+        row
+        for row in case.trials
         if row["operator"] in ("P00", "P01", "P02") and row["task"] == "A"
-    ]  # fmt: skip
+    ]
     found = analyze_study(load(tmp_path, few)).results
     for mode in MODES:
         result = found[mode]["success"]["A"]

@@ -548,8 +548,13 @@ def test_nonsense_on_the_socket_does_no_harm(store):
 
 def upgrade(**more: str) -> dict[str, str]:
     key = "dGhlIHNhbXBsZSBub25jZQ=="
-    return {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Key": key,
-            "Sec-WebSocket-Version": "13", **more}  # fmt: skip
+    return {
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Key": key,
+        "Sec-WebSocket-Version": "13",
+        **more,
+    }
 
 
 def test_the_operators_link_opens_the_operators_page_alone(store, tmp_path, monkeypatch):

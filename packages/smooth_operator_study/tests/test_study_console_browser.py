@@ -202,10 +202,15 @@ def check_store(folder: Path) -> None:
         progress = store.progress("P02")
         kinds = Counter(record.event.kind for record in progress.records)
         assert kinds == {
-            "calibrated": 1, "block_started": 1, "familiarisation_started": 1,
-            "familiarisation_ended": 1, "trial_started": TRIALS, "trial_reset": 1,
-            "trial_scored": TRIALS, "questionnaire_answered": 3,
-        }  # fmt: skip
+            "calibrated": 1,
+            "block_started": 1,
+            "familiarisation_started": 1,
+            "familiarisation_ended": 1,
+            "trial_started": TRIALS,
+            "trial_reset": 1,
+            "trial_scored": TRIALS,
+            "questionnaire_answered": 3,
+        }
         assert [t.number for t in progress.trials] == list(range(1, TRIALS + 1))
         lines = [LINES[k % 3] if k != 4 else "nearly" for k in range(1, TRIALS + 1)]
         assert [t.line for t in progress.trials] == lines
@@ -218,8 +223,9 @@ def check_store(folder: Path) -> None:
         assert set(ratings(1)) == set(SCALE_NAMES)
         # The trial ended when it was scored, not when the server was there again to hear of it.
         third = progress.trials[2]
-        scored = next(r for r in progress.records if r.event.kind == "trial_scored"
-                      and r.event.trial == 3)  # fmt: skip
+        scored = next(
+            r for r in progress.records if r.event.kind == "trial_scored" and r.event.trial == 3
+        )
         assert third.time_s < (scored.at - third.started).total_seconds()
 
 

@@ -128,9 +128,12 @@ def test_who_withdrew_and_wants_to_be_left_out_is_left_out(exported):
     assert flow.recalibrations == 1
     text = flow_text(flow)
     for part in (
-        "5 operators enrolled, 5 started, 3 completed", "P02 withdrew (ill, data excluded)",
-        "P03 withdrew (data kept)", "P05 was excluded (an author)", "3 were analysed",
-    ):  # fmt: skip
+        "5 operators enrolled, 5 started, 3 completed",
+        "P02 withdrew (ill, data excluded)",
+        "P03 withdrew (data kept)",
+        "P05 was excluded (an author)",
+        "3 were analysed",
+    ):
         assert part in text
     rows = {(row["step"], row["retargeter"]): row for row in flow_rows(flow)}
     assert rows["excluded", ""]["reason"] == "an author"
@@ -154,8 +157,11 @@ def test_tables_alone_have_a_flow_of_those_who_are_there(tmp_path):
     assert (len(data.flow.enrolled), len(data.flow.analysed), data.flow.logged) == (4, 3, False)
     assert flow_text(data.flow) == "P01 was excluded (pilot); 3 were analysed."
     assert {row["step"] for row in flow_rows(data.flow)} == {
-        "enrolled", "started", "excluded", "analysed",
-    }  # fmt: skip
+        "enrolled",
+        "started",
+        "excluded",
+        "analysed",
+    }
 
 
 def test_the_plan_of_virtual_operators_comes_with_their_tables(tmp_path):

@@ -47,8 +47,13 @@ def record(folder: Path, hand_name: str = "mimic_p050", begin: float = -1.0) -> 
     now = time.perf_counter() + begin
     for i in range(300):
         tick = make_tick(hand, i, at=now + 0.01 * i, frame=True)
-        tick = replace(tick, command=replace(tick.command, joint_positions=hand.full_configuration(
-            hand.neutral + 0.1 * np.sin(0.05 * i))))  # fmt: skip
+        tick = replace(
+            tick,
+            command=replace(
+                tick.command,
+                joint_positions=hand.full_configuration(hand.neutral + 0.1 * np.sin(0.05 * i)),
+            ),
+        )
         sink.send(tick)
     sink.close()
 

@@ -99,8 +99,9 @@ def test_the_end_of_the_search_is_the_minimum():
         here = deviance(np.sqrt(fit.ratios))
         assert here == pytest.approx(-2 * fit.log_likelihood, abs=1e-8)
         for start in (0.2, 1.5):
-            other = minimize(deviance, np.full(3, start), method="Nelder-Mead",
-                             options={"maxiter": 60})  # fmt: skip
+            other = minimize(
+                deviance, np.full(3, start), method="Nelder-Mead", options={"maxiter": 60}
+            )
             assert here <= other.fun + 1e-8
 
 

@@ -85,8 +85,11 @@ def test_mixed_models(oracle, results, of_t, outcome, scope):
         means, reference = found["emm"], expected[of]["emm"]
         assert list(means) == list(reference)
         for name, other, rel in (
-            ("estimate", "emm", LMM), ("se", "se", SE), ("lower", "lcl", SE), ("upper", "ucl", SE)
-        ):  # fmt: skip
+            ("estimate", "emm", LMM),
+            ("se", "se", SE),
+            ("lower", "lcl", SE),
+            ("upper", "ucl", SE),
+        ):
             close(column(means, name), column(reference, other), rel)
         tests, reference = found["dunnett"], expected[of]["vs_dexpilot"]
         assert tuple(tests) == OTHERS

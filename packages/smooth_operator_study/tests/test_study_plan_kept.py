@@ -61,13 +61,19 @@ def test_endpoints_that_cannot_be(changes, said):
 def rows(**more: Any) -> list[dict[str, object]]:
     return [
         {
-            "operator": "P1", "task": "A", "retargeter": name, "block": block,
-            "trial_in_block": trial, "trial_global": 2 * (block - 1) + trial, "score": 0,
-            "time_s": "", **more,
+            "operator": "P1",
+            "task": "A",
+            "retargeter": name,
+            "block": block,
+            "trial_in_block": trial,
+            "trial_global": 2 * (block - 1) + trial,
+            "score": 0,
+            "time_s": "",
+            **more,
         }
         for block, name in enumerate(("sbr", "ako", "sbr"), 1)
         for trial in (1, 2)
-    ]  # fmt: skip
+    ]
 
 
 def test_further_columns_of_trials(tmp_path):

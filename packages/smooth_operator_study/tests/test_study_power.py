@@ -130,9 +130,12 @@ def test_what_a_verdict_gets_right_and_wrong():
     pairs = {("dexpilot", "geort"): 0, ("dexpilot", "sbr"): -1, ("geort", "sbr"): 1}
     counts = count(Verdict("success", "pooled", "paper", against, pairs), truth, "dexpilot")
     assert counts == {
-        "dunnett:sbr": 1, "dunnett:all": 1, "family:dunnett": 1, "holm:dexpilot-sbr": 1,
+        "dunnett:sbr": 1,
+        "dunnett:all": 1,
+        "family:dunnett": 1,
+        "holm:dexpilot-sbr": 1,
         "family:holm": 1,
-    }  # fmt: skip
+    }
     null = truth.null("dexpilot")
     assert set(null.success.values()) == {0.44}
     assert count(Verdict("success", "pooled", "paper", against, {}), null, "dexpilot") == {
@@ -242,8 +245,23 @@ def test_study_power_refuses(tmp_path, arguments, says, capsys):
 
 def test_study_power_of_a_plan(tmp_path, capsys):
     folder = str(tmp_path / "mine")
-    assert main(["study", "new", folder, "--conditions", "dexpilot", "mine", "--tasks", "T:6",
-                 "--operators", "6"]) == 0  # fmt: skip
+    assert (
+        main(
+            [
+                "study",
+                "new",
+                folder,
+                "--conditions",
+                "dexpilot",
+                "mine",
+                "--tasks",
+                "T:6",
+                "--operators",
+                "6",
+            ]
+        )
+        == 0
+    )
     arguments = ["study", "power", folder, "--studies", "4", "--operators", "6", "--workers", "0"]
     assert main(arguments) == 2
     assert "the expected success of mine is missing" in capsys.readouterr().err

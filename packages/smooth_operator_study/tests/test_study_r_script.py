@@ -46,17 +46,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         5, operators=range(7), retargeters=names, spread=0.9, keep=lambda i, t, r, n: t != "C"
     )
     never = [
-        {**row, "retargeter": "=never", "block": 4, "score": 0, "time_s": "",
-         "trial_global": int(str(row["trial_global"])) + 100}
+        {
+            **row,
+            "retargeter": "=never",
+            "block": 4,
+            "score": 0,
+            "time_s": "",
+            "trial_global": int(str(row["trial_global"])) + 100,
+        }
         for row in case.trials
         if row["retargeter"] == "sbr"
-    ]  # fmt: skip
+    ]
     draw = random.Random(2)
     trials = [
-        {**row, "duration_s": row["time_s"] or draw.randrange(20, 600) / 10,
-         "line": "done" if row["score"] else draw.choice(("dropped", "not-done"))}
+        {
+            **row,
+            "duration_s": row["time_s"] or draw.randrange(20, 600) / 10,
+            "line": "done" if row["score"] else draw.choice(("dropped", "not-done")),
+        }
         for row in (*case.trials, *never)
-    ]  # fmt: skip
+    ]
     write_rows(made / "trials.csv", trials)
     write_rows(made / "tlx.csv", case.tlx)
     out = made / "out"
@@ -90,8 +99,11 @@ def by_r(folder: Path) -> Path:
     needs_r()
     done = subprocess.run(
         ["Rscript", str(folder / "analysis.R"), str(folder)],
-        capture_output=True, text=True, timeout=600, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     return folder
 

@@ -28,8 +28,13 @@ from smooth_operator_study.data import read_study
 from smooth_operator_study.design.protocol import Condition, Protocol, Task
 
 FIGURES = (
-    "success", "time", "tlx-items", "learning", "residuals", "correlations",
-)  # fmt: skip
+    "success",
+    "time",
+    "tlx-items",
+    "learning",
+    "residuals",
+    "correlations",
+)
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +99,13 @@ def test_the_page_is_whole_and_needs_nothing_else(output):
     assert "&lt;b&gt;odd &amp; $ö" in text  # the name of a metric is text, never markup
     assert "<b>odd" not in text
     for citation in CITATIONS:
-        elsewhere = citation.key in ("Schulz2010", "Williams1949", "Firth1993", "Heinze2002",
-                                     "Morel2003")  # fmt: skip
+        elsewhere = citation.key in (
+            "Schulz2010",
+            "Williams1949",
+            "Firth1993",
+            "Heinze2002",
+            "Morel2003",
+        )
         assert (f"[{citation.key}]" in text) != elsewhere
     for word in ("small-sample", "paper", "Dunnett", "operators took part", "only 6 operators"):
         assert word in text
@@ -128,8 +138,11 @@ def test_tables_hold_the_numbers_of_the_results(output):
     assert -1 <= float(first["rho"]) <= 1
     with (output / "learning.csv").open(encoding="utf-8", newline="") as file:
         assert {row["index"] for row in csv.DictReader(file)} == {
-            "trial_global", "trial_in_block", "tlx_index", "in_block",
-        }  # fmt: skip
+            "trial_global",
+            "trial_in_block",
+            "tlx_index",
+            "in_block",
+        }
     methods = (output / "methods.txt").read_text(encoding="utf-8")
     assert methods.startswith("6 operators took part")
 
@@ -150,9 +163,11 @@ def test_the_head_says_what_the_tables_hold(output):
     assert "no primary outcome was planned" in lines[0]
     assert not re.search(r"\d (s|points|percentage)\b|[p=<] [=<\d]|[ [(]-\d", "".join(lines))
     for line, outcome, name in zip(
-        lines[1:4], ("success", "time", "tlx"), ("Success", "Completion time", "Workload"),
+        lines[1:4],
+        ("success", "time", "tlx"),
+        ("Success", "Completion time", "Workload"),
         strict=True,
-    ):  # fmt: skip
+    ):
         before, _, part = line.partition(": ")
         assert before == f"{name} (exploratory)"
         shown, _, open_ = part.partition("not shown for " if "not shown for" in part else "(")
@@ -186,8 +201,10 @@ def test_the_primary_outcome_of_the_plan_comes_first(data):
     lines = conclusion(analyze_study(study))
     assert "the primary outcome is completion time, task A" in lines[0]
     assert [line.partition(":")[0] for line in lines[1:4]] == [
-        "Completion time (primary)", "Success (exploratory)", "Workload (exploratory)",
-    ]  # fmt: skip
+        "Completion time (primary)",
+        "Success (exploratory)",
+        "Workload (exploratory)",
+    ]
     assert lines[4].startswith("Equivalent within the planned 60.00\N{NO-BREAK SPACE}s")
 
 

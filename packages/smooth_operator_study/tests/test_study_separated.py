@@ -112,8 +112,9 @@ def test_a_levels_own_variance_is_of_its_own_mean_alone(alike):
     frame = study(wins)
     design = frame.design()[0]
     levels = one_sided_levels(frame)
-    with_own, without = (fit_firth(design, frame.outcome, frame.group, one).robust
-                         for one in (levels, []))  # fmt: skip
+    with_own, without = (
+        fit_firth(design, frame.outcome, frame.group, one).robust for one in (levels, [])
+    )
     grid = frame.grid(design.shape[1])[:, 0]
     more = grid @ (with_own - without) @ grid.T
     expected = {"base": [1, 0, 0], "never": [0, 1, 0], "both": [1, 1, 0]}[alike]
@@ -123,15 +124,24 @@ def test_a_levels_own_variance_is_of_its_own_mean_alone(alike):
 
 def test_a_perfect_method_can_win():
     """Six operators, 33 of 60 with the baseline: no failure decides as one failure does."""
-    wins = {"dexpilot": [5, 6, 7, 4, 6, 5], "geort": [1, 0, 0, 1, 2, 0],
-            "hybrid": [6, 4, 5, 7, 5, 6], "sbr": [10] * 6}  # fmt: skip
+    wins = {
+        "dexpilot": [5, 6, 7, 4, 6, 5],
+        "geort": [1, 0, 0, 1, 2, 0],
+        "hybrid": [6, 4, 5, 7, 5, 6],
+        "sbr": [10] * 6,
+    }
     rows = [
-        {"operator": f"P{i}", "task": "A", "retargeter": name, "success": 7 * k % 10 < count,
-         "trial_global": 10 * ((i + j) % 4) + k + 1}
+        {
+            "operator": f"P{i}",
+            "task": "A",
+            "retargeter": name,
+            "success": 7 * k % 10 < count,
+            "trial_global": 10 * ((i + j) % 4) + k + 1,
+        }
         for j, (name, counts) in enumerate(wins.items())
         for i, count in enumerate(counts)
         for k in range(10)
-    ]  # fmt: skip
+    ]
     trials = pd.DataFrame(rows)
     perfect = StudyData(trials.assign(score=trials.success.astype(float)), None)
     once = with_perfect(perfect, 1)
@@ -197,8 +207,9 @@ def family_errors(share: float, studies: int, seed: int) -> tuple[int, int, int]
     for number in range(studies):
         null = drawn.draw(np.random.default_rng([seed, number]))
         alone += bool(separated(frame_of(successes(null.trials), POOLED, FOUR[0])))
-        (verdict,) = (one for one in verdicts(null, FOUR[0], outcomes=("success",))
-                      if one.mode == MODES[0])  # fmt: skip
+        (verdict,) = (
+            one for one in verdicts(null, FOUR[0], outcomes=("success",)) if one.mode == MODES[0]
+        )
         errors += any(verdict.against.values()) or any(verdict.pairs.values())
         refused += verdict.refused is not None
     assert refused <= 0.05 * studies

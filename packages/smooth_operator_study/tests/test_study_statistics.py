@@ -256,9 +256,18 @@ def _text(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 @pytest.mark.parametrize(
     ("comparisons", "freedom", "critical"),
     # Dunnett's table of two-sided 5 % points (1964), equal group sizes: correlation 0.5.
-    [(2, 10, 2.57), (2, 20, 2.38), (3, 5, 3.29), (3, 10, 2.76), (3, 20, 2.54), (3, 60, 2.41),
-     (4, 12, 2.81), (3, np.inf, 2.35), pytest.param(6, np.inf, 2.57, marks=pytest.mark.weekly)],
-)  # fmt: skip
+    [
+        (2, 10, 2.57),
+        (2, 20, 2.38),
+        (3, 5, 3.29),
+        (3, 10, 2.76),
+        (3, 20, 2.54),
+        (3, 60, 2.41),
+        (4, 12, 2.81),
+        (3, np.inf, 2.35),
+        pytest.param(6, np.inf, 2.57, marks=pytest.mark.weekly),
+    ],
+)
 def test_critical_values_are_dunnetts(comparisons, freedom, critical):
     correlation = np.full((comparisons, comparisons), 0.5) + 0.5 * np.eye(comparisons)
     found = dunnett([1.0], correlation[:1, :1], [freedom]).critical[0]
@@ -291,9 +300,11 @@ def test_the_integral_is_what_one_factor_says():
     """With equal correlations it is one integral over the shared factor, and one over chi."""
     for count, freedom in ((3, np.inf), (3, 7.3), (4, np.inf)):
         points, weights = np.polynomial.hermite_e.hermegauss(120)
-        scales = np.ones(1) if np.isinf(freedom) else np.sqrt(
-            scipy.stats.chi2(freedom).ppf((np.arange(20000) + 0.5) / 20000) / freedom
-        )  # fmt: skip
+        scales = (
+            np.ones(1)
+            if np.isinf(freedom)
+            else np.sqrt(scipy.stats.chi2(freedom).ppf((np.arange(20000) + 0.5) / 20000) / freedom)
+        )
         limit = 2.1 * scales[:, None]
         shared = np.sqrt(0.4) * points
         inside = scipy.stats.norm.cdf((limit - shared) / np.sqrt(0.6))

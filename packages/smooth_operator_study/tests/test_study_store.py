@@ -82,9 +82,15 @@ def test_an_operator_goes_through_the_protocol(store):
     assert kinds.count("calibrated") == 2
     first = blocks[0]
     assert [k for k in kinds if k != "trial_reset"][:8] == [
-        "calibrated", "block_started", "familiarisation_started", "familiarisation_ended",
-        "trial_started", "trial_scored", "questionnaire_answered", "trial_started",
-    ]  # fmt: skip
+        "calibrated",
+        "block_started",
+        "familiarisation_started",
+        "familiarisation_ended",
+        "trial_started",
+        "trial_scored",
+        "questionnaire_answered",
+        "trial_started",
+    ]
     assert first.questionnaires == {1: "initial", 2: "midpoint", 3: "final"}
 
 
@@ -246,9 +252,11 @@ def test_events_can_be_neither_changed_nor_deleted(store, tmp_path):
     walk(store, "P01", "trial")
     file = sqlite3.connect(tmp_path / "study.db")
     for statement in (
-        "UPDATE events SET payload = '{}'", "DELETE FROM events", "DELETE FROM plans",
+        "UPDATE events SET payload = '{}'",
+        "DELETE FROM events",
+        "DELETE FROM plans",
         "UPDATE plans SET plan = ''",
-    ):  # fmt: skip
+    ):
         with pytest.raises(sqlite3.IntegrityError, match="append-only"):
             file.execute(statement)
     assert file.execute("PRAGMA journal_mode").fetchone() == ("wal",)
@@ -289,8 +297,10 @@ def test_operators_join_and_those_who_began_keep_their_rows(store, tmp_path):
         store.revise(store.plan.enrol("P03", ["B"]))
         walk(other, "P03", "trial")
     assert store.progress("P03").number > 0
-    swapped = [replace(e, rows={t: (r + 1) % 6 for t, r in e.rows.items()}) if e.code == "P01"
-               else e for e in store.plan.enrolled]  # fmt: skip
+    swapped = [
+        replace(e, rows={t: (r + 1) % 6 for t, r in e.rows.items()}) if e.code == "P01" else e
+        for e in store.plan.enrolled
+    ]
     with pytest.raises(StudyError, match="operator P01 has begun"):
         store.revise(replace(store.plan, enrolled=tuple(swapped)))
     longer = replace(store.plan.protocol, familiarisation_s=60.0)
@@ -334,8 +344,10 @@ def test_what_is_exported_is_read_by_the_analysis(store, tmp_path):
 def writers(what: str, target: str, folder: Path, count: int, most: int) -> None:
     done = subprocess.run(
         [sys.executable, WRITERS, what, target, str(folder), str(count), str(most)],
-        capture_output=True, text=True, timeout=PATIENCE_S,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
     assert done.returncode == 0, done.stderr
     assert "Error" not in done.stderr, done.stderr
 

@@ -252,8 +252,11 @@ def versions() -> dict[str, str]:
         with contextlib.suppress(OSError, subprocess.CalledProcessError):  # git is not installed
             names["revision"] = subprocess.run(
                 ["git", "describe", "--always", "--dirty"],
-                cwd=_CHECKOUT, capture_output=True, text=True, check=True,
-            ).stdout.strip()  # fmt: skip
+                cwd=_CHECKOUT,
+                capture_output=True,
+                text=True,
+                check=True,
+            ).stdout.strip()
     return names
 
 

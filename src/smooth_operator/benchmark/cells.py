@@ -284,9 +284,17 @@ def benchmark_code() -> str:
     benchmark, its cells are measured again.
     """
     return code_digest(
-        "geometry.py", "landmarks.py", "types.py", "hands", "retargeting",
-        "baselines", "metrics", "offline", "io", "formats",
-    )  # fmt: skip
+        "geometry.py",
+        "landmarks.py",
+        "types.py",
+        "hands",
+        "retargeting",
+        "baselines",
+        "metrics",
+        "offline",
+        "io",
+        "formats",
+    )
 
 
 @cache

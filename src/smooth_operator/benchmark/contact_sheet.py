@@ -34,9 +34,14 @@ if TYPE_CHECKING:
 CELL: Final = 150
 """Width and height of a view of a hand [px]."""
 POSES: Final = (
-    "flat", "fist", "point", "thumb up", "OK", "tripod",
+    "flat",
+    "fist",
+    "point",
+    "thumb up",
+    "OK",
+    "tripod",
     *(f"pinch {finger}" for finger in FINGERS[1:]),
-)  # fmt: skip
+)
 """Names of the poses, in the order of a sheet."""
 _NAMES: Final = 130  # width of the column of poses [px]
 _HEAD: Final = 24  # height of the row of methods [px]

@@ -270,17 +270,27 @@ def tradeoff_figure(rows: Sequence[Row], colors: Mapping[str, str]) -> Figure | 
     for method, own in points.items():
         for rough, error, at in own:
             ax.scatter(
-                rough, error, color=colors[method], marker=MARKERS[at % len(MARKERS)], s=42,
-                alpha=0.85 if len(own) == 1 else 0.5, linewidths=0,
+                rough,
+                error,
+                color=colors[method],
+                marker=MARKERS[at % len(MARKERS)],
+                s=42,
+                alpha=0.85 if len(own) == 1 else 0.5,
+                linewidths=0,
                 gid=series(method, f"{method} on {recordings[at]}: {rough:.3g} m/s², {error:.2g}"),
-            )  # fmt: skip
+            )
         x, y = (float(np.exp(np.mean(np.log([p[k] for p in own])))) for k in (0, 1))
         if len(own) > 1:
             label = f"{method}, mean of {len(own)} recordings: {x:.3g} m/s², {y:.2g}"
             ax.scatter(
-                x, y, color=colors[method], marker="o", s=150, linewidths=0,
+                x,
+                y,
+                color=colors[method],
+                marker="o",
+                s=150,
+                linewidths=0,
                 gid=series(method, label),
-            )  # fmt: skip
+            )
         means[method] = x, y
     ax.set_xscale("log")
     ax.set_yscale("log")
@@ -329,14 +339,25 @@ def latency_figure(
         height_of = row + spread.uniform(-0.26, 0.26, len(shown))
         # One path of dots: thousands of markers would make a heavy file.
         ax.plot(
-            shown, height_of, linestyle="", marker="o", markersize=2.2, markeredgewidth=0,
-            color=colors[method], alpha=0.45, rasterized=True,
-        )  # fmt: skip
+            shown,
+            height_of,
+            linestyle="",
+            marker="o",
+            markersize=2.2,
+            markeredgewidth=0,
+            color=colors[method],
+            alpha=0.45,
+            rasterized=True,
+        )
         for at, style in ((at50, "-"), (at95, "--"), (at99, ":")):
             ax.plot([at, at], [row - 0.36, row + 0.36], color=INK, linestyle=style, linewidth=1.3)
         ax.annotate(
-            f"{at50:.3g}", (float(at50), row - 0.38), ha="center", va="bottom", fontsize=8,
-        )  # fmt: skip
+            f"{at50:.3g}",
+            (float(at50), row - 0.38),
+            ha="center",
+            va="bottom",
+            fontsize=8,
+        )
     ax.set_xscale("log")
     plain_logs(ax, both=False)
     ax.set_ylim(len(times) - 0.4, -0.75)
@@ -362,9 +383,13 @@ def fingertip_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
             ax.plot(time, human[:, tip, k], **_HUMAN)
             for run in panel.runs:
                 ax.plot(
-                    time, 1e3 * run.robot[cut, tip, k], color=colors[run.method], linewidth=1.0,
-                    label=run.method, gid=series(run.method, run.method),
-                )  # fmt: skip
+                    time,
+                    1e3 * run.robot[cut, tip, k],
+                    color=colors[run.method],
+                    linewidth=1.0,
+                    label=run.method,
+                    gid=series(run.method, run.method),
+                )
             if i == 0:
                 ax.set_title(axis)
             if k == 0:
@@ -391,9 +416,13 @@ def joint_figure(panel: Panel, colors: Mapping[str, str]) -> Figure:
                 ax.axhline(limit, color=GRID, linewidth=1.0, linestyle=(0, (4, 3)))
         for run in panel.runs:
             ax.plot(
-                time, run.joints[cut, j], color=colors[run.method], linewidth=1.0,
-                label=run.method, gid=series(run.method, run.method),
-            )  # fmt: skip
+                time,
+                run.joints[cut, j],
+                color=colors[run.method],
+                linewidth=1.0,
+                label=run.method,
+                gid=series(run.method, run.method),
+            )
         ax.set_title(names[j], fontsize=8)
         if j % columns == 0:
             ax.set_ylabel("[rad]")
@@ -449,18 +478,26 @@ def _grid(
     height = top + bottom + rows * cell[1] + (rows - 1) * gap[1]
     figure = _figure((width, height))
     figure.subplots_adjust(
-        left=left / width, right=1 - right / width, top=1 - top / height,
-        bottom=bottom / height, wspace=gap[0] / cell[0], hspace=gap[1] / cell[1],
-    )  # fmt: skip
+        left=left / width,
+        right=1 - right / width,
+        top=1 - top / height,
+        bottom=bottom / height,
+        wspace=gap[0] / cell[0],
+        hspace=gap[1] / cell[1],
+    )
     return figure, figure.subplots(rows, columns, sharex=True, squeeze=False)
 
 
 def _legend(figure: Figure, ax: Axes) -> None:
     handles, labels = ax.get_legend_handles_labels()
     figure.legend(
-        handles, labels, loc="upper left", ncols=min(len(labels), 9), fontsize=8,
+        handles,
+        labels,
+        loc="upper left",
+        ncols=min(len(labels), 9),
+        fontsize=8,
         bbox_to_anchor=(0.05, 1.0),
-    )  # fmt: skip
+    )
 
 
 def _proxy(color: str, marker: str, label: str) -> Any:

@@ -28,26 +28,35 @@ _BY_NAME: Final = {metric.name: metric for metric in METRICS}
 HEADLINES: Final[tuple[Metric, ...]] = tuple(
     _BY_NAME[name]
     for name in (
-        "cosine_similarity", "scale_ratio", "motion_preservation", "flatness",
-        "workspace_utilisation", "latency_ms.p50",
+        "cosine_similarity",
+        "scale_ratio",
+        "motion_preservation",
+        "flatness",
+        "workspace_utilisation",
+        "latency_ms.p50",
     )
-)  # fmt: skip
+)
 """The six columns of the paper's table."""
 
 COLUMN_GROUPS: Final[Mapping[str, tuple[Metric, ...]]] = {
     group: tuple(_BY_NAME[name] for name in names)
     for group, names in {
         "looks": (
-            "finger_extension_error", "finger_direction_error_deg", "thumb_direction_error_deg",
+            "finger_extension_error",
+            "finger_direction_error_deg",
+            "thumb_direction_error_deg",
         ),
         "grasping": ("pinch_touch_share", "pinch_deep_share", "self_collision.share"),
         "motion": ("motion_preservation", "jumps_per_1000"),
         "speed": ("latency_ms.p50",),
         "the paper's": (
-            "cosine_similarity", "scale_ratio", "flatness", "workspace_utilisation",
+            "cosine_similarity",
+            "scale_ratio",
+            "flatness",
+            "workspace_utilisation",
         ),
     }.items()
-}  # fmt: skip
+}
 """Columns of a benchmark's tables, group by group; the paper's six are among them."""
 
 COLUMNS: Final[tuple[Metric, ...]] = tuple(m for group in COLUMN_GROUPS.values() for m in group)
@@ -58,10 +67,13 @@ NUMBERS: Final[tuple[Metric, ...]] = tuple(
     for metric in METRICS
     if metric.name
     not in (
-        "status", "definition", "human_fit", "workspace_utilisation_per_finger",
+        "status",
+        "definition",
+        "human_fit",
+        "workspace_utilisation_per_finger",
         "pinch_touch_share_per_finger",
     )
-)  # fmt: skip
+)
 """All built-in metrics that are one number."""
 
 

@@ -37,9 +37,11 @@ UNKNOWN_TRACKER: Final = "other"
 """Kind of tracker of recordings that do not state one and whose format does not determine it."""
 
 _TRACKER_OF: Final = {
-    "manus": "glove", "avp": "headset", "hts": "headset",
+    "manus": "glove",
+    "avp": "headset",
+    "hts": "headset",
     "egodex": "headset",
-}  # fmt: skip
+}
 _NOTED: Final = ("side_assumed", "implausible_frames", "format")  # what a report reads of it
 _RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
 _LENGTH = re.compile(r"(\d+(?:\.\d+)?)\s*cm", re.IGNORECASE)

@@ -54,11 +54,20 @@ _WIDTH_OF_NAME, _WIDTH_OF_COLUMN, _FEWEST = 20, 11, 5
 """Approximate width of a method's name and of a column, and number of columns that fit any
 terminal."""
 _ORDER: Final = (
-    "finger_extension_error", "pinch_touch_share", "pinch_deep_share", "motion_preservation",
-    "self_collision.share", "latency_ms.p50", "finger_direction_error_deg", "jumps_per_1000",
-    "cosine_similarity", "thumb_direction_error_deg", "flatness", "scale_ratio",
+    "finger_extension_error",
+    "pinch_touch_share",
+    "pinch_deep_share",
+    "motion_preservation",
+    "self_collision.share",
+    "latency_ms.p50",
+    "finger_direction_error_deg",
+    "jumps_per_1000",
+    "cosine_similarity",
+    "thumb_direction_error_deg",
+    "flatness",
+    "scale_ratio",
     "workspace_utilisation",
-)  # fmt: skip
+)
 """Columns in the order in which a narrow terminal shows them; the report has all columns."""
 _STYLES: Final = {"better": "green", "worse": "red", "same": ""}
 _SIGNS: Final = {"better": " ▲", "worse": " ▼", "same": ""}

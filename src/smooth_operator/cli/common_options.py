@@ -16,10 +16,22 @@ from smooth_operator.request import MethodRequest
 
 HandSide: TypeAlias = Literal["right", "left"]
 
-RARE: Final = frozenset({
-    "seed", "scale", "fingers", "operator", "pinch_gaps", "definition", "layout", "model",
-    "no_meshes", "debug", "port", "cluster",
-})  # fmt: skip
+RARE: Final = frozenset(
+    {
+        "seed",
+        "scale",
+        "fingers",
+        "operator",
+        "pinch_gaps",
+        "definition",
+        "layout",
+        "model",
+        "no_meshes",
+        "debug",
+        "port",
+        "cluster",
+    }
+)
 """Shared options that only ``--help-all`` shows."""
 
 

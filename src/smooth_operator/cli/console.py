@@ -53,31 +53,45 @@ class Figure:
 
 
 SUMMARY: Final = (
-    Figure("finger_direction_error_deg", 10.0,
-           "On average, the robot's fingers point {:.3g}° away from the human's (good: up to "
-               "{:.3g}°)",
-           "The human's finger directions could not be measured in any frame",
-           "smooth-operator bench compares methods; hands check measures the palm's tilt"),
-    Figure("pinch_touch_share", 0.8,
-           "The robot's thumb and finger touch in {:.3g} % of the human's pinches (good: at "
-               "least {:.3g} %)",
-           "There are too few frames with a pinch to measure pinching",
-           "smooth-operator calibrate measures the gaps that the tracker leaves in pinches"),
-    Figure("self_collision.share", 0.05,
-           "Parts of the robot hand overlap in {:.3g} % of the frames (good: up to {:.3g} %)",
-           "Self-collision can't be measured for this hand",
-           "hands check tests the hand's description: its collision shapes may be too large",
-           method="smooth"),
-    Figure("jumps_per_1000", 1.0,
-           "A robot fingertip jumps in {:.3g} of 1,000 frames (good: up to {:.3g})",
-           "There are too few frames to detect jumps",
-           "check the jumps with smooth-operator view; the tracker may have jumped as well"),
-    Figure("latency_ms.p99", None,
-           "Of 100 commands, 99 took at most {:.3g} ms (good: up to {:.3g} ms, the time "
-               "between two frames)",
-           "Computation time was not measured",
-           "smooth-operator doctor shows what slows this machine down"),
-)  # fmt: skip
+    Figure(
+        "finger_direction_error_deg",
+        10.0,
+        "On average, the robot's fingers point {:.3g}° away from the human's (good: up to {:.3g}°)",
+        "The human's finger directions could not be measured in any frame",
+        "smooth-operator bench compares methods; hands check measures the palm's tilt",
+    ),
+    Figure(
+        "pinch_touch_share",
+        0.8,
+        "The robot's thumb and finger touch in {:.3g} % of the human's pinches (good: at "
+        "least {:.3g} %)",
+        "There are too few frames with a pinch to measure pinching",
+        "smooth-operator calibrate measures the gaps that the tracker leaves in pinches",
+    ),
+    Figure(
+        "self_collision.share",
+        0.05,
+        "Parts of the robot hand overlap in {:.3g} % of the frames (good: up to {:.3g} %)",
+        "Self-collision can't be measured for this hand",
+        "hands check tests the hand's description: its collision shapes may be too large",
+        method="smooth",
+    ),
+    Figure(
+        "jumps_per_1000",
+        1.0,
+        "A robot fingertip jumps in {:.3g} of 1,000 frames (good: up to {:.3g})",
+        "There are too few frames to detect jumps",
+        "check the jumps with smooth-operator view; the tracker may have jumped as well",
+    ),
+    Figure(
+        "latency_ms.p99",
+        None,
+        "Of 100 commands, 99 took at most {:.3g} ms (good: up to {:.3g} ms, the time "
+        "between two frames)",
+        "Computation time was not measured",
+        "smooth-operator doctor shows what slows this machine down",
+    ),
+)
 """The five metrics that ``demo`` and ``retarget`` print: shape, pinches, collision, jumps,
 speed."""
 

@@ -174,9 +174,13 @@ def _write_dataset(
 
         with progress.waiting(f"converting {len(loads)} episodes"):
             notes = write_dataset(
-                options.output, loads, fps=options.fps, columns=options.columns,
-                environment_state=options.environment_state, done=done,
-            )  # fmt: skip
+                options.output,
+                loads,
+                fps=options.fps,
+                columns=options.columns,
+                environment_state=options.environment_state,
+                done=done,
+            )
     for note in notes:
         progress.note(note, matters=True)
     progress.note(

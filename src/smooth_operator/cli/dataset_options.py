@@ -49,10 +49,26 @@ Examples:
 Exit status: 0 done, 1 some clips could not be read or retargeted (the others are done), 2 the
 request is invalid, 130 stopped."""
     rare: ClassVar[frozenset[str]] = RARE | {
-        "device", "frame", "mano", "objects", "whole", "hands", "min_confidence", "max_gap",
-        "max_jump", "min_seconds", "min_valid", "max_tip_error", "min_reach", "min_finger_motion",
-        "no_limits", "loose", "shard_mb", "shard", "merge",
-    }  # fmt: skip
+        "device",
+        "frame",
+        "mano",
+        "objects",
+        "whole",
+        "hands",
+        "min_confidence",
+        "max_gap",
+        "max_jump",
+        "min_seconds",
+        "min_valid",
+        "max_tip_error",
+        "min_reach",
+        "min_finger_motion",
+        "no_limits",
+        "loose",
+        "shard_mb",
+        "shard",
+        "merge",
+    }
 
     json: bool = False
     """Print the report as one JSON object on standard output."""

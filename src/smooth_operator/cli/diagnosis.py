@@ -16,9 +16,9 @@ from smooth_operator.retargeting.program_cache import is_off, program_cache
 
 _LIBRARIES: Final = ("jax", "jaxlib", "mujoco", "numpy", "scipy")
 _OPENCV: Final = tuple(
-    f"opencv-{part}" for part in ("python", "python-headless", "contrib-python",
-                                  "contrib-python-headless")
-)  # fmt: skip
+    f"opencv-{part}"
+    for part in ("python", "python-headless", "contrib-python", "contrib-python-headless")
+)
 """Distributions that install into one folder, ``cv2``, and overwrite each other there."""
 _WINGS: Final = ("teleop", "lab")
 

@@ -41,10 +41,27 @@ was engaged. To move further than your arm reaches: pause, move your hand back, 
 
 Exit status: 0 done, 1 a sink failed (the summary says which), 2 a source, sink or other part can't
 be opened, 130 stopped by Ctrl-C or another signal."""
-    rare: ClassVar[frozenset[str]] = frozenset({
-        "port", "no_meshes", "model", "debug", "trials", "seed", "fingers", "pinch_gaps",
-        "priority", "methods", "control", "blind", "task", "safety", "limits", "wrist", "quiet",
-    })  # fmt: skip
+    rare: ClassVar[frozenset[str]] = frozenset(
+        {
+            "port",
+            "no_meshes",
+            "model",
+            "debug",
+            "trials",
+            "seed",
+            "fingers",
+            "pinch_gaps",
+            "priority",
+            "methods",
+            "control",
+            "blind",
+            "task",
+            "safety",
+            "limits",
+            "wrist",
+            "quiet",
+        }
+    )
 
     priority: Literal["high", "normal"] = "high"
     """Scheduling priority that the loop requests. The summary says which priority the system

@@ -597,8 +597,9 @@ def _pinching(chains: tuple[Chain, ...], reach: Reach, order: tuple[int, ...]) -
         facing = reach.facing(order[0], finger, length)
         best = np.argpartition(facing, -_BEST, axis=None)[-_BEST:]
         thumb_poses = np.unravel_index(best, facing.shape)[0]
-        poses += [reach.poses[a] for a, i in zip(thumb_poses, best, strict=True)
-                  if facing.flat[i] > 0]  # fmt: skip
+        poses += [
+            reach.poses[a] for a, i in zip(thumb_poses, best, strict=True) if facing.flat[i] > 0
+        ]
     return np.mean(poses, axis=0) if poses else None
 
 

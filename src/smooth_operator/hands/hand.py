@@ -21,10 +21,21 @@ from smooth_operator.hands.spec import HandSpec, Point
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
 
 _SHAPES: Final = (
-    "body_parentid", "body_pos", "body_quat", "geom_bodyid", "geom_type", "geom_size", "geom_pos",
-    "geom_quat", "geom_aabb", "geom_margin", "geom_contype", "geom_conaffinity", "mesh_vert",
+    "body_parentid",
+    "body_pos",
+    "body_quat",
+    "geom_bodyid",
+    "geom_type",
+    "geom_size",
+    "geom_pos",
+    "geom_quat",
+    "geom_aabb",
+    "geom_margin",
+    "geom_contype",
+    "geom_conaffinity",
+    "mesh_vert",
     "exclude_signature",
-)  # fmt: skip
+)
 """Arrays of a model that determine its possible contacts."""
 
 

@@ -39,8 +39,16 @@ _ROOM: Final = ("nkey", "nuserdata", "width", "height", "numeric size")
 _DEEPEST: Final = 20  # depth of files that include or attach each other
 _TAILS: Final = 8  # number of last parts of a path with which a file is looked for
 _NEAR: Final = 4  # folders above the model in which a file is looked for by its bare name
-_FILES: Final = ("file", "filename", "fileright", "fileleft", "fileup", "filedown", "filefront",
-                 "fileback")  # fmt: skip
+_FILES: Final = (
+    "file",
+    "filename",
+    "fileright",
+    "fileleft",
+    "fileup",
+    "filedown",
+    "filefront",
+    "fileback",
+)
 _FOLDERS: Final = ("meshdir", "texturedir", "assetdir")
 _DOCUMENTS: Final = ("include", "model")
 

@@ -104,9 +104,20 @@ def check_hand_name(name: str) -> str:
 def _spec(entries: Entries, folder: Path) -> HandSpec:
     entries.check_format(FORMAT)
     entries.only(
-        "format", "name", "side", "source", "model", "mirror", "palm", "wrist", "align",
-        "fingers", "neutral", "torque", "joint_map",
-    )  # fmt: skip
+        "format",
+        "name",
+        "side",
+        "source",
+        "model",
+        "mirror",
+        "palm",
+        "wrist",
+        "align",
+        "fingers",
+        "neutral",
+        "torque",
+        "joint_map",
+    )
     side: Side = entries.choice("side", ("right", "left"))
     fingers = entries.table("fingers")
     fingers.only(*FINGERS)

@@ -68,9 +68,13 @@ def _pinches(axes: Any, calibration: Calibration, recording: HandRecording) -> N
         for segment in finding.segments:
             start, stop = stamps[segment.start], stamps[segment.stop - 1]
             axes.barh(
-                row, stop - start, left=start, height=0.75, color=_COLORS[finding.finger],
+                row,
+                stop - start,
+                left=start,
+                height=0.75,
+                color=_COLORS[finding.finger],
                 alpha=0.25 + 0.75 * segment.confidence,
-            )  # fmt: skip
+            )
         if not finding.segments:
             axes.text(stamps[0], row, " not found", va="center", fontsize=8, color="#dc2626")
     names = [finding.finger for finding in calibration.findings]

@@ -131,10 +131,13 @@ def name_points(
         covered.append(box)
         far = abs(box[1] + 0.4 * size - y) > line
         ax.annotate(
-            name, points[name], textcoords="offset points", fontsize=size,
+            name,
+            points[name],
+            textcoords="offset points",
+            fontsize=size,
             xytext=(box[0] - x, box[1] + 0.2 * size - y),
             arrowprops={"arrowstyle": "-", "color": GRID, "linewidth": 0.5} if far else None,
-        )  # fmt: skip
+        )
 
 
 def _pixels(ax: Axes, points: Iterable[tuple[float, float]]) -> np.ndarray:

@@ -29,15 +29,25 @@ from smooth_operator.retargeting.program_cache import LOGGER, ProgramCache, prog
 from smooth_operator.source_digest import HOME, code_digest
 
 _CODE: Final = (
-    "retargeting", "baselines", "hands",
-    "geometry.py", "io/anatomy.py", "poses.py", "landmarks.py", "types.py",
-)  # fmt: skip
+    "retargeting",
+    "baselines",
+    "hands",
+    "geometry.py",
+    "io/anatomy.py",
+    "poses.py",
+    "landmarks.py",
+    "types.py",
+)
 """Code that programs are traced from."""
 
 _SETTINGS: Final = (
-    "jax_enable_x64", "jax_default_matmul_precision", "jax_default_prng_impl",
-    "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion", "jax_threefry_partitionable",
-)  # fmt: skip
+    "jax_enable_x64",
+    "jax_default_matmul_precision",
+    "jax_default_prng_impl",
+    "jax_numpy_dtype_promotion",
+    "jax_numpy_rank_promotion",
+    "jax_threefry_partitionable",
+)
 """Settings of JAX that a traced program depends on."""
 
 _LOOPS_ON_GPU: Final = {

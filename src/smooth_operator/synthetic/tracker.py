@@ -90,18 +90,30 @@ class TrackerModel:
 
 TRACKERS: Final = {
     "glove": TrackerModel(
-        rate_hz=100.0, shake=0.0002, shake_time=0.04, delay=0.01, frame_loss=0.04,
+        rate_hz=100.0,
+        shake=0.0002,
+        shake_time=0.04,
+        delay=0.01,
+        frame_loss=0.04,
         frame_loss_burst=0.01,
     ),
     "headset": TrackerModel(
-        rate_hz=30.0, shake=0.0006, shake_time=0.05, delay=0.045, rate_jitter=0.07,
-        frame_loss=0.005, frame_loss_burst=0.09,
+        rate_hz=30.0,
+        shake=0.0006,
+        shake_time=0.05,
+        delay=0.045,
+        rate_jitter=0.07,
+        frame_loss=0.005,
+        frame_loss_burst=0.09,
     ),
     "camera": TrackerModel(
-        rate_hz=30.0, shake=0.0008, shake_time=0.02, delay=0.1,
+        rate_hz=30.0,
+        shake=0.0008,
+        shake_time=0.02,
+        delay=0.1,
         pinch_gaps=(0.295, 0.369, 0.251, 0.075),
     ),
-}  # fmt: skip
+}
 """Trackers by kind, measured from recordings as ``research/docs/trackers.md`` says."""
 
 

@@ -235,8 +235,9 @@ class _Run:
         if name not in self.other_hands:
             raise ConfigError(f"this run can't go on with the hand {name!r}")
         used = switcher.used
-        following = replace(self.request, hand=name, method=used.method, preset=used.preset,
-                            config=used.base)  # fmt: skip
+        following = replace(
+            self.request, hand=name, method=used.method, preset=used.preset, config=used.base
+        )
         for side in self.sides:
             hand, _ = resolve(following, side)
             Limiter(hand, self.config.limits)

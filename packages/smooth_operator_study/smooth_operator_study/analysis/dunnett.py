@@ -252,8 +252,14 @@ def _polygon(
     In a direction u the edge lies at the distance size / max_j |L_j u|, within which z lies with
     probability 1 - exp(-distance² / 2). Between two corners of the polygon this is smooth.
     """
-    lines = np.vstack([factor[i] + sign * factor[j] for i in range(len(factor)) for j in range(i)
-                       for sign in (-1, 1)])  # fmt: skip
+    lines = np.vstack(
+        [
+            factor[i] + sign * factor[j]
+            for i in range(len(factor))
+            for j in range(i)
+            for sign in (-1, 1)
+        ]
+    )
     # Two of the |L_j u| are equal where u is perpendicular to a sum or difference of their rows.
     corners = np.unique(np.append(np.arctan2(-lines[:, 0], lines[:, 1]) % np.pi, [0.0, np.pi]))
     points, weights = leggauss(_ANGLES)

@@ -296,9 +296,14 @@ class Fit:
     def compare(self, *, limits: bool = True, decide: float | None = None) -> Comparisons:
         """Computes means, differences and effect sizes; see ``compare``."""
         return compare(
-            self.means, self.covariance, self.freedom, self.effect, self.frame.baseline,
-            limits=limits, decide=decide,
-        )  # fmt: skip
+            self.means,
+            self.covariance,
+            self.freedom,
+            self.effect,
+            self.frame.baseline,
+            limits=limits,
+            decide=decide,
+        )
 
     def joint(self, columns: slice) -> WaldTest:
         """Tests that all of these coefficients are zero.

@@ -113,8 +113,11 @@ def analyze(
         gee = next((fit.model for fit in fits.values() if isinstance(fit, Fit)), None)
         for mode, fit in fits.items():
             if isinstance(fit, Refused) and isinstance(gee, GeeFit):
-                base = replace(blank, model=_gee_facts(frame, gee),
-                               warnings=(*blank.warnings, *_gee_warnings(frame, gee)))  # fmt: skip
+                base = replace(
+                    blank,
+                    model=_gee_facts(frame, gee),
+                    warnings=(*blank.warnings, *_gee_warnings(frame, gee)),
+                )
                 results[mode] = refuse(base, fit.refused)
     apart = _preferences(results, _UNITS[outcome])
     for mode, result in results.items():

@@ -27,9 +27,16 @@ SCRIPT: Final = "analysis.R"
 TRIALS: Final = "rows_trials.csv"
 TLX: Final = "rows_tlx.csv"
 _TRIALS: Final = (
-    "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "success",
+    "operator",
+    "task",
+    "retargeter",
+    "block",
+    "trial_in_block",
+    "trial_global",
+    "score",
+    "success",
     "time_s",
-)  # fmt: skip
+)
 _TLX: Final = ("operator", "task", "retargeter", "block", "point", "index", "workload")
 _FAMILIES: Final = {
     "coefficients": "name",

@@ -258,9 +258,19 @@ def _equivalence(pair: Pair, margin: float | None, *, turn: bool = False) -> Equ
         nearest = (abs(difference) - margin) / pair.se
         p = float(stdtr(pair.df, nearest) if np.isfinite(pair.df) else ndtr(nearest))
     return Equivalence(
-        a, b, difference, pair.se, pair.df, low, high, margin, p, None,
-        None if p is None else p < ALPHA, max(abs(low), abs(high)),
-    )  # fmt: skip
+        a,
+        b,
+        difference,
+        pair.se,
+        pair.df,
+        low,
+        high,
+        margin,
+        p,
+        None,
+        None if p is None else p < ALPHA,
+        max(abs(low), abs(high)),
+    )
 
 
 @dataclass(frozen=True, eq=False)

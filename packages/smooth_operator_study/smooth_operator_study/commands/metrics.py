@@ -121,9 +121,12 @@ def read_take(file: Path) -> Take:
             recording, **{name: a[frames] for name, a in held.items() if a is not None}
         )
     answers = CommandTrajectory(
-        log.commands.joint_positions[commands], log.commands.joint_names, stamps,
-        log.commands.latency_ms[commands], log.commands.status[commands],
-    )  # fmt: skip
+        log.commands.joint_positions[commands],
+        log.commands.joint_names,
+        stamps,
+        log.commands.latency_ms[commands],
+        log.commands.status[commands],
+    )
     alignments = [(use.stamp, _alignment(use.config)) for use in log.methods]
     return Take(recording, answers, hand, begin, alignments)
 

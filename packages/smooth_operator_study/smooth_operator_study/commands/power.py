@@ -126,9 +126,12 @@ def _print(settings: PowerSettings, tallies: Tallies, scope: str) -> None:
                 flag = " !" if errs(error) else ""
                 flagged |= bool(flag)
                 table.add_row(
-                    str(operators), TITLES[outcome], mode,
-                    *map(_percent, cells), _percent(error) + flag,
-                )  # fmt: skip
+                    str(operators),
+                    TITLES[outcome],
+                    mode,
+                    *map(_percent, cells),
+                    _percent(error) + flag,
+                )
     console.print(table)
     if flagged:
         console.print(

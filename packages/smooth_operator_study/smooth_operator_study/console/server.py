@@ -59,9 +59,16 @@ HOME: Final[Mapping[Role, str]] = {"experimenter": "/", "operator": "/operator"}
 LINK: Final[Mapping[Role, str]] = {"experimenter": "/link", "operator": "/operator/link"}
 """Path of each page's WebSocket."""
 OPERATORS: Final = (
-    "/operator", "/operator/link", "/operator.js", "/tlx.js", "/form.js",
-    "/link.js", "/dom.js", "/console.css", "/icon.svg",
-)  # fmt: skip
+    "/operator",
+    "/operator/link",
+    "/operator.js",
+    "/tlx.js",
+    "/form.js",
+    "/link.js",
+    "/dom.js",
+    "/console.css",
+    "/icon.svg",
+)
 """Paths that the operator's token opens."""
 
 
@@ -199,8 +206,10 @@ class Console:
 
         self._loop = asyncio.get_running_loop()
         site = page_files("smooth_operator.web") | page_files(__package__)
-        site |= {HOME["experimenter"]: site["/experimenter.html"],
-                 HOME["operator"]: site["/operator.html"]}  # fmt: skip
+        site |= {
+            HOME["experimenter"]: site["/experimenter.html"],
+            HOME["operator"]: site["/operator.html"],
+        }
         if not self._local:
             site["/operator.svg"] = (qr_code(self._links["operator"]), "image/svg+xml")
         await self._draw()

@@ -190,8 +190,12 @@ def check_seen(command: Command, progress: Progress) -> None:
 
 
 _STARTS: Final = (
-    "calibrated", "recalibrate", "start_block", "start_familiarisation", "start_trial",
-)  # fmt: skip
+    "calibrated",
+    "recalibrate",
+    "start_block",
+    "start_familiarisation",
+    "start_trial",
+)
 _TELEOP_COMMANDS: Final = (
     *_STARTS,
     "reset",

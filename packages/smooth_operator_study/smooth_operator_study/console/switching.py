@@ -32,8 +32,10 @@ State: TypeAlias = Literal["unknown", "ready", "switching", "refused", "gone"]
 _KEYS: Final = ("operator", "task", "block", "trial")
 """Entries that match a simulated trial with one of the log."""
 _OPPOSITES: Final = {
-    "trial_started": "undone", "trial_paused": "resume", "trial_resumed": "pause",
-}  # fmt: skip
+    "trial_started": "undone",
+    "trial_paused": "resume",
+    "trial_resumed": "pause",
+}
 """Kind of an event -> what the simulation does when it is undone."""
 
 

@@ -147,8 +147,9 @@ class StudyData:
     def outcomes(self) -> dict[Outcome, pd.DataFrame]:
         """Returns the rows of each outcome, with its ``value``."""
         rows: dict[Outcome, pd.DataFrame] = {
-            "success": successes(self.trials), "time": times(self.trials),
-        }  # fmt: skip
+            "success": successes(self.trials),
+            "time": times(self.trials),
+        }
         if self.questionnaires is not None:
             rows["tlx"] = answers(self.questionnaires)
         return rows

@@ -24,9 +24,13 @@ from smooth_operator.types import CommandTrajectory, HandRecording
 from smooth_operator_study.store.progress import Trial
 
 METRIC_NAMES: Final = (
-    "cosine_similarity", "scale_ratio", "motion_preservation", "flatness",
-    "workspace_utilisation", "latency_ms",
-)  # fmt: skip
+    "cosine_similarity",
+    "scale_ratio",
+    "motion_preservation",
+    "flatness",
+    "workspace_utilisation",
+    "latency_ms",
+)
 """Columns of the table; units as in ``smooth_operator.metrics``, latency as its mean [ms]."""
 _POOLED: Final = "workspace_utilisation"
 _FEWEST: Final = 3  # frames of a trial, or there is no motion to measure

@@ -17,9 +17,27 @@ from smooth_operator.simulation.tasks.task import check_name
 from smooth_operator_study.design.protocol import Condition, Point, Protocol, Task
 
 _TREES: Final = (
-    "Alder", "Aspen", "Beech", "Birch", "Cedar", "Cypress", "Elm", "Fir", "Hazel", "Holly",
-    "Juniper", "Larch", "Linden", "Maple", "Oak", "Olive", "Pine", "Rowan", "Spruce", "Willow",
-)  # fmt: skip
+    "Alder",
+    "Aspen",
+    "Beech",
+    "Birch",
+    "Cedar",
+    "Cypress",
+    "Elm",
+    "Fir",
+    "Hazel",
+    "Holly",
+    "Juniper",
+    "Larch",
+    "Linden",
+    "Maple",
+    "Oak",
+    "Olive",
+    "Pine",
+    "Rowan",
+    "Spruce",
+    "Willow",
+)
 
 
 def lot(seed: int, *key: object) -> float:
@@ -98,21 +116,38 @@ def imbalance(orders: Sequence[Sequence[str]], conditions: Sequence[str]) -> tup
 
 
 COLUMNS: Final = (
-    "operator", "session", "task", "block", "condition", "label", "row", "familiarisation_s",
-    "trials", "first_trial_global", "questionnaires_after",
-)  # fmt: skip
+    "operator",
+    "session",
+    "task",
+    "block",
+    "condition",
+    "label",
+    "row",
+    "familiarisation_s",
+    "trials",
+    "first_trial_global",
+    "questionnaires_after",
+)
 
 
 def schedule_csv(plan: Plan) -> str:
     """Returns the schedule as CSV, one row for each block."""
     rows = (
         (
-            block.operator, block.session, block.task.name, block.number, block.condition.name,
-            block.condition.label, block.row + 1, f"{plan.protocol.familiarisation_s:g}",
-            block.task.trials, block.trial_global(1), " ".join(map(str, block.questionnaires)),
+            block.operator,
+            block.session,
+            block.task.name,
+            block.number,
+            block.condition.name,
+            block.condition.label,
+            block.row + 1,
+            f"{plan.protocol.familiarisation_s:g}",
+            block.task.trials,
+            block.trial_global(1),
+            " ".join(map(str, block.questionnaires)),
         )
         for block in plan.schedule()
-    )  # fmt: skip
+    )
     return csv_text(COLUMNS, (dict(zip(COLUMNS, row, strict=True)) for row in rows))
 
 

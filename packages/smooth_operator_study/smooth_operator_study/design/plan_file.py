@@ -145,12 +145,17 @@ def _protocol(entries: Entries) -> Protocol:
             record(Condition, conditions.table(name), name=name) for name in conditions.names
         ),
         tasks=tuple(
-            record(Task, table := tasks.table(name), ("trials",), name=name,
-                    trials=table.whole("trials"))
+            record(
+                Task,
+                table := tasks.table(name),
+                ("trials",),
+                name=name,
+                trials=table.whole("trials"),
+            )
             for name in tasks.names
         ),
         primary=primary,
-    )  # fmt: skip
+    )
 
 
 def _orders(entries: Entries) -> Orders:
@@ -263,8 +268,10 @@ _TITLES: Final = {
     "tlx": "workload (NASA-TLX, 0 to 100 points)",
 }
 _UNITS: Final = {
-    "success": (100.0, "percentage points"), "time": (1.0, "s"), "tlx": (1.0, "points"),
-}  # fmt: skip
+    "success": (100.0, "percentage points"),
+    "time": (1.0, "s"),
+    "tlx": (1.0, "points"),
+}
 
 
 def preregistration(plan: Plan) -> str:

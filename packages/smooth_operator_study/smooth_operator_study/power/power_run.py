@@ -453,9 +453,17 @@ def draw_power(
         rows = [rate_of(tallies[n, truth], outcome, scope, mode, what) for n in numbers]
         bars = [[row.rate - row.lower for row in rows], [row.upper - row.rate for row in rows]]
         on.errorbar(
-            numbers, [row.rate for row in rows], yerr=bars, color=colour, linestyle=_LINES[mode],
-            marker="o", markersize=3, linewidth=1.2, elinewidth=0.8, label=label,
-        )  # fmt: skip
+            numbers,
+            [row.rate for row in rows],
+            yerr=bars,
+            color=colour,
+            linestyle=_LINES[mode],
+            marker="o",
+            markersize=3,
+            linewidth=1.2,
+            elinewidth=0.8,
+            label=label,
+        )
 
     for column, outcome in enumerate(outcomes):
         top, bottom = axes[0, column], axes[1, column]

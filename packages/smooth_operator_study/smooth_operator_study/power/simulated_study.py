@@ -219,9 +219,7 @@ class Simulator:
 
         def mean(table: pd.DataFrame, values: list[float], column: str, k: int) -> Any:
             index = table[column].to_numpy()
-            condition, task = (
-                codes_of(conditions, table.retargeter), codes_of(tasks, table.task)
-            )  # fmt: skip
+            condition, task = (codes_of(conditions, table.retargeter), codes_of(tasks, table.task))
             own = (codes_of(plan.codes, table.operator), condition, k)
             about = offsets[task, k] + practice[k] * (index - index.mean())
             return np.array(values)[condition] + about, own

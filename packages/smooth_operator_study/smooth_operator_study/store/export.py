@@ -34,8 +34,15 @@ from smooth_operator_study.store.study_store import StudyStore
 FORMAT: Final = 1
 """Version of ``study.json``."""
 TRIAL_COLUMNS: Final = (
-    "operator", "task", "retargeter", "block", "trial_in_block", "trial_global", "score", "time_s",
-)  # fmt: skip
+    "operator",
+    "task",
+    "retargeter",
+    "block",
+    "trial_in_block",
+    "trial_global",
+    "score",
+    "time_s",
+)
 MORE_TRIAL_COLUMNS: Final = ("duration_s", "line", "resets", "started_at", "place", "amended")
 """Further columns of exported trials, which the analysis does not read."""
 QUESTIONNAIRE_COLUMNS: Final = ("operator", "task", "retargeter", "block", "point", *SCALE_NAMES)

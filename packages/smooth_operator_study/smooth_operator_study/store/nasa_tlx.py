@@ -19,8 +19,13 @@ from smooth_operator.io.entries import Entries, read_entries
 STEP: Final = 5
 HIGHEST: Final = 100
 SCALE_NAMES: Final = (
-    "mental", "physical", "temporal", "performance", "effort", "frustration",
-)  # fmt: skip
+    "mental",
+    "physical",
+    "temporal",
+    "performance",
+    "effort",
+    "frustration",
+)
 """Names of the scales in data; each is 0 to 100, and more is always worse."""
 
 

@@ -44,9 +44,20 @@ from smooth_operator_study.store.events import (
 WITHDREW: Final = "the operator withdrew"
 """Reason of a void trial that was running when its operator withdrew."""
 StepKind: TypeAlias = Literal[
-    "form", "calibrate", "start_block", "start_familiarisation", "familiarise", "start_trial",
-    "trial", "paused", "questionnaire", "break", "refused", "withdrawn", "done",
-]  # fmt: skip
+    "form",
+    "calibrate",
+    "start_block",
+    "start_familiarisation",
+    "familiarise",
+    "start_trial",
+    "trial",
+    "paused",
+    "questionnaire",
+    "break",
+    "refused",
+    "withdrawn",
+    "done",
+]
 E = TypeVar("E", bound=Event)
 _NO_BREAK: Final = ("break", "trial", "paused", "familiarise", "refused", "withdrawn", "done")
 """Steps in which no break can begin."""

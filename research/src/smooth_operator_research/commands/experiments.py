@@ -46,10 +46,13 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
     if options.quick and options.published:
         raise ConfigError("--quick and --published set different sizes; use only one of them")
     settings = Settings(
-        output=options.output, experiments=tuple(names), recordings=tuple(recordings),
-        hand=options.hand, frames=options.frames,
+        output=options.output,
+        experiments=tuple(names),
+        recordings=tuple(recordings),
+        hand=options.hand,
+        frames=options.frames,
         size="quick" if options.quick else "published" if options.published else "default",
-    )  # fmt: skip
+    )
     check_folder(options.output)
     sources = load_recordings(settings)
     for side in {source.side for source in sources}:
@@ -66,9 +69,12 @@ def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]
     with folder_for(options.output), claimed(options.output):
         try:
             run_experiments(
-                settings, sources, _track(progress), done,
+                settings,
+                sources,
+                _track(progress),
+                done,
                 lambda text: progress.note(text, matters=True),
-            )  # fmt: skip
+            )
         except KeyboardInterrupt:
             raise stopped(options.output) from None
     if options.quiet:

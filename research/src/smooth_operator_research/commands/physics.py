@@ -28,9 +28,17 @@ from smooth_operator_research.physics.suite import (
 )
 
 _SAME: Final = (
-    "output", "recordings", "frames", "rate", "layout", "units", "quick", "seed", "workers",
+    "output",
+    "recordings",
+    "frames",
+    "rate",
+    "layout",
+    "units",
+    "quick",
+    "seed",
+    "workers",
     "cluster",
-)  # fmt: skip
+)
 """Options that are passed to the settings of the same name."""
 
 _WIDTH_OF_INTERVALS: Final = 120

@@ -59,8 +59,12 @@ def simulate_command(options: Simulate) -> None:
     console = output_console()
     console.print(table)
     console.print(NOTICE, soft_wrap=True)
-    print(printable(f"written: {folder}; next: smooth-operator study analyze {folder} "
-                    f"--baseline {plan.protocol.baseline} --output FOLDER"))  # fmt: skip
+    print(
+        printable(
+            f"written: {folder}; next: smooth-operator study analyze {folder} "
+            f"--baseline {plan.protocol.baseline} --output FOLDER"
+        )
+    )
 
 
 def _cells(protocol: Protocol, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -132,8 +132,18 @@ def demonstration_text(demonstration: Demonstration) -> str:
     }
     lines = [f" {json.dumps(key)}: {json.dumps(value)}," for key, value in head.items()]
     poses = [json.dumps([round(float(q), 3) for q in pose]) for pose in demonstration.poses]
-    return "\n".join(["{", *lines, ' "poses": [', *[f"  {p}," for p in poses[:-1]],
-                      f"  {poses[-1]}", " ]", "}", ""])  # fmt: skip
+    return "\n".join(
+        [
+            "{",
+            *lines,
+            ' "poses": [',
+            *[f"  {p}," for p in poses[:-1]],
+            f"  {poses[-1]}",
+            " ]",
+            "}",
+            "",
+        ]
+    )
 
 
 def own_commands(

@@ -168,9 +168,11 @@ def _share(holds: np.ndarray, moments: Sequence[Moment]) -> float:
     for one in holds:
         now = now + 1 if one else 0
         most = max(most, now)
-    period = moments[0].state.time if len(moments) < 2 else (
-        moments[-1].state.time - moments[0].state.time
-    ) / (len(moments) - 1)  # fmt: skip
+    period = (
+        moments[0].state.time
+        if len(moments) < 2
+        else (moments[-1].state.time - moments[0].state.time) / (len(moments) - 1)
+    )
     return _capped(most * period / HOLD_S)
 
 

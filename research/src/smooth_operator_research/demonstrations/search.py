@@ -107,9 +107,14 @@ class Evolution:
         )
         sigma = self.sigma * float(np.exp(c_sigma / damping * (length / usual - 1.0)))
         return replace(
-            self, mean=self.mean + self.sigma * step, sigma=sigma, variance=variance, path=path,
-            path_c=path_c, generation=self.generation + 1,
-        )  # fmt: skip
+            self,
+            mean=self.mean + self.sigma * step,
+            sigma=sigma,
+            variance=variance,
+            path=path,
+            path_c=path_c,
+            generation=self.generation + 1,
+        )
 
     def to_json(self) -> dict[str, Any]:
         """As JSON has it."""
@@ -235,10 +240,17 @@ class Search:
     """
 
     def __init__(
-        self, first: Demonstration, worlds: int, seed: int, count: int,
-        sigma: float = _SIGMA, trackers: Sequence[str] = ("glove",), margin: float = MARGIN,
-        kept: int = 1, beyond: float = 0.0,
-    ) -> None:  # fmt: skip
+        self,
+        first: Demonstration,
+        worlds: int,
+        seed: int,
+        count: int,
+        sigma: float = _SIGMA,
+        trackers: Sequence[str] = ("glove",),
+        margin: float = MARGIN,
+        kept: int = 1,
+        beyond: float = 0.0,
+    ) -> None:
         hand = first.robot
         self._worlds, self._trackers, self._margin, self._kept = worlds, trackers, margin, kept
         self._bounds = hand.limits + np.array([-beyond, beyond])
@@ -353,38 +365,49 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("task", help="card, cube or screwdriver")
     parser.add_argument("--output", type=Path, required=True, help="JSON file of the result")
     parser.add_argument(
-        "--first", default=DEFAULT_HAND,
+        "--first",
+        default=DEFAULT_HAND,
         help="first guess: a hand with a demonstration, or the JSON file of one",
-    )  # fmt: skip
+    )
     parser.add_argument("--generations", type=int, default=60)
     parser.add_argument("--candidates", type=int, default=16, help="in a generation")
     parser.add_argument("--worlds", type=int, default=8, help="perturbed worlds of a generation")
     parser.add_argument("--sigma", type=float, default=_SIGMA, help="first step [rad]")
     parser.add_argument(
-        "--trackers", default="glove",
+        "--trackers",
+        default="glove",
         help="comma-separated, in turn; empty: the joints follow the demonstration exactly",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--keep", type=int, default=1, help="how many key poses, from the first on, stay"
     )
     parser.add_argument(
-        "--beyond", type=float, default=0.0,
+        "--beyond",
+        type=float,
+        default=0.0,
         help="how far beyond the joints' limits the operator may go [rad]",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--margin", type=float, default=MARGIN,
+        "--margin",
+        type=float,
+        default=MARGIN,
         help="what a success with the best margin is worth more than one with none",
-    )  # fmt: skip
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=None, help="processes; 0: none")
     parser.add_argument("--state", type=Path, help="file to resume from, and to go on writing")
     options = parser.parse_args(arguments)
     search = Search(
         _first(options.first, options.task, options.hand),
-        options.worlds, options.seed, options.candidates,
-        options.sigma, [one for one in options.trackers.split(",") if one], options.margin,
-        options.keep, options.beyond,
-    )  # fmt: skip
+        options.worlds,
+        options.seed,
+        options.candidates,
+        options.sigma,
+        [one for one in options.trackers.split(",") if one],
+        options.margin,
+        options.keep,
+        options.beyond,
+    )
     if options.state is not None and options.state.exists():
         search.resume(options.state)
     with PersistentPool(judge, options.workers) as pool:

@@ -258,9 +258,14 @@ def run_trial(
     positions, moments = [], []
     run = TaskRun(task, scene)
     for moment in perform(
-        physics, task, commands, seconds=seconds, rate_hz=rate_hz, lead_s=lead_s,
-        interventions=interventions
-    ):  # fmt: skip
+        physics,
+        task,
+        commands,
+        seconds=seconds,
+        rate_hz=rate_hz,
+        lead_s=lead_s,
+        interventions=interventions,
+    ):
         run = moment.run
         if trace:
             moments.append(moment)
@@ -273,9 +278,16 @@ def run_trial(
     assert outcome is not None  # it is done
     dropped = int(np.isnan([points[0, 0] for points in landmarks]).sum())
     result = TrialResult(
-        outcome.score, outcome.line, outcome.reason, outcome.seconds, outcome.ended,
-        len(times) - dropped, dropped, physics.resets, outcome.resets,
-    )  # fmt: skip
+        outcome.score,
+        outcome.line,
+        outcome.reason,
+        outcome.seconds,
+        outcome.ended,
+        len(times) - dropped,
+        dropped,
+        physics.resets,
+        outcome.resets,
+    )
     if not trace:
         return result
     joints = len(retargeter.hand.joint_names)

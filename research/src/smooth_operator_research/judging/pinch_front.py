@@ -84,9 +84,15 @@ def measure(task: Task) -> Mapping[str, float | None]:
         raise BenchmarkError(str(source.error))
     unit = Unit(source.name, data=recording)
     case = Case(
-        "pinch", task.hand, recording.side, task.method, default_preset(task.method), task.config,
-        "", unit,
-    )  # fmt: skip
+        "pinch",
+        task.hand,
+        recording.side,
+        task.method,
+        default_preset(task.method),
+        task.config,
+        "",
+        unit,
+    )
     row = PinchHold().run(case).row
     trace = assemble_trace(recording, case.commands(recording), case.hand, reach_samples=0)
     figures = evaluate(trace)
@@ -129,9 +135,10 @@ def main(settings: Settings) -> None:
         row: {c: _mean([one[c] for one in figures[row].values()]) for c in columns} for row in rows
     }
     report.table(
-        "Mean of the recordings", ("pinch_damping, or method", *columns),
+        "Mean of the recordings",
+        ("pinch_damping, or method", *columns),
         [[row, *(means[row][c] for c in columns)] for row in rows],
-    )  # fmt: skip
+    )
     for row in rows:
         for name, request in zip(names, requests, strict=True):
             report.add(f"{row}/{name}", figures[row][request])

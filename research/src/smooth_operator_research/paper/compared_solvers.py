@@ -260,9 +260,13 @@ class CompiledSolver(Solver):
 
     @abstractmethod
     def solve(
-        self, objective: SampledObjective, goal: FrameGoal, last: Float[Array, " m"],
-        key: UInt32[Array, "2"], knobs: Knobs,
-    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
+        self,
+        objective: SampledObjective,
+        goal: FrameGoal,
+        last: Float[Array, " m"],
+        key: UInt32[Array, "2"],
+        knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
         """The answer to a frame, and how many iterations or evaluations it took; traceable."""
 
 
@@ -305,9 +309,13 @@ class Sampling(CompiledSolver):
         return replace(self, sigma=0.2, cycles=self.most_cycles, note="")
 
     def solve(
-        self, objective: SampledObjective, goal: FrameGoal, last: Float[Array, " m"],
-        key: UInt32[Array, "2"], knobs: Knobs,
-    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
+        self,
+        objective: SampledObjective,
+        goal: FrameGoal,
+        last: Float[Array, " m"],
+        key: UInt32[Array, "2"],
+        knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
         """See ``CompiledSolver``."""
         config = SamplingConfig(self.samples, min(self.elites, self.samples), self.most_cycles)
         cycles = knobs[1].astype(jnp.int32)
@@ -366,15 +374,23 @@ class Rmsprop(_FromStarts, CompiledSolver):
         return replace(self, config=replace(self.config, step=0.01, final=0.01))
 
     def solve(
-        self, objective: SampledObjective, goal: FrameGoal, last: Float[Array, " m"],
-        key: UInt32[Array, "2"], knobs: Knobs,
-    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
+        self,
+        objective: SampledObjective,
+        goal: FrameGoal,
+        last: Float[Array, " m"],
+        key: UInt32[Array, "2"],
+        knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
         """See ``CompiledSolver``."""
         both = _few_gradients if self.starts.count <= _FEW else _many_gradients
         solution, costs, evaluations = rmsprop_minimise(
-            lambda q: both(objective, goal, q), self.all_starts(objective, last, key),
-            objective.hand.limits, self.config, knobs[0], knobs[1],
-        )  # fmt: skip
+            lambda q: both(objective, goal, q),
+            self.all_starts(objective, last, key),
+            objective.hand.limits,
+            self.config,
+            knobs[0],
+            knobs[1],
+        )
         return soft_mean(solution, costs, self.starts.temperature), evaluations
 
 
@@ -396,16 +412,22 @@ class Newton(_FromStarts, CompiledSolver):
         return 0.5 * (1 + self.starts.count)
 
     def solve(
-        self, objective: SampledObjective, goal: FrameGoal, last: Float[Array, " m"],
-        key: UInt32[Array, "2"], knobs: Knobs,
-    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:  # fmt: skip
+        self,
+        objective: SampledObjective,
+        goal: FrameGoal,
+        last: Float[Array, " m"],
+        key: UInt32[Array, "2"],
+        knobs: Knobs,
+    ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
         """See ``CompiledSolver``."""
 
         def descend(q: Array) -> tuple[Array, Array]:
             return newton_minimise(
-                lambda one: objective.value_grad_hess(one, goal), q, objective.hand.limits,
+                lambda one: objective.value_grad_hess(one, goal),
+                q,
+                objective.hand.limits,
                 self.config,
-            )[:2]  # fmt: skip
+            )[:2]
 
         many = self.all_starts(objective, last, key)
         solution, costs = jax.vmap(descend, in_axes=1, out_axes=(1, 0))(many)
@@ -437,9 +459,11 @@ class Slsqp(_FromStarts):
         return 2.5 * self.starts.count
 
     def minimise(
-        self, objective: ValueAndGradient, start: Float[np.ndarray, " m"],
+        self,
+        objective: ValueAndGradient,
+        start: Float[np.ndarray, " m"],
         limits: Float[np.ndarray, "m 2"],
-    ) -> SlsqpResult:  # fmt: skip
+    ) -> SlsqpResult:
         """From one start."""
         if isinstance(self.config, SlsqpConfig):
             return slsqp_minimise(objective, start, limits, self.config)

@@ -94,8 +94,10 @@ def _losses(context: ExperimentContext, problems: list[Problem], points: list[Po
     # one N after the other: all its L share a program
     order = [
         (point, r, seed)
-        for point in points for r in range(len(problems)) for seed in range(context.size.seeds)
-    ]  # fmt: skip
+        for point in points
+        for r in range(len(problems))
+        for seed in range(context.size.seeds)
+    ]
     jobs = [
         context.run_job(problems[r], point.solver(most_cycles(points, point.samples)), weight, seed)
         for point, r, seed in order
@@ -105,14 +107,16 @@ def _losses(context: ExperimentContext, problems: list[Problem], points: list[Po
     return {
         point: Samples(
             [
-                [measure_run(problem, runs[point, r, seed], weight)["loss"]
-                 for seed in range(context.size.seeds)]
+                [
+                    measure_run(problem, runs[point, r, seed], weight)["loss"]
+                    for seed in range(context.size.seeds)
+                ]
                 for r, problem in enumerate(problems)
             ],
             units,
         )
         for point in points
-    }  # fmt: skip
+    }
 
 
 def _references(context: ExperimentContext, problems: list[Problem]) -> tuple[Samples, Samples]:
@@ -223,9 +227,15 @@ def _contour_table(losses: Losses, lines: list[list[Point]]) -> Table:
     for line in lines:
         inner, wide, deep = balance(losses, line)
         rows.append(
-            (f"{line[0].budget:,}", str(inner), str(line[0]), percent(wide), str(line[-1]),
-             percent(deep))
-        )  # fmt: skip
+            (
+                f"{line[0].budget:,}",
+                str(inner),
+                str(line[0]),
+                percent(wide),
+                str(line[-1]),
+                percent(deep),
+            )
+        )
     return Table(
         "Along contours of equal compute",
         (

@@ -61,17 +61,25 @@ def _joined(first: Table, *others: Table) -> Table:
 
 
 def _by_condition(
-    results: Results, experiment: str, title: str, figure: str,
+    results: Results,
+    experiment: str,
+    title: str,
+    figure: str,
     choose: Callable[[list[str]], Sequence[str]],
-) -> Table:  # fmt: skip
+) -> Table:
     """A row for each method, a column for each of some conditions, of one figure."""
     own = _table(results, experiment, title)
     at = own.headers.index(figure)
-    return _joined(*(
-        Table(own.title, [own.headers[0], f"{figure}, {condition}"],
-              [[row[0], row[at]] for row in own.rows if row[1] == condition])
-        for condition in choose(list(dict.fromkeys(row[1] for row in own.rows)))
-    ))  # fmt: skip
+    return _joined(
+        *(
+            Table(
+                own.title,
+                [own.headers[0], f"{figure}, {condition}"],
+                [[row[0], row[at]] for row in own.rows if row[1] == condition],
+            )
+            for condition in choose(list(dict.fromkeys(row[1] for row in own.rows)))
+        )
+    )
 
 
 def _number(text: str) -> float:
@@ -87,18 +95,28 @@ def _noise(results: Results) -> Table:
     return _joined(
         _by_condition(results, "noise", "Under noise", "flatness [mm²]", lambda c: (c[0], near(c))),
         _by_condition(results, "noise", "Under noise", "motion", lambda c: (near(c),)),
-        _by_condition(results, "noise", "With frames lost", "largest step [rad]",
-                      lambda c: (max(c, key=_number),)),
-    )  # fmt: skip
+        _by_condition(
+            results,
+            "noise",
+            "With frames lost",
+            "largest step [rad]",
+            lambda c: (max(c, key=_number),),
+        ),
+    )
 
 
 def _rate(results: Results) -> Table:
     title = "Methods by frame rate"
     return _joined(
-        _by_condition(results, "rate", title, "fingertips [m/s²]",
-                      lambda c: (min(c, key=_number), max(c, key=_number))),
+        _by_condition(
+            results,
+            "rate",
+            title,
+            "fingertips [m/s²]",
+            lambda c: (min(c, key=_number), max(c, key=_number)),
+        ),
         _by_condition(results, "rate", title, "lag [ms]", lambda c: (min(c, key=_number),)),
-    )  # fmt: skip
+    )
 
 
 def _quality(results: Results) -> Table:

@@ -155,42 +155,86 @@ def synthetic_operators(count: int, frames: int) -> tuple[str, ...]:
 
 
 DEFAULT: Final = Size(
-    name="default", recordings=synthetic_operators(20, 300), frames=150,
+    name="default",
+    recordings=synthetic_operators(20, 300),
+    frames=150,
     seeds=1,  # a seed's chance is in the spread among the operators
-    samples=8192, cycles=20, rmsprop_starts=256, slsqp_starts=4, newton_starts=16,
-    steps=(0.001, 0.003, 0.01, 0.03, 0.1), finals=(0.01, 1.0), sigmas=(0.05, 0.1, 0.2, 0.4),
+    samples=8192,
+    cycles=20,
+    rmsprop_starts=256,
+    slsqp_starts=4,
+    newton_starts=16,
+    steps=(0.001, 0.003, 0.01, 0.03, 0.1),
+    finals=(0.01, 1.0),
+    sigmas=(0.05, 0.1, 0.2, 0.4),
     tuning_frames=60,
-    grid_samples=(256, 512, 1024, 2048, 4096, 8192, 16384), grid_cycles=(5, 10, 20, 40, 80, 160),
-    grid_budget=163_840, grid_frames=25,
-    fk_batches=(1, 4, 16, 64, 256, 1024, 4096, 16384, 65536), fk_rounds=7,
-    table_frames=300, latency_frames=100,
-    noise_frames=80, noises=(0.0, 0.5e-3, 1e-3, 5e-3), losses=(0.0, 0.2), tracker_seeds=1,
-    rates=(15.0, 30.0, 100.0), rate_seconds=2.0,
-)  # fmt: skip
+    grid_samples=(256, 512, 1024, 2048, 4096, 8192, 16384),
+    grid_cycles=(5, 10, 20, 40, 80, 160),
+    grid_budget=163_840,
+    grid_frames=25,
+    fk_batches=(1, 4, 16, 64, 256, 1024, 4096, 16384, 65536),
+    fk_rounds=7,
+    table_frames=300,
+    latency_frames=100,
+    noise_frames=80,
+    noises=(0.0, 0.5e-3, 1e-3, 5e-3),
+    losses=(0.0, 0.2),
+    tracker_seeds=1,
+    rates=(15.0, 30.0, 100.0),
+    rate_seconds=2.0,
+)
 """For two cores: twenty independent operators, so that a direction that is there can be shown."""
 
 QUICK: Final = replace(
     DEFAULT,
-    name="quick", recordings=synthetic_operators(4, 100), frames=25,
-    samples=1024, cycles=10, rmsprop_starts=16, slsqp_starts=2, newton_starts=8,
-    steps=(0.003, 0.03), finals=(0.01,), sigmas=(0.1, 0.2), tuning_frames=20,
-    grid_samples=(256, 1024, 4096), grid_cycles=(5, 20, 80), grid_budget=20480, grid_frames=20,
-    fk_batches=(1, 64, 1024), fk_rounds=3, table_frames=60, latency_frames=20,
-    noise_frames=40, noises=(0.0, 2e-3), rates=(30.0, 100.0), rate_seconds=1.0,
-)  # fmt: skip
+    name="quick",
+    recordings=synthetic_operators(4, 100),
+    frames=25,
+    samples=1024,
+    cycles=10,
+    rmsprop_starts=16,
+    slsqp_starts=2,
+    newton_starts=8,
+    steps=(0.003, 0.03),
+    finals=(0.01,),
+    sigmas=(0.1, 0.2),
+    tuning_frames=20,
+    grid_samples=(256, 1024, 4096),
+    grid_cycles=(5, 20, 80),
+    grid_budget=20480,
+    grid_frames=20,
+    fk_batches=(1, 64, 1024),
+    fk_rounds=3,
+    table_frames=60,
+    latency_frames=20,
+    noise_frames=40,
+    noises=(0.0, 2e-3),
+    rates=(30.0, 100.0),
+    rate_seconds=1.0,
+)
 """For a test that it runs; its figures mean little."""
 
 PUBLISHED: Final = replace(
     DEFAULT,
-    name="published", recordings=synthetic_operators(20, 500), frames=500,
-    samples=PUBLISHED_STARTS, rmsprop_starts=PUBLISHED_STARTS,
+    name="published",
+    recordings=synthetic_operators(20, 500),
+    frames=500,
+    samples=PUBLISHED_STARTS,
+    rmsprop_starts=PUBLISHED_STARTS,
     slsqp_starts=64,  # NLopt runs one start after the other, whatever the machine
-    newton_starts=PUBLISHED_STARTS // 32, tuning_frames=100,
-    grid_samples=(*DEFAULT.grid_samples, 32768), grid_cycles=(*DEFAULT.grid_cycles, 320),
-    grid_budget=655_360, grid_frames=500,
-    table_frames=500, noise_frames=200, noises=(0.0, 0.5e-3, 1e-3, 2e-3, 5e-3),
-    losses=(0.0, 0.05, 0.1, 0.2), rates=(15.0, 30.0, 60.0, 100.0, 200.0), rate_seconds=5.0,
-)  # fmt: skip
+    newton_starts=PUBLISHED_STARTS // 32,
+    tuning_frames=100,
+    grid_samples=(*DEFAULT.grid_samples, 32768),
+    grid_cycles=(*DEFAULT.grid_cycles, 320),
+    grid_budget=655_360,
+    grid_frames=500,
+    table_frames=500,
+    noise_frames=200,
+    noises=(0.0, 0.5e-3, 1e-3, 2e-3, 5e-3),
+    losses=(0.0, 0.05, 0.1, 0.2),
+    rates=(15.0, 30.0, 60.0, 100.0, 200.0),
+    rate_seconds=5.0,
+)
 """N as published for sampling and RMSProp, less for SLSQP and Newton; for an accelerator."""
 
 
@@ -259,9 +303,14 @@ class ExperimentFolder:
 def experiment_code() -> str:
     """Digest of the code and the models that a cell depends on."""
     return research_digest(
-        "hands", "retargeting", "baselines", "paper/compared_solvers.py", "paper/nlopt_slsqp.py",
-        "paper/solver_grid.py", "paper/runs.py",
-    )  # fmt: skip
+        "hands",
+        "retargeting",
+        "baselines",
+        "paper/compared_solvers.py",
+        "paper/nlopt_slsqp.py",
+        "paper/solver_grid.py",
+        "paper/runs.py",
+    )
 
 
 if TYPE_CHECKING:

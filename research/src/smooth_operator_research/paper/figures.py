@@ -30,15 +30,22 @@ FAMILY_MARKERS: Final = {"sampling": "o", "slsqp": "s", "rmsprop": "^", "newton"
 
 
 def dot(
-    ax: Axes, y: float, mean: Estimate, each: Sequence[float] | np.ndarray, factor: float,
-    style: Mapping[str, Any], *, bar: bool = True,
-) -> None:  # fmt: skip
+    ax: Axes,
+    y: float,
+    mean: Estimate,
+    each: Sequence[float] | np.ndarray,
+    factor: float,
+    style: Mapping[str, Any],
+    *,
+    bar: bool = True,
+) -> None:
     """A mean with its interval, and a tick for each recording."""
     color, own = style["color"], factor * np.asarray(each)
     ax.plot(own, [y] * len(own), "|", color=color, markersize=6, alpha=0.55, zorder=2)
     if bar and mean.low is not None and mean.high is not None:
-        ax.plot([factor * mean.low, factor * mean.high], [y, y], color=color, linewidth=1.4,
-                zorder=3)  # fmt: skip
+        ax.plot(
+            [factor * mean.low, factor * mean.high], [y, y], color=color, linewidth=1.4, zorder=3
+        )
     ax.plot(factor * mean.value, y, zorder=4, **{"linestyle": "", **style})
 
 
@@ -121,14 +128,21 @@ def _heat(
         x, y = samples.index(point.samples), cycles.index(point.cycles)
         shown = f"{_excess(mean, best):.2g}" if mean.value > best else "best"
         ax.text(
-            x, y, shown, ha="center", va="center", fontsize=7.5, zorder=3,
+            x,
+            y,
+            shown,
+            ha="center",
+            va="center",
+            fontsize=7.5,
+            zorder=3,
             color="white" if norm(_excess(mean, best)) > 0.5 else "black",
-        )  # fmt: skip
+        )
         if mean.value < reference:
             ax.add_patch(
-                Rectangle((x - 0.46, y - 0.46), 0.92, 0.92, fill=False, edgecolor="black",
-                          linewidth=1.8)
-            )  # fmt: skip
+                Rectangle(
+                    (x - 0.46, y - 0.46), 0.92, 0.92, fill=False, edgecolor="black", linewidth=1.8
+                )
+            )
     for line in lines:
         xs = [samples.index(point.samples) for point in line]
         ys = [cycles.index(point.cycles) for point in line]
@@ -152,9 +166,14 @@ def _lines(ax: Axes, means: Mapping[Point, Estimate], lines: Sequence[Sequence[P
         xs = [point.cycles for point in line]
         values = [max(_excess(means[point], best), _FLOOR) for point in line]
         ax.plot(
-            xs, values, color=shades[i], marker=MARKERS[i % len(MARKERS)], markersize=5,
-            linewidth=1.4, label=f"N × L = {line[0].budget:,}",
-        )  # fmt: skip
+            xs,
+            values,
+            color=shades[i],
+            marker=MARKERS[i % len(MARKERS)],
+            markersize=5,
+            linewidth=1.4,
+            label=f"N × L = {line[0].budget:,}",
+        )
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_ylim(bottom=0.7 * _FLOOR)
@@ -228,8 +247,9 @@ def fk_figure(
         i = libraries.index(name)  # a library looks alike whichever others are missing
         look = Look(
             _LIBRARY_COLORS[i % len(_LIBRARY_COLORS)] if name not in gaps else GRID,
-            MARKERS[i], "," not in name,
-        )  # fmt: skip
+            MARKERS[i],
+            "," not in name,
+        )
         if name in gaps:
             why = gaps[name] if len(gaps[name]) < 30 else "can't be used, see below"
             handles.append(Line2D([], [], linestyle="", label=f"{name}: {why}"))
@@ -295,9 +315,13 @@ def sweep_figure(
     )
     panel = (width - 2.55 - gap * (across - 1)) / across
     figure.subplots_adjust(
-        left=0.95 / width, right=1 - 1.6 / width, top=1 - 0.12 / height, bottom=0.5 / height,
-        wspace=gap / panel, hspace=0.1,
-    )  # fmt: skip
+        left=0.95 / width,
+        right=1 - 1.6 / width,
+        top=1 - 0.12 / height,
+        bottom=0.5 / height,
+        wspace=gap / panel,
+        hspace=0.1,
+    )
     placed = [
         (row, columns[0 if folded else j], axes.flat[i] if folded else axes[i, j])
         for i, row in enumerate(rows)
@@ -317,18 +341,23 @@ def sweep_figure(
             own = [human(condition, metric) for condition in column.conditions]
             points = [(x, e) for x, e in zip(column.places, own, strict=True) if e is not None]
             ax.plot(
-                [x for x, _ in points], [row.factor * e.value for _, e in points], zorder=1,
+                [x for x, _ in points],
+                [row.factor * e.value for _, e in points],
+                zorder=1,
                 **styles[name],
-            )  # fmt: skip
+            )
         _axes(ax, row, column, folded or ax in axes[:, 0], ax in axes[-1])
     for row, _, ax in placed:
         if row.log:  # at last: a second panel that becomes logarithmic undoes it
             plain_log(ax.yaxis)
     handles += [Line2D([], [], label=name, **style) for name, style in styles.items()]
     figure.legend(
-        handles=handles, loc="upper left", fontsize=8, borderpad=0.0,
+        handles=handles,
+        loc="upper left",
+        fontsize=8,
+        borderpad=0.0,
         bbox_to_anchor=(1 - 1.55 / width, 1 - 0.1 / height),
-    )  # fmt: skip
+    )
     return figure
 
 
@@ -403,14 +432,26 @@ def table_figure(panels: Sequence[Panel], labels: Sequence[str]) -> Figure:
     figure = Figure(figsize=(9.6, height))
     axes = figure.subplots(rows, columns, sharey=True, squeeze=False)
     figure.subplots_adjust(
-        left=0.13, right=0.985, top=1 - 0.36 / height, bottom=0.52 / height, wspace=0.08,
+        left=0.13,
+        right=0.985,
+        top=1 - 0.36 / height,
+        bottom=0.52 / height,
+        wspace=0.08,
         hspace=0.62 / (0.245 * len(labels)),
-    )  # fmt: skip
+    )
     for ax, panel in zip(axes.flat, panels, strict=False):
         for y, label in enumerate(labels):
             if label in panel.paper:
-                ax.plot(panel.factor * panel.paper[label], y, "D", color=INK, markersize=8,
-                        markerfacecolor="none", markeredgewidth=1.0, zorder=2)  # fmt: skip
+                ax.plot(
+                    panel.factor * panel.paper[label],
+                    y,
+                    "D",
+                    color=INK,
+                    markersize=8,
+                    markerfacecolor="none",
+                    markeredgewidth=1.0,
+                    zorder=2,
+                )
             if (mean := panel.means[label]) is not None:
                 style = {**looks[label].line, "linestyle": "", "markersize": 6.0}
                 dot(ax, y, mean, panel.each[label], panel.factor, style)
@@ -424,8 +465,15 @@ def table_figure(panels: Sequence[Panel], labels: Sequence[str]) -> Figure:
     keys = [
         Line2D([], [], color=INK, linestyle="", marker="o", label="here, mean of recordings"),
         Line2D([], [], color=INK, linestyle="", marker="|", label="here, each recording"),
-        Line2D([], [], color=INK, linestyle="", marker="D", markerfacecolor="none",
-               label="in the paper, on other data"),
-    ]  # fmt: skip
+        Line2D(
+            [],
+            [],
+            color=INK,
+            linestyle="",
+            marker="D",
+            markerfacecolor="none",
+            label="in the paper, on other data",
+        ),
+    ]
     figure.legend(handles=keys, loc="upper left", bbox_to_anchor=(0.12, 1.0), ncols=3, fontsize=8)
     return figure

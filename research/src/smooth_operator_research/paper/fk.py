@@ -94,9 +94,15 @@ def write_urdf(hand: Hand) -> Urdf:
             slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
             parts += [
                 f'<link name="{moved}">{_INERTIAL}</link>',
-                _joint(name, "prismatic" if slides else "revolute", link, moved, inside @ anchor,
-                       model.jnt_axis[joint]),
-            ]  # fmt: skip
+                _joint(
+                    name,
+                    "prismatic" if slides else "revolute",
+                    link,
+                    moved,
+                    inside @ anchor,
+                    model.jnt_axis[joint],
+                ),
+            ]
             names[joint] = name
             link, inside = moved, np.linalg.inv(anchor)
         at[int(body)] = (link, inside)
@@ -127,10 +133,14 @@ def _joint(
     from scipy.spatial.transform import Rotation
 
     angles = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz")  # about fixed axes, as URDF has it
-    more = "" if axis is None else (
-        f'<axis xyz="{_numbers(axis)}"/>'
-        f'<limit lower="{-_LIMIT}" upper="{_LIMIT}" effort="1" velocity="1"/>'
-    )  # fmt: skip
+    more = (
+        ""
+        if axis is None
+        else (
+            f'<axis xyz="{_numbers(axis)}"/>'
+            f'<limit lower="{-_LIMIT}" upper="{_LIMIT}" effort="1" velocity="1"/>'
+        )
+    )
     return (
         f"<joint name={quoteattr(name)} type={quoteattr(kind)}>"
         f'<origin xyz="{_numbers(pose[:3, 3])}" rpy="{_numbers(angles)}"/>'
@@ -530,12 +540,13 @@ def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
 
     jobs = [
         cell_job(
-            f"batch {batch:,}", key("fk-time", here, batch=batch, rounds=size.fk_rounds),
+            f"batch {batch:,}",
+            key("fk-time", here, batch=batch, rounds=size.fk_rounds),
             1000.0 + size.fk_rounds * len(here) * max(50.0, 0.03 * batch),
             lambda advance, b=batch: timed(b, advance),  # type: ignore[misc]
         )
         for batch in size.fk_batches
-    ]  # fmt: skip
+    ]
     cells = context.finish("forward kinematics", jobs)
     shares = [float(cell["others"]) for cell in cells if np.isfinite(cell["others"])]
     per_pose = {
@@ -619,9 +630,10 @@ def _table(timing: Timing) -> Table:
     ]
     apart = ", ".join(f"{name} {1e6 * error:.2g} µm" for name, error in timing.worst.items())
     busy = (
-        "" if timing.others is None
+        ""
+        if timing.others is None
         else f" Other processes took up to {100 * timing.others:.0f} % of the cores."
-    )  # fmt: skip
+    )
     return Table(
         "Time a pose [ns]",
         ["batch", *timing.per_pose],

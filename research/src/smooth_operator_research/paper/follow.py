@@ -269,8 +269,12 @@ BASELINES: Final = ("dexpilot:published", "geort", "hybrid:published")
 METHODS: Final = (PUBLISHED_SBR, *BASELINES, "sbr", "smooth", "ako", "joint_angle")
 """Those of the paper's table as published, and ours."""
 
-_EFFORT_MS: Final = {"sbr:paper": 20.0, "ako": 5.0, "dexpilot:published": 8.0,
-                     "hybrid:published": 8.0}  # fmt: skip
+_EFFORT_MS: Final = {
+    "sbr:paper": 20.0,
+    "ako": 5.0,
+    "dexpilot:published": 8.0,
+    "hybrid:published": 8.0,
+}
 """About how long a frame takes [ms], for the time that is left; 0.7 for others."""
 
 
@@ -346,12 +350,15 @@ def follow_job(
 
     return cell_job(
         f"{label} on {degraded.source.name}",
-        {"kind": f"follow-{choice.method}", "lead": LEAD,
-         "cell": fingerprint(cell, Settings(output=Path(), seed=seed))},
+        {
+            "kind": f"follow-{choice.method}",
+            "lead": LEAD,
+            "cell": fingerprint(cell, Settings(output=Path(), seed=seed)),
+        },
         300.0 + effort_ms(label) * len(degraded.seen),
         compute,
         benchmark_code(),
-    )  # fmt: skip
+    )
 
 
 def measure_following(
@@ -424,8 +431,12 @@ def _tips(hand: Hand, aligned: Float[np.ndarray, "T 21 3"]) -> Float[np.ndarray,
 
 
 _SIGNED_OR_BOUNDED: Final = (
-    "cosine_similarity", "motion_preservation", "lag_ms", "correlation", "held"
-)  # fmt: skip
+    "cosine_similarity",
+    "motion_preservation",
+    "lag_ms",
+    "correlation",
+    "held",
+)
 """Figures that are averaged as they are; the others are positive and differ manifold."""
 
 

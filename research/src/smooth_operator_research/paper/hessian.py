@@ -71,8 +71,11 @@ class HessianDirections:
             "1 the flattest; jitter along a rank is the mean |second difference of q, projected "
             "on the rank's eigenvector|. The velocity term adds 2 w_v to every eigenvalue and "
             "leaves the eigenvectors as they are.",
-            [_stiff_verdict(without, ranked[0]), _flat_verdict(without, ranked[0]),
-             _check_verdict(error, len(cells))],
+            [
+                _stiff_verdict(without, ranked[0]),
+                _flat_verdict(without, ranked[0]),
+                _check_verdict(error, len(cells)),
+            ],
             [_table(one, own) for one, own in zip((without, held), ranked, strict=True)],
             [
                 Drawing(
@@ -92,7 +95,7 @@ class HessianDirections:
                     for f, by_rank in zip((without, held), ranked, strict=True)
                 ],
             },
-        )  # fmt: skip
+        )
 
 
 def hessian_figure(
@@ -121,10 +124,16 @@ def hessian_figure(
             mean = np.mean([np.mean(seeds, axis=0) for seeds in recordings], axis=0)
             ranks = np.arange(1, len(mean) + 1)
             ax.plot(
-                ranks, 1e3 * mean, color=FAMILY_COLORS[one.family], label=label, linewidth=1.3,
-                marker=FAMILY_MARKERS[one.family], markersize=4.2, linestyle="--" if many else "-",
+                ranks,
+                1e3 * mean,
+                color=FAMILY_COLORS[one.family],
+                label=label,
+                linewidth=1.3,
+                marker=FAMILY_MARKERS[one.family],
+                markersize=4.2,
+                linestyle="--" if many else "-",
                 markerfacecolor="white" if many else FAMILY_COLORS[one.family],
-            )  # fmt: skip
+            )
         ax.set_yscale("log")
         ax.set_xlabel("eigenvector rank, 1 = flattest")
         weight = comparison.velocity_weight
@@ -137,8 +146,15 @@ def hessian_figure(
     ax = axes[2]
     ranks = np.arange(1, values.shape[1] + 1)
     floor = max(float(np.min(middle[middle > 0], initial=1.0)) / 30, 1e-12)
-    ax.fill_between(ranks, np.maximum(low, floor), np.maximum(high, floor), color=INK, alpha=0.15,
-                    linewidth=0, label="central 80 %")  # fmt: skip
+    ax.fill_between(
+        ranks,
+        np.maximum(low, floor),
+        np.maximum(high, floor),
+        color=INK,
+        alpha=0.15,
+        linewidth=0,
+        label="central 80 %",
+    )
     ax.plot(ranks, np.maximum(middle, floor), color=INK, linewidth=1.4, label="median")
     ax.set_yscale("log")
     plain_log(ax.yaxis)
@@ -340,11 +356,15 @@ def _table(comparison: Comparison, ranked: Ranked) -> Table:
         rows.append([label, *(typical(share).shown(3, 1e3) for share in shares)])
     term = f"with w_v = {comparison.velocity_weight:g}" if comparison.velocity_weight else "without"
     return Table(
-        f"Jitter by stiffness, {term} velocity term" if not comparison.velocity_weight
+        f"Jitter by stiffness, {term} velocity term"
+        if not comparison.velocity_weight
         else f"Jitter by stiffness, {term}",
-        ("solver", f"ranks 1–{flat.stop}, flat [mrad]",
-         f"ranks {middle.start + 1}–{middle.stop} [mrad]",
-         f"ranks {stiff.start + 1}–{count}, stiff [mrad]"),
+        (
+            "solver",
+            f"ranks 1–{flat.stop}, flat [mrad]",
+            f"ranks {middle.start + 1}–{middle.stop} [mrad]",
+            f"ranks {stiff.start + 1}–{count}, stiff [mrad]",
+        ),
         rows,
         "Geometric means over independent recordings with 95 % intervals.",
-    )  # fmt: skip
+    )

@@ -426,7 +426,7 @@ def _on_host(
         results = [
             solver.minimise(objective, np.clip(q + move, limits[:, 0], limits[:, 1]), limits)
             for move in moves
-        ]  # fmt: skip
+        ]
         costs = np.array([result.value for result in results])
         if np.isfinite(costs).any():  # or the last answer is held
             q = soft_mean(np.stack([r.x for r in results], axis=-1), costs, starts.temperature)

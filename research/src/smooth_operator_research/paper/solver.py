@@ -116,15 +116,20 @@ class Comparison:
         return Table(
             title,
             (
-                "solver", "tracking loss", "objective", "jitter [mrad]", "acceleration [rad/s²]",
-                "ms a frame", "evaluations",
+                "solver",
+                "tracking loss",
+                "objective",
+                "jitter [mrad]",
+                "acceleration [rad/s²]",
+                "ms a frame",
+                "evaluations",
             ),
             rows,
             f"Geometric means over {len(set(self.units))} independent recordings with 95 % "
             "intervals. Tracking loss: first term of Eq. (1); objective: all of it, which is what "
             "is minimised. Jitter: mean |q(t+1) + q(t−1) − 2 q(t)| over frames and joints. "
             "Evaluations: of a start, cycles for sampling, steps for Newton. " + self._about_time(),
-        )  # fmt: skip
+        )
 
     def _about_time(self) -> str:
         share = self.others()
@@ -171,9 +176,11 @@ def compare_as_printed(context: ExperimentContext) -> Comparison:
     size = context.size
     sampling = Sampling(size.samples, size.cycles, most_cycles=size.cycles)
     solvers: list[Solver] = [
-        sampling, Slsqp(), Slsqp(config=SlsqpConfig()),
+        sampling,
+        Slsqp(),
+        Slsqp(config=SlsqpConfig()),
         Slsqp(starts=Starts(size.slsqp_starts)),
-    ]  # fmt: skip
+    ]
     problems = context.problems(replace(DEXPILOT.objective, loss="squared"), size.frames)
     solver_grid = SolverGrid({one.label: one for one in solvers}, ())
     return _compared(context, solver_grid, problems, 0.0, "squared loss")
@@ -273,9 +280,12 @@ def comparison_figure(several: Sequence[Comparison]) -> Figure:
                     family = comparison.solver_grid.solvers[label].family
                     color = FAMILY_COLORS[family]
                     style = {
-                        "marker": FAMILY_MARKERS[family], "color": color, "markersize": 6.5,
-                        "markerfacecolor": color if filled else "white", "markeredgewidth": 1.3,
-                    }  # fmt: skip
+                        "marker": FAMILY_MARKERS[family],
+                        "color": color,
+                        "markersize": 6.5,
+                        "markerfacecolor": color if filled else "white",
+                        "markeredgewidth": 1.3,
+                    }
                     mean, each = comparison.mean(label, metric), comparison.samples(label, metric)
                     bar = metric != "frame_ms"
                     dot(ax, row + offset, mean, each.means, factor, style, bar=bar)
@@ -392,10 +402,14 @@ def frozen(q: Float[np.ndarray, "T m"]) -> float:
 def against_sampling(comparison: Comparison) -> Table:
     """Every solver's loss and jitter relative to sampling as published."""
     rows = [
-        (label, percent(change(comparison, label, SAMPLING, "loss")),
-         percent(change(comparison, label, SAMPLING, "jitter")))
-        for label in comparison.runs if label != SAMPLING
-    ]  # fmt: skip
+        (
+            label,
+            percent(change(comparison, label, SAMPLING, "loss")),
+            percent(change(comparison, label, SAMPLING, "jitter")),
+        )
+        for label in comparison.runs
+        if label != SAMPLING
+    ]
     return Table(
         "Relative to sampling as published",
         ("solver", "tracking loss", "jitter"),
@@ -446,8 +460,7 @@ class VelocityTerm:
         )
         return Outcome(
             setup_of(held, context.size),
-            [_factor_verdict(factor), _added_verdict(cost, without),
-             _comparable_verdict(held)],
+            [_factor_verdict(factor), _added_verdict(cost, without), _comparable_verdict(held)],
             [_table(without, held), held.table("Solvers with the velocity term")],
             [
                 Drawing(
@@ -458,7 +471,7 @@ class VelocityTerm:
                 )
             ],
             {"without": without.figures(), "with": held.figures(), "factor": factor, "loss": cost},
-        )  # fmt: skip
+        )
 
 
 def _of_the_paper(comparison: Comparison) -> list[str]:

@@ -115,9 +115,10 @@ class SolverGrid:
         return next(
             label
             for label, one in self.solvers.items()
-            if one.family == family and isinstance(one, (Slsqp, Rmsprop, Newton))
+            if one.family == family
+            and isinstance(one, (Slsqp, Rmsprop, Newton))
             and one.starts.count > 1
-        )  # fmt: skip
+        )
 
 
 def make_solver_grid(context: ExperimentContext, velocity_weight: float) -> SolverGrid:
@@ -128,9 +129,12 @@ def make_solver_grid(context: ExperimentContext, velocity_weight: float) -> Solv
     size = context.size
     tuned = [
         _tune(context, velocity_weight, _candidates(one, size))
-        for one in (Sampling(size.samples, size.cycles, most_cycles=size.cycles, note=", tuned"),
-                    Rmsprop(), Rmsprop(starts=Starts(size.rmsprop_starts)))
-    ]  # fmt: skip
+        for one in (
+            Sampling(size.samples, size.cycles, most_cycles=size.cycles, note=", tuned"),
+            Rmsprop(),
+            Rmsprop(starts=Starts(size.rmsprop_starts)),
+        )
+    ]
     (sampling, rmsprop, rmsprops), notes = zip(*tuned, strict=True)
     published = Sampling(size.samples, size.cycles, most_cycles=size.cycles)
     solvers: list[Solver] = [

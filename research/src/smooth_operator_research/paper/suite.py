@@ -103,10 +103,17 @@ def run_experiments(
         SmoothOperatorError: the hand is unknown, a recording unusable, or a file can't be written.
         KeyboardInterrupt: stopped; what is finished is kept.
     """
-    store = ExperimentFolder(settings.output, {
-        "experiments": settings.experiments, "recordings": [source.facts for source in sources],
-        "hand": settings.hand, "frames": settings.frames, "size": settings.how_much,
-    }, note)  # fmt: skip
+    store = ExperimentFolder(
+        settings.output,
+        {
+            "experiments": settings.experiments,
+            "recordings": [source.facts for source in sources],
+            "hand": settings.hand,
+            "frames": settings.frames,
+            "size": settings.how_much,
+        },
+        note,
+    )
     context = ExperimentContext(sources, settings.hand, settings.how_much, store, track)
     outcomes = []
     for name in settings.experiments:

@@ -93,8 +93,11 @@ class TrackerNoise:
             "the paper's table are as their authors run them (sbr:paper, dexpilot:published, "
             "hybrid:published), but for GeoRT, which has our model; the others are as they come "
             f"here, sbr being our preset realtime.{field.note()}",
-            [_smooth_verdict(sweep, noises), _step_verdict(sweep, losses),
-             _price_verdict(sweep, noises)],
+            [
+                _smooth_verdict(sweep, noises),
+                _step_verdict(sweep, losses),
+                _price_verdict(sweep, noises),
+            ],
             [
                 _table(sweep, noises, "Under noise"),
                 _table(sweep, losses, "With frames lost"),
@@ -106,17 +109,24 @@ class TrackerNoise:
                     "share of frames that it loses (right). Grey: the human's own fingertips, as "
                     "they were and as the methods see them. Bars: 95 % intervals over recordings.",
                     sweep_figure(
-                        sweep.mean, sweep.human_mean, sweep.labels, _NOISE_ROWS,
+                        sweep.mean,
+                        sweep.human_mean,
+                        sweep.labels,
+                        _NOISE_ROWS,
                         [
-                            Column("noise of a coordinate [mm]", range(len(noises)), noises,
-                                   marks=[f"{1e3 * c.noise:g}" for c in noises]),
+                            Column(
+                                "noise of a coordinate [mm]",
+                                range(len(noises)),
+                                noises,
+                                marks=[f"{1e3 * c.noise:g}" for c in noises],
+                            ),
                             Column("frames lost [%]", [100 * c.loss for c in losses], losses),
                         ],
                     ),
                 )
             ],
             {"cells": sweep.figures(), "gaps": field.gaps},
-        )  # fmt: skip
+        )
 
 
 CONTROL_HZ: Final = 30.0
@@ -171,30 +181,43 @@ class FrameRate:
                     "Smoothness and lag over the frame rate. Grey: the human's own fingertips. "
                     "Bars: 95 % intervals over recordings.",
                     sweep_figure(
-                        sweep.mean, sweep.human_mean, sweep.labels, _RATE_ROWS,
+                        sweep.mean,
+                        sweep.human_mean,
+                        sweep.labels,
+                        _RATE_ROWS,
                         [Column("frames a second [Hz]", sweep.conditions, sweep.conditions, True)],
                     ),
                 )
             ],
             {"cells": sweep.figures(), "gaps": field.gaps, "too_slow": slow},
-        )  # fmt: skip
+        )
 
 
 _NOISE_ROWS: Final = (
     Row("jitter", 1e3, "joint jitter [mrad]", log=True),
-    Row("flatness", 1e6, "flatness [mm²]", log=True,
-        human={"human, as it was": "flatness", "human, as seen": "seen_flatness"}),
+    Row(
+        "flatness",
+        1e6,
+        "flatness [mm²]",
+        log=True,
+        human={"human, as it was": "flatness", "human, as seen": "seen_flatness"},
+    ),
     Row("cosine_similarity", 1.0, "cosine similarity"),
     Row("motion_preservation", 1.0, "motion preservation"),
-)  # fmt: skip
+)
 
 _RATE_ROWS: Final = (
-    Row("tip_acceleration", 1.0, "fingertip acceleration\n[m/s²]", log=True,
-        human={"human": "tip_acceleration"}),
+    Row(
+        "tip_acceleration",
+        1.0,
+        "fingertip acceleration\n[m/s²]",
+        log=True,
+        human={"human": "tip_acceleration"},
+    ),
     Row("acceleration", 1.0, "joint acceleration\n[rad/s²]", log=True),
     Row("lag_ms", 1.0, "lag [ms]"),
     Row("motion_preservation", 1.0, "motion preservation"),
-)  # fmt: skip
+)
 
 _NOISE_HEADERS: Final = (
     ("jitter", "jitter [mrad]", 1e3),
@@ -290,15 +313,20 @@ def _smooth_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
     return compared_verdict(
         "SBR is a low-pass filter: behind a noisy tracker it is smoother than the baselines",
         "7.17e-7 m² against 3.01e-6 and more, no noise added",
-        f"flatness at {at}", sweep, compared(sweep, at, "flatness"),
-    )  # fmt: skip
+        f"flatness at {at}",
+        sweep,
+        compared(sweep, at, "flatness"),
+    )
 
 
 def _step_verdict(sweep: Sweep, losses: Sequence[Condition]) -> Verdict:
     return compared_verdict(
         "ours: after frames that were lost SBR comes back with smaller steps than the baselines",
-        "no claim", f"largest step at {losses[-1]}", sweep, compared(sweep, losses[-1], "step"),
-    )  # fmt: skip
+        "no claim",
+        f"largest step at {losses[-1]}",
+        sweep,
+        compared(sweep, losses[-1], "step"),
+    )
 
 
 def _price_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
@@ -310,9 +338,12 @@ def _price_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
         return not_compared(claim, paper, sweep)
     held = judge(Direction(0.0, upwards=True), list(estimates.values()))
     return Verdict(
-        claim, paper, f"motion preservation at {at}: {listed_changes(estimates)}", held,
+        claim,
+        paper,
+        f"motion preservation at {at}: {listed_changes(estimates)}",
+        held,
         "Against the hand without the noise.",
-    )  # fmt: skip
+    )
 
 
 def _smooth_rate_verdict(sweep: Sweep) -> Verdict:

@@ -107,8 +107,11 @@ _TITLES: Final = {
     "workspace_utilisation": "workspace utilisation (↑)",
     LATENCY: "latency [ms] (↓)",
 }
-_BOUNDS: Final = {"cosine_similarity": (-1, 1), "motion_preservation": (-1, 1),
-                  "workspace_utilisation": (0, 1)}  # fmt: skip
+_BOUNDS: Final = {
+    "cosine_similarity": (-1, 1),
+    "motion_preservation": (-1, 1),
+    "workspace_utilisation": (0, 1),
+}
 
 Definition = str
 """``paper`` or ``sound``, of the metrics."""
@@ -264,14 +267,18 @@ def measure_benchmark(context: ExperimentContext, field: Field) -> Benchmark:
     jobs = [
         cell_job(
             f"latency on {name}",
-            {"kind": "table-latency", "cells": [fingerprint(cell, settings) for cell in group],
-             "machine": context.store.machine, "frames": size.latency_frames},
+            {
+                "kind": "table-latency",
+                "cells": [fingerprint(cell, settings) for cell in group],
+                "machine": context.store.machine,
+                "frames": size.latency_frames,
+            },
             sum(effort_ms(label) for label in field.choices) * (size.latency_frames + 50.0),
             partial(table_latency, group, size.latency_frames),
             benchmark_code(),
         )
         for name, group in groups.items()
-    ]  # fmt: skip
+    ]
     shares = []
     for name, measured in zip(groups, context.finish("latency, alone", jobs), strict=True):
         shares.append(float(measured["others"]))
@@ -311,8 +318,10 @@ def _verdict(benchmark: Benchmark, metric: Metric, papers: Sequence[str]) -> Ver
     wins = judge(better, [estimate for pair, estimate in pairs.items() if first in pair])
     machine = (
         " The paper's SBR ran on an RTX 4090, and the order between what runs on a processor and "
-        "what runs on an accelerator is the machine's." if metric.name == LATENCY else ""
-    )  # fmt: skip
+        "what runs on an accelerator is the machine's."
+        if metric.name == LATENCY
+        else ""
+    )
     return Verdict(
         f"{_TITLES[metric.name]}: {' > '.join(PAPERS[label] for label in order)}",
         ", ".join(f"{PAPERS[one]} {shown_value(metric, paper[one])}" for one in order),
@@ -331,12 +340,18 @@ def _paper_table(benchmark: Benchmark, papers: Sequence[str]) -> Table:
         theirs = {label: PAPER_TABLE[PAPERS[label]][metric.name] for label in papers}
         lead = max(theirs.values(), key=lambda value: merit(metric, value), default=None)
         rows += [
-            [_TITLES[metric.name],
-             *(_shown(benchmark.mean("paper", one, metric), metric, one in winners)
-               for one in papers)],
-            ["    in the paper",
-             *(f"{shown_value(metric, v)}{' ★' if v == lead else ''}" for v in theirs.values())],
-        ]  # fmt: skip
+            [
+                _TITLES[metric.name],
+                *(
+                    _shown(benchmark.mean("paper", one, metric), metric, one in winners)
+                    for one in papers
+                ),
+            ],
+            [
+                "    in the paper",
+                *(f"{shown_value(metric, v)}{' ★' if v == lead else ''}" for v in theirs.values()),
+            ],
+        ]
     return Table(
         "The paper's table",
         ["metric", *(PAPERS[label] for label in papers)],
@@ -349,10 +364,15 @@ def _paper_table(benchmark: Benchmark, papers: Sequence[str]) -> Table:
 def _table(benchmark: Benchmark, definition: Definition) -> Table:
     winners = {m.name: benchmark.winners(definition, m, list(benchmark.labels)) for m in HEADLINES}
     rows = [
-        [label, *(_shown(benchmark.mean(definition, label, m), m, label in winners[m.name])
-                  for m in HEADLINES)]
+        [
+            label,
+            *(
+                _shown(benchmark.mean(definition, label, m), m, label in winners[m.name])
+                for m in HEADLINES
+            ),
+        ]
         for label in benchmark.labels
-    ]  # fmt: skip
+    ]
     return Table(
         f"All methods, by the {'paper’s' if definition == 'paper' else 'sound'} definitions",
         ["method", *(_TITLES[metric.name] for metric in HEADLINES)],
@@ -393,9 +413,10 @@ def _panels(benchmark: Benchmark) -> list[Panel]:
                 {one: [*benchmark.each("paper", one, metric).values()] for one in benchmark.labels},
                 {
                     label: PAPER_TABLE[name][metric.name]
-                    for label, name in PAPERS.items() if label in benchmark.labels
+                    for label, name in PAPERS.items()
+                    if label in benchmark.labels
                 },
                 1.0 if metric.goal == "->1" else None,
             )
-        )  # fmt: skip
+        )
     return panels

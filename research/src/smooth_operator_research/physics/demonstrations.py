@@ -78,20 +78,48 @@ class Demonstrations:
     page: Final = "docs/physics-measures.md#demonstrations"
     unit: Final = "world"
     figures: Final = (
-        Figure("unperturbed", "", "up", "Score in the unperturbed world: 0, 0.5 or 1.",
-               short="unperturbed"),
+        Figure(
+            "unperturbed",
+            "",
+            "up",
+            "Score in the unperturbed world: 0, 0.5 or 1.",
+            short="unperturbed",
+        ),
         Figure("success", "", "up", "Share of perturbed worlds with score 1.", share=True),
-        Figure("success_half", "", "up", "Share of perturbed worlds with a score of 0.5 or more.",
-               short="0.5 or more", share=True),
-        Figure("success_s", "s", "down", "Time from 'go' to the end of the trials with score 1.",
-               short="time"),
-        Figure("ceiling", "", "", "Share of perturbed worlds in which the demonstration's own "
-               "joint positions, as commands, score 1: what no operator or tracker disturbs.",
-               share=True),
-        Figure("tip_error_mm", "mm", "down", "Distance of the commanded fingertips from the "
-               "demonstration's, mean; in perturbed worlds the operator's other bones and the "
-               "tracker's shake and delay are in it.", short="tip error", main=False),
-    )  # fmt: skip
+        Figure(
+            "success_half",
+            "",
+            "up",
+            "Share of perturbed worlds with a score of 0.5 or more.",
+            short="0.5 or more",
+            share=True,
+        ),
+        Figure(
+            "success_s",
+            "s",
+            "down",
+            "Time from 'go' to the end of the trials with score 1.",
+            short="time",
+        ),
+        Figure(
+            "ceiling",
+            "",
+            "",
+            "Share of perturbed worlds in which the demonstration's own "
+            "joint positions, as commands, score 1: what no operator or tracker disturbs.",
+            share=True,
+        ),
+        Figure(
+            "tip_error_mm",
+            "mm",
+            "down",
+            "Distance of the commanded fingertips from the "
+            "demonstration's, mean; in perturbed worlds the operator's other bones and the "
+            "tracker's shake and delay are in it.",
+            short="tip error",
+            main=False,
+        ),
+    )
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
         """Each task with each tracker, as ``card headset``."""

@@ -281,22 +281,48 @@ def grasp_figures(
         more: figures after the share that was dropped.
     """
     return (
-        Figure("held", "", "up", f"Share of {grasps} and objects in which the object was held for "
-               "1 s under gravity and pushes of 0.3 N."),
-        Figure("let_go", "", "up", "Of the objects that were held until the human opened, the "
-               "share that was free within 150 ms.", short="let go"),
-        Figure("dropped", "", "down", f"Share of {grasps} and objects in which {owner} had the "
-               "object and lost it while the human still held."),
+        Figure(
+            "held",
+            "",
+            "up",
+            f"Share of {grasps} and objects in which the object was held for "
+            "1 s under gravity and pushes of 0.3 N.",
+        ),
+        Figure(
+            "let_go",
+            "",
+            "up",
+            "Of the objects that were held until the human opened, the "
+            "share that was free within 150 ms.",
+            short="let go",
+        ),
+        Figure(
+            "dropped",
+            "",
+            "down",
+            f"Share of {grasps} and objects in which {owner} had the "
+            "object and lost it while the human still held.",
+        ),
         *more,
-        Figure("at_limit", "", "", "Share of the hold in which a motor is at its torque limit.",
-               short="at the limit"),
+        Figure(
+            "at_limit",
+            "",
+            "",
+            "Share of the hold in which a motor is at its torque limit.",
+            short="at the limit",
+        ),
         *(
-            Figure(_column(thing.name), "", "up",
-                   f"The share held, {thing.kind} of {1e3 * thing.width:g} mm.",
-                   short=thing.name, main=False)
+            Figure(
+                _column(thing.name),
+                "",
+                "up",
+                f"The share held, {thing.kind} of {1e3 * thing.width:g} mm.",
+                short=thing.name,
+                main=False,
+            )
             for thing in things
         ),
-    )  # fmt: skip
+    )
 
 
 _UNITS, _QUICK_UNITS = 5, 1
@@ -340,9 +366,13 @@ class GraspMeasure(ABC):
 
     @abstractmethod
     def commanded(
-        self, case: Case, grasp: Any, stamps: Float[np.ndarray, " P"],
-        commands: Float[np.ndarray, "P n"], moments: Float[np.ndarray, " T"],
-    ) -> tuple[Commanded, dict[str, float]]:  # fmt: skip
+        self,
+        case: Case,
+        grasp: Any,
+        stamps: Float[np.ndarray, " P"],
+        commands: Float[np.ndarray, "P n"],
+        moments: Float[np.ndarray, " T"],
+    ) -> tuple[Commanded, dict[str, float]]:
         """The robot's side of one grasp, and further figures, whose means are reported.
 
         Args:
@@ -477,12 +507,19 @@ class PinchHold(GraspMeasure):
     )
     page: Final = "docs/physics-measures.md#pinch-and-hold"
     figures = grasp_figures(
-        "pinches", "thumb and finger", GRASP_OBJECTS,
-        Figure("overlap_mm", "mm", "", "How far the pads would be inside each other at the "
-               "command of the tightest moment, without an object; negative: how far apart.",
-               short="commanded overlap"),
+        "pinches",
+        "thumb and finger",
+        GRASP_OBJECTS,
+        Figure(
+            "overlap_mm",
+            "mm",
+            "",
+            "How far the pads would be inside each other at the "
+            "command of the tightest moment, without an object; negative: how far apart.",
+            short="commanded overlap",
+        ),
         Figure("force_n", "N", "", "Force of the pinch while the object is held.", short="force"),
-    )  # fmt: skip
+    )
     things = GRASP_OBJECTS
     quick_things = ("card 2", "sphere 20")
     grasps = "pinches"
@@ -505,9 +542,13 @@ class PinchHold(GraspMeasure):
         return [pinch.of_size(scale) for pinch in pinches]
 
     def commanded(
-        self, case: Case, grasp: HumanPinch, stamps: Float[np.ndarray, " P"],
-        commands: Float[np.ndarray, "P n"], moments: Float[np.ndarray, " T"],
-    ) -> tuple[Commanded, dict[str, float]]:  # fmt: skip
+        self,
+        case: Case,
+        grasp: HumanPinch,
+        stamps: Float[np.ndarray, " P"],
+        commands: Float[np.ndarray, "P n"],
+        moments: Float[np.ndarray, " T"],
+    ) -> tuple[Commanded, dict[str, float]]:
         """See ``GraspMeasure``."""
         finger, tight = case.hand.fingers.index(grasp.finger), float(moments[grasp.tight])
         pads = physics_with(PinchPhysics, case.hand_name, case.side, GRASP_OBJECTS[0])
@@ -525,10 +566,14 @@ class PinchHold(GraspMeasure):
                 return None
             wider = stamps[(gaps > thing.width) & (stamps <= tight)]
             return RobotPinch(
-                finger=finger, stamps=stamps, commands=commands, tight=tight,
-                closing=float(wider[-1]) if len(wider) else None, shut=opening(thing.width),
+                finger=finger,
+                stamps=stamps,
+                commands=commands,
+                tight=tight,
+                closing=float(wider[-1]) if len(wider) else None,
+                shut=opening(thing.width),
                 opened=opening(thing.width + HYSTERESIS),
-            )  # fmt: skip
+            )
 
         return pinch, {"overlap_mm": overlap}
 
@@ -549,9 +594,11 @@ class PowerGrasp(GraspMeasure):
     )
     page: Final = "docs/physics-measures.md#whole-hand-grasp"
     figures = grasp_figures(
-        "closings", "the hand", POWER_GRASP_OBJECTS,
+        "closings",
+        "the hand",
+        POWER_GRASP_OBJECTS,
         Figure("force_n", "N", "", "Force of the grasp while the object is held.", short="force"),
-    )  # fmt: skip
+    )
     things = POWER_GRASP_OBJECTS
     quick_things = ("handle 30",)
     grasps = "closings"
@@ -567,15 +614,21 @@ class PowerGrasp(GraspMeasure):
         return find_closings(recording)
 
     def commanded(
-        self, case: Case, grasp: HumanClosing, stamps: Float[np.ndarray, " P"],
-        commands: Float[np.ndarray, "P n"], moments: Float[np.ndarray, " T"],
-    ) -> tuple[Commanded, dict[str, float]]:  # fmt: skip
+        self,
+        case: Case,
+        grasp: HumanClosing,
+        stamps: Float[np.ndarray, " P"],
+        commands: Float[np.ndarray, "P n"],
+        moments: Float[np.ndarray, " T"],
+    ) -> tuple[Commanded, dict[str, float]]:
         """See ``GraspMeasure``."""
         robot = RobotGrasp(
-            stamps=stamps, commands=commands, tight=float(moments[grasp.tight]),
+            stamps=stamps,
+            commands=commands,
+            tight=float(moments[grasp.tight]),
             shut=float(moments[grasp.shut]),
             opened=None if grasp.opened is None else float(moments[grasp.opened]),
-        )  # fmt: skip
+        )
         return lambda thing: robot, {}
 
     def attempt(self, physics: PowerGraspPhysics, grasp: RobotGrasp) -> GraspResult:

@@ -84,24 +84,38 @@ class GraspObject:
             "ball": (0.0, geom.mjGEOM_SPHERE, (half,)),
         }[self.kind]
         add_shape(
-            body, self.kind, kind, size, mass=self.mass, friction=_GRIPS, color=_COLOR,
+            body,
+            self.kind,
+            kind,
+            size,
+            mass=self.mass,
+            friction=_GRIPS,
+            color=_COLOR,
             at=(0.0, 0.0, at),
-        )  # fmt: skip
+        )
 
 
 POWER_GRASP_OBJECTS: Final = (
-    GraspObject("handle", 0.03), GraspObject("handle", 0.05),
-    GraspObject("ball", 0.045), GraspObject("ball", 0.065),
-)  # fmt: skip
+    GraspObject("handle", 0.03),
+    GraspObject("handle", 0.05),
+    GraspObject("ball", 0.045),
+    GraspObject("ball", 0.065),
+)
 """For the whole hand: as wide as the handles of tools, and balls up to a tennis ball's size."""
 
 GRASP_OBJECTS: Final = tuple(
     GraspObject(kind, 1e-3 * width)
     for kind, width in (
-        ("card", 2), ("pen", 8), ("sphere", 10), ("sphere", 20), ("sphere", 30), ("cube", 10),
-        ("cube", 20), ("cube", 30),
+        ("card", 2),
+        ("pen", 8),
+        ("sphere", 10),
+        ("sphere", 20),
+        ("sphere", 30),
+        ("cube", 10),
+        ("cube", 20),
+        ("cube", 30),
     )
-)  # fmt: skip
+)
 """From 2 to 30 mm wide."""
 
 
@@ -130,9 +144,13 @@ def grasp_scene(hand: Hand, thing: GraspObject) -> GraspScene:
     at = mount(hand, up=(0, 0, -1), forward=(1, 0, 0), wrist=(0.0, 0.0, _HIGH))
     start = np.array([0.0, 0.0, 2 * _HIGH])
     return GraspScene(
-        mount=at, start=(start, np.array([1.0, 0.0, 0.0, 0.0])), lower=-np.ones(3),
-        upper=np.ones(3), fixture=False, thing=thing,
-    )  # fmt: skip
+        mount=at,
+        start=(start, np.array([1.0, 0.0, 0.0, 0.0])),
+        lower=-np.ones(3),
+        upper=np.ones(3),
+        fixture=False,
+        thing=thing,
+    )
 
 
 _BIT: Final = 1 << 14

@@ -138,10 +138,13 @@ def with_holds(
 
     pinches = replace(
         recording,
-        landmarks=recording.landmarks[index], stamps=stamps, valid=longer(recording.valid),
-        metacarpals=longer(recording.metacarpals), orientations=longer(recording.orientations),
+        landmarks=recording.landmarks[index],
+        stamps=stamps,
+        valid=longer(recording.valid),
+        metacarpals=longer(recording.metacarpals),
+        orientations=longer(recording.orientations),
         T_world_wrist=longer(recording.T_world_wrist),
-    )  # fmt: skip
+    )
     return pinches, moments
 
 

@@ -154,9 +154,14 @@ class Case:
     def key(self) -> tuple[str, ...]:
         """Key of the case among all cases."""
         return (
-            self.measure, self.hand_name, self.side, self.method, self.preset, self.condition,
+            self.measure,
+            self.hand_name,
+            self.side,
+            self.method,
+            self.preset,
+            self.condition,
             self.unit.name,
-        )  # fmt: skip
+        )
 
     @property
     def method_label(self) -> str:

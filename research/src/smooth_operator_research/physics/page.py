@@ -91,10 +91,19 @@ def _plot(
             for ax, figure in zip(axes, figures, strict=True):
                 _mark(ax, at, line.summaries[figure.name], colors[line.method])
                 if not figure.share:
-                    own = [r[figure.name] for r in results.of(panel, line.method)
-                           if r.get(figure.name) is not None]  # fmt: skip
-                    ax.plot(own, [at] * len(own), ".", color=colors[line.method], alpha=0.35,
-                            markersize=3)  # fmt: skip
+                    own = [
+                        r[figure.name]
+                        for r in results.of(panel, line.method)
+                        if r.get(figure.name) is not None
+                    ]
+                    ax.plot(
+                        own,
+                        [at] * len(own),
+                        ".",
+                        color=colors[line.method],
+                        alpha=0.35,
+                        markersize=3,
+                    )
             at += 1
     for ax, figure in zip(axes, figures, strict=True):
         ax.set_title(" ".join(filter(None, (figure.heading, figure.sign))))

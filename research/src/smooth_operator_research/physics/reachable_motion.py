@@ -316,28 +316,72 @@ class ReachableMotion:
     page: Final = "docs/physics-measures.md#reachable-motion"
     unit: Final = "seed"
     figures: Final = (
-        Figure("tip_error_mm", "mm", "down", "Fingertip error, mean over fingers and frames.",
-               short="tip error"),
-        Figure("tip_p95_mm", "mm", "down", "Its 95th percentile over fingers and frames.",
-               short="tip p95"),
-        Figure("pinch_gap_error_mm", "mm", "down", "Difference between the robot's and the asked "
-               "distance of thumb and finger, where that is below 20 mm.", short="pinch gap error"),
-        Figure("lag_ms", "ms", "down", "Shift in time by which the robot's fingertips fit the "
-               "asked ones best.", short="lag"),
-        Figure("exact", "", "up", "Share of the frames in which no fingertip is further off than "
-               "0.5 mm.", short="exact frames"),
-        Figure("common_shift_mm", "mm", "down", "Length of the error that all fingertips have in "
-               "common: by how much the hand is moved as a whole.", short="common shift",
-               main=False),
-        Figure("input_error_mm", "mm", "", "How far off the aligned landmarks of the tips are that "
-               "the method is given: what a method that follows them exactly would be off by.",
-               short="input error", main=False),
+        Figure(
+            "tip_error_mm",
+            "mm",
+            "down",
+            "Fingertip error, mean over fingers and frames.",
+            short="tip error",
+        ),
+        Figure(
+            "tip_p95_mm",
+            "mm",
+            "down",
+            "Its 95th percentile over fingers and frames.",
+            short="tip p95",
+        ),
+        Figure(
+            "pinch_gap_error_mm",
+            "mm",
+            "down",
+            "Difference between the robot's and the asked "
+            "distance of thumb and finger, where that is below 20 mm.",
+            short="pinch gap error",
+        ),
+        Figure(
+            "lag_ms",
+            "ms",
+            "down",
+            "Shift in time by which the robot's fingertips fit the asked ones best.",
+            short="lag",
+        ),
+        Figure(
+            "exact",
+            "",
+            "up",
+            "Share of the frames in which no fingertip is further off than 0.5 mm.",
+            short="exact frames",
+        ),
+        Figure(
+            "common_shift_mm",
+            "mm",
+            "down",
+            "Length of the error that all fingertips have in "
+            "common: by how much the hand is moved as a whole.",
+            short="common shift",
+            main=False,
+        ),
+        Figure(
+            "input_error_mm",
+            "mm",
+            "",
+            "How far off the aligned landmarks of the tips are that "
+            "the method is given: what a method that follows them exactly would be off by.",
+            short="input error",
+            main=False,
+        ),
         *(
-            Figure(f"tip_error_{finger}_mm", "mm", "down", f"Error of the {finger}'s tip, mean.",
-                   short=finger, main=False)
+            Figure(
+                f"tip_error_{finger}_mm",
+                "mm",
+                "down",
+                f"Error of the {finger}'s tip, mean.",
+                short=finger,
+                main=False,
+            )
             for finger in FINGERS
         ),
-    )  # fmt: skip
+    )
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
         """Without shake, and with that of each tracker."""

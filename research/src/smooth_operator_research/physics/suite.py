@@ -112,14 +112,23 @@ def plan_cases(settings: PhysicsSettings) -> dict[str, list[Case]]:
         units, conditions = measure.units(settings), measure.conditions(settings)
         planned[name] = [
             Case(
-                name, hand, settings.side, choice.method, choice.preset, choice.config, condition,
-                unit, settings.seed, settings.quick, clip=unit is units[0],
+                name,
+                hand,
+                settings.side,
+                choice.method,
+                choice.preset,
+                choice.config,
+                condition,
+                unit,
+                settings.seed,
+                settings.quick,
+                clip=unit is units[0],
             )
             for hand in settings.hands
             for choice in select_methods(settings.methods)
             for condition in conditions
             for unit in units
-        ]  # fmt: skip
+        ]
     return planned
 
 

@@ -30,12 +30,18 @@ class VirtualOperators:
     page: Final = "docs/physics-measures.md#virtual-operators"
     unit: Final = "operator"
     figures: Final = (
-        Figure("success", "", "up", "Share of the trials with a score of 0.5 or 1.", share=True,
-               trials="trials"),
+        Figure(
+            "success",
+            "",
+            "up",
+            "Share of the trials with a score of 0.5 or 1.",
+            share=True,
+            trials="trials",
+        ),
         Figure("score", "", "up", "Mean score of the trials."),
         Figure("time_s", "s", "down", "Mean time of the successful trials.", short="time"),
         Figure("attempts", "", "down", "How often a person began in a trial, mean.", main=False),
-    )  # fmt: skip
+    )
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
         """Each task with each tracker, as ``card headset``."""

@@ -146,9 +146,14 @@ def simulate_chunk(chunk: Chunk) -> list[dict[str, Any]]:
     """Rows of some trials; what a worker does."""
     key = chunk.key
     familiar = _familiar(
-        key["person"], key["seed"], key["hand"], key["method"], key["preset"], key["body"],
+        key["person"],
+        key["seed"],
+        key["hand"],
+        key["method"],
+        key["preset"],
+        key["body"],
         key["tracker"],
-    )  # fmt: skip
+    )
     tracker = tracker_model(key["tracker"])
     if key["rate_hz"] is not None:
         tracker = replace(tracker, rate_hz=key["rate_hz"])
@@ -156,21 +161,27 @@ def simulate_chunk(chunk: Chunk) -> list[dict[str, Any]]:
     for number in chunk.trials:
         place = (key["operator"], key["task"], key["block"], number)
         trial = simulate_trial(
-            familiar, task_named(key["task"]), tracker=tracker,
-            practised=key["done"] + number - 1, practised_here=number - 1, resets=key["resets"],
+            familiar,
+            task_named(key["task"]),
+            tracker=tracker,
+            practised=key["done"] + number - 1,
+            practised_here=number - 1,
+            resets=key["resets"],
             seconds=key["limit_s"],
             seed=int(lot(key["seed"], "simulated trial", *place) * 2**32),
-        )  # fmt: skip
+        )
         outcome = trial.outcome
         score = min(outcome.score, key["reset_cap"]) if outcome.resets else outcome.score
-        rows.append({
-            "trial_in_block": number,
-            "score": score,
-            "duration_s": round(outcome.seconds, 3),
-            **{name: getattr(outcome, name) for name in ("line", "ended", "reason", "resets")},
-            "attempts": trial.attempts,
-            "diverged": trial.diverged,
-        })  # fmt: skip
+        rows.append(
+            {
+                "trial_in_block": number,
+                "score": score,
+                "duration_s": round(outcome.seconds, 3),
+                **{name: getattr(outcome, name) for name in ("line", "ended", "reason", "resets")},
+                "attempts": trial.attempts,
+                "diverged": trial.diverged,
+            }
+        )
     return rows
 
 
@@ -200,8 +211,15 @@ NOTICE: Final = (
 """Stands in the output and in the files."""
 
 _DETAILS: Final = (
-    *TRIAL_COLUMNS, "duration_s", "line", "ended", "reason", "resets", "attempts", "diverged",
-)  # fmt: skip
+    *TRIAL_COLUMNS,
+    "duration_s",
+    "line",
+    "ended",
+    "reason",
+    "resets",
+    "attempts",
+    "diverged",
+)
 
 Report: TypeAlias = Callable[[int, int], None]
 """Called with the trials that are done, and all."""

@@ -10,6 +10,11 @@ from smooth_operator_research.virtual_operator.trial import (
 )
 
 __all__ = [
-    "Familiar", "OperatorTrial", "Person", "VirtualOperator", "draw_person", "make_familiar",
+    "Familiar",
+    "OperatorTrial",
+    "Person",
+    "VirtualOperator",
+    "draw_person",
+    "make_familiar",
     "simulate_trial",
-]  # fmt: skip
+]

@@ -312,9 +312,14 @@ class GripReach:
         return finger, place
 
     def turn(
-        self, centre: Float[np.ndarray, "3"], normals: Float[np.ndarray, " n"], sign: float,
-        missing: float, width: float, wide: float,
-    ) -> tuple[int, float, float] | None:  # fmt: skip
+        self,
+        centre: Float[np.ndarray, "3"],
+        normals: Float[np.ndarray, " n"],
+        sign: float,
+        missing: float,
+        width: float,
+        wide: float,
+    ) -> tuple[int, float, float] | None:
         """Finger, first and last angle of the best stroke that turns a block about the vertical.
 
         Args:
@@ -374,8 +379,10 @@ class GripReach:
                     )
                 span = _longest_run(np.array(fits))
                 if span is not None:
-                    ranges[finger] = (float(angles[span[0]]), float(angles[span[0]]
-                                     + _STEP * (span[1] - span[0])))  # fmt: skip
+                    ranges[finger] = (
+                        float(angles[span[0]]),
+                        float(angles[span[0]] + _STEP * (span[1] - span[0])),
+                    )
             self._turns[key] = ranges
         return self._turns[key]
 
@@ -389,9 +396,12 @@ class GripReach:
         return np.asarray(direction * np.sign(side))
 
     def handle_fingers(
-        self, centre: Float[np.ndarray, "3"], across: Float[np.ndarray, "3"],
-        along: Float[np.ndarray, "3"], width: float,
-    ) -> tuple[int, int, float]:  # fmt: skip
+        self,
+        centre: Float[np.ndarray, "3"],
+        across: Float[np.ndarray, "3"],
+        along: Float[np.ndarray, "3"],
+        width: float,
+    ) -> tuple[int, int, float]:
         """Finger opposite the thumb, the second finger, and how far along the handle that is [m].
 
         Args:

@@ -156,9 +156,13 @@ class Closing:
     def step(self) -> Step:
         """The step: slow, until all fingers have been seen to touch."""
         return Step(
-            self, lambda obs: self.complete, presses=tuple(self._wide), longest_s=0.5,
-            seconds=CLOSING_S, path=True,
-        )  # fmt: skip
+            self,
+            lambda obs: self.complete,
+            presses=tuple(self._wide),
+            longest_s=0.5,
+            seconds=CLOSING_S,
+            path=True,
+        )
 
 
 def along(start: Aims, end: Aims) -> Callable[[float, Observation], Aims]:
@@ -233,16 +237,16 @@ def card_strategy(scene: CardScene, reach: GripReach, obs: Observation) -> Strat
 
             obs = yield Step(
                 drawn,
-                lambda s: _protrudes(s) >= _STICKS_OUT, presses=(finger,),
-                longest_s=0.4, path=True,
-            )  # fmt: skip
+                lambda s: _protrudes(s) >= _STICKS_OUT,
+                presses=(finger,),
+                longest_s=0.4,
+                path=True,
+            )
             obs = yield Step(still({THUMB: below, finger: obs.tips[finger] + lift}), via=True)
             if _protrudes(obs) < _STICKS_OUT:  # another stroke
                 obs = yield Step(still({THUMB: below, finger: over}))
         # The finger goes over the part that sticks out, the thumb below it, and both close.
-        wide = {
-            THUMB: np.array([x, y, top - PAD_M]) - lift, finger: np.array([x, y, above]) + lift
-        }  # fmt: skip
+        wide = {THUMB: np.array([x, y, top - PAD_M]) - lift, finger: np.array([x, y, above]) + lift}
         obs = yield Step(still(wide))
         pinch = Closing(wide, {THUMB: -down, finger: down}, press)
         obs = yield pinch.step()
@@ -250,22 +254,31 @@ def card_strategy(scene: CardScene, reach: GripReach, obs: Observation) -> Strat
             firm = pinch.pressed(press + _SQUEEZE_M)
             closed, off = pinch.pressed(press), moved(firm, _PULL)
             obs = yield Step(
-                along(closed, off), presses=both, longest_s=0.2, seconds=STROKE_S,
+                along(closed, off),
+                presses=both,
+                longest_s=0.2,
+                seconds=STROKE_S,
                 path=True,
-            )  # fmt: skip
+            )
             obs = yield Step(
                 along(off, moved(off, _LIFT)),
-                lambda s: _clear(s, 0.2) or not s.touches(*both), presses=both,
-                longest_s=1.0, seconds=STROKE_S, path=True,
-            )  # fmt: skip
+                lambda s: _clear(s, 0.2) or not s.touches(*both),
+                presses=both,
+                longest_s=1.0,
+                seconds=STROKE_S,
+                path=True,
+            )
             held = {f: obs.sent[f] for f in both}
             while obs.touches(*both) and _clear(obs, 0.0):
                 obs = yield Step(still(held), presses=both, longest_s=0.5)
             if obs.touches(*both):  # it does not come off: put it back
                 obs = yield Step(
-                    along(held, closed), presses=both, longest_s=0.2,
-                    seconds=STROKE_S, path=True,
-                )  # fmt: skip
+                    along(held, closed),
+                    presses=both,
+                    longest_s=0.2,
+                    seconds=STROKE_S,
+                    path=True,
+                )
         obs = yield from again(obs)
         press = min(press * 1.5, 3 * PRESS_M)
 
@@ -334,9 +347,13 @@ def cube_strategy(scene: CubeScene, reach: GripReach, obs: Observation) -> Strat
             closed = touch.pressed(press)
             obs = yield Step(still(closed), presses=(THUMB, finger), longest_s=0.3)
             obs = yield Step(
-                _around(closed, centre, end - start), _has_turned(obs, abs(missing) - _STOPS),
-                presses=(THUMB, finger), longest_s=0.4, path=True, seconds=STROKE_S,
-            )  # fmt: skip
+                _around(closed, centre, end - start),
+                _has_turned(obs, abs(missing) - _STOPS),
+                presses=(THUMB, finger),
+                longest_s=0.4,
+                path=True,
+                seconds=STROKE_S,
+            )
         at = _angle(obs, centre, finger)
         m = np.array([np.cos(at), np.sin(at), 0.0])
         back = {THUMB: centre - out * m, finger: centre + out * m}
@@ -404,9 +421,11 @@ def screwdriver_strategy(scene: ScrewdriverScene, reach: GripReach, obs: Observa
         touch = Closing(wide, inward, press)
         obs = yield touch.step()
         obs = yield Step(
-            still(touch.pressed(press)), lambda s: not s.state.fixed, presses=tuple(wide),
+            still(touch.pressed(press)),
+            lambda s: not s.state.fixed,
+            presses=tuple(wide),
             longest_s=1.5,
-        )  # fmt: skip
+        )
         if obs.state.fixed:
             press = min(press * 1.5, 3 * PRESS_M)
             continue

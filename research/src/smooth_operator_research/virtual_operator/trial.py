@@ -120,13 +120,22 @@ def simulate_trial(
     scene, reach = _prepared(task.name, familiar.retargeter.hand)
     if variation is not None:
         scene = variation.scene(scene)
-    source = _Tracked(familiar, task, scene, reach, tracker, practised, practised_here, resets,
-                      seed)  # fmt: skip
+    source = _Tracked(
+        familiar, task, scene, reach, tracker, practised, practised_here, resets, seed
+    )
     result = run_trial(
-        familiar.retargeter, scene, task, source, rate_hz=LOOKS_HZ, seconds=seconds, lead_s=LEAD_S,
-        seed=seed, interventions=source.intervention, trace=trace,
+        familiar.retargeter,
+        scene,
+        task,
+        source,
+        rate_hz=LOOKS_HZ,
+        seconds=seconds,
+        lead_s=LEAD_S,
+        seed=seed,
+        interventions=source.intervention,
+        trace=trace,
         prepare=None if variation is None else variation.prepare,
-    )  # fmt: skip
+    )
     outcome = Outcome(
         result.score, result.line, result.seconds, result.ended, result.reason, result.resets
     )
@@ -139,18 +148,34 @@ class _Tracked:
     """A person before a tracker."""
 
     def __init__(
-        self, familiar: Familiar, task: SimulatedTask, scene: Scene, reach: GripReach,
-        tracker: TrackerModel, practised: int, practised_here: int, resets: int, seed: int,
-    ) -> None:  # fmt: skip
+        self,
+        familiar: Familiar,
+        task: SimulatedTask,
+        scene: Scene,
+        reach: GripReach,
+        tracker: TrackerModel,
+        practised: int,
+        practised_here: int,
+        resets: int,
+        seed: int,
+    ) -> None:
         own = int(np.random.default_rng([seed, familiar.person.number, 0x7A]).integers(1 << 31))
         self._clock = TrackerClock(replace(tracker, seed=own))
         self._coming: deque[tuple[float, Float[np.ndarray, "21 3"]]] = deque()
         self._resets = resets
         self.operator = VirtualOperator(
-            familiar.person, familiar.retargeter.hand, familiar.body, familiar.model, task, scene,
-            reach, practised=practised, practised_here=practised_here,
-            lag_s=tracker.delay + 0.5 / tracker.rate_hz + _SERVO_LAG_S, seed=seed,
-        )  # fmt: skip
+            familiar.person,
+            familiar.retargeter.hand,
+            familiar.body,
+            familiar.model,
+            task,
+            scene,
+            reach,
+            practised=practised,
+            practised_here=practised_here,
+            lag_s=tracker.delay + 0.5 / tracker.rate_hz + _SERVO_LAG_S,
+            seed=seed,
+        )
 
     def landmarks(
         self, time: float, state: SceneState, physics: ScenePhysics

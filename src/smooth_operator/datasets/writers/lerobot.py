@@ -70,9 +70,14 @@ from smooth_operator.io.jsonable import to_json
 
 VIDEO_KEY: Final = "observation.images.camera"
 _CODECS: Final = {
-    b"avc1": "h264", b"avc3": "h264", b"hvc1": "hevc", b"hev1": "hevc", b"av01": "av1",
-    b"vp09": "vp9", b"mp4v": "mpeg4",
-}  # fmt: skip
+    b"avc1": "h264",
+    b"avc3": "h264",
+    b"hvc1": "hevc",
+    b"hev1": "hevc",
+    b"av01": "av1",
+    b"vp09": "vp9",
+    b"mp4v": "mpeg4",
+}
 _MOST_HEAD: Final = 1 << 26  # bytes of tables; of a video of a day they have fewer
 _INSIDE: Final = {b"moov", b"trak", b"mdia", b"minf", b"stbl"}
 

@@ -109,9 +109,14 @@ class RobotLayout:
         """From what ``to_json`` made of it."""
         joints = {side: tuple(value["joints"][side]) for side in SIDES if side in value["joints"]}
         return cls(
-            joints, value["wrist"], value["camera"], value["objects"], value["fps"],
-            value["robot"], value["video"],
-        )  # fmt: skip
+            joints,
+            value["wrist"],
+            value["camera"],
+            value["objects"],
+            value["fps"],
+            value["robot"],
+            value["video"],
+        )
 
     def check(self, clip: RobotClip) -> None:
         """Refuses a clip that these columns can't hold.

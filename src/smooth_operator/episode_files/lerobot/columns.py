@@ -382,15 +382,24 @@ def robot_layout(episode: Episode, wrist: bool, environment_state: bool) -> Layo
     """
     config = episode.config or {}
     lacks = next(
-        (what for what, there in (
-            ("commands", episode.commands is not None),
-            ("measured joints; record it with a sink that measures, such as mujoco",
-             episode.states is not None),
-            ("name of its robot hand", isinstance(config.get("hand"), str)),
-            ("a commanded wrist; use --columns robot to omit it",
-             not wrist or episode.wrist is not None),
-        ) if not there), None,
-    )  # fmt: skip
+        (
+            what
+            for what, there in (
+                ("commands", episode.commands is not None),
+                (
+                    "measured joints; record it with a sink that measures, such as mujoco",
+                    episode.states is not None,
+                ),
+                ("name of its robot hand", isinstance(config.get("hand"), str)),
+                (
+                    "a commanded wrist; use --columns robot to omit it",
+                    not wrist or episode.wrist is not None,
+                ),
+            )
+            if not there
+        ),
+        None,
+    )
     if lacks is not None:
         raise RecordingError(f"{episode.name}: the columns of a robot need {lacks}")
     if wrist and episode.arm is not None:

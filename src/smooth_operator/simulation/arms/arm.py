@@ -220,9 +220,13 @@ def arm_spec(arm: ArmSpec) -> mujoco.MjSpec:
             gravcomp=1.0,
         )
         body.add_joint(
-            name=link.joint, type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, 0, 1),
-            limited=True, range=link.limits, armature=_ROTOR,
-        )  # fmt: skip
+            name=link.joint,
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=(0, 0, 1),
+            limited=True,
+            range=link.limits,
+            armature=_ROTOR,
+        )
         _add_capsules(body, f"link{number}", link.capsules, link.mass, _WHITE)
     body.add_body(name=FLANGE, pos=(0.0, 0.0, arm.flange))
     return spec
@@ -302,11 +306,15 @@ def _add_capsules(
     lengths = [np.linalg.norm(np.subtract(c.end, c.start)) + c.radius for c in capsules]
     for number, (capsule, length) in enumerate(zip(capsules, lengths, strict=True)):
         body.add_geom(
-            name=f"{name}_{number}", type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=(*capsule.start, *capsule.end), size=(capsule.radius, 0.0, 0.0),
-            mass=mass * float(length / sum(lengths)), rgba=color,
-            contype=0, conaffinity=_HANDS,
-        )  # fmt: skip
+            name=f"{name}_{number}",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=(*capsule.start, *capsule.end),
+            size=(capsule.radius, 0.0, 0.0),
+            mass=mass * float(length / sum(lengths)),
+            rgba=color,
+            contype=0,
+            conaffinity=_HANDS,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -97,9 +97,10 @@ class Touching:
         self._body = model.body(OBJECT).id
         self._owner = _owners(hand, model)
         self.own = [
-            g for g in range(model.ngeom)
+            g
+            for g in range(model.ngeom)
             if self._owner[g] >= _PALM and (model.geom_contype[g] or model.geom_conaffinity[g])
-        ]  # fmt: skip
+        ]
         self.things = [
             g for g in range(model.ngeom) if self._owner[g] == _OBJECT and model.geom_contype[g]
         ]
@@ -271,9 +272,20 @@ class ScenePhysics(HandPhysics):
         turn = self._data.xmat[self._body].reshape(3, 3)
         pose = self._data.qpos[self._at : self._at + 7]
         return SceneState(
-            self.time, pose[:3].copy(), pose[3:].copy(), speed[:3].copy(), turn @ speed[3:],
-            force, touch, palm, rest, not self._ghost, self._fixed, self.starts, self._away,
-        )  # fmt: skip
+            self.time,
+            pose[:3].copy(),
+            pose[3:].copy(),
+            speed[:3].copy(),
+            turn @ speed[3:],
+            force,
+            touch,
+            palm,
+            rest,
+            not self._ghost,
+            self._fixed,
+            self.starts,
+            self._away,
+        )
 
     def parts(self) -> list[ScenePart]:
         """The shapes of the platform and of the object, to draw."""
@@ -286,12 +298,15 @@ class ScenePhysics(HandPhysics):
             word, count = kind
             parts.append(
                 ScenePart(
-                    model.geom(geom).name or f"part{geom}", word,
+                    model.geom(geom).name or f"part{geom}",
+                    word,
                     tuple(float(s) for s in model.geom_size[geom][:count]),
                     tuple(float(c) for c in model.geom_rgba[geom]),  # type: ignore[arg-type]
-                    model.geom_pos[geom].copy(), model.geom_quat[geom].copy(), body == self._body,
+                    model.geom_pos[geom].copy(),
+                    model.geom_quat[geom].copy(),
+                    body == self._body,
                 )
-            )  # fmt: skip
+            )
         return parts
 
     def _step(self, count: int) -> None:

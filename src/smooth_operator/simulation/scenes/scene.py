@@ -175,8 +175,11 @@ class Scene(ABC):
         world = empty_world(hand)
         if carried is None:
             position, quaternion = self.mount.frame
-            world.attach(hand, prefix=FURNISHED, frame=world.worldbody.add_frame(
-                pos=position, quat=quaternion))  # fmt: skip
+            world.attach(
+                hand,
+                prefix=FURNISHED,
+                frame=world.worldbody.add_frame(pos=position, quat=quaternion),
+            )
         else:
             carried.attach(world, hand, FURNISHED)
         self.add_platform(world)
@@ -219,10 +222,21 @@ def add_shape(
         priority: in a contact, the shape with the higher priority sets the parameters.
     """
     body.add_geom(
-        name=name, type=kind, size=[*size, *[0.0] * (3 - len(size))], pos=at, quat=turn, mass=mass,
-        friction=(*friction, 1e-4), condim=4, rgba=color, priority=priority,
-        contype=_ALL, conaffinity=_ALL, solref=(_STIFF, 1.0), solimp=(0.95, 0.99, 0.0005, 0.5, 2.0),
-    )  # fmt: skip
+        name=name,
+        type=kind,
+        size=[*size, *[0.0] * (3 - len(size))],
+        pos=at,
+        quat=turn,
+        mass=mass,
+        friction=(*friction, 1e-4),
+        condim=4,
+        rgba=color,
+        priority=priority,
+        contype=_ALL,
+        conaffinity=_ALL,
+        solref=(_STIFF, 1.0),
+        solimp=(0.95, 0.99, 0.0005, 0.5, 2.0),
+    )
 
 
 def empty_world(hand: mujoco.MjSpec) -> mujoco.MjSpec:
@@ -239,15 +253,25 @@ def empty_world(hand: mujoco.MjSpec) -> mujoco.MjSpec:
     world.visual.headlight.ambient = (0.35, 0.35, 0.35)
     world.visual.headlight.diffuse = (0.45, 0.45, 0.45)
     world.add_texture(
-        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=32, height=192,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, rgb1=(0.98, 0.98, 0.98),
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        width=32,
+        height=192,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=(0.98, 0.98, 0.98),
         rgb2=(0.8, 0.84, 0.9),
-    )  # fmt: skip
+    )
     world.worldbody.add_light(pos=(0.2, -0.3, 1.0), dir=(-0.2, 0.3, -1.0), castshadow=True)
     add_shape(
-        world.worldbody, "floor", mujoco.mjtGeom.mjGEOM_PLANE, (0.6, 0.6, 0.01), mass=0.0,
-        friction=(0.5, 0.001), color=(0.93, 0.93, 0.92, 1.0), priority=2,
-    )  # fmt: skip
+        world.worldbody,
+        "floor",
+        mujoco.mjtGeom.mjGEOM_PLANE,
+        (0.6, 0.6, 0.01),
+        mass=0.0,
+        friction=(0.5, 0.001),
+        color=(0.93, 0.93, 0.92, 1.0),
+        priority=2,
+    )
     return world
 
 

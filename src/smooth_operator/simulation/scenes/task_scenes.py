@@ -54,17 +54,28 @@ class CardScene(Scene):
         """The table."""
         half = np.array(_TABLE) / 2
         add_shape(
-            world.worldbody, PLATFORM, mujoco.mjtGeom.mjGEOM_BOX, half, mass=0.0,
+            world.worldbody,
+            PLATFORM,
+            mujoco.mjtGeom.mjGEOM_BOX,
+            half,
+            mass=0.0,
             at=(self.edge + half[0], float(self.start[0][1]), self.top - half[2]),
-            friction=_TABLE_FRICTION, color=(0.62, 0.5, 0.38, 1.0), priority=2,
-        )  # fmt: skip
+            friction=_TABLE_FRICTION,
+            color=(0.62, 0.5, 0.38, 1.0),
+            priority=2,
+        )
 
     def add_object(self, body: mujoco.MjsBody) -> None:
         """The card."""
         add_shape(
-            body, "card", mujoco.mjtGeom.mjGEOM_BOX, np.array(CARD) / 2, mass=CARD_MASS,
-            friction=_CARD_FRICTION, color=(0.85, 0.33, 0.25, 1.0),
-        )  # fmt: skip
+            body,
+            "card",
+            mujoco.mjtGeom.mjGEOM_BOX,
+            np.array(CARD) / 2,
+            mass=CARD_MASS,
+            friction=_CARD_FRICTION,
+            color=(0.85, 0.33, 0.25, 1.0),
+        )
 
 
 def card_scene(hand: Hand) -> CardScene:
@@ -107,9 +118,15 @@ def _placed(
     lower = np.array([edge - 0.10, centre[1] - 0.12, _TABLE_TOP - 0.05])
     upper = np.array([edge + _TABLE[0] + 0.02, centre[1] + 0.12, _TABLE_TOP + 0.15])
     return CardScene(
-        mount=at, start=(centre, np.array([1.0, 0.0, 0.0, 0.0])), lower=lower, upper=upper,
-        fixture=False, edge=edge, top=_TABLE_TOP, reach=float(np.quantile(press[:, 0], 0.98)),
-    )  # fmt: skip
+        mount=at,
+        start=(centre, np.array([1.0, 0.0, 0.0, 0.0])),
+        lower=lower,
+        upper=upper,
+        fixture=False,
+        edge=edge,
+        top=_TABLE_TOP,
+        reach=float(np.quantile(press[:, 0], 0.98)),
+    )
 
 
 CUBE: Final = 0.040
@@ -125,10 +142,12 @@ _CUBE_FRICTION: Final = (0.9, 0.002)
 _TAG: Final = 0.0005  # thickness of a coloured face [m]
 
 _FACES: Final = (
-    ((1, 0, 0), (0.84, 0.37, 0.0, 1.0)), ((-1, 0, 0), (0.0, 0.45, 0.7, 1.0)),
-    ((0, 1, 0), (0.0, 0.62, 0.45, 1.0)), ((0, -1, 0), (0.8, 0.47, 0.65, 1.0)),
+    ((1, 0, 0), (0.84, 0.37, 0.0, 1.0)),
+    ((-1, 0, 0), (0.0, 0.45, 0.7, 1.0)),
+    ((0, 1, 0), (0.0, 0.62, 0.45, 1.0)),
+    ((0, -1, 0), (0.8, 0.47, 0.65, 1.0)),
     ((0, 0, 1), (0.94, 0.89, 0.26, 1.0)),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,24 +166,41 @@ class CubeScene(Scene):
         """The pedestal."""
         x, y, _ = self.start[0]
         add_shape(
-            world.worldbody, PLATFORM, mujoco.mjtGeom.mjGEOM_BOX,
-            (_PEDESTAL, _PEDESTAL, self.top / 2), mass=0.0, friction=_PEDESTAL_FRICTION,
-            at=(x, y, self.top / 2), color=(0.62, 0.5, 0.38, 1.0), priority=2,
-        )  # fmt: skip
+            world.worldbody,
+            PLATFORM,
+            mujoco.mjtGeom.mjGEOM_BOX,
+            (_PEDESTAL, _PEDESTAL, self.top / 2),
+            mass=0.0,
+            friction=_PEDESTAL_FRICTION,
+            at=(x, y, self.top / 2),
+            color=(0.62, 0.5, 0.38, 1.0),
+            priority=2,
+        )
 
     def add_object(self, body: mujoco.MjsBody) -> None:
         """The cube, with a colour for each face."""
         half = CUBE / 2
         add_shape(
-            body, "cube", mujoco.mjtGeom.mjGEOM_BOX, (half, half, half), mass=CUBE_MASS,
-            friction=_CUBE_FRICTION, color=(0.9, 0.9, 0.9, 1.0),
-        )  # fmt: skip
+            body,
+            "cube",
+            mujoco.mjtGeom.mjGEOM_BOX,
+            (half, half, half),
+            mass=CUBE_MASS,
+            friction=_CUBE_FRICTION,
+            color=(0.9, 0.9, 0.9, 1.0),
+        )
         for normal, color in _FACES:
             n = np.array(normal, float)
             body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_BOX, pos=half * n, rgba=color, mass=0.0,
-                size=np.where(n != 0, _TAG, 0.8 * half), contype=0, conaffinity=0, group=1,
-            )  # fmt: skip
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=half * n,
+                rgba=color,
+                mass=0.0,
+                size=np.where(n != 0, _TAG, 0.8 * half),
+                contype=0,
+                conaffinity=0,
+                group=1,
+            )
 
 
 def cube_scene(hand: Hand) -> CubeScene:
@@ -181,9 +217,13 @@ def cube_scene(hand: Hand) -> CubeScene:
     centre = at.world((distal, radial, depth))
     reach = np.array([_PEDESTAL + CUBE, _PEDESTAL + CUBE, CUBE])
     return CubeScene(
-        mount=at, start=(centre, np.array([1.0, 0.0, 0.0, 0.0])), lower=centre - reach,
-        upper=centre + reach * (1, 1, 3), fixture=False, top=_TOP,
-    )  # fmt: skip
+        mount=at,
+        start=(centre, np.array([1.0, 0.0, 0.0, 0.0])),
+        lower=centre - reach,
+        upper=centre + reach * (1, 1, 3),
+        fixture=False,
+        top=_TOP,
+    )
 
 
 HANDLE: Final = (0.010, 0.085)
@@ -218,15 +258,25 @@ class ScrewdriverScene(Scene):
         """Add handle and shaft; the blade's side of the grip is the heavier one."""
         radius, length = HANDLE
         add_shape(
-            body, "handle", mujoco.mjtGeom.mjGEOM_CAPSULE, (radius, length / 2 - radius),
-            mass=MASSES[0], friction=_HANDLE_FRICTION, color=(0.9, 0.45, 0.1, 1.0),
+            body,
+            "handle",
+            mujoco.mjtGeom.mjGEOM_CAPSULE,
+            (radius, length / 2 - radius),
+            mass=MASSES[0],
+            friction=_HANDLE_FRICTION,
+            color=(0.9, 0.45, 0.1, 1.0),
             at=(0, 0, length / 2 - GRIP),
-        )  # fmt: skip
+        )
         add_shape(
-            body, "shaft", mujoco.mjtGeom.mjGEOM_CAPSULE, (SHAFT[0], SHAFT[1] / 2 - SHAFT[0]),
-            mass=MASSES[1], friction=(0.4, 0.001), color=(0.55, 0.57, 0.6, 1.0),
+            body,
+            "shaft",
+            mujoco.mjtGeom.mjGEOM_CAPSULE,
+            (SHAFT[0], SHAFT[1] / 2 - SHAFT[0]),
+            mass=MASSES[1],
+            friction=(0.4, 0.001),
+            color=(0.55, 0.57, 0.6, 1.0),
             at=(0, 0, length - GRIP + SHAFT[1] / 2),
-        )  # fmt: skip
+        )
 
 
 def screwdriver_scene(hand: Hand) -> ScrewdriverScene:
@@ -243,9 +293,12 @@ def screwdriver_scene(hand: Hand) -> ScrewdriverScene:
     x = np.array([0.0, 0.0, 1.0])
     mujoco.mju_mat2Quat(quaternion, np.stack([x, np.cross(radial, x), radial], axis=1).ravel())
     return ScrewdriverScene(
-        mount=at, start=(centre, quaternion), lower=centre - (0.15, 0.15, 0.10),
-        upper=centre + 0.15, fixture=True,
-    )  # fmt: skip
+        mount=at,
+        start=(centre, quaternion),
+        lower=centre - (0.15, 0.15, 0.10),
+        upper=centre + 0.15,
+        fixture=True,
+    )
 
 
 SCENES: Final[dict[str, Callable[[Hand], Scene]]] = {

@@ -154,11 +154,11 @@ class CardScorer:
             over=self.over or (lies and near < self.scene.edge - OVER),
             protrusion=self.scene.edge - near,
             pinched=pinched,
-            beyond=lies and (near > self.scene.reach
-                             or abs(float(state.position[1] - start[1])) > _SIDEWAYS),
+            beyond=lies
+            and (near > self.scene.reach or abs(float(state.position[1] - start[1])) > _SIDEWAYS),
             gone=self.gone or outside(self.scene, state),
             done=self.done or lasted(pinched, state.time),
-        )  # fmt: skip
+        )
 
 
 def pinches(state: SceneState) -> bool:
@@ -240,11 +240,16 @@ class CubeScorer:
         settled = held_since(self.settled, right and lies and still, state.time)
         leaning = held_since(self.leaning, still and not lies, state.time)
         return replace(
-            self, turned=turned, flipped=flipped, settled=settled, leaning=leaning,
+            self,
+            turned=turned,
+            flipped=flipped,
+            settled=settled,
+            leaning=leaning,
             stuck=lasted(leaning, state.time, _LEANING_S),
             gone=self.gone or outside(self.scene, state),
-            done=self.done or lasted(settled, state.time), last=now,
-        )  # fmt: skip
+            done=self.done or lasted(settled, state.time),
+            last=now,
+        )
 
 
 def _heading(turn: Float[np.ndarray, "3 3"]) -> float:
@@ -317,10 +322,13 @@ class ScrewdriverScorer:
         still = float(np.linalg.norm(state.spin)) < SCREWDRIVER_STILL
         pointing = held_since(self.pointing, held and still and angle <= DOWN, state.time)
         return replace(
-            self, angle=angle, held=held, pointing=pointing,
+            self,
+            angle=angle,
+            held=held,
+            pointing=pointing,
             gone=self.gone or state.support > 0.0 or outside(self.scene, state),
             done=self.done or lasted(pointing, state.time),
-        )  # fmt: skip
+        )
 
 
 _MOST_TRIALS: Final = 1000

@@ -249,9 +249,12 @@ def write_trial(path: str | Path, record: TrialRecord) -> None:
     """
     columns = {name: np.array([getattr(state, name) for state in record.states]) for name in _STATE}
     head = {
-        "task": record.task, "hand": record.hand, "side": record.side, "about": record.about,
+        "task": record.task,
+        "hand": record.hand,
+        "side": record.side,
+        "about": record.about,
         "outcome": None if record.outcome is None else asdict(record.outcome),
-    }  # fmt: skip
+    }
     try:
         with atomic_write(path) as file:
             np.savez_compressed(
@@ -288,10 +291,16 @@ def read_trial(path: str | Path) -> TrialRecord:
         if times.shape != (len(words),) or not np.isfinite(times).all():
             raise ValueError(f"event_times must be {len(words)} finite times")
         return TrialRecord(
-            _word(head, "task"), _word(head, "hand"), as_side(_word(head, "side")), names, states,
-            list(positions), list(zip(times.tolist(), words, strict=True)),
-            _outcome(head["outcome"]), _object(head["about"]),
-        )  # fmt: skip
+            _word(head, "task"),
+            _word(head, "hand"),
+            as_side(_word(head, "side")),
+            names,
+            states,
+            list(positions),
+            list(zip(times.tolist(), words, strict=True)),
+            _outcome(head["outcome"]),
+            _object(head["about"]),
+        )
     except (OSError, SmoothOperatorError, ValueError, KeyError, TypeError) as error:
         what = f"it has no {error}" if isinstance(error, KeyError) else str(error)[:300]
         raise StudyError(
@@ -315,8 +324,14 @@ def _object(value: Any) -> dict[str, Any]:
 def _outcome(value: Any) -> Outcome | None:
     if value is None:
         return None
-    kinds = {"score": float, "line": str, "seconds": float, "ended": str, "reason": str,
-             "resets": int}  # fmt: skip
+    kinds = {
+        "score": float,
+        "line": str,
+        "seconds": float,
+        "ended": str,
+        "reason": str,
+        "resets": int,
+    }
     if _object(value).keys() != kinds.keys():
         raise ValueError(f"an outcome has {listed(kinds)}, not {listed(value)}")
     for name, kind in kinds.items():

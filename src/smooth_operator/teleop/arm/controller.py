@@ -124,8 +124,10 @@ class Clearance(mink.CollisionAvoidanceLimit):
         )
         pairs = np.array(self.geom_id_pairs, int).reshape(-1, 2)
         names = [model.geom(geom).name for geom in range(model.ngeom)]
-        table, wall = ([name in names and names.index(name) in pair for pair in pairs]
-                       for name in (_TABLE, _WALL))  # fmt: skip
+        table, wall = (
+            [name in names and names.index(name) in pair for pair in pairs]
+            for name in (_TABLE, _WALL)
+        )
         self._touches = np.array(table, bool) & fingers[pairs].any(axis=1)
         self._least = np.select(
             [self._touches, table, wall], [config.fingers, config.table, config.wall], config.parts
@@ -223,9 +225,12 @@ def _arm_model(
     turns = _quaternions(axes)
     for k, (radius, half) in enumerate(zip(capsules.radii, capsules.halves, strict=True)):
         flange.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(radius, max(half, _TINY), 0.0),
-            pos=middles[k], quat=turns[k], mass=0.0,
-        )  # fmt: skip
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            size=(radius, max(half, _TINY), 0.0),
+            pos=middles[k],
+            quat=turns[k],
+            mass=0.0,
+        )
     if table is not None:
         _add_plane(spec, _TABLE, (0.0, 0.0, table), (0.0, 0.0, 1.0))
     if wall is not None:
@@ -242,9 +247,12 @@ def _add_plane(
     spec: mujoco.MjSpec, name: str, position: tuple[float, ...], normal: tuple[float, ...]
 ) -> None:
     spec.worldbody.add_geom(
-        name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1.0, 1.0, 1.0), pos=position,
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(1.0, 1.0, 1.0),
+        pos=position,
         quat=_quaternions(np.array([normal]))[0],
-    )  # fmt: skip
+    )
 
 
 def _quaternions(axes: Float[np.ndarray, "c 3"]) -> Float[np.ndarray, "c 4"]:
@@ -307,10 +315,17 @@ class ArmControlConfig:
         check_numbers(
             self,
             "arm: ",
-            positive=("speed", "turn", "acceleration", "turn_acceleration", "joint_speed",
-                      "orientation", "singular"),
+            positive=(
+                "speed",
+                "turn",
+                "acceleration",
+                "turn_acceleration",
+                "joint_speed",
+                "orientation",
+                "singular",
+            ),
             not_negative=("margin", "posture", "damping"),
-        )  # fmt: skip
+        )
         if not 0 < self.velocity_share <= 1:
             raise ConfigError(
                 f"arm: velocity_share must be above 0 and up to 1, not {self.velocity_share}"

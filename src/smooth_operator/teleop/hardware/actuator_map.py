@@ -330,12 +330,33 @@ UNITS: Final[Mapping[str, float]] = {
 """Units of commands that are angles -> how many make a radian. ``step``: 4096 to a turn."""
 
 _TOP: Final = (
-    "format", "driver", "hand", "side", "unit", "source", "limit", "rate", "on_silence", "on_stop",
-    "on_end", "hot", "settings", "actuators",
-)  # fmt: skip
+    "format",
+    "driver",
+    "hand",
+    "side",
+    "unit",
+    "source",
+    "limit",
+    "rate",
+    "on_silence",
+    "on_stop",
+    "on_end",
+    "hot",
+    "settings",
+    "actuators",
+)
 _EACH: Final = (
-    "name", "id", "joint", "joints", "points", "zero", "sign", "ends", "limit", "settings",
-)  # fmt: skip
+    "name",
+    "id",
+    "joint",
+    "joints",
+    "points",
+    "zero",
+    "sign",
+    "ends",
+    "limit",
+    "settings",
+)
 
 
 def user_tables_folder() -> Path:

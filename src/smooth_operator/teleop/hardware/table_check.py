@@ -193,11 +193,12 @@ def blank_table(
         unit=unit,
         limit=limit,
         actuators=tuple(
-            Actuator(f"actuator {number}", {joint: 1.0}, ((-1.0, ends[0]), (1.0, ends[1])), ends,
-                     number)
+            Actuator(
+                f"actuator {number}", {joint: 1.0}, ((-1.0, ends[0]), (1.0, ends[1])), ends, number
+            )
             for number in ids
         ),
-    )  # fmt: skip
+    )
 
 
 def _numbered(actuator: Actuator) -> str:

@@ -82,9 +82,16 @@ def save_clip(
         pictures = [p.quantize(palette=shared, dither=Image.Dither.NONE) for p in pictures]
     drawn = io.BytesIO()
     pictures[0].save(
-        drawn, format=path.suffix[1:].upper(), save_all=True, append_images=pictures[1:],
-        duration=round(1000 / RATE_HZ), loop=0, optimize=True, quality=80, method=4,
-    )  # fmt: skip
+        drawn,
+        format=path.suffix[1:].upper(),
+        save_all=True,
+        append_images=pictures[1:],
+        duration=round(1000 / RATE_HZ),
+        loop=0,
+        optimize=True,
+        quality=80,
+        method=4,
+    )
     with atomic_write(path) as file:
         file.write(drawn.getvalue())
 

@@ -135,8 +135,15 @@ def _draw_hand(
     for (x, y), color, name in zip(arrows, _FRAME_COLORS, "xyz", strict=True):
         axes.plot([0, x], [0, y], color=color, linewidth=2.0, zorder=4)
         if np.hypot(x, y) > 6:
-            axes.annotate(name, (1.2 * x, 1.2 * y), color=color, fontsize=8, ha="center",
-                          va="center", zorder=4)  # fmt: skip
+            axes.annotate(
+                name,
+                (1.2 * x, 1.2 * y),
+                color=color,
+                fontsize=8,
+                ha="center",
+                va="center",
+                zorder=4,
+            )
     axes.set_aspect("equal")
     axes.autoscale_view()
     axes.margins(0.04)
@@ -151,8 +158,9 @@ def _draw_joints(axes: Axes, hand: Hand, q: Float[np.ndarray, " m"]) -> None:
     rows, every = joint_rows(hand), hand.full_configuration(q)
     for i, (row, value) in enumerate(zip(rows, every, strict=True)):
         low, high = np.rad2deg([row.low, row.high])
-        axes.barh(i, high - low, left=low, height=0.62,
-                  color="#9ecae1" if row.actuated else "#dddddd")  # fmt: skip
+        axes.barh(
+            i, high - low, left=low, height=0.62, color="#9ecae1" if row.actuated else "#dddddd"
+        )
         axes.plot(np.rad2deg(value), i, marker="|", color=_INK, markersize=8, markeredgewidth=1.6)
     axes.set_yticks(range(len(rows)), [row.name for row in rows], fontsize=6.5, color=_INK)
     axes.set_ylim(len(rows) - 0.4, -0.6)

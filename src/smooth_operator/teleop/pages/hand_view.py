@@ -90,9 +90,11 @@ class HandView:
             if self.finger_of_body[body] < 0:
                 rotation, position = poses[body]
                 vertices, faces, *_ = slice_faces(
-                    whole.vertices, whole.faces, rotation.T @ distal,
+                    whole.vertices,
+                    whole.faces,
+                    rotation.T @ distal,
                     rotation.T @ (point - position),
-                )  # fmt: skip
+                )
                 # process: merged vertices would average the normals across the edges
                 mesh = trimesh.Trimesh(vertices, faces, process=False)
             if len(mesh.faces):

@@ -518,9 +518,13 @@ class Panel:
         self._play = gui.add_button(_PLAY, icon=viser.Icon.PLAYER_PLAY, hint="also K")
         step = gui.add_button_group("Step", tuple(_STEPS))
         speed = gui.add_slider(
-            "Speed", min=SPEEDS[0], max=SPEEDS[1], step=0.1, initial_value=1.0,
+            "Speed",
+            min=SPEEDS[0],
+            max=SPEEDS[1],
+            step=0.1,
+            initial_value=1.0,
             hint="times real time",
-        )  # fmt: skip
+        )
         looping = gui.add_checkbox("Loop", loop)
         overlay = gui.add_checkbox("Overlay", False, hint="all hands in one place")
         vectors = gui.add_checkbox("Keyvectors", True, hint="thumb tip to fingertips")

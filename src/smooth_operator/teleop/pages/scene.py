@@ -249,11 +249,16 @@ class BodyNodes:
         palette = [PALM, *map(tuple, finger_colors(int(owner.max()) + 1).tolist())]
         self.nodes = {
             body: add_body(
-                scene, f"{root}/body_{body}", mesh, color or palette[owner[body] + 1],
-                opacity=opacity, scale=scale, size=size,
+                scene,
+                f"{root}/body_{body}",
+                mesh,
+                color or palette[owner[body] + 1],
+                opacity=opacity,
+                scale=scale,
+                size=size,
             )
             for body, mesh in meshes.items()
-        }  # fmt: skip
+        }
 
     def place(self, qpos: Float[np.ndarray, " nq"]) -> None:
         """Places the bodies without drawing them."""
@@ -322,12 +327,18 @@ class RobotBodies:
         fingers = {body: mesh for body, mesh in meshes.items() if owner[body] >= 0}
         self._second = (
             BodyNodes(
-                scene, model, fingers, owner, f"{root}/second", color=SIMULATED,
-                opacity=TRANSLUCENT, size=_WITHIN,
+                scene,
+                model,
+                fingers,
+                owner,
+                f"{root}/second",
+                color=SIMULATED,
+                opacity=TRANSLUCENT,
+                size=_WITHIN,
             )
             if second
             else None
-        )  # fmt: skip
+        )
 
     def draw(
         self, every: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"] | None = None

@@ -70,29 +70,53 @@ PoseArray = _message("geometry_msgs", "PoseArray", header=Header, poses=sequence
 
 _NUMBERS: Final = sequence[float64]
 JointState = _message(
-    "sensor_msgs", "JointState",
-    header=Header, name=sequence[str], position=_NUMBERS, velocity=_NUMBERS, effort=_NUMBERS,
-)  # fmt: skip
+    "sensor_msgs",
+    "JointState",
+    header=Header,
+    name=sequence[str],
+    position=_NUMBERS,
+    velocity=_NUMBERS,
+    effort=_NUMBERS,
+)
 JointTrajectoryPoint = _message(
-    "trajectory_msgs", "JointTrajectoryPoint",
-    positions=_NUMBERS, velocities=_NUMBERS, accelerations=_NUMBERS, effort=_NUMBERS,
+    "trajectory_msgs",
+    "JointTrajectoryPoint",
+    positions=_NUMBERS,
+    velocities=_NUMBERS,
+    accelerations=_NUMBERS,
+    effort=_NUMBERS,
     time_from_start=Duration,
-)  # fmt: skip
+)
 JointTrajectory = _message(
-    "trajectory_msgs", "JointTrajectory",
-    header=Header, joint_names=sequence[str], points=sequence[JointTrajectoryPoint],
-)  # fmt: skip
+    "trajectory_msgs",
+    "JointTrajectory",
+    header=Header,
+    joint_names=sequence[str],
+    points=sequence[JointTrajectoryPoint],
+)
 ManusRawNode = _message(
-    "manus_ros2_msgs", "ManusRawNode",
-    node_id=int32, parent_node_id=int32, joint_type=str, chain_type=str, pose=Pose,
-)  # fmt: skip
+    "manus_ros2_msgs",
+    "ManusRawNode",
+    node_id=int32,
+    parent_node_id=int32,
+    joint_type=str,
+    chain_type=str,
+    pose=Pose,
+)
 ManusErgonomics = _message("manus_ros2_msgs", "ManusErgonomics", type=str, value=float32)
 ManusGlove = _message(
-    "manus_ros2_msgs", "ManusGlove",
-    glove_id=int32, side=str, raw_node_count=int32, raw_nodes=sequence[ManusRawNode],
-    ergonomics_count=int32, ergonomics=sequence[ManusErgonomics],
-    raw_sensor_orientation=Quaternion, raw_sensor_count=int32, raw_sensor=sequence[Pose],
-)  # fmt: skip
+    "manus_ros2_msgs",
+    "ManusGlove",
+    glove_id=int32,
+    side=str,
+    raw_node_count=int32,
+    raw_nodes=sequence[ManusRawNode],
+    ergonomics_count=int32,
+    ergonomics=sequence[ManusErgonomics],
+    raw_sensor_orientation=Quaternion,
+    raw_sensor_count=int32,
+    raw_sensor=sequence[Pose],
+)
 
 
 def time_of(nanoseconds: int) -> Message:

@@ -25,11 +25,15 @@ if TYPE_CHECKING:
 Colors = Mapping[str, str]
 """Retargeter -> colour."""
 _OUTCOMES: Final = {
-    "success": "success", "time_s": "time", "raw_tlx": "workload",
-}  # fmt: skip
+    "success": "success",
+    "time_s": "time",
+    "raw_tlx": "workload",
+}
 _LABELS: Final[dict[Outcome, str]] = {
-    "success": "success rate [%]", "time": "completion time [s]", "tlx": "workload (NASA-TLX)",
-}  # fmt: skip
+    "success": "success rate [%]",
+    "time": "completion time [s]",
+    "tlx": "workload (NASA-TLX)",
+}
 _FITTED: Final[dict[Outcome, str]] = {"time": "completion time [s]", "tlx": "workload"}
 _INDICES: Final = {"trial_global": "trial of the task", "trial_in_block": "trial of the block"}
 _ACROSS: Final = 4
@@ -83,9 +87,16 @@ def success_figure(analysis: Analysis, colors: Colors) -> Figure:
         rates = rows.pivot_table(values="success", index="operator", columns="retargeter")
         for own in rates.reindex(columns=names).to_numpy(float):
             axes.plot(
-                range(len(names)), 100 * own, "-", color=GRID, alpha=0.45, linewidth=0.7,
-                marker=".", markersize=2.5, zorder=1,
-            )  # fmt: skip
+                range(len(names)),
+                100 * own,
+                "-",
+                color=GRID,
+                alpha=0.45,
+                linewidth=0.7,
+                marker=".",
+                markersize=2.5,
+                zorder=1,
+            )
         result = analysis.results[MODES[0]]["success"][scope]
         for j, name in enumerate(names):
             if name in result.emm:
@@ -93,17 +104,28 @@ def success_figure(analysis: Analysis, colors: Colors) -> Figure:
                 low, high = max(mean.lower, 0.0), min(mean.upper, 1.0)
                 reach = [[100 * (mean.estimate - low)], [100 * (high - mean.estimate)]]
                 axes.errorbar(
-                    j, 100 * mean.estimate, reach, fmt="o", color=colors[name], markersize=6,
-                    elinewidth=2.2, zorder=3,
-                )  # fmt: skip
+                    j,
+                    100 * mean.estimate,
+                    reach,
+                    fmt="o",
+                    color=colors[name],
+                    markersize=6,
+                    elinewidth=2.2,
+                    zorder=3,
+                )
             elif (
                 name in result.observed
             ):  # refused: the observed rate, hollow and without an interval
                 rate = 100 * result.observed[name]["mean"]
                 axes.plot(
-                    j, rate, "o", markerfacecolor="none", markeredgecolor=colors[name],
-                    markersize=7, zorder=3,
-                )  # fmt: skip
+                    j,
+                    rate,
+                    "o",
+                    markerfacecolor="none",
+                    markeredgecolor=colors[name],
+                    markersize=7,
+                    zorder=3,
+                )
         _name_ticks(axes, names, rotation=35, ha="right")
         axes.set_xlim(-0.5, len(names) - 0.5)
         axes.set_ylim(-3, 103)
@@ -127,9 +149,15 @@ def time_figure(analysis: Analysis, colors: Colors) -> Figure:
             axes.plot(side, values, ".", color=colors[name], alpha=0.35, markersize=3)
             line = {"color": colors[name], "linewidth": 1.3}
             axes.boxplot(
-                values, positions=[j], widths=0.55, showfliers=False, boxprops=line,
-                whiskerprops=line, capprops=line, medianprops=line,
-            )  # fmt: skip
+                values,
+                positions=[j],
+                widths=0.55,
+                showfliers=False,
+                boxprops=line,
+                whiskerprops=line,
+                capprops=line,
+                medianprops=line,
+            )
         _name_ticks(axes, analysis.retargeters)
     panels[0].set_ylabel(_LABELS["time"])
     panels[0].set_ylim(bottom=0)
@@ -188,9 +216,14 @@ def correlation_figure(analysis: Analysis, colors: Colors) -> Figure | None:
         values[row, column] = entry["rho"]
         low, high = (entry["ci_boot_operators"][end] for end in ("lcl", "ucl"))
         axes.text(
-            column, row, f"{signed(entry['rho'])}\n{span(low, high, sign=True)}", ha="center",
-            va="center", fontsize=8, color="#ffffff" if abs(entry["rho"]) > 0.6 else "#111111",
-        )  # fmt: skip
+            column,
+            row,
+            f"{signed(entry['rho'])}\n{span(low, high, sign=True)}",
+            ha="center",
+            va="center",
+            fontsize=8,
+            color="#ffffff" if abs(entry["rho"]) > 0.6 else "#111111",
+        )
     image = axes.imshow(values, cmap="RdBu_r", vmin=-1, vmax=1, aspect="auto")
     axes.set_xticks(range(len(outcomes)), [_OUTCOMES.get(name, name) for name in outcomes])
     axes.set_yticks(range(len(metrics)), metrics)
@@ -228,9 +261,14 @@ def _binned(axes: Axes, x: np.ndarray, y: np.ndarray, color: str, label: str | N
     place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
     bins = np.unique(place)
     axes.plot(
-        [x[place == b].mean() for b in bins], [y[place == b].mean() for b in bins], "o-",
-        color=color, label=label, markersize=3, linewidth=1.1,
-    )  # fmt: skip
+        [x[place == b].mean() for b in bins],
+        [y[place == b].mean() for b in bins],
+        "o-",
+        color=color,
+        label=label,
+        markersize=3,
+        linewidth=1.1,
+    )
 
 
 def _slope(axes: Axes, entry: Mapping[str, float], x: np.ndarray, y: np.ndarray) -> None:
@@ -267,9 +305,14 @@ def residual_figure(analysis: Analysis, colors: Colors) -> Figure | None:
         for j, name in enumerate(frame.retargeters):
             own = frame.retargeter == j
             left.plot(
-                expected[own], residuals[own], ".", color=colors[name], markersize=3.5, alpha=0.6,
+                expected[own],
+                residuals[own],
+                ".",
+                color=colors[name],
+                markersize=3.5,
+                alpha=0.6,
                 label=name if title == panels[0][0] else None,
-            )  # fmt: skip
+            )
         left.axhline(0, color=GRID, linewidth=0.8)
         left.set_xlabel(f"fitted {title}")
         left.set_ylabel("residual")

@@ -27,8 +27,10 @@ from smooth_operator_study.design.protocol import ALPHA, FEW_OPERATORS, TESTED_O
 
 MINUS: Final = "\N{MINUS SIGN}"
 DIGITS: Final[dict[Outcome, tuple[float, int, str]]] = {
-    "success": (100.0, 1, "%"), "time": (1.0, 2, "s"), "tlx": (1.0, 2, "points"),
-}  # fmt: skip
+    "success": (100.0, 1, "%"),
+    "time": (1.0, 2, "s"),
+    "tlx": (1.0, 2, "points"),
+}
 """Outcome -> factor, decimals and unit of its numbers."""
 _OUTCOMES: Final = {
     "success": ("success", "percentage points"),
@@ -36,9 +38,11 @@ _OUTCOMES: Final = {
     "tlx": ("workload", "points"),
 }
 _LEVELS: Final = {
-    "operator": "operators", "operator:retargeter": "operators' preferences", "block": "blocks",
+    "operator": "operators",
+    "operator:retargeter": "operators' preferences",
+    "block": "blocks",
     "residual": "trials",
-}  # fmt: skip
+}
 _SLOPES: Final = {
     "trial_global": "per trial of the task",
     "trial_in_block": "per trial of the block",
@@ -169,8 +173,12 @@ def learning_rows(learning: Mapping[str, Any]) -> tuple[list[tuple[str, str, lis
     for one in slopes:
         title, unit = _OUTCOMES[one.outcome]
         name = f"{scope_name(one.scope)}: {title} {_SLOPES.get(one.index, one.index)}"
-        cells = [f"{signed(one.step, 3)} {unit}", number(one.se, 3), p_text(one.p),
-                 p_text(one.p_holm)]  # fmt: skip
+        cells = [
+            f"{signed(one.step, 3)} {unit}",
+            number(one.se, 3),
+            p_text(one.p),
+            p_text(one.p_holm),
+        ]
         rows.append((name, one.refused, [] if one.refused else cells))
     return rows, sum(one.p_holm is not None for one in slopes)
 
@@ -241,19 +249,26 @@ def ratio_rows(result: ScopeResult) -> list[list[str]]:
     """Makes rows of geometric means and of ratios to the baseline, from means of logarithms."""
     rows = []
     for name, mean in result.emm.items():
-        row = [name, number(math.exp(mean.estimate)),
-               span(math.exp(mean.lower), math.exp(mean.upper))]  # fmt: skip
+        row = [
+            name,
+            number(math.exp(mean.estimate)),
+            span(math.exp(mean.lower), math.exp(mean.upper)),
+        ]
         if test := result.dunnett.get(name):
-            row += [number(math.exp(test.difference)),
-                    span(math.exp(test.lower), math.exp(test.upper)),
-                    p_text(test.p_dunnett)]  # fmt: skip
+            row += [
+                number(math.exp(test.difference)),
+                span(math.exp(test.lower), math.exp(test.upper)),
+                p_text(test.p_dunnett),
+            ]
         rows.append(row + [""] * (6 - len(row)))
     return rows
 
 
 NAMES: Final[dict[Outcome, str]] = {
-    "success": "Success", "time": "Completion time", "tlx": "Workload",
-}  # fmt: skip
+    "success": "Success",
+    "time": "Completion time",
+    "tlx": "Workload",
+}
 _FIXED: Final = "\N{NO-BREAK SPACE}"  # a figure stays in the line of its unit
 
 

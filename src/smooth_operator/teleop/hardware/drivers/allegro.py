@@ -77,16 +77,18 @@ class Version:
 
 VERSIONS: Final = {
     "v4": Version(
-        math.radians(333.3 / 65536), 1200,
+        math.radians(333.3 / 65536),
+        1200,
         ((500.0, 800.0, 900.0, 500.0), (1000.0, 700.0, 600.0, 600.0)),
         ((15.0, 20.0, 15.0, 15.0), (30.0, 20.0, 20.0, 15.0)),
     ),
     "v5": Version(
-        math.radians(0.088), 240,
+        math.radians(0.088),
+        240,
         ((1400.0, 700.0, 1400.0, 1400.0), (1150.0,) * 4),
         ((45.0, 70.0, 45.0, 45.0), (45.0,) * 4),
     ),
-}  # fmt: skip
+}
 """Name of a version -> its figures. Gains: V4 the maker's PD node, its damping that of the older
 ROS driver; V5 those of the maker's library as ``allegro_hand_v5_plus_python`` measured them."""
 

@@ -44,9 +44,36 @@ CURRENT_BASED_POSITION: Final = 5
 """The operating mode in which the goal current limits the force."""
 
 MODELS: Final = frozenset(
-    (1000, 1001, 1010, 1011, 1020, 1030, 1040, 1050, 1100, 1101, 1110, 1111, 1120, 1130, 1140, 1150,
-     1170, 1180, 1190, 1200, 1210, 1220, 1230, 1240, 1270, 1280, 1310)
-)  # fmt: skip
+    (
+        1000,
+        1001,
+        1010,
+        1011,
+        1020,
+        1030,
+        1040,
+        1050,
+        1100,
+        1101,
+        1110,
+        1111,
+        1120,
+        1130,
+        1140,
+        1150,
+        1170,
+        1180,
+        1190,
+        1200,
+        1210,
+        1220,
+        1230,
+        1240,
+        1270,
+        1280,
+        1310,
+    )
+)
 """Model numbers of the X series with a goal current: XL330, XC330, and all of XM, XH, XD and XW."""
 
 STEPS: Final = 4096

@@ -46,8 +46,12 @@ _IN_TURNS: Final = (_CURRENT, _FORCE_ACT, _ERROR, _CURRENT, _FORCE_ACT, _STATUS,
 """Registers read next to the angles, one a cycle: a serial line has no time for more."""
 
 _ERRORS: Final = (
-    "rotor locked", "too hot", "too much current", "motor faulty", "motor does not answer",
-)  # fmt: skip
+    "rotor locked",
+    "too hot",
+    "too much current",
+    "motor faulty",
+    "motor does not answer",
+)
 """Bits of ``ERROR``, from the lowest."""
 
 _STATUSES: Final = {5: "stopped by its current limit", 6: "rotor locked", 7: "faulty"}

@@ -112,11 +112,16 @@ class ArmRoom:
         self._low, self._high = projected.min(axis=0), projected.max(axis=0)
         if not settings.no_table:
             scene.add_grid(
-                f"{root}/room/table", _SCALE * _TABLE[0], _SCALE * _TABLE[0], plane="xy",
-                cell_size=_SCALE * _TABLE[1], section_size=_SCALE * 5 * _TABLE[1],
-                cell_color=_GRID, section_color=_GRID,
+                f"{root}/room/table",
+                _SCALE * _TABLE[0],
+                _SCALE * _TABLE[0],
+                plane="xy",
+                cell_size=_SCALE * _TABLE[1],
+                section_size=_SCALE * 5 * _TABLE[1],
+                cell_color=_GRID,
+                section_color=_GRID,
                 position=_SCALE * np.array([0.35, 0.0, settings.table]),
-            )  # fmt: skip
+            )
         self._label = scene.add_label(f"{root}/room/label", settings.name, anchor="center-center")
         self._arms = {
             side: _ArmView(scene, f"{root}/room/{side}", carried, measured)
@@ -182,11 +187,19 @@ class _ArmView:
         owner = np.full(model.nbody, -1)
         self._arm = BodyNodes(scene, model, meshes, owner, f"{root}/arm", scale=_SCALE, color=PALM)
         self._measured = (
-            BodyNodes(scene, model, meshes, owner, f"{root}/measured", scale=_SCALE,
-                      color=SIMULATED, opacity=_GHOST)
+            BodyNodes(
+                scene,
+                model,
+                meshes,
+                owner,
+                f"{root}/measured",
+                scale=_SCALE,
+                color=SIMULATED,
+                opacity=_GHOST,
+            )
             if measured
             else None
-        )  # fmt: skip
+        )
         hand = self._own = carried.mount.hand
         view = HandView(hand)
         self._hand = BodyNodes(
@@ -195,9 +208,14 @@ class _ArmView:
         self._to_model = inverse(carried.mount.model_to_palm)
         length, thickness = _AXES
         self._target = scene.add_batched_axes(
-            f"{root}/target", np.array([[1.0, 0, 0, 0]]), np.zeros((1, 3)), scale=_SCALE,
-            axes_length=length, axes_radius=thickness, visible=False,
-        )  # fmt: skip
+            f"{root}/target",
+            np.array([[1.0, 0, 0, 0]]),
+            np.zeros((1, 3)),
+            scale=_SCALE,
+            axes_length=length,
+            axes_radius=thickness,
+            visible=False,
+        )
         self.scenery = SceneryNodes(scene, f"{root}/scenery", _SCALE)
         self._palm = np.eye(4)
 
@@ -371,9 +389,16 @@ class LiveScene:
             opencv()
         server.scene.set_background_image(background(), format="png")
         self._floor = server.scene.add_grid(
-            f"{root}/floor", _FLOOR, _FLOOR, plane="xy", cell_size=0.02, section_size=0.1,
-            cell_color=_CELLS, section_color=_SECTIONS, fade_distance=2.0,
-        )  # fmt: skip
+            f"{root}/floor",
+            _FLOOR,
+            _FLOOR,
+            plane="xy",
+            cell_size=0.02,
+            section_size=0.1,
+            cell_color=_CELLS,
+            section_color=_SECTIONS,
+            fade_distance=2.0,
+        )
         self._floor.visible = self._room is None
         centre, half = self._arrange()
         self.aiming = Aiming(server, _VIEW, centre, half, _LEGEND)

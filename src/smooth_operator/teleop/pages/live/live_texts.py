@@ -126,8 +126,10 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
 
 def _rates(rates: Mapping[str, float | None]) -> str:
     """Rates of the hands, the slow ones with a decimal."""
-    words = ["–" if r is None else f"{r:.0f}" if r >= 10 or r == 0 else f"{r:.1f}"
-             for r in rates.values()]  # fmt: skip
+    words = [
+        "–" if r is None else f"{r:.0f}" if r >= 10 or r == 0 else f"{r:.1f}"
+        for r in rates.values()
+    ]
     return " / ".join(words if len(set(words)) > 1 else words[:1])
 
 

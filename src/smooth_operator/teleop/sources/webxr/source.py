@@ -279,10 +279,17 @@ def _make(names: Sequence[str], now: datetime.datetime) -> bytes:
     usage = {
         name: name in ("digital_signature", "key_cert_sign")
         for name in (
-            "digital_signature", "content_commitment", "key_encipherment", "data_encipherment",
-            "key_agreement", "key_cert_sign", "crl_sign", "encipher_only", "decipher_only",
+            "digital_signature",
+            "content_commitment",
+            "key_encipherment",
+            "data_encipherment",
+            "key_agreement",
+            "key_cert_sign",
+            "crl_sign",
+            "encipher_only",
+            "decipher_only",
         )
-    }  # fmt: skip
+    }
     built = (
         x509.CertificateBuilder()
         .subject_name(subject)
