@@ -126,7 +126,7 @@ def test_an_operators_gaps_come_before_those_of_the_tracker(exact, tmp_path):
     assert plan(exact, make_request()).pinch_gaps == {}
     assert plan(exact, make_request(operator=KNOWN, pinch_gaps="off")).pinch_gaps is None
     left = replace(KNOWN, side="left")
-    with pytest.raises(ConfigError, match="of a left hand"):
+    with pytest.raises(ConfigError, match="is for the left hand"):
         plan(exact, make_request(operator=left))
 
 

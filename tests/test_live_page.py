@@ -408,7 +408,7 @@ def test_the_quality_of_a_take(stage):
     assert f"⚠\xa0stopped {quality.stopped_s:.1f} s" in text
     assert f"⚠\xa0paused {quality.paused_s:.1f} s" in text
     assert "self-collision" in text
-    with pytest.raises(RecordingError, match="another hand"):
+    with pytest.raises(RecordingError, match="a different hand"):
         take_quality(path, load_hand("leap_hand"))
     unmeasured = dataclasses.replace(quality, collision=None, depth_mm=None)
     assert "can't be measured" in plain(live_texts.take(take(stage), [unmeasured]))

@@ -411,7 +411,9 @@ def test_a_folder_is_done_as_a_whole_and_kept(recording, monkeypatch, whole, tmp
     expected, _ = whole.run(read)
     found = read_commands(tmp_path / "out" / "take.npz")
     assert found.joint_positions.tobytes() == expected.joint_positions.tobytes()
+    written = (tmp_path / "out" / "take.npz").stat().st_mtime_ns
     capsys.readouterr()
     assert main(words) == 0
-    assert json.loads(capsys.readouterr().out)["recordings"][0]["state"] == "kept"
+    assert json.loads(capsys.readouterr().out)["episodes"] == 1
     assert (tmp_path / "out" / "take.npz").read_bytes() == made
+    assert (tmp_path / "out" / "take.npz").stat().st_mtime_ns == written

@@ -162,7 +162,7 @@ def test_a_retargeter_that_never_succeeds_leaves_the_others(case, tmp_path):
             assert result.dunnett["geort"].p_dunnett < 0.001
         time = found.results[mode]["time"]["pooled"]
         assert "geort" not in time.emm
-        assert any("no rows of geort: it is left out" in text for text in time.warnings)
+        assert any("no rows of geort: it is excluded" in text for text in time.warnings)
     slope = found.learning["pooled"]["trial_global"]["success"]
     assert slope["without"] == ["geort"]
     assert "refused" not in slope

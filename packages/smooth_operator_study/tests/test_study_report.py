@@ -298,7 +298,7 @@ def test_a_summary_of_few_operators_has_no_test_and_no_word_for_a_size(operators
     case = simulate(3, operators=range(operators), retargeters=("dexpilot", "sbr"), effect=8.0)
     case.write(tmp_path)
     sentences = conclusion(analyze_study(read_study([tmp_path])))
-    assert f"with {operators} operators only very large differences can be shown" in (
+    assert f"with {operators} operators, only very large differences can be shown" in (
         sentences[-1].lower()
     )
     text = " ".join(sentences)

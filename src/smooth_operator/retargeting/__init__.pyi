@@ -12,5 +12,6 @@ from smooth_operator.retargeting.sbr.published import ObjectiveConfig as Objecti
 from smooth_operator.retargeting.sbr.sampled import SampledObjective as SampledObjective
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig as SamplingConfig
 from smooth_operator.retargeting.sbr.sampling import sample_minimise as sample_minimise
+from smooth_operator.retargeting.start import start_jax as start_jax
 from smooth_operator.retargeting.terms import FrameGoal as FrameGoal
 from smooth_operator.retargeting.terms import LeastSquaresTerm as LeastSquaresTerm
