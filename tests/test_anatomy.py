@@ -174,7 +174,7 @@ def test_random_orders_are_refused_in_a_few_frames(operator):
         order = rng.permutation(21)
         found = doubt(operator.landmarks[first : first + FEWEST_FRAMES][:, order], "right")
         assert found.side is None
-        assert "no hand" in found.what or found.order is not None
+        assert "do not form a hand" in found.what or found.order is not None
 
 
 @pytest.mark.shared
@@ -228,7 +228,7 @@ def test_bones_that_change_their_lengths_are_no_hand(operator):
     assert keeps_lengths(operator.landmarks)
     assert not keeps_lengths(points)
     found = doubt(points, "right")
-    assert "no hand" in found.what
+    assert "do not form a hand" in found.what
     known = np.ones((200, 21), bool)
     with pytest.raises(RecordingError, match="its bones also change") as caught:
         check_units(points / 0.3048, known, "here")

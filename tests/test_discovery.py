@@ -459,7 +459,7 @@ def test_what_is_given_is_checked(tmp_path):
         discover(path, overrules=Overrules(tips=(("index", Point(last[0])),)))
     with pytest.raises(HandModelError, match="same finger"):
         discover(path, overrules=Overrules(thumb=last[0], fingers=(("ring", last[0]),)))
-    with pytest.raises(HandModelError, match=r"hang from the palm .*--finger"):
+    with pytest.raises(HandModelError, match=r"branch from the palm .*--finger"):
         discover(path, overrules=Overrules(palm=last[0]))
     with pytest.raises(ConfigError, match="side"):
         discover(path, side="up")
@@ -561,7 +561,7 @@ def test_a_broken_hand_is_refused_with_what_to_do(tmp_path):
     with pytest.raises(HandModelError, match=r"reversed.*swap"):
         discover(write(tmp_path, xml, "m.xml"))
     twice = text.replace("</robot>", f'<link name="{last}"/></robot>')
-    with pytest.raises(HandModelError, match=r"twice.*own name"):
+    with pytest.raises(HandModelError, match=r"twice.*different name"):
         discover(write(tmp_path, twice))
     endless = text.replace(f'lower="{low}" upper="{high}"', "").replace(
         f'name="{joint.joint}" type="revolute"', f'name="{joint.joint}" type="continuous"'

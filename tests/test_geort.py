@@ -639,8 +639,8 @@ def test_the_command_stops_resumes_and_ends_the_same(run, operator, tmp_path, mo
     ("arguments", "reason"),
     [
         (("no-such-file.npz",), "no-such-file"),
-        (("synthetic", "--rate", "30"), "stands alone"),
-        (("synthetic", "other.npz"), "stands alone"),
+        (("synthetic", "--rate", "30"), "can't be combined with"),
+        (("synthetic", "other.npz"), "can't be combined with"),
         (("synthetic", "--checkpoint-every", "0"), "checkpoint-every"),
     ],
 )
@@ -653,7 +653,7 @@ def test_the_command_says_what_is_wrong(run, tmp_path, arguments, reason):
 
 
 def test_the_file_of_a_model_stands_for_a_preset(tmp_path):
-    built_in = files("smooth_operator.baselines") / "models" / "geort_mimic_p050.npz"
+    built_in = files("smooth_operator.baselines.geort") / "models" / "geort_mimic_p050.npz"
     (tmp_path / "mine.npz").write_bytes(built_in.read_bytes())
     path = tmp_path / "mine.npz"
     assert method_config("geort", str(path)) == GeortConfig(model=path)

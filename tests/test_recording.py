@@ -256,7 +256,7 @@ def test_flags_that_are_none_are_refused(tmp_path, flags, match):
 def test_arrays_that_look_like_flags_and_are_not_read_are_told(tmp_path):
     arrays = {"landmarks": hand(), "side": "right", "is_tracked": SEEN[:, 0]}
     (note,) = reading_notes(read_recording(save(tmp_path / "a.npz", arrays), rate=30.0), "a.npz")
-    assert "a.npz: not read: is_tracked" in note
+    assert "a.npz: ignored: is_tracked" in note
 
 
 @pytest.mark.parametrize("nodes", [21, 26])
@@ -560,7 +560,7 @@ def test_fingers_that_never_move_are_told(tmp_path):
     assert notes(still[:30]) == []  # a pose may be held for a second
     for one in (still, noisy):
         (note,) = notes(one)
-        assert re.search(r"a\.npz: the fingers never move \([01]\.\d mm in 3 s\).*gloves", note)
+        assert re.search(r"a\.npz: the fingers never move \([01]\.\d mm in 3 s\).*glove", note)
     half = np.where(np.arange(90)[:, None, None] < 60, still, points)
     assert notes(half) == []
 

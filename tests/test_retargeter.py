@@ -388,7 +388,7 @@ def test_unknown_names_are_refused():
         Retargeter(method="sbrr")
     with pytest.raises(UnknownNameError, match=r"unknown preset.*'quick'.*paper, realtime\.$"):
         Retargeter(method="sbr", preset="quick")
-    with pytest.raises(UnknownNameError, match=r"'paper' is a preset of sbr: choose that method"):
+    with pytest.raises(UnknownNameError, match=r"'paper' is a preset of sbr: also choose"):
         Retargeter(preset="paper")
     with pytest.raises(UnknownNameError, match="unknown hand"):
         Retargeter("shadow")

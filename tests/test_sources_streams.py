@@ -151,7 +151,7 @@ def test_what_can_t_be_read_says_why(data, says):
 
 def test_a_hand_that_nobody_names_is_refused_where_both_are_taken():
     for data in (POINTS.astype("<f4").tobytes(), text()):
-        with pytest.raises(RecordingError, match="which hand"):
+        with pytest.raises(RecordingError, match="does not contain a side"):
             read(data, None)
     assert read(text(side="L"), None).side == "left"
 

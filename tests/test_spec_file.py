@@ -236,7 +236,7 @@ def test_a_spec_file_brings_its_side(tmp_path):
 
 def test_built_in_names_are_taken(tmp_path, folder):
     mine = replace(pincer(tmp_path), name="shadow_hand")
-    with pytest.raises(HandModelError, match=r"'shadow_hand' is a built-in hand.*its own name"):
+    with pytest.raises(HandModelError, match=r"'shadow_hand' is a built-in hand.*a different name"):
         save_hand(mine)
     folder.mkdir()
     write_hand_spec(mine, folder / "shadow_hand.right.toml")

@@ -532,7 +532,7 @@ def nothing_slow(monkeypatch: pytest.MonkeyPatch) -> None:
         (["--source", "video:{folder}/none.mp4"], "none.mp4"),
         (["--source", "replay:{folder}/none.npz"], "none.npz"),
         (["--host", "192.0.2.1"], "192.0.2.1"),
-        (["--limits.margin", "5"], "leaves nothing"),
+        (["--limits.margin", "5"], "leaves no room"),
         (["--operator", "{folder}/bad.json"], "bad.json"),
     ],
 )

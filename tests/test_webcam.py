@@ -115,7 +115,7 @@ def test_a_video_is_played_at_its_own_pace(fake, tmp_path):
     arrival = mailbox.take("right")
     assert arrival.frame.stamp > 0.9
     assert arrival.session == 0
-    assert "a hand on" in source.health().detail
+    assert "a hand in" in source.health().detail
     assert source.label not in source.health().detail  # who shows it has named it
 
 
@@ -412,7 +412,7 @@ def test_a_video_without_a_hand_gives_no_frame(media, tmp_path):
     source.start(mailbox)
     wait_for(lambda: source.health().state == "ended")
     assert mailbox.received == 0
-    assert "a hand on 0 of" in source.health().detail
+    assert "a hand in 0 of" in source.health().detail
 
 
 @pytest.mark.shared
