@@ -283,7 +283,7 @@ def test_allegro_of_the_other_side_is_refused(name):
     wire = channel()
     hand = AllegroHand(wire, "v5" if name == "allegro_v5" else "v4", left=True)
     try:
-        with pytest.raises(SinkError, match="is a left one"):
+        with pytest.raises(SinkError, match="is a left hand"):
             AllegroDevice(table(f"{name}_right"), f"virtual:{wire}").open()
     finally:
         hand.close()
@@ -364,7 +364,7 @@ def test_wuji_limits_efforts_and_knows_its_side(monkeypatch):
     device.close()
     assert world.switched == [True, False]
     world.handedness = 1
-    with pytest.raises(SinkError, match="is a left one"):
+    with pytest.raises(SinkError, match="is a left hand"):
         device.open()
 
 
@@ -384,7 +384,7 @@ def test_revo2_says_who_stalls_and_knows_its_side(monkeypatch):
     left.number = 0x7F
     monkeypatch.setitem(sys.modules, "bc_stark_sdk", left.package)
     monkeypatch.setitem(sys.modules, "bc_stark_sdk.main_mod", left.main_mod)
-    with pytest.raises(SinkError, match="is a left one"):
+    with pytest.raises(SinkError, match="is a left hand"):
         device.open()
 
 

@@ -112,7 +112,7 @@ def test_what_is_wrong_with_a_mesh_is_said_as_that(tmp_path):
     text = path.read_text()
     loaded = load_model(path)
     assert loaded.model.ngeom == 0
-    assert re.search(r"1 mesh files are not where .*'package://hand/meshes/none.stl'", loaded.why)
+    assert re.search(r"1 mesh files are not at .*'package://hand/meshes/none.stl'", loaded.why)
     (tmp_path / "hand/meshes/none.dae").write_text("<COLLADA/>")
     path.write_text(text.replace("none.stl", "none.dae"))
     loaded = load_model(path)

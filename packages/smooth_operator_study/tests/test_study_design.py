@@ -322,10 +322,8 @@ def test_study_new_alone_is_the_papers(tmp_path):
     )
     assert plan.protocol.primary == "success/pooled"
     for condition in plan.protocol.conditions:  # they exist, and are not our own defaults
-        named = live_presets()[condition.method]
-        assert condition.method == "geort" or condition.preset in {"paper", "published"} & set(
-            named
-        )
+        published = {"paper", "published"} & set(live_presets()[condition.method])
+        assert condition.method == "geort" or condition.preset in published
 
 
 def test_a_condition_is_typed_with_its_method_and_preset():

@@ -304,7 +304,7 @@ def test_operators_join_and_those_who_began_keep_their_rows(store, tmp_path):
     with pytest.raises(StudyError, match="operator P01 has begun"):
         store.revise(replace(store.plan, enrolled=tuple(swapped)))
     longer = replace(store.plan.protocol, familiarisation_s=60.0)
-    with pytest.raises(StudyError, match="another protocol"):
+    with pytest.raises(StudyError, match="a different protocol"):
         open_study(tmp_path, replace(store.plan, protocol=longer))
     with pytest.raises(UnknownNameError, match="operator 'P09'"):
         store.append("P09", Noted("who?"))
