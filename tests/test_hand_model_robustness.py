@@ -69,7 +69,11 @@ REFUSED: dict[str, tuple[str, str, str]] = {
         URDF.replace("</joint>", '<mimic joint="x" multiplier="nan"/></joint>', 1),
         r"multiplier and offset must be finite",
     ),
-    "place nan": ("h.xml", re.sub(r'pos="\S+ ', 'pos="nan ', MJCF, count=2), r"finite numbers"),
+    "place nan": (
+        "h.xml",
+        re.sub(r'pos="\S+ ', 'pos="nan ', MJCF, count=2),
+        r"numbers that are not finite",
+    ),
     "large terrain": (
         "h.xml",
         MJCF.replace(

@@ -287,9 +287,8 @@ def test_a_deprecated_attribute_of_masses_is_no_news(tmp_path):
     assert "settotalmass" in text
     (tmp_path / "assets").mkdir()
     (tmp_path / "assets/robot.xml").write_text(text)
-    code = "import sys; from smooth_operator.cli import main; sys.exit(main(sys.argv[1:]))"
     done = subprocess.run(
-        [sys.executable, "-c", code, "hands", "add", "assets/robot.xml"],
+        [sys.executable, "-m", "smooth_operator", "hands", "add", "assets/robot.xml"],
         cwd=tmp_path,
         env=os.environ | {"SMOOTH_OPERATOR_HANDS": str(tmp_path / "hands")},
         capture_output=True,

@@ -85,7 +85,7 @@ def test_the_summary_of_a_method_lists_its_presets():
     for name, entry in METHODS.built_in.items():
         listed = re.split(r",? or |, ", entry.summary)
         named = [each.removesuffix(" for recordings") for each in listed]
-        assert [each for each in named if "file of a model" not in each] == list(PRESETS[name])
+        assert [each for each in named if "file of your trained" not in each] == list(PRESETS[name])
 
 
 def test_a_method_of_ones_own_is_named_by_its_module():

@@ -120,7 +120,7 @@ def test_an_operators_file_is_made_and_kept(tmp_path):
     # another session, with a tracker that closes pinches
     teleoperate(TeleopRequest(**run), source=source, sinks=[kept])
     assert kept.config["pinch_gaps"] == {"right": {"index": 0.3}}
-    with pytest.raises(ConfigError, match="of a right hand"):
+    with pytest.raises(ConfigError, match="is for the right hand"):
         teleoperate(TeleopRequest(side="left", **run), sinks=[Kept()])
 
 
@@ -205,7 +205,7 @@ def test_a_sink_that_fails_is_in_the_summary_and_stops_no_other(caplog):
         ({"sink": ("tble",)}, UnknownNameError, "Did you mean 'table'?"),
         ({"hand": "leap_hnd"}, UnknownNameError, "leap_hand"),
         ({"rate": 0.0}, ConfigError, "rate"),
-        ({"task": "cube", "sink": ("mujoco",)}, ConfigError, "leave out"),
+        ({"task": "cube", "sink": ("mujoco",)}, ConfigError, "remove --sink mujoco"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_opens(settings, error, says):

@@ -9,7 +9,6 @@ from typing import Annotated, Final, Literal
 from tyro.conf import Positional, arg
 
 from smooth_operator.request import MethodRequest
-from smooth_operator.types import Side
 
 DATASET: Final = "dataset"
 """Folder of the data set, in the folder of results."""
@@ -32,7 +31,7 @@ class DatasetRequest(MethodRequest):
     """Frame of wrists and objects. A clip that has no poses in it fails. Default: each
     clip's own frame, the world where it is known, else the camera."""
 
-    side: Annotated[Side | None, arg(metavar="right|left")] = None
+    side: Annotated[Literal["right", "left"] | None, arg(metavar="right|left")] = None
     """Only this hand; and the hand of recordings that do not say which it is."""
 
     layout: Annotated[str | None, arg(metavar="NAME")] = None
