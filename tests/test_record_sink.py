@@ -167,7 +167,7 @@ def test_a_file_that_stands_there(hand, tmp_path):
     sink.close()
     sink.open({"right": hand}, {})  # again, as after a failure: its own first part stays
     sink.send(make_tick(hand, 1))
-    with pytest.raises(SinkError, match="open already"):
+    with pytest.raises(SinkError, match="already open"):
         sink.open({"right": hand}, {})
     sink.close()
     assert [p.name for p in sink.paths] == ["a.mcap", "a.part2.mcap"]
