@@ -117,7 +117,7 @@ def test_a_dataset_observes_the_measured_joints(log, tmp_path, hand):
 def test_states_of_an_episode_must_fit():
     with pytest.raises(RecordingError, match="positions must have shape"):
         StateTrajectory(np.zeros(2), np.zeros((2, 3)), ("a",))
-    with pytest.raises(RecordingError, match="never go back"):
+    with pytest.raises(RecordingError, match="must not decrease"):
         StateTrajectory(np.array([1.0, 0.0]), np.zeros((2, 1)), ("a",))
     few = StateTrajectory(np.array([1.0, 2.0]), np.array([[5.0], [6.0]]), ("a",))
     positions, stamps = few.at(np.array([0.5, 1.5, 2.0, 9.0]))

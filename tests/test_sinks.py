@@ -78,7 +78,7 @@ def test_runner_opens_all_or_none(hand):
     assert never.calls == []
     del bad.raises["open"]
     runner.open({"right": hand}, {})
-    with pytest.raises(ConfigError, match="open already"):
+    with pytest.raises(ConfigError, match="already open"):
         runner.open({"right": hand}, {})
     runner.close()
     runner.close()

@@ -87,7 +87,7 @@ def test_a_finished_operator_is_amended_within_the_rubric_and_the_cap(store):
     assert store.progress("P01").trials[0].score == 0.5  # there was a reset
     for fields, why in (
         ({**place, "line": "done", "reason": "again"}, "already"),
-        ({**place, "line": "failed", "reason": " "}, "for a reason"),
+        ({**place, "line": "failed", "reason": " "}, "state the reason"),
         ({**place, "line": "faild", "reason": "x"}, "failed"),
         ({**place, "trial": 9, "line": "failed", "reason": "x"}, "was not scored"),
         ({**place, "time_s": -1.0, "reason": "x"}, "0 or more"),
@@ -118,7 +118,7 @@ def test_a_page_that_has_not_seen_an_amendment_still_scores(store):
     give(service, store, "amend", task="card", block=1, trial=1, line="failed", reason="x")
     service.carry_out(command(old, "score", line="done"), "experimenter")
     stale = command(old, "amend", task="card", block=1, trial=1, line="nearly", reason="y")
-    with pytest.raises(StudyError, match="meanwhile"):
+    with pytest.raises(StudyError, match="in the meantime"):
         service.carry_out(stale, "experimenter")
 
 
@@ -180,7 +180,7 @@ def test_a_block_that_ends_early_leaves_the_next_one_due(store):
     with pytest.raises(StudyError, match="score or void"):
         give(service, store, "end_block", reason="no time")
     walk(service, store, "questionnaire")
-    with pytest.raises(StudyError, match="for a reason"):
+    with pytest.raises(StudyError, match="state the reason"):
         give(service, store, "end_block", reason="")
     give(service, store, "end_block", reason="the glove broke")
     progress = store.progress("P01")
