@@ -174,7 +174,7 @@ def test_the_operator_sees_task_number_clock_and_go_and_no_score(simulation):
 
 def test_what_ends_a_trial_ends_its_pause(simulation, tmp_path):
     runner = TrialRunner(simulation, ("right",), tmp_path)
-    with pytest.raises(StudyError, match="could be paused"):
+    with pytest.raises(StudyError, match="before you pause it"):
         runner.pause()
     runner.pause(False)  # nothing to do
     for end in (runner.cancel, runner.finish):
