@@ -156,11 +156,11 @@ def test_silence_rests_as_the_table_says_and_the_return_is_slow(tmp_path, make, 
         driven.tick = tick_at(hand, 10.0)
         until(lambda: calm(sink))
         driven.tick = None
-        until(lambda: "no command comes" in sink.note)
+        until(lambda: "no commands arrive" in sink.note)
         cycles(driven, 5)
         assert driven.fake.count("relax") > 2 if rest == "relax" else not driven.fake.count("relax")
         assert sink.state("right") is not None  # still read
-        assert "no command comes" in sink.note
+        assert "no commands arrive" in sink.note
         held, moved = driven.fake.commands()[-1], driven.fake.positions + 7.0
         driven.fake.pushed.update(enumerate(moved))  # the hand was moved by somebody
         driven.fake.positions = moved
