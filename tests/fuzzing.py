@@ -50,49 +50,13 @@ _WALL_S = 60.0  # for one that waits for ever and computes nothing
 _ADDRESS_SPACE = 3 << 30  # beyond what the process has; protects the machine
 
 EXTREMES: tuple[str, ...] = (
-    "0",
-    "-0.0",
-    "-1",
-    "1",
-    "1e308",
-    "-1e308",
-    "1e-320",
-    "1e400",
-    "nan",
-    "inf",
-    "-inf",
-    "NaN",
-    "Infinity",
-    "-Infinity",
-    "true",
-    "false",
-    "null",
-    '""',
-    '"x"',
-    "[]",
-    "{}",
-    "[[]]",
-    "9" * 19,
-    "1" + "0" * 25,
-    "9" * 400,
-    "9" * 5000,
-    "0x7fffffffffffffff",
-    "18446744073709551616",
-    "1e11",
-    "100000000000",
-    "2147483648",
-    "-9223372036854775809",
-    "1_0",
-    "0.5",
-    "1e-9",
-    '"' + "y" * 5000 + '"',
-    '"[/x]"',
-    '"../../x"',
-    '"a\\u0000b"',
-    '"\\ud800"',
-    '"\u202e"',
+    "0", "-0.0", "-1", "1", "1e308", "-1e308", "1e-320", "1e400", "nan", "inf", "-inf", "NaN",
+    "Infinity", "-Infinity", "true", "false", "null", '""', '"x"', "[]", "{}", "[[]]",
+    "9" * 19, "1" + "0" * 25, "9" * 400, "9" * 5000, "0x7fffffffffffffff", "18446744073709551616",
+    "1e11", "100000000000", "2147483648", "-9223372036854775809", "1_0", "0.5", "1e-9",
+    '"' + "y" * 5000 + '"', '"[/x]"', '"../../x"', '"a\\u0000b"', '"\\ud800"', '"\u202e"',
     "1979-05-27T07:32:00Z",
-)
+)  # fmt: skip
 """Words that stand where a number or a text did, in JSON, TOML, CSV, XML."""
 
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
@@ -106,14 +70,10 @@ _NAMES = ("x", "", "format", "__class__", "é", "z" * 3000)
 DEEP = st.builds(
     lambda depth, form: form(depth),
     st.sampled_from((20, 100, 900, 5_000, 100_000)),
-    st.sampled_from(
-        (
-            lambda n: "[" * n + "]" * n,
-            lambda n: "[" * n,
-            lambda n: '{"a":' * n + "1" + "}" * n,
-        )
-    ),
-)
+    st.sampled_from((
+        lambda n: "[" * n + "]" * n, lambda n: "[" * n, lambda n: '{"a":' * n + "1" + "}" * n,
+    )),
+)  # fmt: skip
 """Brackets within brackets, a few or too many."""
 STRANGE = st.sampled_from(EXTREMES) | st.sampled_from(EXTREMES) | DEEP
 
@@ -122,13 +82,9 @@ def each(mutants: SearchStrategy[Any], count: int, use: Callable[[Any], None]) -
     """Calls a function with ``count`` mutants, the same in every run; shrinks one that fails."""
 
     @settings(
-        max_examples=count,
-        derandomize=True,
-        database=None,
-        deadline=None,
-        suppress_health_check=[*HealthCheck],
-        phases=[Phase.generate, Phase.shrink],
-    )
+        max_examples=count, derandomize=True, database=None, deadline=None,
+        suppress_health_check=[*HealthCheck], phases=[Phase.generate, Phase.shrink],
+    )  # fmt: skip
     @given(mutants)
     def test(mutant: Any) -> None:
         use(mutant)
@@ -152,21 +108,11 @@ def damaged_bytes(draw: DrawFn, data: bytes) -> bytes:
         bit = 1 << draw(st.integers(0, 7))
         new = draw(
             st.just(bytes(byte ^ bit for byte in piece[:1]) + piece[1:])
-            | st.sampled_from(
-                (
-                    b"",
-                    2 * piece,
-                    bytes(len(piece)),
-                    b"\xff" * len(piece),
-                    data[other : other + size],
-                    b"\r\n",
-                    b"\xef\xbb\xbf",
-                    50 * b"\n",
-                )
-            )
-            | st.sampled_from(_INTEGERS)
-            | st.binary(max_size=300)
-        )
+            | st.sampled_from((
+                b"", 2 * piece, bytes(len(piece)), b"\xff" * len(piece), data[other : other + size],
+                b"\r\n", b"\xef\xbb\xbf", 50 * b"\n",
+            )) | st.sampled_from(_INTEGERS) | st.binary(max_size=300)
+        )  # fmt: skip
         gone = draw(st.sampled_from((len(piece), len(new), len(new), 0, len(data))))
         data = data[:at] + new + data[at + gone :]
     return data
@@ -196,21 +142,13 @@ def damaged_table(draw: DrawFn, data: bytes) -> bytes:
         word = draw(st.sampled_from(re.findall(r"[A-Za-z_]{2,}", line) or [" "]))
         cells = draw(st.sampled_from((*EXTREMES, "", '"', "=1+1", "\0")))
         lines[at : at + 1] = draw(
-            st.sampled_from(
-                (
-                    [],
-                    [line, line],
-                    [lines[other]],
-                    [f"{line.split('=')[0]}= {strange}"],
-                    [f"{dots}a = 1", line],
-                    [f"[{dots}a]", line],
-                    [line.replace(cell, cells, 1)],
-                    [line.replace('"', "", 1)],
-                    [line.replace('"', "'", 1)],
-                    [line.replace(word, draw(st.sampled_from(_NAMES)), 1)],
-                )
-            )
-        ) or ([""] if len(lines) == 1 else [])
+            st.sampled_from((
+                [], [line, line], [lines[other]], [f"{line.split('=')[0]}= {strange}"],
+                [f"{dots}a = 1", line], [f"[{dots}a]", line], [line.replace(cell, cells, 1)],
+                [line.replace('"', "", 1)], [line.replace('"', "'", 1)],
+                [line.replace(word, draw(st.sampled_from(_NAMES)), 1)],
+            ))
+        ) or ([""] if len(lines) == 1 else [])  # fmt: skip
     return "\n".join(lines).encode("utf-8", "replace")
 
 
@@ -277,50 +215,12 @@ def holders(tree: Any) -> list[Any]:
     return [tree, *(holder for child in children for holder in holders(child))]
 
 
-_SHAPES = (
-    "()",
-    "(0,)",
-    "(1,)",
-    "(1000000000,)",
-    "(99999999999999999999,)",
-    "(-1,)",
-    "(0, 21, 3)",
-    "(5, 21, 3)",
-    "(2, 25, 7)",
-    "(True,)",
-    "(1.5,)",
-    "('a',)",
-    "[3]",
-    "None",
-    "(" * 200 + ")" * 200,
-    "(3, 0, 4611686018427387904)",
-)
-_TYPES = (
-    "'<f8'",
-    "'>f8'",
-    "'<f4'",
-    "'<f2'",
-    "'|b1'",
-    "'|i1'",
-    "'<u8'",
-    "'|O'",
-    "'<U0'",
-    "'<U9'",
-    "'|S0'",
-    "'|S5'",
-    "'<c16'",
-    "'<M8[ns]'",
-    "'<m8'",
-    "'|V8'",
-    "'|V0'",
-    "'<U999999999'",
-    "7",
-    "[('a', '<f8')]",
-    "'f8,' * 9",
-    "'<g16'",
-    "'nonsense'",
-    "None",
-)
+_SHAPES = ("()", "(0,)", "(1,)", "(1000000000,)", "(99999999999999999999,)", "(-1,)", "(0, 21, 3)",
+           "(5, 21, 3)", "(2, 25, 7)", "(True,)", "(1.5,)", "('a',)", "[3]", "None",
+           "(" * 200 + ")" * 200, "(3, 0, 4611686018427387904)")  # fmt: skip
+_TYPES = ("'<f8'", "'>f8'", "'<f4'", "'<f2'", "'|b1'", "'|i1'", "'<u8'", "'|O'", "'<U0'", "'<U9'",
+          "'|S0'", "'|S5'", "'<c16'", "'<M8[ns]'", "'<m8'", "'|V8'", "'|V0'", "'<U999999999'", "7",
+          "[('a', '<f8')]", "'f8,' * 9", "'<g16'", "'nonsense'", "None")  # fmt: skip
 
 
 _TITLES = ("landmarks.npy", "x.npy", "a\0b.npy", "../x.npy", "x.pkl", "é.npy")
@@ -340,16 +240,11 @@ def damaged_npz(draw: DrawFn, data: bytes) -> bytes:
         new = draw(st.one_of(*(damage(content) for damage in damages)))
         title = draw(st.sampled_from(_TITLES))
         members[at : at + 1] = draw(
-            st.sampled_from(
-                (
-                    *([(name, new)],) * 4,
-                    [(name, members[other][1])],
-                    [(title, content)],
-                    [(name, content)] * 2,
-                    [] if len(members) > 1 else [(name, b"")],
-                )
-            )
-        )
+            st.sampled_from((
+                *([(name, new)],) * 4, [(name, members[other][1])], [(title, content)],
+                [(name, content)] * 2, [] if len(members) > 1 else [(name, b"")],
+            ))
+        )  # fmt: skip
     stream = io.BytesIO()
     method = draw(st.sampled_from((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)))
     with warnings.catch_warnings(), zipfile.ZipFile(stream, "w", method) as archive:
@@ -382,20 +277,14 @@ def damaged_npy(draw: DrawFn, content: bytes) -> bytes:
     if not header:
         return draw(damaged_bytes(content))
     text = damaged_text(header.encode("latin-1")).map(lambda new: new.decode("latin-1"))
-    header = draw(
-        st.one_of(
-            st.sampled_from(_SHAPES).map(
-                lambda new: re.sub(r"'shape': \([^)]*\)", f"'shape': {new}", header)
-            ),
-            st.sampled_from(_TYPES).map(
-                lambda new: re.sub(r"'descr': '[^']*'", f"'descr': {new}", header)
-            ),
-            st.sampled_from(("True", "None", "7", "'")).map(
-                lambda new: header.replace("False", new)
-            ),
-            text,
-        )
-    )
+    header = draw(st.one_of(
+        st.sampled_from(_SHAPES).map(
+            lambda new: re.sub(r"'shape': \([^)]*\)", f"'shape': {new}", header)),
+        st.sampled_from(_TYPES).map(
+            lambda new: re.sub(r"'descr': '[^']*'", f"'descr': {new}", header)),
+        st.sampled_from(("True", "None", "7", "'")).map(lambda new: header.replace("False", new)),
+        text,
+    ))  # fmt: skip
     return _npy(header, body, draw(st.sampled_from((1, 1, 1, 2, 3, 9))))
 
 
@@ -462,12 +351,9 @@ class ReaderProcess:
         if self._process is None:
             environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*self._paths, *sys.path])}
             self._process = subprocess.Popen(
-                [sys.executable, __file__],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                env=environment,
-            )
+                [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL, env=environment,
+            )  # fmt: skip
         process = self._process
         with contextlib.suppress(BrokenPipeError):
             process.stdin.write(json.dumps([target, str(path)]).encode() + b"\n")

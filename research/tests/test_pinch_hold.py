@@ -18,46 +18,9 @@ from smooth_operator_research.physics.grasp_physics import GRASP_OBJECTS, GraspO
 from smooth_operator_research.physics.human_grasps import find_pinches, with_holds
 from smooth_operator_research.physics.measure import Case, PhysicsSettings, Unit
 from smooth_operator_research.physics.suite import find_measure
+from smooth_operator_research.physics.validity import TIGHT, WIDE
 
 pytestmark = pytest.mark.weekly
-
-WIDE = (
-    0.658,
-    -1.166,
-    0.928,
-    0.963,
-    0.478,
-    1.298,
-    0.594,
-    0.454,
-    1.182,
-    0.958,
-    0.302,
-    0.224,
-    0.196,
-    0.586,
-    0.418,
-    0.213,
-)
-TIGHT = (
-    0.458,
-    -0.553,
-    1.723,
-    1.482,
-    0.593,
-    1.129,
-    1.457,
-    0.079,
-    1.368,
-    1.336,
-    0.269,
-    0.303,
-    0.027,
-    0.369,
-    0.361,
-    0.187,
-)
-"""Poses of the mimic hand [rad]: thumb and index 44 mm apart, and 3.6 mm inside each other."""
 
 
 @pytest.fixture(scope="module")
@@ -174,14 +137,9 @@ def test_the_object_waits_for_the_last_closing():
     stamps = np.arange(0.0, 3.6, 0.01)
     closed = np.interp(stamps, [0.0, 0.3, 0.6, 1.0, 2.3, 2.45], [0.0, 0.9, 0.0, 1.0, 1.0, 0.0])
     pinch = RobotPinch(
-        finger=1,
-        stamps=stamps,
-        commands=wide + closed[:, None] * (tight - wide),
-        closing=0.6,
-        tight=1.0,
-        shut=2.3,
-        opened=2.35,
-    )
+        finger=1, stamps=stamps, commands=wide + closed[:, None] * (tight - wide), closing=0.6,
+        tight=1.0, shut=2.3, opened=2.35,
+    )  # fmt: skip
     physics = PinchPhysics(hand, thing("sphere 20"))
     assert try_pinch(physics, pinch).held
     assert not try_pinch(physics, replace(pinch, closing=0.0)).held
@@ -234,16 +192,9 @@ def test_the_measure_counts_what_was_tried(recording):
     measure = find_measure("pinch")
     unit = Unit("two pinches", data=recording[:400])
     case = Case(
-        "pinch",
-        "mimic_p050",
-        "right",
-        "keyvector",
-        "published",
-        method_config("keyvector"),
-        "",
-        unit,
-        quick=True,
-    )
+        "pinch", "mimic_p050", "right", "keyvector", "published", method_config("keyvector"), "",
+        unit, quick=True,
+    )  # fmt: skip
     row = measure.run(case).row
     assert row == measure.run(case).row  # deterministic
     tried = 2 * int(row["pinches"])
@@ -264,16 +215,9 @@ def test_what_the_human_could_not_take_is_not_tried(recording):
     tight = find_pinches(recording)[0].tight
     begin = int(np.flatnonzero(gap[:tight] > 0.02)[-1])
     case = Case(
-        "pinch",
-        "mimic_p050",
-        "right",
-        "keyvector",
-        "published",
-        method_config("keyvector"),
-        "",
-        Unit("nearly closed", data=recording[begin : begin + 150]),
-        quick=True,
-    )
+        "pinch", "mimic_p050", "right", "keyvector", "published", method_config("keyvector"), "",
+        Unit("nearly closed", data=recording[begin:begin + 150]), quick=True,
+    )  # fmt: skip
     row = PinchHold().run(case).row
     assert (row["pinches"], row["tried"], row["held_sphere_20"]) == (1, 1, None)
 

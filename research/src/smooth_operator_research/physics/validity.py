@@ -28,43 +28,15 @@ _HIGH: Final = 0.3  # of the pads over the floor [m]
 _SETTLE_S: Final = 1.0
 _SLIDES: Final = 0.005  # faster is slipping [m/s]
 
-_WIDE: Final = (
-    0.658,
-    -1.166,
-    0.928,
-    0.963,
-    0.478,
-    1.298,
-    0.594,
-    0.454,
-    1.182,
-    0.958,
-    0.302,
-    0.224,
-    0.196,
-    0.586,
-    0.418,
-    0.213,
-)
-_TIGHT: Final = (
-    0.458,
-    -0.553,
-    1.723,
-    1.482,
-    0.593,
-    1.129,
-    1.457,
-    0.079,
-    1.368,
-    1.336,
-    0.269,
-    0.303,
-    0.027,
-    0.369,
-    0.361,
-    0.187,
-)
-# Mimic's thumb and index, 44 mm apart and 3.6 mm inside each other [rad].
+WIDE: Final = (
+    0.658, -1.166, 0.928, 0.963, 0.478, 1.298, 0.594, 0.454, 1.182, 0.958, 0.302, 0.224, 0.196,
+    0.586, 0.418, 0.213,
+)  # fmt: skip
+TIGHT: Final = (
+    0.458, -0.553, 1.723, 1.482, 0.593, 1.129, 1.457, 0.079, 1.368, 1.336, 0.269, 0.303, 0.027,
+    0.369, 0.361, 0.187,
+)  # fmt: skip
+"""Poses of the mimic hand [rad]: thumb and index 44 mm apart, and 3.6 mm inside each other."""
 
 
 class Pinched(NamedTuple):
@@ -130,11 +102,9 @@ def pinched(thing: GraspObject, force: float) -> Pinched:
         pad = world.worldbody.add_body(name=name, pos=(away, 0.0, _HIGH), gravcomp=1.0)
         pad.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(-sign, 0.0, 0.0))
         pad.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            size=(_RADIUS, _HALF, 0.0),
-            mass=_PAD_MASS,
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(_RADIUS, _HALF, 0.0), mass=_PAD_MASS,
             quat=(0.5**0.5, 0.5**0.5, 0.0, 0.0),
-        )
+        )  # fmt: skip
         motor = world.add_actuator(name=name, target=name)
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
     state = _built(world, thing, _HIGH, _PADS)
@@ -204,7 +174,7 @@ def creep(force: float, thing: GraspObject, seconds: float = 10.0) -> float:
 def mimic_pinch(thing: GraspObject, step: float) -> GraspResult:
     """The mimic hand closes on an object in 0.4 s, holds it for 1.3 s, and opens."""
     hand = load_hand("mimic_p050")
-    wide, tight = hand.full_configuration(_WIDE), hand.full_configuration(_TIGHT)
+    wide, tight = hand.full_configuration(WIDE), hand.full_configuration(TIGHT)
     stamps = np.arange(0.0, 3.0, 0.01)
     closed = np.interp(stamps, [0.0, 0.4, 1.7, 1.85], [0.0, 1.0, 1.0, 0.0])
     commands = wide + closed[:, None] * (tight - wide)
