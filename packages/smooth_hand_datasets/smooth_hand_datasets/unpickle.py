@@ -218,10 +218,10 @@ class _Unpickler(pickle.Unpickler):
     """Gives stand-ins for the names of ``_ALLOWED``, chumpy and SciPy, and imports nothing."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """The stand-in of a class or function; that of chumpy and SciPy is of this load alone.
+        """Stand-in for a class or function; chumpy and SciPy get a new one for each load.
 
         Raises:
-            NotDataError: it has none, with its name.
+            NotDataError: the name has no stand-in; the message gives the name.
         """
         whole = f"{_OLD_MODULES.get(module, module)}.{name}"
         if whole in _ALLOWED:

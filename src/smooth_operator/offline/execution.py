@@ -113,8 +113,8 @@ def checked(request: RetargetRequest) -> RetargetRequest:
     config = request.config
     check_method(config, hand)
     if isinstance(request.scale, float | int):
-        replace(config.alignment, scale=float(request.scale))  # refuses what is none
-    stamps_from_rate(0, request.rate, "--rate")  # refuses one that can't be
+        replace(config.alignment, scale=float(request.scale))  # refuses a bad scale
+    stamps_from_rate(0, request.rate, "--rate")  # refuses a bad rate
     if request.frames is not None:
         try:
             frame_slice(request.frames, None)

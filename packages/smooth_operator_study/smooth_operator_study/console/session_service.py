@@ -500,9 +500,10 @@ class SessionService:
     def _due(self, command: Command) -> Progress:
         """The operator's progress, if the command may be carried out now."""
         if command.operator != self.operator:
+            selected = f"operator {self.operator}" if self.operator else "no operator"
             raise StudyError(
-                f"not done: it is for operator {command.operator}, but operator "
-                f"{self.operator or 'nobody'} is selected at this console"
+                f"not done: it is for operator {command.operator}, but {selected} is selected "
+                "at this console"
             )
         progress = self._store.progress(command.operator)
         check_seen(command, progress)

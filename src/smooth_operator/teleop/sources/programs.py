@@ -308,7 +308,7 @@ class PicoSource(StreamSource):
 
         def read(message: Message, received: float) -> Sequence[Reading]:
             data, host, connection = message
-            packet = pico_packets.read_packet(data, self.axes)  # what is none chooses no sender
+            packet = pico_packets.read_packet(data, self.axes)  # a bad packet selects no sender
             sender.check(host, received)
             stamped, session = packet.stamp is not None, f"{host.decode()} {connection.decode()}"
             return [
