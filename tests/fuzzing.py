@@ -79,7 +79,11 @@ STRANGE = st.sampled_from(EXTREMES) | st.sampled_from(EXTREMES) | DEEP
 
 
 def each(mutants: SearchStrategy[Any], count: int, use: Callable[[Any], None]) -> None:
-    """Calls a function with ``count`` mutants, the same in every run; shrinks one that fails."""
+    """Calls a function with ``count`` mutants; shrinks one that fails.
+
+    There is no seed of the clock, but Hypothesis also draws constants of the modules that are
+    loaded, so a test alone gets other mutants than in a run of all.
+    """
 
     @settings(
         max_examples=count, derandomize=True, database=None, deadline=None,

@@ -155,9 +155,14 @@ def test_no_line_is_a_crash():
                 assert frame is None or np.isfinite(frame.landmarks[frame.valid]).all()
 
     lines = [fuzzing.damaged_bytes(line) for line in good]
-    mutants = st.tuples(*lines) | st.tuples(st.just(good[0]), lines[1])
+    digits = [i for i, letter in enumerate(good[1]) if letter in b"0123456789"]
+    one_digit = st.tuples(st.sampled_from(digits), st.sampled_from(b"0123456789")).map(
+        lambda it: good[1][: it[0]] + bytes([it[1]]) + good[1][it[0] + 1 :]
+    )
+    wrist = st.just(good[0])
+    mutants = st.tuples(*lines) | st.tuples(wrist, lines[1]) | st.tuples(wrist, one_digit)
     with np.errstate(all="ignore"):
-        fuzzing.each(mutants, 200, read)
+        fuzzing.each(mutants, 300, read)
     assert len(refused) > 100
     assert len([frame for frame in taken if frame is not None]) > 10
     assert all(len(words) < 500 for words in refused)
