@@ -23,8 +23,7 @@ class FakeHand:
     """Motors that reach a command within a cycle, unless something blocks them.
 
     ``calls`` is the history: (what, commands). ``blocked`` maps an actuator to the position that it
-    can't pass; its current is then ``stall``. ``pushed`` maps one to the position that something
-    else holds it at, or beyond.
+    can't pass; its current is then ``stall``.
     """
 
     def __init__(self, actuators: ActuatorMap) -> None:
@@ -34,7 +33,6 @@ class FakeHand:
         self.currents, self.temperatures = np.zeros(count), np.full(count, 30.0)
         self.errors: tuple[str, ...] = ()
         self.blocked: dict[int, float] = {}
-        self.pushed: dict[int, float] = {}
         self.stall = 1000.0
         self.calls: list[tuple[str, np.ndarray]] = []
         self.gone = threading.Event()
@@ -43,7 +41,6 @@ class FakeHand:
         self.wrong = 0  # exchanges that fail from now on
         self.wrong_openings = 0
         self.limit = 0.0  # what the hand has in place of the 500 that are set with every opening
-        self.limits_once: list[float | None] = []  # answered in place of it; None: a wrong answer
         self.slow_s = 0.0
 
     def _bus(self, what: str, commands: Sequence[float] | np.ndarray = ()) -> None:
@@ -69,10 +66,7 @@ class FakeHand:
 
     def settings(self) -> tuple[Setting, ...]:
         self._bus("settings")
-        answer = self.limits_once.pop(0) if self.limits_once else self.limit
-        if answer is None:
-            raise WrongAnswerError("an unknown register")
-        return (Setting("limit", np.full(1, 500.0), np.full(1, answer)),)
+        return (Setting("limit", np.full(1, 500.0), np.full(1, self.limit)),)
 
     def read(self) -> Reading:
         self._bus("read")
@@ -83,8 +77,6 @@ class FakeHand:
     def write(self, commands: np.ndarray) -> None:
         self._bus("write", commands)
         self.positions = np.array(commands, float)
-        for index, at in list(self.pushed.items()):
-            self.positions[index] = max(self.positions[index], at)
         for index, stop in list(self.blocked.items()):  # the test's thread changes it
             over = self.positions[index] > stop
             self.positions[index] = min(self.positions[index], stop)

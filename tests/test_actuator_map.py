@@ -269,9 +269,11 @@ def test_a_current_below_the_share_of_the_limit_is_no_contact(tmp_path):
 
 @pytest.mark.parametrize(("yields", "gone"), [(1.3, False), (1.7, True)])
 def test_an_object_is_gone_once_the_finger_is_well_beyond_it(tmp_path, yields, gone):
-    play = Play(tmp_path)
+    play = Play(tmp_path, 195.0, approach=1.0)
     for _ in range(30):
         play.step(230.0, 195.0, 450.0)
     assert play.squeezes
-    play.step(230.0, 195.0 + yields * MARGIN)
+    at = 195.0 + yields * MARGIN
+    path = [play.step(230.0, at) for _ in range(5)]
     assert play.squeezes == (not gone)
+    assert np.diff(path) == pytest.approx(np.rad2deg(1.0) * PERIOD if gone else 0.0)  # slowly

@@ -145,6 +145,16 @@ def test_ctrl_c_and_a_lost_hand_relax_and_close(table, hand, monkeypatch):
             mover.move(0, 200.0)
 
 
+def test_a_lost_limit_ends_a_check(table, monkeypatch):
+    monkeypatch.setattr("smooth_operator.teleop.hardware.device._EVERY_S", 0.02)
+    fake = FakeHand(table)
+    with ActuatorMover(fake, table) as mover:
+        until(lambda: fake.count("settings") > 2)
+        fake.limit = 900.0
+        with pytest.raises(SinkError, match="the hand restarted: limit"):
+            until(lambda: mover.reading is None)
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
 def test_a_second_ctrl_c_does_not_leave_the_hand_powered(table):
     fake = FakeHand(table)

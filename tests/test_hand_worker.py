@@ -1,9 +1,9 @@
-"""A real hand whose bus falls silent, or that answers a wrong position: what is sent, on a clock of
-the test's own, so that no machine's load decides."""
+"""The worker of a real hand: what it sends, on a clock of the test, so that no load decides."""
 
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +15,15 @@ from ticks import make_tick
 from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.teleop.hardware.actuator_map import BoundMap, read_table
-from smooth_operator.teleop.hardware.device import Reading, Setting, WrongAnswerError
+from smooth_operator.teleop.hardware.device import (
+    DeviceLostError,
+    Reading,
+    Setting,
+    WrongAnswerError,
+)
 from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
 from smooth_operator.teleop.hardware.hardware_sink import HandWorker, WorkerSettings
-from smooth_operator.teleop.sinks.tick import Mode
+from smooth_operator.teleop.sinks.tick import HandState, Mode
 from smooth_operator.types import JointCommand
 
 PERIOD, SPEED, APPROACH, SILENCE = 0.01, 15.0, 0.5, 0.2
@@ -43,8 +48,10 @@ class Bus:
     """Motors on a bus whose writes are not answered, as Dynamixel servos' are not.
 
     Angles are [rad] from the middle. ``deaf`` and ``mute`` are times (from, to) in which nothing
-    reaches the hand, or the computer. ``wrong`` changes the positions of a reading, by its number.
-    ``written`` has a row for each command that reached the hand: time, commands, where it was.
+    reaches the hand, or the computer; in ``gone`` there is no bus. ``wrong`` changes the positions
+    of a reading, by its number. ``limits`` are answers in place of the hand's limit, by the number
+    of the question; None is a wrong answer. ``events`` are actions at a time. ``written`` has a row
+    for each command that reached the hand: time, commands, where it was.
     """
 
     def __init__(self, clock: Clock, count: int) -> None:
@@ -52,14 +59,22 @@ class Bus:
         self.angles = self.goal = np.zeros(count)
         self.stop = math.inf  # an object, beyond which no motor gets
         self.currents: np.ndarray | None = None
-        self.deaf = self.mute = (math.inf, math.inf)
+        self.temperatures, self.errors = np.full(count, 30.0), ()
+        self.deaf = self.mute = self.gone = (math.inf, math.inf)
         self.wrong: Callable[[int, np.ndarray], np.ndarray] = lambda number, positions: positions
         self.reads = 0
         self.settings_s = 0.001  # how long it takes to read the settings back
+        self.limit, self.limits = 0.0, dict[int, float | None]()
+        self.questions = 0  # readings of the settings
+        self.events: list[tuple[float, Callable[[], object]]] = []
         self.written: list[tuple[float, np.ndarray, np.ndarray]] = []
         self.relaxed: list[float] = []
         self._moved = clock.now
         self._powered = False
+
+    def fall(self, angle: float) -> None:
+        """Something moves the hand."""
+        self.angles = self.goal = np.full(len(self.angles), angle)
 
     def _wait(self, seconds: float) -> None:
         self.clock.now += seconds
@@ -67,12 +82,17 @@ class Bus:
         self._moved = self.clock.now
         self.angles = self.angles + np.clip(self.goal - self.angles, -step, step)
         self.angles = np.minimum(self.angles, self.stop)
+        while self.events and self.clock.now >= self.events[0][0]:
+            self.events.pop(0)[1]()
+        if self._lost(self.gone):
+            raise DeviceLostError("the cable was pulled")
 
     def _lost(self, *directions: tuple[float, float]) -> bool:
         return any(begin <= self.clock.now < end for begin, end in directions)
 
     def open(self) -> None:
         self._wait(0.01)
+        self.limit = 300.0
 
     def read(self) -> Reading:
         self._wait(0.003)
@@ -80,7 +100,8 @@ class Bus:
             self._wait(0.012)
             raise WrongAnswerError("no answer")
         self.reads += 1
-        return Reading(degrees(self.wrong(self.reads, self.angles.copy())), None, self.currents)
+        positions = degrees(self.wrong(self.reads, self.angles.copy()))
+        return Reading(positions, None, self.currents, self.temperatures, self.errors)
 
     def write(self, commands: np.ndarray) -> None:
         self._wait(0.001)
@@ -90,8 +111,11 @@ class Bus:
 
     def settings(self) -> tuple[Setting, ...]:
         self._wait(self.settings_s)
-        limit = np.full(len(self.angles), 300.0)
-        return (Setting("limit", limit, limit),)
+        self.questions += 1
+        answer = self.limits.get(self.questions, self.limit)
+        if answer is None:
+            raise WrongAnswerError("an unknown register")
+        return (Setting("limit", np.full(1, 300.0), np.full(1, answer)),)
 
     def relax(self) -> None:
         self._wait(0.001)
@@ -99,7 +123,7 @@ class Bus:
         self.relaxed.append(self.clock.now)
 
     def close(self) -> None:
-        """Nothing to give back."""
+        self._powered = False
 
 
 SIGNS = np.where(np.arange(16) % 2, -1.0, 1.0)
@@ -118,7 +142,7 @@ class Run:
     """A worker on a ``Bus``, from its first command to the end of the test's time.
 
     ``wish`` is what the operator asks for at a time [rad]; ``mode`` the loop's; ``silent`` True
-    when no command comes.
+    when no command comes. ``stall`` is a time at which the worker's thread stands still for 0.3 s.
     """
 
     def __init__(
@@ -132,23 +156,39 @@ class Run:
         self.wish: Callable[[float], float] = lambda now: 0.0
         self.mode: Callable[[float], Mode] = lambda now: Mode.TRACKING
         self.silent: Callable[[float], bool] = lambda now: False
+        self.stall = math.inf
+        self.seen: dict[float, tuple[str, HandState | None]] = {}
         self.lock = str(folder / "port")
         for module in ("hardware_sink", "device"):
             monkeypatch.setattr(f"smooth_operator.teleop.hardware.{module}.time", self.clock)
         monkeypatch.setattr("smooth_operator.teleop.hardware.hardware_sink._RETRY_S", 0.0)
         self.patch = monkeypatch
 
+    def at(self, time: float, action: Callable[[], object]) -> None:
+        self.bus.events.append((time, action))
+
+    def look(self, *times: float) -> None:
+        """Keep the worker's note and state of these times in ``seen``."""
+        for time in times:
+            self.at(time, partial(self._look, time))
+
+    def _look(self, time: float) -> None:
+        self.seen[time] = self.worker.note, self.worker.state
+
     def __call__(self, seconds: float, lost_s: float = 0.5) -> HandWorker:
         end = self.clock.now + seconds
         guard = GuardSettings(APPROACH, SPEED)
         settings = WorkerSettings(PERIOD, SILENCE, lost_s, guard)
-        worker = HandWorker(
+        self.bus.events.sort(key=lambda event: event[0])
+        self.worker = worker = HandWorker(
             "fake", self.bus, self.lock, self.bound, "right", self.hand.name, settings
         )
         tick = make_tick(self.hand)
 
         def pace(worker: HandWorker, cycle: float) -> None:
-            self.bus._wait(max(cycle + PERIOD - self.clock.now, 0.0))
+            self.clock.now = max(cycle + PERIOD, self.clock.now)
+            if self.clock.now > self.stall:
+                self.clock.now, self.stall = self.clock.now + 0.3, math.inf
             now = self.clock.now
             joints = np.full(len(self.hand.actuated), self.wish(now))
             command = JointCommand(self.hand.full_configuration(joints), self.hand.joint_names)
@@ -177,15 +217,21 @@ def sine(now: float) -> float:
     return 0.84 * math.sin(math.pi * now)
 
 
+def slow(rows: list[tuple[float, np.ndarray, np.ndarray]]) -> bool:
+    """Whether no step between commands is longer than an approach allows."""
+    return bool((np.abs(np.diff([row for _, row, _ in rows], axis=0)) <= SLOW_STEP).all())
+
+
+SLOW_STEP = 2 * PERIOD * APPROACH + 1e-9
 OUTAGES = [(way, seconds) for way in ("deaf", "mute") for seconds in (0.1, 0.3, 0.45)]
 
 
 @pytest.mark.parametrize(("way", "seconds"), [*OUTAGES, ("deaf", 3.0), ("mute", 3.0)])
 def test_the_first_command_after_an_outage_is_where_the_hand_is(run, way, seconds):
-    begin = 105.0 - seconds / 2
+    begin = 103.0 - seconds / 2
     run.wish = sine
     setattr(run.bus, way, (begin, begin + seconds))
-    worker = run(8.0, lost_s=5.0 if seconds > 0.5 else 0.5)
+    worker = run(6.0, lost_s=5.0 if seconds > 0.5 else 0.5)
     assert worker.statistics.lost == 0
     before = [row for row in run.bus.written if row[0] < begin][-1]
     assert abs(before[1][0] - sine(before[0])) < 0.1  # it followed
@@ -196,8 +242,7 @@ def test_the_first_command_after_an_outage_is_where_the_hand_is(run, way, second
             assert at < begin + 0.05 + 2 * PERIOD
     first, *rest = run.since(begin + seconds)
     assert np.abs(first[1] - first[2]).max() < 0.01
-    for earlier, later in zip([first, *rest], rest[:20], strict=False):
-        assert np.abs(later[1] - earlier[1]).max() <= 2 * PERIOD * APPROACH + 1e-9
+    assert slow([first, *rest[:20]])
     assert abs(run.bus.angles[0] - sine(run.clock.now)) < 0.15  # and it follows again
 
 
@@ -205,13 +250,14 @@ def test_the_first_command_after_an_outage_is_where_the_hand_is(run, way, second
 @pytest.mark.parametrize("seconds", [0.012, 0.03])
 def test_one_or_two_answers_that_are_missing_cost_no_approach_and_no_jump(run, way, seconds):
     run.wish = sine
-    setattr(run.bus, way, (105.0, 105.0 + seconds))
-    worker = run(6.0)
+    setattr(run.bus, way, (103.0, 103.0 + seconds))
+    worker = run(4.0)
     assert worker.statistics.wrong >= 1
-    before = [row for row in run.bus.written if row[0] < 105.0][-1]
-    for at, commands, _ in run.since(105.0):
+    assert worker.statistics.lost == 0
+    before = [row for row in run.bus.written if row[0] < 103.0][-1]
+    for at, commands, _ in run.since(103.0):
         assert np.abs(commands - before[1]).max() <= SPEED * (at - before[0]) + 1e-9
-    assert all(abs(sine(at) - row[0]) < 0.1 for at, row, _ in run.since(105.2))
+    assert all(abs(sine(at) - row[0]) < 0.1 for at, row, _ in run.since(103.2))
 
 
 def test_settings_that_are_slow_to_read_back_cost_no_approach(run):
@@ -311,15 +357,7 @@ def test_a_stop_in_an_outage_holds_where_the_hand_is_by_then(run):
     run.wish = lambda now: 0.4 * (now - 100.0)
     run.mode = lambda now: Mode.STOPPED if now > 102.0 else Mode.TRACKING
     run.bus.deaf = (101.9, 102.2)
-    falls: list[int] = []
-
-    def fallen(count: int, angles: np.ndarray) -> np.ndarray:
-        if not falls and run.clock.now > run.bus.deaf[1]:
-            falls.append(count)
-            run.bus.angles = run.bus.goal = np.full(16, -0.5)
-        return run.bus.angles.copy()
-
-    run.bus.wrong = fallen
+    run.at(102.2, lambda: run.bus.fall(-0.5))
     run(3.0)
     after = run.since(102.2)
     assert len(after) > 20
@@ -343,11 +381,30 @@ def test_relaxing_does_not_wait_for_a_reading(tmp_path, hand, monkeypatch, mute)
     assert not run.since(run.bus.relaxed[0])  # nothing switches it on again
 
 
-def test_a_command_counts_for_silence_s_and_no_longer(tmp_path, hand, monkeypatch):
-    run = Run(tmp_path, hand, monkeypatch, 'on_silence = "relax"\n')
-    run.silent = lambda now: now > 101.0
-    run(1.5)
-    assert 101.0 + SILENCE - PERIOD < run.bus.relaxed[0] < 101.0 + SILENCE + 3 * PERIOD
+@pytest.mark.parametrize("rest", ["hold", "relax"])
+def test_a_command_counts_for_silence_s_and_the_return_is_slow(tmp_path, hand, monkeypatch, rest):
+    run = Run(tmp_path, hand, monkeypatch, f'on_silence = "{rest}"\n')
+    run.wish = lambda now: 0.2 if now < 101.0 else -0.3
+    run.silent = lambda now: 101.0 < now < 102.0
+    run.look(101.1, 101.9)
+    here = 0.2 if rest == "hold" else 0.5
+    run.at(101.8, lambda: run.bus.fall(here))
+    run(4.0)
+    assert "no commands arrive" not in run.seen[101.1][0]
+    note, state = run.seen[101.9]
+    assert note == "no commands arrive: the hand rests"
+    assert state.positions == pytest.approx(run.bound.joints(degrees(np.full(16, here))))
+    during = [row for at, row, _ in run.since(101.0 + SILENCE + 3 * PERIOD) if at < 102.0]
+    if rest == "hold":
+        assert len(during) > 20
+        assert all(row == pytest.approx(0.2) for row in during)
+    else:
+        assert not during
+        assert 101.0 + SILENCE - PERIOD < run.bus.relaxed[0] < 101.0 + SILENCE + 3 * PERIOD
+    back = run.since(102.0 + PERIOD)
+    assert back[0][1] == pytest.approx(here, abs=0.01)
+    assert slow(back[:20])
+    assert run.worker.statistics.silences == 1
 
 
 def test_an_actuator_without_a_position_stands_and_begins_where_it_is(run):
@@ -390,91 +447,111 @@ def test_an_exchange_as_long_as_a_silence_is_a_return(run):
         if rows[k][0] - rows[k - 1][0] > SILENCE:
             returns += 1
             assert np.abs(rows[k][1] - rows[k][2]).max() < 0.01  # where the hand is
-            for earlier, later in zip(rows[k : k + 20], rows[k + 1 : k + 20], strict=False):
-                assert np.abs(later[1] - earlier[1]).max() <= 2 * PERIOD * APPROACH + 1e-9
+            assert slow(rows[k : k + 20])
     assert returns >= 3
 
 
-class Guarded:
-    """A guard, asked once a period; angles are [rad] from the middle of the table's range."""
-
-    END = math.radians(60.0)
-
-    def __init__(self, folder: Path, hand: Hand) -> None:
-        table = write_fake_table(folder / "fake_right.toml", hand.actuated_names)
-        self.hand, bound = hand, BoundMap(read_table(table), hand)
-        self.guard = CommandGuard(bound, GuardSettings(APPROACH, SPEED))
-
-    def reading(self, at: float, current: float) -> Reading:
-        count = len(SIGNS)
-        return Reading(degrees(np.full(count, at)), None, np.full(count, current))
-
-    def start(self, at: float) -> None:
-        self.guard.start(self.reading(at, 0.0))
-
-    def step(self, wish: float, at: float, current: float = 0.0) -> float:
-        """The next command of all actuators, which are alike."""
-        target = self.hand.full_configuration(np.full(len(SIGNS), wish))
-        commands = radians(self.guard.step(target, self.reading(at, current), PERIOD))
-        assert np.ptp(commands) < 1e-9
-        return float(commands[0])
-
-    def approach(self, wish: float) -> float:
-        """Steps until the actuators have caught up with a wish; where they are."""
-        at = self.step(wish, wish)
-        for _ in range(1000):
-            at = self.step(wish, at)
-            if not self.guard.approaching.any() and abs(at - wish) < 1e-9:
-                return at
-        pytest.fail(f"it came to {at}, not to {wish}")
-
-    def squeeze(self, at: float, wish: float) -> float:
-        """Half a second against an object, with more current than the limit; the last command."""
-        return [self.step(wish, at, current=500.0) for _ in range(50)][-1]
+def test_it_waits_for_a_command_and_begins_slowly_where_the_hand_is(run):
+    run.bus.fall(0.35)
+    run.silent = lambda now: now < 101.0
+    run.wish = lambda now: 0.5
+    run.look(100.9, 101.1, 103.0)
+    run(4.0)
+    assert [run.seen[at][0] for at in (100.9, 101.1, 103.0)] == [
+        "waiting for the first command",
+        "approaches",
+        "",
+    ]
+    first = run.bus.written[0]
+    assert first[0] > 101.0
+    assert np.abs(first[1] - 0.35).max() <= SLOW_STEP
+    assert slow(run.bus.written[:20])
+    assert run.bus.written[-2][1] == pytest.approx(0.5)
+    assert len(run.bus.relaxed) == 1  # at the end of the run, as the table says
+    assert not run.since(run.bus.relaxed[0])
 
 
-@pytest.fixture
-def guarded(tmp_path: Path, hand: Hand) -> Guarded:
-    return Guarded(tmp_path, hand)
+@pytest.mark.parametrize(
+    ("way", "words"), [("gone", "the cable was pulled"), ("mute", "no answer")]
+)
+def test_a_hand_that_was_lost_in_motion_is_opened_again_and_approached_slowly(run, way, words):
+    run.wish = sine
+    setattr(run.bus, way, (102.0, 103.5))
+    run.at(103.4, lambda: run.bus.fall(-0.5))
+    opened: list[tuple[str, HandState | None]] = []
+
+    def reopen() -> None:
+        opened.append((run.worker.note, run.worker.state))
+        Bus.open(run.bus)
+
+    run.patch.setattr(run.bus, "open", reopen)
+    worker = run(6.0)
+    assert worker.statistics.lost == len(opened) - 1 > 0
+    for note, state in opened[1:]:
+        assert f"{words}; retrying every second" in note
+        assert state is None
+    back = run.since(103.5)
+    assert back[0][1] == pytest.approx(-0.5, abs=SLOW_STEP)
+    assert slow(back[:20])
+    assert abs(run.bus.angles[0] - sine(run.clock.now)) < 0.15  # and it follows again
 
 
-def test_a_squeezing_command_stays_a_tenth_of_a_radian_inside_the_object(guarded):
-    guarded.start(0.0)
-    guarded.approach(0.2)
-    assert guarded.squeeze(at=0.3, wish=1.0) == pytest.approx(0.4)
-    assert guarded.guard.contacts == len(SIGNS)
+def test_after_a_stall_of_the_thread_it_begins_where_the_hand_is_by_then(run):
+    """A machine that stands still for a moment: the hand has gone on, or has fallen back."""
+    run.stall = 102.0
+    run.at(102.1, lambda: run.bus.fall(-0.5))
+    run.wish = lambda now: 0.4
+    run(4.0)
+    back = run.since(102.1)
+    assert np.abs(back[0][1] - back[0][2]).max() < 0.01
+    assert back[0][1] == pytest.approx(-0.5, abs=0.01)
+    assert slow(back[:20])
 
 
-def test_after_an_object_is_gone_the_hand_goes_on_slowly(guarded):
-    guarded.start(0.0)
-    guarded.approach(0.2)
-    command, at = guarded.squeeze(at=0.3, wish=1.0), 0.3 + 0.16
-    for _ in range(30):
-        before, command = command, guarded.step(1.0, at)
-        assert 0.0 < command - before <= APPROACH * PERIOD + 1e-9
-        at = max(at, command)
+def test_a_limit_that_is_gone_is_a_lost_device_and_one_wrong_reading_is_not(run):
+    run.bus.limits = {2: 900.0}
+    run.at(103.5, lambda: setattr(run.bus, "limit", 900.0))
+    worker = run(5.0)
+    assert worker.statistics.lost == 1
+    assert worker.statistics.latest == "the hand restarted: limit of no. 1 is 900, not 300"
+    assert run.bus.limit == 300.0
+    assert run.since(104.8)  # and it follows again
 
 
-def test_no_command_leaves_the_ends_of_the_table(guarded):
-    """A hand that is pushed beyond an end, with current, is not followed there."""
-    guarded.start(0.0)
-    end = guarded.approach(Guarded.END)
-    for _ in range(100):
-        assert guarded.step(end, end + 0.3, current=500.0) <= end + 1e-9
-    assert guarded.guard.contacts
+@pytest.mark.parametrize("answer", [900.0, None], ids=["another value", "a wrong answer"])
+def test_a_limit_that_the_hand_never_read_back_is_a_warning_and_no_loss(run, answer):
+    run.bus.limits = dict.fromkeys((1, 2, 3), answer)
+    run.look(104.0)
+    worker = run(4.5)
+    warning = "its limits can't be read back" if answer is None else "limit of no. 1 is 900, not"
+    assert warning in run.seen[104.0][0]
+    assert run.bus.questions == 3  # it can't tell, and is not asked again
+    assert worker.statistics.lost == 0
 
 
-def test_a_hand_that_has_come_back_from_beyond_an_end_does_not_go_there_again(guarded):
-    guarded.start(Guarded.END + 0.3)
-    command = guarded.step(0.0, Guarded.END + 0.3)
-    assert command > Guarded.END  # it begins where the hand is
-    guarded.approach(0.0)
-    end = guarded.approach(Guarded.END)
-    for _ in range(100):
-        assert guarded.step(end, end + 0.3, current=500.0) <= end + 1e-9
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_command_that_is_not_finite_holds_the_last_one(run, value):
+    run.wish = lambda now: value if now < 101.0 or 103.0 < now < 105.0 else 0.2
+    run.mode = lambda now: Mode.STOPPED if 104.5 < now < 106.0 else Mode.TRACKING
+    run.look(100.9, 104.0, 104.9)
+    worker = run(7.0)
+    assert run.bus.written[0][0] > 101.0  # there is no last one
+    assert all(row == pytest.approx(0.2) for at, row, _ in run.since(103.0) if at < 104.5)
+    assert "commands not finite" in run.seen[104.0][0]  # and no silence, which is shorter
+    assert "no commands arrive" not in run.seen[104.0][0]
+    assert "emergency stop" in run.seen[104.9][0]
+    assert worker.statistics.lost == worker.statistics.wrong == worker.statistics.silences == 0
 
 
-def test_a_hand_far_beyond_an_end_is_not_moved(guarded):
-    guarded.start(-Guarded.END - 0.34)
-    with pytest.raises(SinkError, match=r"0\.36 rad beyond its ends"):
-        guarded.start(-Guarded.END - 0.36)
+def test_errors_and_temperatures_are_shown(run):
+    run.bus.temperatures[2], run.bus.errors = 71.0, ("m3: overload",)
+    run.look(102.0)
+    run(3.0)
+    assert run.seen[102.0][0] == "m3: overload; hot: m2 71 °C"
+
+
+def test_a_hand_without_a_position_is_not_moved(run):
+    run.bus.wrong = lambda count, angles: far(1, math.nan)(angles)
+    worker = run(0.5)
+    assert "m1 gave no position" in worker.statistics.latest
+    assert not run.bus.written
