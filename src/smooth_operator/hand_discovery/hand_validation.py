@@ -90,7 +90,8 @@ def _fault(hand: Hand, poses: Float[np.ndarray, "T m"]) -> Float[np.ndarray, " T
     return fault
 
 
-_MEETS: Final = 0.010  # landmarks lie in the pads or inside the tips, so they need not touch [m]
+TOUCH_GAP: Final = 0.010
+"""Largest gap of two fingertips that can touch [m]: landmarks lie inside the pads."""
 _NEAR: Final = 0.030  # [m]
 _MET: Final = 1e-4  # nearer is not worth looking for [m]
 _STARTS: Final = 4
@@ -106,7 +107,7 @@ def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
     gaps = {name: closest_pinch(samples, name) for name in others}
     figures = {name: round(1e3 * gap, 2) for name, gap in gaps.items()}
     text = "thumb to " + ", ".join(f"{name} {1e3 * gap:.1f}" for name, gap in gaps.items()) + " mm"
-    apart = [name for name, gap in gaps.items() if gap > _MEETS]
+    apart = [name for name, gap in gaps.items() if gap > TOUCH_GAP]
     check = partial(Check, "pinches", figures=figures)
     if not apart:
         return check("ok", text)
