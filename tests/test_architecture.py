@@ -60,7 +60,6 @@ SHARED = {
     "synthetic": 5,
     ROOT: 7,
     "baselines": 7,
-    "offline": 7,
     "planning": 7,
     "request": 7,
     "reporting": 7,

@@ -11,7 +11,6 @@ from jax import lax
 
 from smooth_operator import Hand, Retargeter, method_config
 from smooth_operator.errors import ConfigError
-from smooth_operator.offline.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.retargeting.batching import LaneProgram, Tracks
 from smooth_operator.retargeting.method import Method, MethodOutput
 from smooth_operator.retargeting.program import FrameState, RetargetState, ticks_of
@@ -20,6 +19,7 @@ from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.retargeting.smooth import SmoothConfig
 from smooth_operator.retargeting.smooth_terms import SelfCollisionConfig
 from smooth_operator.retargeting.trajectory import TrajectoryConfig, TrajectoryMethodConfig
+from smooth_operator.retargeting.trajectory_retargeter import TrajectoryRetargeter
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandRecording, Side, Status
 

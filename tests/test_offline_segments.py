@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smooth_operator.offline.trajectory_retargeter import (
+from smooth_operator.retargeting.trajectory_retargeter import (
     even_stamps,
     segments,
     tracker_noise,

@@ -15,17 +15,20 @@ from smooth_operator.formats.commands import read_commands
 from smooth_operator.formats.readers import read_recording
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.offline import TrajectoryRetargeter, build, execute
-from smooth_operator.offline import trajectory_retargeter as trajectory_module
-from smooth_operator.offline.trajectory_retargeter import check_method, windows
-from smooth_operator.offline.trajectory_solver import Led, motion_price, smooth_trajectory
-from smooth_operator.planning import make_request, plan
+from smooth_operator.planning import build, execute, make_request, plan
+from smooth_operator.retargeting import trajectory_retargeter as trajectory_module
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.presets import PRESETS, live_presets, method_config
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.newton import NewtonConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.retargeting.trajectory import TrajectoryConfig, TrajectoryMethodConfig
+from smooth_operator.retargeting.trajectory_retargeter import (
+    TrajectoryRetargeter,
+    check_method,
+    windows,
+)
+from smooth_operator.retargeting.trajectory_solver import Led, motion_price, smooth_trajectory
 from smooth_operator.synthetic import SyntheticOperator, TrackerModel
 from smooth_operator.types import CommandTrajectory
 

@@ -291,7 +291,7 @@ def benchmark_code() -> str:
         "retargeting",
         "baselines",
         "metrics",
-        "offline",
+        "planning.py",
         "io",
         "formats",
     )

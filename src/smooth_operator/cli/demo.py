@@ -19,8 +19,7 @@ from smooth_operator.cli.common_options import (
 )
 
 if TYPE_CHECKING:
-    from smooth_operator.offline import Outcome
-    from smooth_operator.planning import Plan
+    from smooth_operator.planning import Outcome, Plan
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,9 +18,8 @@ from smooth_operator.datasets.store import as_stored
 from smooth_operator.datasets.work import ReadClip, read_item
 from smooth_operator.datasets.writers.parquet import clips_table
 from smooth_operator.errors import RecordingError
-from smooth_operator.offline.execution import checked
 from smooth_operator.parallel.tasks import describe, one_thread
-from smooth_operator.planning import make_request
+from smooth_operator.planning import checked, make_request
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side
 

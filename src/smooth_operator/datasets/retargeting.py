@@ -19,11 +19,12 @@ from smooth_operator.datasets.request import DatasetRequest
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.hands.registry import default_side
 from smooth_operator.io.jsonable import to_json
-from smooth_operator.offline.execution import answers, checked
 from smooth_operator.planning import (
     PROGRAM,
     Plan,
     RetargetRequest,
+    answers,
+    checked,
     code_of_commands,
     make_request,
     plan,

@@ -1,29 +1,22 @@
-"""The start of JAX in a process of one's own, and retargeters that are compiled for use."""
+"""The start of JAX in a process of one's own."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import time
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:  # their imports take a second
-    from smooth_operator.hands.hand import Hand
-    from smooth_operator.retargeting.method import MethodConfig
-    from smooth_operator.retargeting.retargeter import Retargeter
+from typing import Any
 
 
 def start_jax(*, one_thread: bool = True) -> None:
-    """Has JAX run CPU programs on the calling thread; call it before JAX is first used.
+    """Makes JAX run CPU programs on the calling thread. Call it before JAX is first used.
 
-    JAX hands a program to its own thread, so that the caller can go on with something else. A
-    retargeter has nothing else to do, and being woken takes longer than its smaller programs.
+    By default, JAX runs a program on its own thread, so that the caller can do something else. A
+    retargeter has nothing else to do, and waking a thread takes longer than its smaller programs.
 
-    With one thread, XLA hands no parts of a program to others, and a frame of ``smooth``
-    takes a quarter less. XLA takes as many threads as the process may use cores when it starts. So
-    the process uses one core while it does, and all of them afterwards. Systems without a choice of
-    cores (macOS, Windows) keep all threads. Results are the same.
+    With one thread, XLA does not split a program, and a frame of ``smooth`` takes a quarter less
+    time. XLA starts one thread per core that the process may use. The process is therefore limited
+    to one core while XLA starts, and uses all cores afterwards. Systems that can't limit the cores
+    (macOS, Windows) keep all threads. Results are the same.
 
     These are settings of the process: only the command line, or a program of yours, calls this.
 
@@ -45,22 +38,3 @@ def start_jax(*, one_thread: bool = True) -> None:
     finally:
         with contextlib.suppress(OSError):
             os.sched_setaffinity(0, cores)
-
-
-def build_retargeter(
-    hand: Hand, config: MethodConfig, seed: int, pinch_gaps: Mapping[str, float] | None
-) -> tuple[Retargeter, float]:
-    """A compiled retargeter, and the time that it took [s].
-
-    Args:
-        pinch_gaps: known gaps, as for ``Retargeter``.
-
-    Raises:
-        ConfigError: the preset needs the whole recording.
-    """
-    from smooth_operator.retargeting.retargeter import Retargeter
-
-    started = time.perf_counter()
-    retargeter = Retargeter(hand, config=config, seed=seed, pinch_gaps=pinch_gaps)
-    retargeter.warm_up()
-    return retargeter, time.perf_counter() - started

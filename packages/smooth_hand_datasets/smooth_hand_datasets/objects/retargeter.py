@@ -36,11 +36,11 @@ from smooth_operator.datasets.clip import Clip
 from smooth_operator.datasets.retargeting import whole_config
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand, fingerprint
-from smooth_operator.offline.trajectory_retargeter import TrajectoryRetargeter
-from smooth_operator.offline.trajectory_solver import FrameBlocks
 from smooth_operator.planning import Plan
 from smooth_operator.retargeting.presets import method_config
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
+from smooth_operator.retargeting.trajectory_retargeter import TrajectoryRetargeter
+from smooth_operator.retargeting.trajectory_solver import FrameBlocks
 from smooth_operator.types import CommandTrajectory, Side
 
 ITERATIONS: Final = 80

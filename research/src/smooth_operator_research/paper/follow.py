@@ -28,8 +28,7 @@ from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics import consistency, joints
 from smooth_operator.metrics.accuracy import cosine_similarity
 from smooth_operator.metrics.trace import Trace
-from smooth_operator.offline import built_for
-from smooth_operator.planning import Plan
+from smooth_operator.planning import Plan, built_for
 from smooth_operator.result_cache import Job
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.alignment import AlignmentConfig

@@ -24,13 +24,6 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.differential import PointKinematics
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
-from smooth_operator.offline.trajectory_solver import (
-    JOINED,
-    ExtraTerms,
-    FrameBlocks,
-    Led,
-    smooth_trajectory,
-)
 from smooth_operator.retargeting.batching import Progress, progressing
 from smooth_operator.retargeting.compiled_program import CompiledProgram
 from smooth_operator.retargeting.known_gaps import NO_GAPS
@@ -41,6 +34,13 @@ from smooth_operator.retargeting.program import align_frame
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
+from smooth_operator.retargeting.trajectory_solver import (
+    JOINED,
+    ExtraTerms,
+    FrameBlocks,
+    Led,
+    smooth_trajectory,
+)
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 WINDOW: Final = 2048
