@@ -193,62 +193,44 @@ class StarkContext:
     def __init__(self, world: StarkWorld) -> None:
         self.world = world
 
-    def get_device_info(self, slave_id: int) -> Any:
-        async def answer() -> Any:
-            await self.world.answer(slave_id)
-            return types.SimpleNamespace(
-                hand_type=self.world.type,
-                hardware_type="Revo2Basic",
-                uses_revo2_motor_api=lambda: True,
-            )
+    async def get_device_info(self, slave_id: int) -> Any:
+        await self.world.answer(slave_id)
+        return types.SimpleNamespace(
+            hand_type=self.world.type,
+            hardware_type="Revo2Basic",
+            uses_revo2_motor_api=lambda: True,
+        )
 
-        return answer()
+    async def set_finger_unit_mode(self, slave_id: int, mode: FingerUnitMode) -> None:
+        await self.world.answer(slave_id)
+        self.world.unit = mode
 
-    def set_finger_unit_mode(self, slave_id: int, mode: FingerUnitMode) -> Any:
-        async def answer() -> None:
-            await self.world.answer(slave_id)
-            self.world.unit = mode
+    async def get_finger_unit_mode(self, slave_id: int) -> FingerUnitMode | None:
+        await self.world.answer(slave_id)
+        return self.world.unit
 
-        return answer()
+    async def get_motor_status(self, slave_id: int) -> Any:
+        await self.world.answer(slave_id)
+        servos = self.world.servos
+        positions = np.rint(servos.positions()).astype(int).tolist()
+        load = servos.load()
+        return types.SimpleNamespace(
+            positions=[30000] * 6 if self.world.faults.garble else positions,
+            speeds=[0] * 6,
+            currents=np.rint(np.clip(load * 2, -1000, 1000)).astype(int).tolist(),
+            states=[
+                MotorState.Stall if k in servos.stuck and abs(x) > 5 else MotorState.Idle
+                for k, x in enumerate(load)
+            ],
+        )
 
-    def get_finger_unit_mode(self, slave_id: int) -> Any:
-        async def answer() -> FingerUnitMode | None:
-            await self.world.answer(slave_id)
-            return self.world.unit
-
-        return answer()
-
-    def get_motor_status(self, slave_id: int) -> Any:
-        async def answer() -> Any:
-            await self.world.answer(slave_id)
-            servos = self.world.servos
-            positions = np.rint(servos.positions()).astype(int).tolist()
-            load = servos.load()
-            return types.SimpleNamespace(
-                positions=[30000] * 6 if self.world.faults.garble else positions,
-                speeds=[0] * 6,
-                currents=np.rint(np.clip(load * 2, -1000, 1000)).astype(int).tolist(),
-                states=[
-                    MotorState.Stall if k in servos.stuck and abs(x) > 5 else MotorState.Idle
-                    for k, x in enumerate(load)
-                ],
-            )
-
-        return answer()
-
-    def set_finger_positions_and_speeds(
+    async def set_finger_positions_and_speeds(
         self, slave_id: int, positions: list[int], speeds: list[int]
-    ) -> Any:
-        async def answer() -> None:
-            await self.world.answer(slave_id)
-            assert len(speeds) == 6
-            self.world.units.append(self.world.unit)
-            self.world.servos.aim(positions)
+    ) -> None:
+        await self.world.answer(slave_id)
+        assert len(speeds) == 6
+        self.world.units.append(self.world.unit)
+        self.world.servos.aim(positions)
 
-        return answer()
-
-    def close(self) -> Any:
-        async def answer() -> None:
-            return None
-
-        return answer()
+    async def close(self) -> None:
+        return None

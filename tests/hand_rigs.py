@@ -109,14 +109,28 @@ class Rig:
 
     def lose(self) -> None:
         """Take the hand off its wire, in motion."""
-        raise NotImplementedError
+        self.faults.mute = True
 
     def back(self) -> None:
         """Put it back."""
-        raise NotImplementedError
+        self.faults.mute = False
 
     def close(self) -> None:
         """End."""
+        self.hand.close()
+
+
+class Packaged(Rig):
+    """A hand behind a stand-in of its maker's package."""
+
+    def lose(self) -> None:
+        self.hand.plugged_in = False
+
+    def back(self) -> None:
+        self.hand.plugged_in = True
+
+    def close(self) -> None:
+        """There is nothing to close."""
 
 
 class InspireTcp(Rig):
@@ -134,11 +148,8 @@ class InspireTcp(Rig):
         self.hand.force_limit, self.hand.speed = [1000] * 6, [1000] * 6
 
     def lose(self) -> None:
-        self.faults.mute = True
+        super().lose()
         self.server.drop()
-
-    def back(self) -> None:
-        self.faults.mute = False
 
     def close(self) -> None:
         self.server.close()
@@ -174,15 +185,6 @@ class Linker(Rig):
 
     def restart(self) -> None:
         self.hand.settings.clear()
-
-    def lose(self) -> None:
-        self.faults.mute = True
-
-    def back(self) -> None:
-        self.faults.mute = False
-
-    def close(self) -> None:
-        self.hand.close()
 
 
 class LinkerL10(Linker):
@@ -224,15 +226,6 @@ class Allegro(Rig):
     def slow(self) -> None:
         self.hand.friction *= 8
 
-    def lose(self) -> None:
-        self.faults.mute = True
-
-    def back(self) -> None:
-        self.faults.mute = False
-
-    def close(self) -> None:
-        self.hand.close()
-
 
 class AllegroV4(Allegro):
     version, table = "v4", "allegro"
@@ -255,11 +248,8 @@ class Ability(Rig):
     def back(self) -> None:
         self.start()
 
-    def close(self) -> None:
-        self.hand.close()
 
-
-class Wuji(Rig):
+class Wuji(Packaged):
     driver, unit = "wuji", 0.01
     waits = ()
 
@@ -277,14 +267,8 @@ class Wuji(Rig):
     def restart(self) -> None:
         self.hand.effort_limit = np.full((5, 4), 1.5)
 
-    def lose(self) -> None:
-        self.hand.plugged_in = False
 
-    def back(self) -> None:
-        self.hand.plugged_in = True
-
-
-class Revo2(Rig):
+class Revo2(Packaged):
     driver = "revo2"
 
     def start(self) -> None:
@@ -299,14 +283,8 @@ class Revo2(Rig):
     def restart(self) -> None:
         self.hand.unit = FingerUnitMode.Physical
 
-    def lose(self) -> None:
-        self.hand.plugged_in = False
 
-    def back(self) -> None:
-        self.hand.plugged_in = True
-
-
-class Revo2Real(Rig):
+class Revo2Real(InspireRtu):
     """With the maker's real package, on a line."""
 
     driver, library = "revo2", "bc_stark_sdk"
@@ -321,15 +299,6 @@ class Revo2Real(Rig):
 
     def restart(self) -> None:
         self.hand.unit_mode = 1 - int(self.hand.unit_mode or 0)
-
-    def lose(self) -> None:
-        self.server.close()
-
-    def back(self) -> None:
-        self.start()
-
-    def close(self) -> None:
-        self.server.close()
 
 
 def _linked(link: Path, port: str) -> Path:

@@ -14,6 +14,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.teleop.hardware.actuator_map import (
     Actuator,
     ActuatorMap,
+    BoundMap,
     built_in_tables,
     find_table,
     read_table,
@@ -66,7 +67,7 @@ def test_joints_that_share_an_actuator_and_a_differential(hand):
         Actuator("difference", {a: 1.0, b: -1.0}, line, (0, 1000)),
         Actuator("both", {c: 0.5, d: 0.5}, line, (0, 1000)),
     )
-    bound = table.bind(hand)
+    bound = BoundMap(table, hand)
     q = np.zeros(len(hand.joint_names))
     at = {name: hand.joint_names.index(name) for name in (a, b, c, d)}
     q[at[a]], q[at[b]], q[at[c]], q[at[d]] = 0.3, 0.1, 0.5, 0.1
@@ -82,7 +83,7 @@ def test_coupled_joints_and_missing_answers_in_read_back(hand):
     line = ((-2.0, 0.0), (2.0, 1000.0))
     names = hand.actuated_names
     table = table_of(*(Actuator(name, {name: 1.0}, line, (0, 1000)) for name in names))
-    bound = table.bind(hand)
+    bound = BoundMap(table, hand)
     q = hand.full_configuration(hand.neutral + 0.05)
     commands = bound.commands(bound.angles(q))
     assert bound.joints(commands) == pytest.approx(q)
@@ -103,9 +104,9 @@ def test_coupled_joints_and_missing_answers_in_read_back(hand):
 def test_a_table_for_another_hand_is_refused(hand):
     table = table_of(Actuator("m", {"elbow": 1.0}, ((0, 0), (1, 1)), (0, 1)))
     with pytest.raises(UnknownNameError, match=r"elbow.*--hand"):
-        table.bind(hand)
+        BoundMap(table, hand)
     with pytest.raises(ConfigError, match="the table of the hand 'mimic_p050', but the run"):
-        table.bind(load_hand("leap_hand"))
+        BoundMap(table, load_hand("leap_hand"))
 
 
 def test_a_table_is_written_and_read_back(tmp_path):
@@ -198,7 +199,7 @@ class Play:
     def __init__(self, folder: Path, start: float = 180.0, **settings: float) -> None:
         self._hand = load_hand("mimic_p050")
         table = write_fake_table(folder / "fake_right.toml", self._hand.actuated_names[:1])
-        bound = read_table(table).bind(self._hand)
+        bound = BoundMap(read_table(table), self._hand)
         self.guard = CommandGuard(
             bound, GuardSettings(**{"approach": 50.0, "speed": 50.0, **settings})
         )

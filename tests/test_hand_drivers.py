@@ -143,7 +143,7 @@ def test_a_driver_of_several_models_takes_the_table_of_the_runs_hand(hand):
     assert LinkerSink().actuators("right", hand).hand == hand
     assert LinkerSink(model="l20").actuators("right", hand).hand == "linker_l20"
     with pytest.raises(ConfigError, match=r"is the table of the hand 'linker_l20'"):
-        LinkerSink(model="l20").actuators("right").bind(load_hand("leap_hand"))
+        BoundMap(LinkerSink(model="l20").actuators("right"), load_hand("leap_hand"))
 
 
 @pytest.mark.parametrize("name", TABLES)

@@ -8,7 +8,9 @@ import struct
 import sys
 import time
 import types
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +27,12 @@ from smooth_operator import Hand, load_hand
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
 from smooth_operator.teleop.components import build_sink
-from smooth_operator.teleop.hardware.actuator_map import ActuatorMap, built_in_tables, read_table
+from smooth_operator.teleop.hardware.actuator_map import (
+    ActuatorMap,
+    BoundMap,
+    built_in_tables,
+    read_table,
+)
 from smooth_operator.teleop.hardware.device import Reading, WrongAnswerError
 from smooth_operator.teleop.hardware.drivers.ability import AbilityDevice, framed, unstuffed
 from smooth_operator.teleop.hardware.drivers.allegro import AllegroDevice, AllegroSink
@@ -48,9 +55,16 @@ def patience(monkeypatch) -> None:
     monkeypatch.setattr(f"{drivers}.allegro._ASK_S", 0.05)
 
 
-def table(name: str, **settings: object) -> ActuatorMap:
-    from dataclasses import replace
+@pytest.fixture
+def closing() -> Iterator[Callable[..., None]]:
+    """Takes devices, hands and buses, which are closed in this order at the end."""
+    things: list[Any] = []
+    yield lambda *more: things.extend(more)
+    for thing in things:
+        (getattr(thing, "shutdown", None) or thing.close)()
 
+
+def table(name: str, **settings: object) -> ActuatorMap:
     found = read_table(built_in_tables() / f"{name}.toml")
     return replace(found, settings={**found.settings, **settings})
 
@@ -64,44 +78,39 @@ def needs(rig: str) -> None:
         pytest.skip(why)
 
 
-def test_inspire_sets_its_limits_and_says_what_the_motors_report():
+def test_inspire_sets_its_limits_and_says_what_the_motors_report(closing):
     needs("inspire")
     hand = InspireHand()
     hand.errors = [0, 4, 0, 0, 0, 0]
     server = TcpServer(hand)
     device = InspireDevice(table("inspire_right", force=300, speed=700), f"127.0.0.1:{server.port}")
-    try:
-        device.open()
-        assert (hand.force_limit, hand.speed, hand.cleared) == ([300] * 6, [700] * 6, 1)
-        hand.errors = [1, 0, 2 | 4, 0, 0, 16]
-        hand.servos.stuck.add(3)
-        device.write(np.array([1000, 1000, 1000, 400, 1000, 1000.0]))
-        for _ in range(8):
-            reading = device.read()
-        assert reading.errors == (
-            "little: rotor locked",
-            "middle: too hot",
-            "middle: too much current",
-            "thumb_rotation: motor does not answer",
-        )
-        assert reading.temperatures.tolist() == [31, 32, 33, 34, 35, 36]
-        assert reading.currents.tolist() == [0, 0, 0, 1500, 0, 0]
-        assert reading.touch.tolist() == [0, 0, 0, 300, 0, 0]
-    finally:
-        device.close()
-        server.close()
+    closing(device, server)
+    device.open()
+    assert (hand.force_limit, hand.speed, hand.cleared) == ([300] * 6, [700] * 6, 1)
+    hand.errors = [1, 0, 2 | 4, 0, 0, 16]
+    hand.servos.stuck.add(3)
+    device.write(np.array([1000, 1000, 1000, 400, 1000, 1000.0]))
+    for _ in range(8):
+        reading = device.read()
+    assert reading.errors == (
+        "little: rotor locked",
+        "middle: too hot",
+        "middle: too much current",
+        "thumb_rotation: motor does not answer",
+    )
+    assert reading.temperatures.tolist() == [31, 32, 33, 34, 35, 36]
+    assert reading.currents.tolist() == [0, 0, 0, 1500, 0, 0]
+    assert reading.touch.tolist() == [0, 0, 0, 300, 0, 0]
 
 
-def test_inspire_follows_a_run_of_teleop(capsys):
+def test_inspire_follows_a_run_of_teleop(capsys, closing):
     needs("inspire")
     hand = InspireHand()
     server = TcpServer(hand)
-    try:
-        sink = f"inspire:127.0.0.1:{server.port},approach=5"
-        argv = ["teleop", "--hand", "inspire_hand", "--method", "joint_angle", "--source"]
-        assert main([*argv, "synthetic", "--sink", sink, "--no-view", "--duration", "0.8"]) == 0
-    finally:
-        server.close()
+    closing(server)
+    sink = f"inspire:127.0.0.1:{server.port},approach=5"
+    argv = ["teleop", "--hand", "inspire_hand", "--method", "joint_angle", "--source"]
+    assert main([*argv, "synthetic", "--sink", sink, "--no-view", "--duration", "0.8"]) == 0
     targets = np.array(hand.servos.targets)
     assert len(targets) > 10
     assert np.ptp(targets, axis=0).max() > 20  # the operator's fingers move
@@ -110,7 +119,7 @@ def test_inspire_follows_a_run_of_teleop(capsys):
     assert "inspire" in capsys.readouterr().err
 
 
-def test_linker_frames(monkeypatch):
+def test_linker_frames(monkeypatch, closing):
     needs("linker-l20")
     import can
 
@@ -118,26 +127,22 @@ def test_linker_frames(monkeypatch):
     hand = LinkerHand(wire, "l20", side="left")
     spy = can.Bus(interface="virtual", channel=wire)
     device = LinkerDevice(table("linker_l20_left", speed=120), f"virtual:{wire}", "l20")
-    try:
-        device.open()
-        device.write(np.arange(16) * 10.0)
-        seen = []
-        while (frame := spy.recv(timeout=0.05)) is not None:
-            assert frame.arbitration_id == 0x28
-            seen.append(bytes(frame.data).hex())
-        for expected in ("010 00a141e28", "02323c46505a", "036400000000", "046e78828c96"):
-            assert expected.replace(" ", "") in seen
-        assert hand.settings[0x05] == [120] * 5
-        hand.fault_codes[1] = 3
-        for _ in range(2):
-            reading = device.read()
-        time.sleep(0.02)
+    closing(device, spy, hand)
+    device.open()
+    device.write(np.arange(16) * 10.0)
+    seen = []
+    while (frame := spy.recv(timeout=0.05)) is not None:
+        assert frame.arbitration_id == 0x28
+        seen.append(bytes(frame.data).hex())
+    for expected in ("010 00a141e28", "02323c46505a", "036400000000", "046e78828c96"):
+        assert expected.replace(" ", "") in seen
+    assert hand.settings[0x05] == [120] * 5
+    hand.fault_codes[1] = 3
+    for _ in range(2):
         reading = device.read()
-        assert reading.errors == ("index: fault 0x03",)
-    finally:
-        device.close()
-        spy.shutdown()
-        hand.close()
+    time.sleep(0.02)
+    reading = device.read()
+    assert reading.errors == ("index: fault 0x03",)
     monkeypatch.setattr("smooth_operator.teleop.hardware.drivers.linker._TIMEOUT", 0.1)
     right = LinkerDevice(table("linker_l20_right"), f"virtual:{wire}", "l20")
     with pytest.raises(SinkError, match="not a left hand, which has the identifier 0x28"):
@@ -146,7 +151,7 @@ def test_linker_frames(monkeypatch):
 
 @pytest.mark.parametrize(("side", "identifier"), [("left", 0x28), ("right", 0x27)])
 @pytest.mark.parametrize("model", ["l10", "l20"])
-def test_linker_identifiers_are_those_of_the_makers_sdk(model, side, identifier):
+def test_linker_identifiers_are_those_of_the_makers_sdk(model, side, identifier, closing):
     """The maker's enumeration of sides: LEFT = 0x28, RIGHT = 0x27."""
     needs("linker-l20")
     import can
@@ -155,55 +160,43 @@ def test_linker_identifiers_are_those_of_the_makers_sdk(model, side, identifier)
     hand = LinkerHand(wire, model, side)
     spy = can.Bus(interface="virtual", channel=wire)
     device = LinkerDevice(table(f"linker_{model}_{side}"), f"virtual:{wire}", model)
-    try:
-        device.open()
-        frame = spy.recv(timeout=PATIENCE_S)
-        assert frame is not None
-        assert frame.arbitration_id == identifier
-    finally:
-        device.close()
-        spy.shutdown()
-        hand.close()
+    closing(device, spy, hand)
+    device.open()
+    frame = spy.recv(timeout=PATIENCE_S)
+    assert frame is not None
+    assert frame.arbitration_id == identifier
 
 
-def test_linker_answers_from_before_a_command_are_not_taken_for_answers_to_it(monkeypatch):
+def test_linker_answers_from_before_a_command_are_not_taken_for_answers_to_it(monkeypatch, closing):
     needs("linker-l20")
     wire = channel()
     hand = LinkerHand(wire, "l20")
     device = LinkerDevice(table("linker_l20_right"), f"virtual:{wire}", "l20")
-    try:
-        device.open()
+    closing(device, hand)
+    device.open()
+    device.read()
+    hand.faults.mute = True
+    time.sleep(0.05)  # until it has answered what was asked
+    monkeypatch.setattr("smooth_operator.teleop.hardware.drivers.linker._TIMEOUT", 0.1)
+    for kind in hand.layout:
+        hand._send(kind, [7] * 5)
+    device.write(np.full(16, 200.0))
+    with pytest.raises(WrongAnswerError, match="did not answer frame 0x01"):
         device.read()
-        hand.faults.mute = True
-        time.sleep(0.05)  # until it has answered what was asked
-        monkeypatch.setattr("smooth_operator.teleop.hardware.drivers.linker._TIMEOUT", 0.1)
-        for kind in hand.layout:
-            hand._send(kind, [7] * 5)
-        device.write(np.full(16, 200.0))
-        with pytest.raises(WrongAnswerError, match="did not answer frame 0x01"):
-            device.read()
-    finally:
-        device.close()
-        hand.close()
 
 
-def test_linker_l10_reports_temperatures_and_takes_a_torque():
+def test_linker_l10_reports_temperatures_and_takes_a_torque(closing):
     needs("linker-l10")
-    from dataclasses import replace
-
     wire = channel()
     hand = LinkerHand(wire, "l10")
     device = LinkerDevice(replace(table("linker_l10_right"), limit=150.0), f"virtual:{wire}", "l10")
-    try:
-        device.open()
-        for _ in range(6):
-            reading = device.read()
-            time.sleep(0.01)
-        assert reading.temperatures.tolist() == list(range(30, 40))
-        assert (hand.settings[2], hand.settings[3]) == ([150] * 5, [150] * 5)
-    finally:
-        device.close()
-        hand.close()
+    closing(device, hand)
+    device.open()
+    for _ in range(6):
+        reading = device.read()
+        time.sleep(0.01)
+    assert reading.temperatures.tolist() == list(range(30, 40))
+    assert (hand.settings[2], hand.settings[3]) == ([150] * 5, [150] * 5)
 
 
 def answer(device: AllegroDevice) -> Reading:
@@ -217,57 +210,51 @@ def answer(device: AllegroDevice) -> Reading:
 
 
 @pytest.mark.parametrize("version", ["v4", "v5"])
-def test_allegro_torques_have_the_sign_and_the_limit(version):
+def test_allegro_torques_have_the_sign_and_the_limit(version, closing):
     needs("allegro-v5")
     wire = channel()
     hand = AllegroHand(wire, version)
     name = "allegro_right" if version == "v4" else "allegro_v5_right"
     device = AllegroDevice(table(name), f"virtual:{wire}")
-    try:
-        device.open()
-        assert hand.switched == [False]
-        start = answer(device).positions
-        device.write(start)
-        hand.stuck.update(range(16))
-        goal = start + np.where(np.arange(16) % 2, 0.5, -0.5)
-        device.write(goal)
-        end = time.perf_counter() + PATIENCE_S
-        while hand.torque.tolist().count(0) and time.perf_counter() < end:
-            time.sleep(0.005)
-        assert hand.servo_on
-        assert (np.sign(hand.torque) == np.sign(goal - start)).all()
-        assert hand.largest_torque <= np.nanmax(table(name).limits)
-        currents = answer(device).currents
-        assert (np.abs(currents) > 0).all()
-        device.relax()
-        while hand.servo_on and time.perf_counter() < end:
-            time.sleep(0.005)
-        assert hand.switched == [False, True, False]
-        hand.error = (5, 0b100101)
-        while not answer(device).errors and time.perf_counter() < end:
-            time.sleep(0.005)
-        said = {"v4": "hand: too hot", "v5": "middle_1: input voltage, too hot, overload"}
-        assert answer(device).errors == (said[version],)
-    finally:
-        device.close()
-        hand.close()
+    closing(device, hand)
+    device.open()
+    assert hand.switched == [False]
+    start = answer(device).positions
+    device.write(start)
+    hand.stuck.update(range(16))
+    goal = start + np.where(np.arange(16) % 2, 0.5, -0.5)
+    device.write(goal)
+    end = time.perf_counter() + PATIENCE_S
+    while hand.torque.tolist().count(0) and time.perf_counter() < end:
+        time.sleep(0.005)
+    assert hand.servo_on
+    assert (np.sign(hand.torque) == np.sign(goal - start)).all()
+    assert hand.largest_torque <= np.nanmax(table(name).limits)
+    currents = answer(device).currents
+    assert (np.abs(currents) > 0).all()
+    device.relax()
+    while hand.servo_on and time.perf_counter() < end:
+        time.sleep(0.005)
+    assert hand.switched == [False, True, False]
+    hand.error = (5, 0b100101)
+    while not answer(device).errors and time.perf_counter() < end:
+        time.sleep(0.005)
+    said = {"v4": "hand: too hot", "v5": "middle_1: input voltage, too hot, overload"}
+    assert answer(device).errors == (said[version],)
 
 
-def test_allegro_angles_that_are_old_are_no_answer(monkeypatch):
+def test_allegro_angles_that_are_old_are_no_answer(monkeypatch, closing):
     needs("allegro-v5")
     monkeypatch.setattr("smooth_operator.teleop.hardware.drivers.allegro._STALE_S", 60.0)
     wire = channel()
     hand = AllegroHand(wire, "v5")
     device = AllegroDevice(table("allegro_v5_right"), f"virtual:{wire}")
-    try:
-        device.open()
-        hand.faults.mute = True
-        time.sleep(0.04)  # over the 30 ms, well under three times as long
-        with pytest.raises(WrongAnswerError, match=r"the newest angles are \d+ ms old"):
-            device.read()
-    finally:
-        device.close()
-        hand.close()
+    closing(device, hand)
+    device.open()
+    hand.faults.mute = True
+    time.sleep(0.04)  # over the 30 ms, well under three times as long
+    with pytest.raises(WrongAnswerError, match=r"the newest angles are \d+ ms old"):
+        device.read()
 
 
 def test_a_runs_limit_lowers_every_actuators_own():
@@ -278,15 +265,13 @@ def test_a_runs_limit_lowers_every_actuators_own():
 
 
 @pytest.mark.parametrize("name", ["allegro", "allegro_v5"])
-def test_allegro_of_the_other_side_is_refused(name):
+def test_allegro_of_the_other_side_is_refused(name, closing):
     needs("allegro-v5")
     wire = channel()
     hand = AllegroHand(wire, "v5" if name == "allegro_v5" else "v4", left=True)
-    try:
-        with pytest.raises(SinkError, match="is a left hand"):
-            AllegroDevice(table(f"{name}_right"), f"virtual:{wire}").open()
-    finally:
-        hand.close()
+    closing(hand)
+    with pytest.raises(SinkError, match="is a left hand"):
+        AllegroDevice(table(f"{name}_right"), f"virtual:{wire}").open()
 
 
 def test_ability_frames():
@@ -297,31 +282,28 @@ def test_ability_frames():
         assert unstuffed(framed(body)[1:-1]) == body
 
 
-def test_ability_reads_touch_and_heat_and_keeps_the_hand_awake():
+def test_ability_reads_touch_and_heat_and_keeps_the_hand_awake(closing):
     needs("ability")
     hand = AbilityHand()
     device = AbilityDevice(table("ability_right"), hand.port, 115200, 0x50)
-    try:
-        device.open()
-        hand.hot = 0b100010
-        hand.servos.stuck.add(2)
-        device.write(np.array([15, 15, 60, 15, 15, -15.0]))
-        reading = device.read()
-        assert reading.touch.tolist() == hand.touch
-        assert reading.currents[2] == pytest.approx(1125.0, abs=2.0)
-        assert reading.errors == ("middle: too hot", "thumb_rotator: too hot")
-        device.relax()
-        device.read()
-        assert not hand.servos.powered
-        assert not hand.gaps
-        assert not hand.bad_frames
-    finally:
-        device.close()
-        hand.close()
+    closing(device, hand)
+    device.open()
+    hand.hot = 0b100010
+    hand.servos.stuck.add(2)
+    device.write(np.array([15, 15, 60, 15, 15, -15.0]))
+    reading = device.read()
+    assert reading.touch.tolist() == hand.touch
+    assert reading.currents[2] == pytest.approx(1125.0, abs=2.0)
+    assert reading.errors == ("middle: too hot", "thumb_rotator: too hot")
+    device.relax()
+    device.read()
+    assert not hand.servos.powered
+    assert not hand.gaps
+    assert not hand.bad_frames
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("ah_wrapper"), reason="needs ability-hand")
-def test_ability_speaks_as_the_makers_package(tmp_path, monkeypatch):
+def test_ability_speaks_as_the_makers_package(tmp_path, monkeypatch, closing):
     monkeypatch.chdir(tmp_path)  # the package writes files into the current folder
     from ah_wrapper.ah_api import create_misc_msg, create_pos_msg
     from ah_wrapper.ah_parser import parse_packet
@@ -333,17 +315,16 @@ def test_ability_speaks_as_the_makers_package(tmp_path, monkeypatch):
     asked = bytes([0x50, 0xA0])
     assert framed(asked + bytes([-sum(asked) & 0xFF])) == bytes(create_misc_msg(0xA0))
     hand = AbilityHand()
-    try:  # and the simulator answers what the package understands
-        descriptor = os.open(hand.port, os.O_RDWR | os.O_NOCTTY)
-        os.write(descriptor, mine)
-        answer = b""
-        while answer.count(b"~") < 2:
-            answer += os.read(descriptor, 256)
-        packet = parse_packet(bytearray(unstuffed(answer.strip(b"~"))))
-        assert packet.valid
-        assert packet.pos == pytest.approx([15] * 5 + [-15], abs=2.0)
-    finally:
-        hand.close()
+    closing(hand)
+    # and the simulator answers what the package understands
+    descriptor = os.open(hand.port, os.O_RDWR | os.O_NOCTTY)
+    os.write(descriptor, mine)
+    answer = b""
+    while answer.count(b"~") < 2:
+        answer += os.read(descriptor, 256)
+    packet = parse_packet(bytearray(unstuffed(answer.strip(b"~"))))
+    assert packet.valid
+    assert packet.pos == pytest.approx([15] * 5 + [-15], abs=2.0)
 
 
 def test_wuji_limits_efforts_and_knows_its_side(monkeypatch):
@@ -452,7 +433,7 @@ def hand() -> Hand:
 def test_the_table_fits_our_model(side):
     table = read_table(built_in_tables() / f"orca_{side}.toml")
     hand = load_hand("orca_v2", side)
-    bound = table.bind(hand)
+    bound = BoundMap(table, hand)
     assert bound.determined.all()
     low, high = hand.limits.T
     for q in (low, high):  # our model's ends are the maker's
@@ -470,26 +451,24 @@ def test_without_orca_core_the_extra_is_named(hand):
         pytest.skip("orca-core is installed")
 
 
-def test_the_makers_mock_boots_approaches_and_is_read_back(hand, capsys):
+def test_the_makers_mock_boots_approaches_and_is_read_back(hand, capsys, closing):
     pytest.importorskip("orca_core", reason="the extra orca (orca-core) is not installed")
     sink = build_sink("orca:mock=true,approach=5")
     sink.open({"right": hand}, {})
-    try:
-        state = sink.state("right")
-        assert state is not None
-        q = hand.full_configuration(hand.neutral)
-        tick = replace(make_tick(hand), command=JointCommand(q, hand.joint_names))
-        until(lambda: sink.send(tick) or "approaches" not in sink.note)
+    closing(sink)
+    state = sink.state("right")
+    assert state is not None
+    q = hand.full_configuration(hand.neutral)
+    tick = replace(make_tick(hand), command=JointCommand(q, hand.joint_names))
+    until(lambda: sink.send(tick) or "approaches" not in sink.note)
 
-        def error() -> float:
-            now = sink.state("right")
-            return 9.0 if now is None else float(np.abs(now.positions - q).max())
+    def error() -> float:
+        now = sink.state("right")
+        return 9.0 if now is None else float(np.abs(now.positions - q).max())
 
-        until(lambda: sink.send(tick) or error() < 0.01)
-        assert sink.figures["wrong_answers"] == 0
-        until(lambda: "it rests" in sink.note)
-    finally:
-        sink.close()
+    until(lambda: sink.send(tick) or error() < 0.01)
+    assert sink.figures["wrong_answers"] == 0
+    until(lambda: "it rests" in sink.note)
     assert capsys.readouterr().out == ""  # what the makers' library says is no result
 
 

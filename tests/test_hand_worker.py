@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_hand import write_fake_table
+from fake_hand import FakeHandSink, write_fake_table
 from live_time import PATIENCE_S
 from ticks import make_tick
 
@@ -22,7 +22,7 @@ from smooth_operator.teleop.hardware.device import (
     WrongAnswerError,
 )
 from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
-from smooth_operator.teleop.hardware.hardware_sink import HandWorker, WorkerSettings
+from smooth_operator.teleop.hardware.hardware_sink import HandWorker
 from smooth_operator.teleop.sinks.tick import HandState, Mode
 from smooth_operator.types import JointCommand
 
@@ -158,7 +158,7 @@ class Run:
         self.silent: Callable[[float], bool] = lambda now: False
         self.stall = math.inf
         self.seen: dict[float, tuple[str, HandState | None]] = {}
-        self.lock = str(folder / "port")
+        self.port = str(folder / "port")
         for module in ("hardware_sink", "device"):
             monkeypatch.setattr(f"smooth_operator.teleop.hardware.{module}.time", self.clock)
         monkeypatch.setattr("smooth_operator.teleop.hardware.hardware_sink._RETRY_S", 0.0)
@@ -177,12 +177,11 @@ class Run:
 
     def __call__(self, seconds: float, lost_s: float = 0.5) -> HandWorker:
         end = self.clock.now + seconds
-        guard = GuardSettings(APPROACH, SPEED)
-        settings = WorkerSettings(PERIOD, SILENCE, lost_s, guard)
         self.bus.events.sort(key=lambda event: event[0])
-        self.worker = worker = HandWorker(
-            "fake", self.bus, self.lock, self.bound, "right", self.hand.name, settings
+        sink = FakeHandSink(
+            self.port, approach=APPROACH, speed=SPEED, silence_s=SILENCE, lost_s=lost_s
         )
+        self.worker = worker = HandWorker(sink, self.bus, self.bound, "right", self.hand.name)
         tick = make_tick(self.hand)
 
         def pace(worker: HandWorker, cycle: float) -> None:

@@ -23,6 +23,7 @@ from smooth_operator.io.jsonable import numbers
 from smooth_operator.teleop.components import SINKS, build_sink
 from smooth_operator.teleop.hardware.actuator_map import (
     ActuatorMap,
+    BoundMap,
     list_tables,
     read_table,
     user_tables_folder,
@@ -196,7 +197,7 @@ def check_hardware(options: Check) -> None:
         if not low < high:
             raise ConfigError(f"--ends must be the minimum command, then the maximum, not {low:g}")
         table = blank_table(sink.driver, hand, ids, options.unit, (low, high), sink.limit)
-    table.bind(hand)
+    BoundMap(table, hand)
     output = options.output or user_tables_folder() / f"{sink.driver}_{options.side}.toml"
     lock = BusLock(sink.bus)
     try:

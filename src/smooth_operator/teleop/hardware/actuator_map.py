@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
@@ -74,11 +74,9 @@ class Actuator:
         angles, commands = np.array(self.points, float).T
         for what, values in (("drive angles", angles), ("commands", commands)):
             steps = np.diff(values)
-            rising = (steps > 0).all()
-            if not (rising or (what == "commands" and (steps < 0).all())):
-                k = int(
-                    np.argmax((steps <= 0) if steps[0] > 0 or what != "commands" else steps >= 0)
-                )
+            wrong = steps >= 0 if what == "commands" and steps[0] < 0 else steps <= 0
+            if wrong.any():
+                k = int(np.argmax(wrong))
                 raise ConfigError(
                     f"the map of actuator {self.name!r} is not monotonic: its {what} go from "
                     f"{values[k]:g} to {values[k + 1]:g}; list the points by increasing "
@@ -97,7 +95,7 @@ class Actuator:
         return _linear(angle, angles, commands)
 
     def angle(self, command: float) -> float:
-        """Drive angle [rad] that a command stands for; beyond the ends, too."""
+        """Drive angle [rad] of a command; also beyond the ends."""
         angles, commands = np.array(self.points, float).T
         if commands[0] > commands[-1]:
             angles, commands = angles[::-1], commands[::-1]
@@ -177,23 +175,19 @@ class ActuatorMap:
         return np.array([default if a.limit is None else a.limit for a in self.actuators], float)
 
     def check_count(self, count: int, hand: str) -> None:
-        """Refuse a table with another number of actuators than the hand has.
+        """Check the number of actuators.
+
+        Args:
+            count: number of actuators of the hand.
+            hand: name of the hand with its article, for the message.
 
         Raises:
-            ConfigError: with the file, the hand (``an Ability Hand``) and both numbers.
+            ConfigError: the table has another number.
         """
         if len(self.actuators) != count:
             raise ConfigError(
                 f"{self.file}: {hand} has {count} actuators, not {len(self.actuators)}"
             )
-
-    def bind(self, hand: Hand) -> BoundMap:
-        """The map for the joints of a loaded hand.
-
-        Raises:
-            UnknownNameError: the hand has no such joint.
-        """
-        return BoundMap(self, hand)
 
 
 class BoundMap:
@@ -263,15 +257,14 @@ class BoundMap:
         return clipped
 
     def drive_angles(self, commands: Float[np.ndarray, " a"]) -> Float[np.ndarray, " a"]:
-        """(a,) drive angles [rad] that commands, or measured positions, stand for; NaN for NaN."""
+        """(a,) drive angles [rad] of commands or measured positions; NaN for NaN."""
         pairs = zip(commands, self._curves, strict=True)
         return np.array([_linear(value, curve[2], curve[3]) for value, curve in pairs])
 
     def joints(self, commands: Float[np.ndarray, " a"]) -> Float[np.ndarray, " n"]:
-        """(n,) joint positions [rad] that measured positions stand for.
+        """(n,) joint positions [rad] of measured positions.
 
-        Returns:
-            NaN for a joint that no actuator moves, or whose actuator's position is NaN.
+        NaN for a joint that no actuator moves, or whose actuator's position is NaN.
         """
         angles = self.drive_angles(commands) - self._weights @ self._offset
         result: np.ndarray = self._spread(angles) + self._offset
@@ -327,36 +320,11 @@ UNITS: Final[Mapping[str, float]] = {
     "deg": 180.0 / math.pi,
     "step": 4096.0 / (2 * math.pi),
 }
-"""Units of commands that are angles -> how many make a radian. ``step``: 4096 to a turn."""
+"""Unit of commands that are angles -> its number in a radian. ``step``: 4096 to a turn."""
 
-_TOP: Final = (
-    "format",
-    "driver",
-    "hand",
-    "side",
-    "unit",
-    "source",
-    "limit",
-    "rate",
-    "on_silence",
-    "on_stop",
-    "on_end",
-    "hot",
-    "settings",
-    "actuators",
-)
-_EACH: Final = (
-    "name",
-    "id",
-    "joint",
-    "joints",
-    "points",
-    "zero",
-    "sign",
-    "ends",
-    "limit",
-    "settings",
-)
+_TOP: Final = ("format", *(each.name for each in fields(ActuatorMap) if each.name != "file"))
+_EACH: Final = ("joint", "zero", "sign", *(each.name for each in fields(Actuator)))
+"""Entries of a table, and of each of its actuators."""
 
 
 def user_tables_folder() -> Path:
@@ -394,8 +362,8 @@ def find_table(request: str, driver: str, side: Side) -> Path:
 
 
 def list_tables() -> list[Path]:
-    """All tables that can be named, the user's first; a built-in one that it replaces is left
-    out."""
+    """All tables that can be named, the user's first, without the built-in ones that these
+    replace."""
     tables: dict[str, Path] = {}
     for folder in (user_tables_folder(), built_in_tables()):
         if folder.is_dir():
@@ -435,11 +403,7 @@ def read_table(path: Path) -> ActuatorMap:
 
 
 def _entries(path: Path) -> Entries:
-    """The entries of a file, with those of its ``base`` where it has none.
-
-    The base is the name of a file in the same folder, or of a built-in table. Entries of an
-    actuator of the base are replaced one by one.
-    """
+    """The entries of a file, completed by those of its ``base`` in the same folder, or built in."""
     hint = "; create one with smooth-operator hardware check"
     own = read_entries(path, "table of a hand", most_bytes=_MOST_BYTES, hint=hint)
     if "base" not in own.values:
@@ -512,7 +476,7 @@ def _is_pair(row: Any) -> bool:
 
 
 def write_table(table: ActuatorMap, path: Path, comment: str = "") -> None:
-    """Writes a table that ``read_table`` reads back; whole or not at all.
+    """Writes a table, which ``read_table`` reads back, atomically.
 
     Raises:
         OutputError: the file can't be written.

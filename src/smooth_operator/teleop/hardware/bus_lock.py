@@ -140,22 +140,18 @@ class BusLock:
             os.lseek(file, 0, os.SEEK_SET)
             os.write(file, b" " if sharer else f" {os.getpid()}".encode())
             os.ftruncate(file, os.lseek(file, 0, os.SEEK_CUR))
-        except OSError:  # another user's, which can be locked but not written to
+        except OSError:  # a file of another user can be locked, but not written
             return
 
 
 def _open(path: Path) -> int:
-    """The descriptor of a lock file, made if there is none.
-
-    Linux may refuse ``O_CREAT`` for another user's file in a folder of all (its sysctl
-    ``fs.protected_regular``).
-    """
+    """Descriptor of a lock file, which is created if missing."""
     try:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _FLAGS, 0o666)
         if hasattr(os, "fchmod"):
             os.fchmod(file, 0o666)  # whatever the umask is: other users lock it, too
     except FileExistsError:
-        try:
+        try:  # without O_CREAT, which fs.protected_regular refuses for another user's file
             file = os.open(path, os.O_RDWR | _FLAGS)
         except PermissionError:
             file = os.open(path, os.O_RDONLY | _FLAGS)
@@ -187,7 +183,7 @@ def is_serial(port: str) -> bool:
 
 
 def serial_ports() -> dict[str, str]:
-    """Serial ports of USB adapters -> what they say that they are; empty without pyserial."""
+    """Serial port of a USB adapter -> its description; empty without pyserial."""
     try:
         from serial.tools import list_ports
     except ImportError:

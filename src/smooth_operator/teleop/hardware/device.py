@@ -1,7 +1,7 @@
 """Base class of the drivers of real robot hands, and their readings.
 
-A driver implements only the hand's protocol in the hand's unit: limits, slow approach, watchdog and
-retries are those of ``HardwareSink``, which is the same for every hand.
+A driver implements only the hand's protocol, in the hand's unit. ``HardwareSink`` adds limits, slow
+approach, watchdog and retries, the same for every hand.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 
 
 class DeviceLostError(SinkError):
-    """The device is gone: unplugged, switched off, its port closed. It has to be opened again."""
+    """The device is gone, unplugged or switched off, and must be opened again."""
 
 
 class WrongAnswerError(SinkError):
@@ -89,10 +89,10 @@ class HandDevice(ABC):
     name: ClassVar[str]
     """Name of the hand with its article, for messages."""
     motors: ClassVar[int]
-    """Number of motors; 0 where the table says it."""
+    """Number of motors; 0 if the table determines it."""
 
     _limited = False
-    """True once the hand was given its limits since it was opened, or relaxed."""
+    """True if the hand got its limits since it was opened or relaxed."""
 
     def __init__(self, table: ActuatorMap) -> None:
         if self.motors:
@@ -100,7 +100,7 @@ class HandDevice(ABC):
         self._table = table
 
     def _setting(self, name: str, default: float, low: float, high: float) -> Any:
-        """A number of the table's settings, a whole one if the default is."""
+        """A number from the table's settings; a whole one if the default is whole."""
         value = self._table.settings.get(name, default)
         kinds = int if isinstance(default, int) else int | float
         if not isinstance(value, kinds) or isinstance(value, bool) or not low <= value <= high:
@@ -110,9 +110,19 @@ class HandDevice(ABC):
             )
         return value
 
+    def _check_settings(self, names: Sequence[str]) -> None:
+        """Refuse a setting of the table, or of one of its actuators, with another name."""
+        for settings in (self._table.settings, *(a.settings for a in self._table.actuators)):
+            for name in settings:
+                if name not in names:
+                    raise ConfigError(
+                        f"{self._table.file}: {self.driver} has no setting {name!r}; known: "
+                        f"{', '.join(names)}"
+                    )
+
     @contextlib.contextmanager
     def _opening(self, advice: str) -> Iterator[None]:
-        """Closes the hand again where the block fails, with advice behind the reason."""
+        """Closes the hand if the block fails, and adds advice to the error."""
         try:
             yield
         except SinkError as error:
@@ -120,7 +130,7 @@ class HandDevice(ABC):
             raise type(error)(f"{error}; {advice}") from error
 
     def _check_side(self, side: str | None, hand: str = "the hand") -> None:
-        """Refuses a hand of the other side than its table's, with a SinkError."""
+        """Refuse a hand of the other side than its table."""
         if side is not None and side != self._table.side:
             raise SinkError(
                 f"{self.driver}: {hand} is a {side} hand, but {self._table.file} is for a "
@@ -162,15 +172,17 @@ class HandDevice(ABC):
         """
 
     def settings(self) -> Sequence[Setting]:
-        """Read back what the hand forgets when it restarts, or a part of it that tells; about once
-        a second (``SettingsWatch``). Empty where the protocol reads nothing back."""
+        """Read back settings that a restart of the hand deletes, or enough of them to detect one.
+
+        Called about once a second (``SettingsWatch``). Empty if the protocol can't read them.
+        """
         return ()
 
     def relax(self) -> None:
-        """Switch the motors' torque off. Called in every cycle while it lasts.
+        """Switch the motors' torque off. Called in every cycle of a rest without torque.
 
-        A hand that can't does nothing: it has just been given where it is as its command. The
-        next command follows its limits.
+        A hand that has no such command does nothing; its last command is its own position. Before
+        the next command, it gets its limits again.
         """
         self._limited = False
 
@@ -181,11 +193,11 @@ class HandDevice(ABC):
 
 
 _AGREE: Final = 0.15
-"""Largest difference of two readings [rad]: a fast finger moves so far between them, 10 rad/s for
+"""Largest difference of two readings that agree [rad]: a finger at 10 rad/s moves so far in
 15 ms."""
 
 _APART_S: Final = 0.01
-"""Time between two readings [s]: a damaged report that is kept for a few ms is not read twice."""
+"""Time between two readings [s], so that a damaged report is not read twice."""
 
 _READINGS: Final = 3
 
@@ -201,10 +213,10 @@ def apart(first: Reading, second: Reading, table: ActuatorMap) -> list[int]:
 
 
 def agreed_reading(read: Callable[[], Reading], table: ActuatorMap) -> Reading:
-    """Reading of the hand that a second reading confirms within 0.15 rad; a third may decide.
+    """Reading of the hand that agrees with an earlier one within 0.15 rad, of three at most.
 
     Args:
-        read: one exchange with the hand, of some ms.
+        read: exchanges one question and answer with the hand.
         table: table of the hand, for the angles and names of its actuators.
 
     Returns:
@@ -232,8 +244,8 @@ _EVERY_S: Final = 1.0
 """Time between two readings of a hand's settings [s]."""
 
 _TRIES: Final = 3
-"""Readings without any confirmed setting after which there are no more: the hand can't tell, and
-waiting for its answer costs time on the bus."""
+"""Number of readings after which the watch gives up if none confirmed a setting: the hand can't
+read them back, and waiting for its answer costs time on the bus."""
 
 _TOLERANCE: Final = 0.01
 """Relative difference of two values that counts as rounding."""
@@ -287,7 +299,7 @@ class SettingsWatch:
         self.warnings = tuple(different.values())
 
     def _different(self, settings: Sequence[Setting]) -> dict[str, str]:
-        """Name of each setting that differs -> how; the others are confirmed."""
+        """Setting that differs -> description of the difference; confirms the others."""
         different: dict[str, str] = {}
         for setting in settings:
             pairs = zip(setting.measured, setting.expected, strict=True)

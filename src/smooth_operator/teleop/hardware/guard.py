@@ -35,10 +35,10 @@ class GuardSettings:
 
     Attributes:
         approach: speed of an actuator that is on its way to the operator's hand [rad/s].
-        speed: most speed of any actuator [rad/s].
+        speed: speed limit of every actuator [rad/s].
         contact: share of the limit of current or force from which an actuator counts as
             squeezing; 0 switches the contact guard off.
-        contact_s: how long the current must stay there [s].
+        contact_s: time for which the current must stay there [s].
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -95,11 +95,11 @@ class CommandGuard:
         self.approaching = np.ones(count, bool)
         self.squeezing = np.zeros(count)
         self.contacts = 0
-        self._bound = np.zeros(count)  # of the drive angle [rad], where an actuator squeezes
-        self._touched = np.zeros(count)  # the measured angle then [rad]
-        self._loaded_s = np.zeros(count)  # how long the current has been high without motion
-        self._before: Float[np.ndarray, " a"] | None = None  # the measured angle a step ago
-        self._reading: Reading | None = None  # the last one that a step, or the start, was given
+        self._bound = np.zeros(count)  # limit of the drive angle of a squeezing actuator [rad]
+        self._touched = np.zeros(count)  # measured angle at the contact [rad]
+        self._loaded_s = np.zeros(count)  # time of a high current without motion [s]
+        self._before: Float[np.ndarray, " a"] | None = None  # measured angle of the last step
+        self._reading: Reading | None = None  # reading of the last step, or of the start
 
     def start(self, reading: Reading) -> None:
         """Begin a slow approach from the hand's position, which is the first command.
@@ -156,7 +156,7 @@ class CommandGuard:
         target = self._map.clip(self._map.commands(self._map.angles(target_positions)))
         angles = self._map.drive_angles(target)
         if reading is self._reading:
-            seconds = 0.0  # nothing new is known of the hand
+            seconds = 0.0  # there is no new measurement
         self._reading = reading
         self._feel(reading, seconds)
         angles = self._release(angles)
@@ -167,7 +167,7 @@ class CommandGuard:
         commands: np.ndarray = np.clip(
             self._map.commands(self._at), self._ends[:, 0], self._ends[:, 1]
         )
-        # Where the hand began beyond an end, that way is closed as soon as it has left it.
+        # A hand that began beyond an end can't go back there once it has come in.
         low, high = self._map.ends.T
         self._ends[:, 0] = np.minimum(low, np.maximum(self._ends[:, 0], commands))
         self._ends[:, 1] = np.maximum(high, np.minimum(self._ends[:, 1], commands))
@@ -198,7 +198,7 @@ class CommandGuard:
             self._touched = np.where(began, measured, self._touched)
             stop = measured + np.clip(ahead, -_MARGIN, _MARGIN)
             self._bound = np.where(began, stop, self._bound)
-        # What it pressed on is gone: it may go on, slowly.
+        # The object is gone, so the actuator may go on, slowly.
         gone = (self.squeezing != 0) & (self.squeezing * (measured - self._touched) > 1.5 * _MARGIN)
         self.approaching |= gone
         self.squeezing = np.where(gone, 0.0, self.squeezing)

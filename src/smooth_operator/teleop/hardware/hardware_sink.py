@@ -46,102 +46,77 @@ _OPENING_S: Final = 15.0
 """Time that a device may take to open [s]; some boot their motors one by one."""
 
 _MISSED: Final = 3
-"""Periods without a right answer, or ``_MISSED_S`` if that is longer, after which the hand is taken
-to have moved: it is read, and approached."""
+"""Periods without a valid answer, at least ``_MISSED_S``, after which the hand may have moved: its
+position is read again and approached slowly."""
 
 _MISSED_S: Final = 0.05
 """Shortest outage that counts [s]: at high rates a few periods are normal jitter."""
 
 _TRIES: Final = 3
-"""Least number of tries to open a device and get its first answer, if answers are wrong."""
+"""Least number of tries to open a device and get its first answer, if answers are invalid."""
 
 _CLOSING_S: Final = 2.0
 """Time that closing waits for a bus that may hang [s]."""
 
 _MANY: Final = 0.05
-"""Share of slow cycles from which the note has their number."""
+"""Share of slow cycles from which the note tells their number."""
 
 _HANGS_S: Final = 0.5
-"""Time inside one call to the bus after which the note says so [s]."""
-
-
-@dataclass(frozen=True)
-class WorkerSettings:
-    """Settings of a worker.
-
-    Attributes:
-        period: shortest period of a cycle [s].
-        silence_s: time for which a command counts [s].
-        lost_s: time without a valid answer after which the device counts as lost [s].
-        guard: limits of the commands.
-    """
-
-    period: float
-    silence_s: float
-    lost_s: float
-    guard: GuardSettings
+"""Length of a call to the bus after which the note reports it [s]."""
 
 
 class HandWorker:
     """Runs a device on a thread of its own, from ``start`` to ``end``.
 
+    The bus is locked (``BusLock``) only while the device is open: a port that is gone may come back
+    as that of another device.
+
     Args:
-        label: for messages.
+        sink: label, bus, limits and times of the worker, and the statistics in which it counts.
         device: the hand; only the thread touches it.
-        bus: what only one program may use at a time (``BusLock``). It is locked while the device is
-            open: a port that is gone may come back as another device's.
-        actuators: its map.
+        actuators: map of the hand.
         side: side of the hand.
         hand: name of the robot hand.
-        settings: see there.
-        statistics: to go on counting in; None for new ones.
 
     Attributes:
         state: the newest measured state; None before the first one and while the device is lost.
-        reading: the same in the actuators' unit.
-        statistics: what happened on the bus.
+        reading: the newest measurement in the actuators' unit.
+        statistics: counts and times of the bus.
     """
 
     def __init__(
-        self,
-        label: str,
-        device: HandDevice,
-        bus: str,
-        actuators: BoundMap,
-        side: Side,
-        hand: str,
-        settings: WorkerSettings,
-        statistics: BusStatistics | None = None,
+        self, sink: HardwareSink, device: HandDevice, actuators: BoundMap, side: Side, hand: str
     ) -> None:
         self.state: HandState | None = None
         self.reading: Reading | None = None
-        self.statistics = BusStatistics() if statistics is None else statistics
-        self._label, self._device, self._map = label, device, actuators
-        self._bus = bus
-        self._lock: BusLock | None = None
         self.side = side
-        self._hand, self._settings = hand, settings
-        self._guard = CommandGuard(actuators, settings.guard)
+        self.statistics = sink._statistics
+        self._label, self._bus, self._hand = sink.label, sink.bus, hand
+        self._silence_s, self._lost_s = sink.silence_s, sink.lost_s
+        self._period = 1.0 / actuators.table.rate
+        self._device, self._map = device, actuators
+        self._lock: BusLock | None = None
+        self._guard = CommandGuard(actuators, sink.guard)
         self._watch = SettingsWatch(device, actuators.table.names)
         self._tick: tuple[Tick, float] | None = None
-        self._finite: JointCommand | None = None  # the last command that was
-        self._error: Exception | None = None  # why the thread gave up
-        self._trouble = ""  # why the device is being opened again
+        self._finite: JointCommand | None = None  # the last finite command
+        self._error: Exception | None = None  # reason of the end of the thread
+        self._trouble = ""  # reason why the device is being opened again
         self._doing = "opening"
         self._busy_since: float | None = None
         self._commands: np.ndarray | None = None  # the last ones; None without power
-        self._place: np.ndarray | None = None  # where it rests
+        self._place: np.ndarray | None = None  # position at which the hand rests
         self._resting = False
         self._ending = False
         self._opened = threading.Event()
         self._change = threading.Condition()
-        self._thread = threading.Thread(target=self._run, name=f"hand {label}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"hand {self._label}", daemon=True)
 
     def start(self) -> None:
-        """Open the device, and wait until its first answer is there.
+        """Open the device, and wait for its first answer.
 
         Raises:
-            SinkError: it can't be opened, or does not answer in time.
+            SinkError: the device can't be opened, or does not answer in time.
         """
         self._thread.start()
         if not self._opened.wait(_OPENING_S):
@@ -245,15 +220,14 @@ class HandWorker:
             self._error = error if isinstance(error, SinkError) else _described(error)
         finally:
             self.state = self.reading = None
-            self._close()  # before `start` returns: who tries again finds the bus free
+            self._close()  # before `start` returns, so that another try finds the bus free
             self._opened.set()
 
     def _lose(self, error: Exception) -> None:
         """Report the loss of the device, and wait before the next opening."""
-        expected = isinstance(error, SinkError)
-        # Who sees the loss sees no measurement from before it.
-        self.state = self.reading = None
-        self.statistics.latest = self._trouble = str(error if expected else _described(error))
+        self.state = self.reading = None  # before the note reports the loss
+        known = error if isinstance(error, SinkError) else _described(error)
+        self.statistics.latest = self._trouble = str(known)
         self.statistics.lost += 1
         self._close()
         with self._change:
@@ -261,7 +235,7 @@ class HandWorker:
 
     def _serve(self) -> None:
         """Open the device and run cycles until the end, or until the device is lost."""
-        now, period = time.perf_counter, self._settings.period
+        now, period = time.perf_counter, self._period
         self._commands = self._place = None
         self._until_answered(self._open)
         reading = self._until_answered(self._ask)
@@ -269,7 +243,7 @@ class HandWorker:
         self._trouble = ""
         self._opened.set()
         self._doing = "waiting for the first command"
-        begun = answered = now()  # the last exchange that was answered, from when to when
+        begun = answered = now()  # begin and end of the last exchange that was answered
         while True:
             self._pace(cycle)
             if self._ending:
@@ -277,10 +251,10 @@ class HandWorker:
                     self._rest(self._map.table.on_end, reading)
                 return
             cycle, newest = now(), self._tick
-            # A bus that stood still as long as a silence is a return, too, if it answers then.
+            # After an exchange that took as long as a silence the hand may have moved, too.
             if (
                 cycle - answered > max(_MISSED * period, _MISSED_S)
-                or cycle - begun > self._settings.silence_s
+                or cycle - begun > self._silence_s
             ):
                 moving, self._place = False, None
             try:
@@ -302,19 +276,19 @@ class HandWorker:
                 before, reading = reading, self._ask()
                 begun, answered = cycle, now()
                 if (np.isnan(before.positions) > np.isnan(reading.positions)).any():
-                    moving = False  # an actuator is back, from wherever it was meanwhile
+                    moving = False  # an actuator is back, and may have moved meanwhile
                 self._call(self._watch.look)
-                answered = now()  # however long that took
+                answered = now()
             except WrongAnswerError as error:
                 self.statistics.wrong += 1
                 self.statistics.latest = str(error)
-                if now() - answered > self._settings.lost_s:
+                if now() - answered > self._lost_s:
                     raise DeviceLostError(f"no valid answer: {error}") from error
-            self.statistics.add(now() - cycle, self._settings.period)
+            self.statistics.add(now() - cycle, period)
 
     def _until_answered(self, action: Callable[[], _T]) -> _T:
         """The result of an action on the bus, repeated while the answers are wrong."""
-        end, tries = time.perf_counter() + self._settings.lost_s, 0
+        end, tries = time.perf_counter() + self._lost_s, 0
         while True:
             try:
                 return action()
@@ -336,8 +310,7 @@ class HandWorker:
 
     def _pace(self, cycle: float) -> None:
         """Sleep until the next cycle: for a new command, but not before the bus is due."""
-        period = self._settings.period
-        before = self._tick
+        period, before = self._period, self._tick
         with self._change:
             early = cycle + 0.9 * period - time.perf_counter()
             if early > 0:
@@ -353,7 +326,7 @@ class HandWorker:
         if newest[0].mode is Mode.STOPPED:
             self._doing, self._resting = "emergency stop", False
             return self._map.table.on_stop
-        if now - newest[1] > self._settings.silence_s:
+        if now - newest[1] > self._silence_s:
             self.statistics.silences += not self._resting
             self._doing, self._resting = "no commands arrive: the hand rests", True
             return self._map.table.on_silence
@@ -371,11 +344,7 @@ class HandWorker:
             lock.release()
 
     def _rest(self, rest: Rest, reading: Reading) -> None:
-        """Hold the hand's position, or relax.
-
-        The position is another reading that agrees with the previous one. Without such a reading,
-        the hand keeps its last command until the next cycle. A hand without power stays so.
-        """
+        """Hold the position that two readings agree on, or relax; a hand without power stays so."""
         try:
             if self._commands is None:
                 return
@@ -437,7 +406,7 @@ class BusStatistics:
         lost: number of losses of the device.
         silences: number of silences of the commands.
         not_finite: number of commands with a NaN or an infinity, replaced by the last finite one.
-        latest: the last failure in one sentence; empty if there was none.
+        latest: the last failure in one sentence; empty without one.
     """
 
     def __init__(self) -> None:
@@ -447,13 +416,13 @@ class BusStatistics:
         self._times = np.full(_KEPT, np.nan, np.float32)
 
     def add(self, seconds: float, period: float) -> None:
-        """A cycle that took so long [s]."""
+        """Add a cycle: its length and its period [s]."""
         self._times[self.cycles % _KEPT] = seconds * 1e3
         self.cycles += 1
         self.slow += seconds > period
 
     def summary(self) -> dict[str, Any]:
-        """Plain values; times of the last cycles in ms."""
+        """Counts, and percentiles of the last cycles [ms], as plain values."""
         times = self._times[np.isfinite(self._times)]
         figures: dict[str, Any] = {
             "cycles": self.cycles,
@@ -491,7 +460,7 @@ class HardwareSink(Sink):
         contact: share of ``limit`` from which on an actuator counts as squeezing and stops; 0 for
             no contact guard.
         silence_s: time without a command after which the hand rests [s].
-        lost_s: time without a right answer after which the device is opened again [s].
+        lost_s: time without a valid answer after which the device is opened again [s].
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -516,7 +485,7 @@ class HardwareSink(Sink):
 
     def __post_init__(self) -> None:
         try:
-            GuardSettings(self.approach, self.speed, self.contact)
+            _ = self.guard
         except ConfigError as error:
             raise ConfigError(f"{self.driver}: {error}") from None
         if self.rate is not None and not 1.0 <= self.rate <= 1000.0:
@@ -547,6 +516,11 @@ class HardwareSink(Sink):
         return self.port or self.driver
 
     @property
+    def guard(self) -> GuardSettings:
+        """Limits of the commands."""
+        return GuardSettings(self.approach, self.speed, self.contact)
+
+    @property
     def label(self) -> str:
         """The driver and the port."""
         return f"{self.driver} {self.port}".strip()
@@ -554,8 +528,7 @@ class HardwareSink(Sink):
     @property
     def note(self) -> str:
         """Note on a hand that does not follow, on errors, temperatures and counts."""
-        worker = self._worker
-        return "" if worker is None else worker.note
+        return "" if self._worker is None else self._worker.note
 
     @property
     def measures(self) -> bool:
@@ -573,13 +546,13 @@ class HardwareSink(Sink):
         return self.table
 
     def actuators(self, side: Side, hand: str = "") -> ActuatorMap:
-        """The table of its hand, with this sink's settings.
+        """The table of the hand, with this sink's settings.
 
         Args:
-            hand: name of the run's hand, of a driver that has a table for each of several.
+            hand: name of the robot hand, for a driver with a table for each of several hands.
 
         Raises:
-            ConfigError: there is none, or it can't be used.
+            ConfigError: there is no such table, or it can't be used.
         """
         table = read_table(find_table(self.table_of(hand), self.driver, side))
         if table.driver != self.driver:
@@ -606,14 +579,9 @@ class HardwareSink(Sink):
         if self._worker is not None:
             raise SinkError(f"{self.label}: it is already open")
         side = self._side(hands)
-        table = self.actuators(side, hands[side].name)
-        bound = table.bind(hands[side])
-        device = self.device(table)
-        guard = GuardSettings(self.approach, self.speed, self.contact)
-        settings = WorkerSettings(1.0 / table.rate, self.silence_s, self.lost_s, guard)
-        worker = HandWorker(
-            self.label, device, self.bus, bound, side, hands[side].name, settings, self._statistics
-        )
+        hand = hands[side]
+        table = self.actuators(side, hand.name)
+        worker = HandWorker(self, self.device(table), BoundMap(table, hand), side, hand.name)
         worker.start()
         self._set(_worker=worker)
 
@@ -654,7 +622,7 @@ class HardwareSink(Sink):
         return next(iter(hands))
 
     def _set(self, **values: object) -> None:
-        for name, value in values.items():  # the settings are frozen, an open sink is more
+        for name, value in values.items():  # only the settings are frozen
             object.__setattr__(self, name, value)
 
 

@@ -63,7 +63,8 @@ class TableCheck:
         """
         actuators, confirmed = list(table.actuators), 0
         for index, actuator in enumerate(table.actuators):
-            self._say(f"\n{index + 1} of {len(actuators)}: {actuator.name}" + _numbered(actuator))
+            number = "" if actuator.id is None else f" (id {actuator.id})"
+            self._say(f"\n{index + 1} of {len(actuators)}: {actuator.name}{number}")
             answer = self._one(index, actuator, table.unit)
             if answer == "quit":
                 break
@@ -179,7 +180,7 @@ def blank_table(
     ends: tuple[float, float],
     limit: float | None = None,
 ) -> ActuatorMap:
-    """A table for a hand that has none: every id with the first joint of the model, to be checked.
+    """Table for a hand without one. Maps every id to the first joint, until a check corrects it.
 
     Args:
         ends: range in which an actuator may be moved.
@@ -199,10 +200,6 @@ def blank_table(
             for number in ids
         ),
     )
-
-
-def _numbered(actuator: Actuator) -> str:
-    return "" if actuator.id is None else f" (id {actuator.id})"
 
 
 _CONTACT: Final = 0.8
@@ -225,7 +222,7 @@ class ActuatorMover:
 
     Args:
         device: the hand.
-        actuators: its table; commands are not limited to its ends, which are to be found.
+        actuators: its table. Commands are not limited to its ends, since the check measures them.
         seconds: time of a motion over the whole range of an actuator in the table [s].
 
     Attributes:
@@ -331,7 +328,7 @@ class ActuatorMover:
             while not self._ending.wait(self._period):
                 step = self._speeds * self._period
                 try:
-                    if missed:  # it may have moved on, or fallen: it goes on from there
+                    if missed:  # it may have moved or fallen meanwhile
                         here = agreed_reading(self._device.read, self._table).positions
                         self._at = np.where(np.isfinite(here), here, self._at)
                     self._at += np.clip(self._goal - self._at, -step, step)

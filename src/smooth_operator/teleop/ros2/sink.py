@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.hardware.actuator_map import find_table, read_table
+from smooth_operator.teleop.hardware.actuator_map import BoundMap, find_table, read_table
 from smooth_operator.teleop.ros2.messages import (
     Duration,
     Float64MultiArray,
@@ -116,7 +116,7 @@ def table_layout(hand: Hand, table: str) -> Layout:
             f"ros2: {read.file} is of the {read.side} hand, but commands are for the {side} "
             f"one; put {{side}} into the name of the table"
         )
-    bound = read.bind(hand)
+    bound = BoundMap(read, hand)
 
     def values(positions: Float[np.ndarray, " n"]) -> list[float]:
         commands: list[float] = bound.clip(bound.commands(bound.angles(positions))).tolist()

@@ -7,7 +7,7 @@ bytes 0. Commands: 0x10 positions, 0x30 currents, 0xA0 nothing but an answer; pl
 what is answered. Answer 0: position and current of each finger, 30 touch sensors of 12 bits, a byte
 with the fingers that are too hot, checksum. A position is 32767 for 150 degrees. Order: index,
 middle, ring, little finger, thumb flexor, thumb rotator. Fingers take 0 to 100 degrees, the rotator
-0 to -100. After 300 ms without a frame the hand takes no commands any more until the next.
+0 to -100. After 300 ms without a frame the hand ignores commands until the next frame.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class AbilitySink(HardwareSink):
 class AbilityDevice(HandDevice):
     """An Ability Hand on its line; see ``HandDevice``.
 
-    The hand has no limit of current that can be set; ``limit`` [mA] is the contact guard's. So the
-    driver sets nothing that a restart could lose, and the protocol has nothing to read back.
+    The hand's limit of current can't be set; ``limit`` [mA] is that of the contact guard. So the
+    driver sets nothing that a restart could delete.
 
     Args:
         table: table of the hand.
@@ -96,7 +96,7 @@ class AbilityDevice(HandDevice):
         self._expected = False
 
     def open(self) -> None:
-        """Open the port and ask where the fingers are; see ``HandDevice``."""
+        """Open the port and read the positions; see ``HandDevice``."""
         import serial
 
         try:
@@ -137,11 +137,11 @@ class AbilityDevice(HandDevice):
         self._send(_POSITIONS, np.rint(np.asarray(commands) * DEGREE))
 
     def relax(self) -> None:
-        """No current in any motor; see ``HandDevice``."""
+        """Switch off the current of all motors; see ``HandDevice``."""
         self._send(_CURRENTS, np.zeros(MOTORS))
 
     def close(self) -> None:
-        """Give the port back; 300 ms later the hand is its own again. See ``HandDevice``."""
+        """Give the port back; the hand ignores commands 300 ms later. See ``HandDevice``."""
         line, self._line = self._line, None
         if line is not None:
             try:
@@ -158,7 +158,7 @@ class AbilityDevice(HandDevice):
         self._expected = True
 
     def _answer(self) -> bytes:
-        """The next right answer of the hand."""
+        """The next valid answer of the hand."""
         deadline, frame, wrong = time.perf_counter() + _TIMEOUT, bytearray(), ""
         while time.perf_counter() < deadline:
             for byte in self._on_line("read", max(1, self._on_line("in_waiting"))):
@@ -190,7 +190,7 @@ class AbilityDevice(HandDevice):
 
 
 def framed(body: bytes) -> bytes:
-    """A body between tildes, with what must not stand in it escaped."""
+    """A body between tildes, with special bytes escaped."""
     out = bytearray([_FRAME])
     for byte in body:
         out += bytes([_ESCAPE, byte ^ _MASK]) if byte in (_FRAME, _ESCAPE) else bytes([byte])

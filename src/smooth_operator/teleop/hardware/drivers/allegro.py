@@ -43,13 +43,13 @@ _ASK_S: Final = 1.0
 """Interval of the requests for temperatures and status [s]."""
 
 _STANDS: Final = 0.3
-"""Slower than this a joint stands [rad/s]."""
+"""Speed below which a joint is at rest [rad/s]."""
 
 _STALE_S: Final = 0.1
-"""Without angles for so long the motors are switched off: the controller would be blind [s]."""
+"""Time without angles after which the motors are switched off: the controller is blind [s]."""
 
 _LATE_S: Final = 0.03
-"""Angles that are older are no answer: the hand may have gone on since [s]."""
+"""Largest age of valid angles: the hand may have moved since [s]."""
 
 _STATUS: Final = {1: "too hot", 2: "a finger does not answer its controller board"}
 """Bits of the status of V4, in its information."""
@@ -89,8 +89,8 @@ VERSIONS: Final = {
         ((45.0, 70.0, 45.0, 45.0), (45.0,) * 4),
     ),
 }
-"""Name of a version -> its figures. Gains: V4 the maker's PD node, its damping that of the older
-ROS driver; V5 those of the maker's library as ``allegro_hand_v5_plus_python`` measured them."""
+"""Name of a version -> its figures. Gains of V4: the maker's PD node, with the damping of the older
+ROS driver. Gains of V5: the maker's library, as ``allegro_hand_v5_plus_python`` measured them."""
 
 
 @dataclass(frozen=True)
@@ -119,18 +119,18 @@ class AllegroSink(HardwareSink):
 class AllegroDevice(HandDevice):
     """An Allegro Hand on its bus; see ``HandDevice``.
 
-    A thread of its own answers each set of angles with torques, as often as the hand reports.
-    The hand measures no currents; ``Reading.currents`` is what the thread asks of motors that
-    stand, 0 for those that move: a motor at full torque on its way touches nothing.
+    A separate thread answers each set of angles with torques, as often as the hand reports. The
+    hand measures no currents. ``Reading.currents`` is the torque that the thread sends to motors at
+    rest, and 0 for moving motors: a motor that moves at full torque touches nothing.
 
-    Limits and gains are this computer's, in every torque that is sent; the hand keeps the period of
-    its reports and whether its motors are on. A hand that restarted reports nothing until it is
-    given a period, and without angles for 0.1 s it is lost. The protocol reads neither back.
+    Limits and gains are in every torque that is sent. The hand stores only the period of its
+    reports and the state of its motors, and can't read them back. A hand that restarted reports
+    nothing until it gets a period, and without angles for 0.1 s it is lost.
 
     Args:
         table: table of the hand. Its settings have ``version`` (``v4`` or ``v5``) and may have
             ``gain``, a factor on the stiffness (1.0), and ``period_ms`` of the hand's reports (3).
-            ``limit`` is the most duty or current.
+            ``limit`` is the largest duty or current.
     """
 
     driver, name, motors = "allegro", "an Allegro Hand", MOTORS
@@ -146,7 +146,7 @@ class AllegroDevice(HandDevice):
         limits = np.nan_to_num(table.limits, nan=float(figures.most))
         if (limits > figures.most).any() or (limits <= 0).any():
             raise ConfigError(f"{table.file}: limit must be over 0 to {figures.most}")
-        # Softer by g: damping by its root keeps the joints as well damped.
+        # Damping by the root of the stiffness keeps the damping ratio.
         stiffness = gain * _for_all(figures.stiffness)
         damping = math.sqrt(gain) * _for_all(figures.damping)
         self._law = stiffness, damping, limits
@@ -166,7 +166,7 @@ class AllegroDevice(HandDevice):
             self._check_side(self._side(self._control), f"the hand {self._control.serial}")
 
     def _side(self, control: _Control) -> str | None:
-        """V5 says in its serial number which hand it is, V4 in its information."""
+        """Side of the hand, from the serial number (V5) or the information (V4)."""
         if self._version == "v5":
             return {"R": "right", "L": "left"}.get(control.serial[3:4])
         return {0: "right", 1: "left"}.get(int.from_bytes(control.information[4:5] or b"\xff"))
@@ -203,8 +203,7 @@ class AllegroDevice(HandDevice):
         self._running().relax()
 
     def close(self) -> None:
-        """Switch the motors off and give the bus back: without this computer nothing would control
-        them. See ``HandDevice``."""
+        """Switch the motors off, which nothing controls any more, and give the bus back."""
         control, self._control = self._control, None
         if control is not None:
             control.end()
@@ -238,7 +237,7 @@ class _Control:
         self._thread = threading.Thread(target=self._run, name="allegro control", daemon=True)
 
     def begin(self) -> None:
-        """Ask for reports, and wait until all fingers have reported."""
+        """Ask for reports, and wait for those of all fingers."""
         for number in (_INFORMATION, _SERIAL):
             self._bus.send(number << 2, remote=True)
         self._bus.send(_OFF << 2)
@@ -249,7 +248,7 @@ class _Control:
             raise DeviceLostError("allegro: the hand reports no angles")
 
     def raise_error(self) -> None:
-        """Raise what ended the thread, if something did."""
+        """Raise the error that ended the thread, if any."""
         if self._error is not None:
             raise self._error
 
@@ -262,14 +261,14 @@ class _Control:
             return self._position.copy(), self._velocity.copy(), self._torque.copy()
 
     def aim(self, target: np.ndarray) -> None:
-        """New angles [rad] to go to."""
+        """Set target angles [rad]."""
         with self._lock:
             first, self._target = self._target is None, target
         if first:
             self._bus.send(_ON << 2)
 
     def relax(self) -> None:
-        """No torque."""
+        """Switch the torque off."""
         with self._lock:
             was, self._target = self._target, None
             self._torque = np.zeros(MOTORS)
@@ -277,7 +276,7 @@ class _Control:
             self._stop()
 
     def end(self) -> None:
-        """Motors off, reports off, thread and bus given back."""
+        """Switch motors and reports off, and end thread and bus."""
         self._ending = True
         if self._thread.is_alive():
             self._thread.join(1.0)
@@ -300,7 +299,7 @@ class _Control:
                 if frame is not None:
                     self._take(frame[0] >> 2, frame[1])
                     continue
-                stamp = self._stamp  # old only if nothing waits: this thread may have slept, too
+                stamp = self._stamp  # valid even if this thread slept: no frame is waiting
                 if stamp is not None and time.perf_counter() - stamp > _STALE_S:
                     self._stop()
                     raise DeviceLostError(
@@ -332,7 +331,7 @@ class _Control:
             self.serial = data.decode("ascii", "replace").strip("\0 ")
 
     def _answer(self) -> None:
-        """All fingers have reported: torques for them."""
+        """Send torques, after all fingers have reported."""
         now = time.perf_counter()
         with self._lock:
             if self._stamp is not None:
@@ -358,7 +357,7 @@ class _Control:
 
 
 def _for_all(values: tuple[tuple[float, ...], tuple[float, ...]]) -> Float[np.ndarray, " 16"]:
-    """Three fingers and the thumb."""
+    """Values of three equal fingers and the thumb."""
     return np.array([*values[0] * 3, *values[1]])
 
 

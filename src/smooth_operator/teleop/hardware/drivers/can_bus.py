@@ -84,7 +84,7 @@ class CanBus:
         return message.arbitration_id, bytes(message.data)
 
     def until(self, deadline: float) -> Iterator[tuple[int, bytes]]:
-        """The frames that come before a time of ``time.perf_counter``; those that wait at least."""
+        """The frames until a time of ``time.perf_counter``; at least those that are waiting."""
         while True:
             left = deadline - time.perf_counter()
             frame = self.receive(left)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -13,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SinkError
-from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
+from smooth_operator.teleop.hardware.actuator_map import UNITS, ActuatorMap
 from smooth_operator.teleop.hardware.bus_lock import only_port
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
@@ -32,7 +31,7 @@ GAINS: Final = {"kd": (80, 2), "ki": (82, 2), "kp": (84, 2)}
 BUS_WATCHDOG: Final = (98, 1)
 GOAL_CURRENT: Final = (102, 2)
 VOLATILE: Final = (98, 6)
-"""Watchdog (1), and goal current (2) in the last two bytes: gone after a restart."""
+"""Watchdog in the first byte, goal current in the last two; a restart deletes both."""
 POWER: Final = (64, 7)
 """Torque in the first byte, hardware error in the last."""
 GOAL_POSITION: Final = (116, 4)
@@ -44,35 +43,8 @@ CURRENT_BASED_POSITION: Final = 5
 """The operating mode in which the goal current limits the force."""
 
 MODELS: Final = frozenset(
-    (
-        1000,
-        1001,
-        1010,
-        1011,
-        1020,
-        1030,
-        1040,
-        1050,
-        1100,
-        1101,
-        1110,
-        1111,
-        1120,
-        1130,
-        1140,
-        1150,
-        1170,
-        1180,
-        1190,
-        1200,
-        1210,
-        1220,
-        1230,
-        1240,
-        1270,
-        1280,
-        1310,
-    )
+    {*range(1000, 1051, 10), *range(1100, 1151, 10), *range(1170, 1241, 10)}
+    | {1001, 1011, 1101, 1111, 1270, 1280, 1310}
 )
 """Model numbers of the X series with a goal current: XL330, XC330, and all of XM, XH, XD and XW."""
 
@@ -108,8 +80,7 @@ class DynamixelBus:
         port: the serial port.
         baud: bits per second.
         ids: ids of the servos, in the order in which values are given and come back.
-        names: what messages call them.
-        extra: the extra that brings the SDK, for the message where it is missing.
+        names: names of the servos, for messages.
 
     Raises:
         MissingExtraError: the SDK is not installed.
@@ -131,7 +102,7 @@ class DynamixelBus:
         """Open the port, and check that every servo answers and has the X series' control table.
 
         Raises:
-            SinkError: there is no such port, it is in use, servos do not answer or are others.
+            SinkError: the port can't be opened, or servos do not answer or have another table.
         """
         try:
             self._handler = _port_handler(self._sdk, self.port, self.baud)
@@ -149,7 +120,7 @@ class DynamixelBus:
                 "rate and ids"
             )
         for servo, model in zip(named, models, strict=True):
-            if model not in MODELS:  # the same address may mean something else there
+            if model not in MODELS:  # an address may have another meaning there
                 raise SinkError(
                     f"{self.port}: the servo {servo} is of model number {model}, which has a "
                     "different control table; expected an X series servo with a goal "
@@ -177,10 +148,10 @@ class DynamixelBus:
             self._check(group.txPacket())
 
     def set_one(self, index: int, register: _Register, value: int) -> None:
-        """Write a register of one servo, and wait for its word that it took it.
+        """Write a register of one servo, and wait for its confirmation.
 
         Raises:
-            SinkError: it refuses the value.
+            SinkError: the servo refuses the value.
         """
         address, size = register
         data = int(value).to_bytes(size, "little", signed=value < 0)
@@ -203,7 +174,7 @@ class DynamixelBus:
         """Read a register of all servos, in one packet.
 
         Raises:
-            WrongAnswerError: a servo does not answer in time, or not as it should.
+            WrongAnswerError: a servo gives no valid answer in time.
             DeviceLostError: the port is gone.
         """
         reader = self._readers.get(register)
@@ -213,7 +184,7 @@ class DynamixelBus:
                 reader.addParam(number)
             self._readers[register] = reader
         with self._lost():
-            self._handler.ser.reset_input_buffer()  # what came too late for the last question
+            self._handler.ser.reset_input_buffer()  # answers that came too late
             if self._fast is None:
                 self._fast = reader.fastSyncRead() == self._sdk.COMM_SUCCESS
                 self._handler.ser.reset_input_buffer()
@@ -225,7 +196,7 @@ class DynamixelBus:
         return blocks
 
     def get_numbers(self, register: _Register) -> list[int]:
-        """The same as whole numbers without sign."""
+        """Read a register of all servos as unsigned whole numbers; see ``get``."""
         return [int.from_bytes(data, "little") for data in self.get(register)]
 
     def _model(self, number: int) -> int | None:
@@ -253,7 +224,7 @@ class DynamixelBus:
             yield
         except SinkError:
             raise
-        except (IndexError, KeyError) as error:  # the SDK reads on behind a short packet's end
+        except (IndexError, KeyError) as error:  # the SDK reads beyond the end of a short packet
             raise WrongAnswerError(f"{self.port}: received a truncated answer") from error
         except Exception as error:  # of pyserial or termios, in several classes
             raise DeviceLostError(
@@ -301,41 +272,28 @@ def _cant_open(port: str, error: Exception) -> str:
     return f"can't open {port}: {text}"
 
 
-def errors_of(bits: int) -> str:
-    """The hardware error status in words."""
-    return ", ".join(text for bit, text in ERRORS.items() if bits & bit) or f"error 0x{bits:02x}"
-
-
-def gains_of(settings: Mapping[str, Any]) -> dict[str, int]:
-    """The gains among settings of a table."""
-    return {name: int(settings[name]) for name in GAINS if name in settings}
-
-
-_PER_UNIT: Final = {"step": 1.0, "rad": STEPS / (2 * math.pi), "deg": STEPS / 360.0}
-"""Steps of one unit of a table."""
-
-_SETTINGS: Final = ("baud", "current_unit", "watchdog", "kp", "ki", "kd")
+_SETTINGS: Final = ("baud", "current_unit", "watchdog", *GAINS)
 _SLOW_EVERY: Final = 25
-"""Cycles between two looks at what changes slowly."""
+"""Number of cycles between two readings of slow registers."""
 
 _SLOW: Final = (HARDWARE_ERROR, TEMPERATURE)
-"""Registers that are read in turns."""
+"""Slow registers, which are read in turns."""
 
 _STRUCK: Final = 255
-"""Value of a servo's watchdog register once it has stopped the servo."""
+"""Value of the watchdog's register after it has stopped the servo."""
 
 
 @dataclass(frozen=True)
 class DynamixelSink(HardwareSink):
     """A hand built of Dynamixel X servos, in current-based position mode.
 
-    The table has the servos' ids; its unit is ``rad``, ``deg`` or ``step`` (4096 to a turn), its
-    limit the most current [mA]. ``settings`` may have ``baud``, ``current_unit`` [mA] (1 for XL330
-    and XC330, 2.69 for XM430 and XH540), ``watchdog`` [s], and the gains ``kp``, ``ki``, ``kd``,
-    for all servos or for one.
+    The table has the servos' ids. Its unit is ``rad``, ``deg`` or ``step`` (4096 to a turn), and
+    its limit the largest current [mA]. ``settings`` may have ``baud``, ``current_unit`` [mA] (1 for
+    XL330 and XC330, 2.69 for XM430 and XH540), ``watchdog`` [s], and the gains ``kp``, ``ki``,
+    ``kd``, for all servos or for one.
 
     Attributes:
-        baud: bits per second; None as the table says.
+        baud: bits per second; None for those of the table.
     """
 
     driver: ClassVar[str] = "dynamixel"
@@ -344,7 +302,7 @@ class DynamixelSink(HardwareSink):
 
     @property
     def bus(self) -> str:
-        """The serial port; the only one, if none is named."""
+        """The serial port; by default the only one of this machine."""
         return self.port or only_port(self.driver, "dynamixel")
 
     def device(self, actuators: ActuatorMap) -> DynamixelHand:
@@ -371,22 +329,16 @@ class DynamixelHand(HandDevice):
     def __init__(self, port: str, actuators: ActuatorMap, baud: int | None = None) -> None:
         super().__init__(actuators)
         settings = actuators.settings
-        for where in (settings, *(a.settings for a in actuators.actuators)):
-            for name in where:
-                if name not in _SETTINGS:
-                    raise ConfigError(
-                        f"{actuators.file}: servos have no setting {name!r}; known: "
-                        f"{', '.join(_SETTINGS)}"
-                    )
-        if actuators.unit not in _PER_UNIT:
+        self._check_settings(_SETTINGS)
+        if actuators.unit not in UNITS:
             raise ConfigError(
-                f"{actuators.file}: the unit of servos is {' or '.join(_PER_UNIT)}, not "
+                f"{actuators.file}: the unit of servos must be {' or '.join(UNITS)}, not "
                 f"{actuators.unit!r}"
             )
         ids = [a.id for a in actuators.actuators if a.id is not None]
         if len(ids) < len(actuators.actuators) or not all(0 <= number <= 252 for number in ids):
             raise ConfigError(f"{actuators.file}: every servo needs an id of 0 to 252")
-        self._scale = _PER_UNIT[actuators.unit]
+        self._scale = UNITS["step"] / UNITS[actuators.unit]
         self._current_unit = float(settings.get("current_unit", 1.0))
         if not self._current_unit > 0.0:
             raise ConfigError(f"{actuators.file}: current_unit must be over 0 mA")
@@ -400,7 +352,7 @@ class DynamixelHand(HandDevice):
         )
         self._powered = False
         self._cycle = 0
-        self._written = 0.0  # when goals were written last
+        self._written = 0.0  # time of the last goals [s]
         self._temperatures: Float[np.ndarray, " a"] | None = None
         self._errors: tuple[str, ...] = ()
 
@@ -414,7 +366,7 @@ class DynamixelHand(HandDevice):
         bus.set(BUS_WATCHDOG, 0)
         modes = bus.get_numbers(OPERATING_MODE)
         for index, mode in enumerate(modes):
-            if mode != CURRENT_BASED_POSITION:  # kept without power, and wears out when written
+            if mode != CURRENT_BASED_POSITION:  # non-volatile, and wears out when written
                 bus.set_one(index, OPERATING_MODE, CURRENT_BASED_POSITION)
         most = np.array(bus.get_numbers(CURRENT_LIMIT), float)
         limits = self._table.limits / self._current_unit
@@ -424,26 +376,23 @@ class DynamixelHand(HandDevice):
         self._look(TEMPERATURE)
 
     def _limit(self) -> None:
-        """Write gains and currents, and see that the currents have arrived: no servo confirms what
-        is written to all of them.
-        """
+        """Write gains and currents, and read the currents back, since no servo confirms them."""
         bus = self._bus
-        everywhere = gains_of(self._table.settings)
-        rows = [{**everywhere, **gains_of(a.settings)} for a in self._table.actuators]
+        rows = [{**self._table.settings, **a.settings} for a in self._table.actuators]
         for name, register in GAINS.items():
             if all(name in row for row in rows):
-                bus.set(register, [row[name] for row in rows])
-            elif any(name in row for row in rows):
+                bus.set(register, [int(row[name]) for row in rows])
+            else:
                 for index, row in enumerate(rows):
                     if name in row:
-                        bus.set_one(index, register, row[name])
+                        bus.set_one(index, register, int(row[name]))
         bus.set(GOAL_CURRENT, self._currents.tolist())
         if bus.get_numbers(GOAL_CURRENT) != self._currents.tolist():
             raise WrongAnswerError(f"{bus.port}: a servo did not accept its goal current")
 
     def _switch_on(self, goals: list[int]) -> None:
-        """Limits, torque and goals. A servo that restarted since the last time has no limit."""
-        self._bus.set(BUS_WATCHDOG, 0)  # one that has struck refuses currents and goals
+        """Write limits, torque and goals. A servo that has restarted has no limit."""
+        self._bus.set(BUS_WATCHDOG, 0)  # after it struck, a servo refuses currents and goals
         self._limit()
         self._bus.set(TORQUE, 1)
         self._bus.set(GOAL_POSITION, goals)
@@ -453,11 +402,11 @@ class DynamixelHand(HandDevice):
         self._powered = True
 
     def _torque(self) -> Float[np.ndarray, " a"]:
-        """1 for each servo with torque, or with an error, for which it switches its torque off."""
+        """1 for each servo with torque, or with an error, which switches its torque off."""
         return np.array([row[0] or row[-1] > 0 for row in self._bus.get(POWER)], int)
 
     def settings(self) -> Sequence[Setting]:
-        """Goal current; with power watchdog and torque, too."""
+        """Goal current; with power also watchdog and torque."""
         rows = self._bus.get(VOLATILE)
         currents = np.array([int.from_bytes(row[4:], "little") for row in rows])
         limits = Setting("goal current", self._currents, currents)
@@ -492,11 +441,11 @@ class DynamixelHand(HandDevice):
         )
 
     def write(self, commands: Float[np.ndarray, " a"]) -> None:
-        """Goal positions; the first ones switch the torque on.
+        """Send goal positions; the first ones switch the torque on.
 
         Raises:
-            DeviceLostError: the servos' watchdogs have stopped them, since nothing reached them for
-                too long. They refuse goals until they are opened again.
+            DeviceLostError: the servos' watchdogs have stopped them after a silence. They refuse
+                goals until they are opened again.
         """
         goals = [round(value * self._scale) for value in commands.tolist()]
         before, self._written = self._written, time.perf_counter()
@@ -508,27 +457,29 @@ class DynamixelHand(HandDevice):
             self._switch_on(goals)
 
     def relax(self) -> None:
-        """Torque off."""
+        """Switch the torque off."""
         self._bus.set(TORQUE, 0)
         self._powered = False
 
     def close(self) -> None:
-        """Stop the servos' watchdog, which is for a host that died, and give the port back."""
+        """Stop the servos' watchdog, which is meant for a dead host, and give the port back."""
         with contextlib.suppress(DeviceLostError, WrongAnswerError):
             self._bus.set(BUS_WATCHDOG, 0)
         self._bus.close()
 
     def _look(self, register: tuple[int, int]) -> None:
-        """Read what changes slowly."""
+        """Read a slow register."""
         values = self._bus.get_numbers(register)
         if register == TEMPERATURE:
             self._temperatures = np.array(values, float)
             return
-        self._errors = tuple(
-            f"{name}: {errors_of(bits)}; switch its power off and on"
-            for name, bits in zip(self._table.names, values, strict=True)
-            if bits
-        )
+        errors = []
+        for name, bits in zip(self._table.names, values, strict=True):
+            if bits:
+                words = ", ".join(text for bit, text in ERRORS.items() if bits & bit)
+                words = words or f"error 0x{bits:02x}"
+                errors.append(f"{name}: {words}; switch its power off and on")
+        self._errors = tuple(errors)
 
     def _refuse_struck(self, watchdogs: Sequence[int]) -> None:
         if _STRUCK in watchdogs:

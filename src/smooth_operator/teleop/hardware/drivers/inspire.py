@@ -43,7 +43,7 @@ _ANGLE_ACT, _FORCE_ACT, _CURRENT = 1546, 1582, 1594
 _ERROR, _STATUS, _TEMP = 1606, 1612, 1618
 
 _IN_TURNS: Final = (_CURRENT, _FORCE_ACT, _ERROR, _CURRENT, _FORCE_ACT, _STATUS, _CURRENT, _TEMP)
-"""Registers read next to the angles, one a cycle: a serial line has no time for more."""
+"""Registers that are read besides the angles, one in each cycle, since a serial line is slow."""
 
 _ERRORS: Final = (
     "rotor locked",
@@ -55,7 +55,7 @@ _ERRORS: Final = (
 """Bits of ``ERROR``, from the lowest."""
 
 _STATUSES: Final = {5: "stopped by its current limit", 6: "rotor locked", 7: "faulty"}
-"""Values of ``STATUS`` that mean that a motor stands against its will."""
+"""Values of ``STATUS`` of a motor that can't move."""
 
 _TIMEOUT: Final = 0.2
 """Time that an answer may take [s]."""
@@ -64,7 +64,7 @@ _MARGIN: Final = 100
 """Margin of a measured angle around 0 to 1000."""
 
 _NO_VALUE: Final = -1
-"""A word of 0xFFFF: no angle, as "leave this motor" where angles are set."""
+"""A word of 0xFFFF: no angle. Among angles to set it means to leave the motor."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class InspireDevice(HandDevice):
 
     Args:
         table: table of the hand. Its settings may have ``device_id`` (1), ``speed`` and ``force``,
-            the hand's own limits: 0 to 1000, and 0 to 3000 g. ``limit`` is the most current [mA].
+            the hand's own limits: 0 to 1000, and 0 to 3000 g. ``limit``: largest current [mA].
     """
 
     driver, name, motors = "inspire", "an Inspire hand", MOTORS
@@ -150,7 +150,7 @@ class InspireDevice(HandDevice):
             self._limit()
 
     def _limit(self) -> None:
-        """Speed, force and current, which the hand forgets when it restarts."""
+        """Send speed, force and current, which a restart of the hand deletes."""
         self._tell(_SPEED_SET, [self._speed] * MOTORS)
         self._tell(_FORCE_SET, [self._force] * MOTORS)
         limits = self._table.limits
@@ -231,11 +231,7 @@ class InspireDevice(HandDevice):
         self._exchange("write_registers", address, words)
 
     def _exchange(self, function: str, *values: Any, **named: Any) -> Any:
-        """One request and its answer.
-
-        An answer that comes after its time would be taken for that of the next request, so the
-        line is cleared before there is a next one.
-        """
+        """Send a request and wait for its answer; clears the line of an answer that is late."""
         from pymodbus.exceptions import ConnectionException, ModbusException
 
         if self._client is None:
@@ -257,7 +253,7 @@ class InspireDevice(HandDevice):
         return answer
 
     def _clear(self) -> None:
-        """Drop what may still come: the connection, or what is on the serial line."""
+        """Drop late answers: close the connection, or read the serial line until it is silent."""
         if not self._serial:
             self._client.close()  # the next request opens it again
             return

@@ -71,8 +71,7 @@ _IDENTIFIERS: Final = {"right": 0x27, "left": 0x28}
 (enumeration of sides), its Python SDK (constructor) and its package ``linkerbot-py``. One name of a
 variable in the maker's file of the L20 says the opposite."""
 _SPEED: Final = 250
-"""Speed unless the table says another one: not 255, which a hand may have after a restart, so that
-one is noticed."""
+"""Default speed: not 255, the likely value after a restart, so that a restart is noticed."""
 
 _TIMEOUT: Final = 0.05
 """Time that an answer may take [s]."""
@@ -84,7 +83,7 @@ class LinkerSink(HardwareSink):
 
     Attributes:
         port: a CAN channel, ``can0`` or ``INTERFACE:CHANNEL`` of python-can.
-        model: model of the hand; it chooses the table, too, unless one is named. If left out, that
+        model: model of the hand, which also chooses the table, unless one is named. By default that
             of the run's hand.
     """
 
@@ -114,8 +113,8 @@ class LinkerSink(HardwareSink):
 class LinkerDevice(HandDevice):
     """A LinkerHand on its bus; see ``HandDevice``.
 
-    The hand has no command that switches its motors off, so ``relax`` does nothing. It does not
-    report currents.
+    The hand has no command that switches its motors off, so ``relax`` does nothing. It reports no
+    currents.
 
     Args:
         table: table of the hand. ``limit`` is the hand's torque (L10) or current (L20), 0 to 255.
@@ -157,7 +156,7 @@ class LinkerDevice(HandDevice):
         self._limit()
 
     def _limit(self) -> None:
-        """Speed, and torque or current, which the hand forgets when it restarts."""
+        """Send speed, and torque or current, which a restart of the hand deletes."""
         for kind, values in self._settings.items():
             self._send(kind, values)
 
@@ -165,7 +164,7 @@ class LinkerDevice(HandDevice):
         """Speed, and torque or current, as the hand answers; see ``HandDevice``.
 
         Raises:
-            WrongAnswerError: it answers nothing of them.
+            WrongAnswerError: the hand reports none of them.
         """
         bus = self._open_bus()
         self._collect(bus, time.perf_counter())  # echoes of what was set before
@@ -185,7 +184,7 @@ class LinkerDevice(HandDevice):
     def read(self) -> Reading:
         """Positions, and in turns temperatures and faults; see ``HandDevice``."""
         bus = self._open_bus()
-        self._collect(bus, time.perf_counter())  # what came for the last ``write``
+        self._collect(bus, time.perf_counter())  # answers to the last ``write``
         for kind in self._model.positions:
             if kind not in self._answers:
                 self._send(kind, [])
@@ -198,7 +197,7 @@ class LinkerDevice(HandDevice):
             if time.perf_counter() >= deadline:
                 break
         if missing:
-            for kind in self._model.positions:  # what came belongs to this moment only
+            for kind in self._model.positions:  # a later reading must not use them
                 self._answers.pop(kind, None)
             raise WrongAnswerError(
                 f"linker: the hand did not answer frame 0x{missing[0]:02X} within {_TIMEOUT:g} s"
@@ -206,7 +205,7 @@ class LinkerDevice(HandDevice):
         return self._reading()
 
     def _collect(self, bus: CanBus, deadline: float, fields: list[int] | None = None) -> None:
-        """Take frames of the hand until all wanted ones are there, or the time is over."""
+        """Take frames of the hand until all requested ones are there, or until a time."""
         for identifier, data in bus.until(deadline):
             if identifier == self._identifier and data:
                 self._answers[data[0]] = data[1:]
@@ -265,7 +264,7 @@ class LinkerDevice(HandDevice):
         return self._bus
 
     def _send(self, kind: int, values: list[int]) -> None:
-        """Put a frame on the bus, not too soon after the last: the hand loses frames otherwise."""
+        """Send a frame, not too soon after the last one, or the hand loses it."""
         wait = self._sent + self._gap - time.perf_counter()
         if wait > 0:
             time.sleep(wait)

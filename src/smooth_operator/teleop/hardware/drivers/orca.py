@@ -23,19 +23,19 @@ from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 
 _SETTINGS: Final = ("model_version", "model_name", "config_path")
 _CURRENTS_EVERY: Final = 5
-"""Cycles between two looks at the currents, which take another round on the bus."""
+"""Number of cycles between two readings of the currents, which take another exchange."""
 _TEMPERATURES_EVERY: Final = 100
 
 
 @dataclass(frozen=True)
 class OrcaSink(HardwareSink):
-    """The ORCA Hand v2; orca-core finds port and motors, and must have calibrated the hand.
+    """The ORCA Hand v2. orca-core finds port and motors, and must have calibrated the hand.
 
-    ``limit`` is the most current of every motor [mA]; None leaves it as orca-core configures it.
+    ``limit`` is the largest current of every motor [mA]; None for that of orca-core.
 
     Attributes:
         config: path of the hand's ``config.yaml``; empty for the model that the table names.
-        mock: move the hand that orca-core has in memory, without hardware.
+        mock: True to move orca-core's simulated hand.
     """
 
     driver: ClassVar[str] = "orca"
@@ -45,7 +45,7 @@ class OrcaSink(HardwareSink):
 
     @property
     def bus(self) -> str:
-        """The serial port; without one it may be any, as orca-core asks them all."""
+        """The serial port; without one any port, since orca-core tries them all."""
         return "orca:mock" if self.mock else self.port or "serial"
 
     def device(self, actuators: ActuatorMap) -> OrcaDevice:
@@ -70,24 +70,20 @@ class OrcaDevice(HandDevice):
             raise MissingExtraError("the ORCA hand", "orca") from error
         self._core: Any = orca_core
         self._port = port
-        for name in actuators.settings:
-            if name not in _SETTINGS:
-                raise ConfigError(
-                    f"{actuators.file}: orca has no setting {name!r}; known: {', '.join(_SETTINGS)}"
-                )
+        self._check_settings(_SETTINGS)
         options = dict(actuators.settings)
         self._options = {"config_path": config} if config else options
         self._mock = mock
         self._hand: Any = None
         self._powered = False
         self._cycle = 0
-        self._motors: list[int] = []  # index of each actuator's motor in what the hand answers
+        self._motors: list[int] = []  # index of each actuator's motor in the hand's answers
         self._currents: Float[np.ndarray, " a"] | None = None
         self._temperatures: Float[np.ndarray, " a"] | None = None
 
     def open(self) -> None:
-        """Connect; refuses a hand that is not calibrated, since calibrating moves it."""
-        # orca-core prints what it finds; standard output belongs to the command's results.
+        """Connect; refuse a hand that is not calibrated, since calibrating moves it."""
+        # orca-core prints; standard output belongs to the command's results.
         with contextlib.redirect_stdout(sys.stderr):
             self._open()
 
@@ -117,7 +113,7 @@ class OrcaDevice(HandDevice):
                 "orca-core's calibration first, with the hand free on all sides"
             )
         with self._bus("starting"):
-            hand.init_joints(move_to_neutral=False)  # modes and currents; powers where it is
+            hand.init_joints(move_to_neutral=False)  # sets modes and currents, and powers
             hand.disable_torque()
         ids = list(hand.config.motor_ids)
         wired = hand.config.joint_to_motor_map
@@ -158,7 +154,7 @@ class OrcaDevice(HandDevice):
         self._powered = True
 
     def _switch_on(self, hand: Any) -> None:
-        """Limit and torque: a motor that restarted since the last time has no limit."""
+        """Set limit and torque. A motor that has restarted has no limit."""
         limits = self._table.limits[np.isfinite(self._table.limits)]
         hand.set_max_current(float(limits.min()) if len(limits) else hand.config.max_current)
         silent = hand.enable_torque()
@@ -166,7 +162,7 @@ class OrcaDevice(HandDevice):
             raise WrongAnswerError(f"orca: the motors {silent} can't be switched on")
 
     def relax(self) -> None:
-        """Torque off."""
+        """Switch the torque off."""
         if self._powered:
             with self._bus("relaxing"):
                 self._connected().disable_torque()

@@ -69,9 +69,9 @@ class Revo2Sink(HardwareSink):
 class Revo2Device(HandDevice):
     """A Revo2 on its line; see ``HandDevice``.
 
-    The package is asynchronous; each method here runs its calls to their end on a loop of its own.
-    ``Reading.currents`` is in thousandths of a motor's most. The hand has no command that switches
-    its motors off, so ``relax`` does nothing.
+    The package is asynchronous; each method here runs its calls to their end on its own loop.
+    ``Reading.currents`` is in thousandths of a motor's largest. The hand has no command that
+    switches its motors off, so ``relax`` does nothing.
 
     Args:
         table: table of the hand. Its settings may have ``speed`` (1 to 1000) and ``device_id``.
@@ -139,8 +139,7 @@ class Revo2Device(HandDevice):
         self._call("set_finger_unit_mode", self._sdk.FingerUnitMode.Normalized)
 
     def settings(self) -> Sequence[Setting]:
-        """The unit of positions, 1 for thousandths; see ``HandDevice``. Speeds go with each
-        command, and the driver sets nothing else."""
+        """The unit of positions, 1 for thousandths, the only setting; see ``HandDevice``."""
         unit = self._call("get_finger_unit_mode")
         thousandths = float(unit == self._sdk.FingerUnitMode.Normalized)
         return (Setting("unit mode", np.ones(1), np.array([thousandths])),)
@@ -163,7 +162,7 @@ class Revo2Device(HandDevice):
         try:
             if context is not None:
                 loop.run_until_complete(asyncio.wait_for(_awaited(context.close), 1.0))
-                # The package's own threads must be through before a program ends, or it aborts.
+                # The package's threads must have ended before the program does, or it aborts.
                 loop.run_until_complete(asyncio.sleep(_CLOSING))
         except Exception:
             pass  # the port is gone, or hangs; the package gives it back with the process
@@ -183,8 +182,8 @@ class Revo2Device(HandDevice):
             return self._loop.run_until_complete(asyncio.wait_for(_awaited(call), seconds))
         except TimeoutError as error:
             raise WrongAnswerError(f"revo2: no answer to {what} in {seconds:g} s") from error
-        except (RuntimeError, ValueError) as error:  # as the package says what failed on the line
-            reason = next(iter(str(error).splitlines()), "")  # a trace of its stack follows
+        except (RuntimeError, ValueError) as error:  # the package's errors of the line
+            reason = next(iter(str(error).splitlines()), "")  # without its stack trace
             raise WrongAnswerError(f"revo2: {what} failed ({reason})") from error
         except OSError as error:
             raise DeviceLostError(f"revo2: the port {self._port} is gone ({error})") from error

@@ -8,10 +8,11 @@ sense of a joint are those of the maker's URDF.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -34,7 +35,7 @@ _SHAPE: Final = (5, 4)
 _SETTLING: Final = 5.0
 """Time constants of the filter between the first target and the motors' power."""
 _SLOW: Final = 50
-"""Temperatures and error codes are asked for once in so many cycles, in turns."""
+"""Number of cycles between two readings of the temperatures, or of the error codes."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class WujiSink(HardwareSink):
 
     @property
     def bus(self) -> str:
-        """The hand of that serial number; without one it may be any."""
+        """The hand with that serial number; without one any hand."""
         return f"wuji:{self.port}" if self.port else "wuji"
 
     def device(self, actuators: ActuatorMap) -> WujiDevice:
@@ -121,13 +122,13 @@ class WujiDevice(HandDevice):
 
     def settings(self) -> Sequence[Setting]:
         """The joints' limits of current; see ``HandDevice``."""
-        with _Speaking(self._hand):
+        with _speaking(self._hand):
             measured = 1000.0 * _flat(self._hand.read_joint_effort_limit())
         return (Setting("limit of current", self._limits, measured),)
 
     def read(self) -> Reading:
         """Positions [rad] and efforts; temperatures and errors in turns. See ``HandDevice``."""
-        with _Speaking(self._hand):
+        with _speaking(self._hand):
             source = self._controller
             if source is None:
                 positions, efforts = self._hand.read_joint_actual_position(), None
@@ -156,13 +157,13 @@ class WujiDevice(HandDevice):
     def write(self, commands: Float[np.ndarray, " 20"]) -> None:
         """Send the positions [rad]; the first call switches the motors on. See ``HandDevice``."""
         target = np.asarray(commands, float).reshape(_SHAPE)
-        with _Speaking(self._hand):
+        with _speaking(self._hand):
             if self._controller is None:
                 import wujihandpy
 
                 self._limit()
-                # The first target is where the hand is. It is set before the motors go on, and the
-                # filter gets the time to reach it: from wherever that starts, nothing moves.
+                # The first target is the hand's position. It is set before the motors are switched
+                # on, and the filter gets the time to reach it, so that nothing moves.
                 self._hand.write_joint_target_position(target)
                 self._controller = self._hand.realtime_controller(
                     enable_upstream=True, filter=wujihandpy.filter.LowPass(cutoff_freq=self._cutoff)
@@ -188,26 +189,24 @@ class WujiDevice(HandDevice):
     def _stop(self) -> None:
         controller, self._controller = self._controller, None
         if controller is not None:
-            with _Speaking(self._hand):
+            with _speaking(self._hand):
                 controller.close()
                 self._hand.write_joint_enabled(False)
 
 
-class _Speaking:
-    """Turns what ``wujihandpy`` raises into the errors of a driver."""
-
-    def __init__(self, hand: Any) -> None:
-        if hand is None:
-            raise DeviceLostError("wuji: the hand is not open")
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+@contextlib.contextmanager
+def _speaking(hand: Any) -> Iterator[None]:
+    """Turns errors of ``wujihandpy`` into those of a driver."""
+    if hand is None:
+        raise DeviceLostError("wuji: the hand is not open")
+    try:
+        yield
+    except Exception as error:
         if isinstance(error, TimeoutError) or "timeout" in str(error).lower():
             raise WrongAnswerError(f"wuji: no answer from the hand in time ({error})") from error
         if isinstance(error, RuntimeError | OSError):
             raise DeviceLostError(f"wuji: the hand is gone ({error})") from error
+        raise
 
 
 def _flat(values: Any) -> Float[np.ndarray, " 20"]:
