@@ -1,6 +1,7 @@
-"""The wrist on its way: from each source to each file and message, and back."""
+"""Wrist, arm and measured joints: from each source to each file and message, and back."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,25 +15,42 @@ from ticks import make_tick
 from smooth_operator import load_hand, poses, read_recording
 from smooth_operator.episode_files.hdf5 import read_hdf5_episode, write_hdf5_episode
 from smooth_operator.episode_files.npz import read_npz_episode, write_npz_episode
-from smooth_operator.formats.episode import Episode, WristTrack
+from smooth_operator.errors import RecordingError
+from smooth_operator.formats.episode import ArmTrack, Episode, StateTrajectory, WristTrack
 from smooth_operator.landmarks import FROM_OPENXR_26
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.synthetic import SyntheticOperator, WristMotion
 from smooth_operator.teleop.recording.convert import read_episode
+from smooth_operator.teleop.recording.log import LogWriter
 from smooth_operator.teleop.recording.log_episode import read_log_episode, write_log_episode
 from smooth_operator.teleop.recording.log_reader import read_log
 from smooth_operator.teleop.sinks.record import RecordSink
-from smooth_operator.teleop.sinks.tick import WristCommand
+from smooth_operator.teleop.sinks.tick import ArmCommand, WristCommand
 from smooth_operator.teleop.sinks.zmq_sink import command_message, encode
 from smooth_operator.teleop.sources.live import Arrival, Mailbox
 from smooth_operator.teleop.sources.payload import read_payload
 from smooth_operator.teleop.sources.played import Replay, SyntheticSource
 from smooth_operator.teleop.sources.programs import read_manus
 from smooth_operator.teleop.sources.webxr.link import HEADER, read_packet
-from smooth_operator.types import CommandTrajectory, HandFrame, HandRecording
+from smooth_operator.types import (
+    CommandTrajectory,
+    HandFrame,
+    HandRecording,
+    JointCommand,
+    Status,
+)
 from smooth_operator_research.paper.follow import led
 
 POSE = [0.3, -0.2, 1.1, 0.6, 0.0, 0.8, 0.0]
+
+
+ARRAYS = (
+    *(f"wrist.{name}" for name in ("poses", "engaged", "valid")),
+    *(f"arm.{name}" for name in ("positions", "measured", "poses", "name", "joint_names")),
+    *(f"states.{name}" for name in ("stamps", "positions", "currents", "touch")),
+    *(f"states.{name}" for name in ("names", "actuators")),
+)
+"""Arrays and names of an episode besides its recording and its commands."""
 
 
 def operator(side: str = "right", seconds: float = 0.4) -> HandRecording:
@@ -61,15 +79,31 @@ def episode() -> Episode:
     flags = rng.random((2, count)) < 0.5
     flags[:, 0] = False
     wrist = WristTrack(placed, flags[0], flags[1], "table")
-    return Episode(hand, commands, {"method": "x"}, name="wrist", wrist=wrist)
+    q, measured, at = rng.normal(size=(count, 3)), rng.normal(size=(count, 3)), placed.copy()
+    at[0], measured[:4] = placed[1], np.nan
+    for rows in (q, measured, at):
+        rows[2] = np.nan  # a command without one for the arm
+    arm = ArmTrack("ur5e", ("j1", "j2", "j3"), q, measured, at)
+    states = StateTrajectory(
+        hand.stamps[1:count] - 0.004,
+        np.where(rng.random((count - 1, 2)) < 0.2, np.nan, rng.normal(size=(count - 1, 2))),
+        ("a", "b"),
+        ("m1", "m2", "m3"),
+        rng.normal(size=(count - 1, 3)),
+        rng.normal(size=(count - 1, 5)),
+    )
+    return Episode(
+        hand, commands, {"method": "x"}, name="wrist", wrist=wrist, arm=arm, states=states
+    )
 
 
-def same(back: Episode, sent: Episode) -> None:
+def same(back: Episode, sent: Episode, arrays: Sequence[str] = ARRAYS) -> None:
+    for path in arrays:
+        part, name = path.split(".")
+        values = [getattr(getattr(one, part), name) for one in (back, sent)]
+        np.testing.assert_array_equal(*values, path)
     np.testing.assert_array_equal(back.recording.T_world_wrist, sent.recording.T_world_wrist)
     assert back.recording.world == sent.recording.world == "synthetic"
-    np.testing.assert_array_equal(back.wrist.poses, sent.wrist.poses)
-    np.testing.assert_array_equal(back.wrist.engaged, sent.wrist.engaged)
-    np.testing.assert_array_equal(back.wrist.valid, sent.wrist.valid)
     assert back.wrist.world == "table"
 
 
@@ -172,20 +206,20 @@ def test_a_bridge_may_add_a_trackers_wrist_to_a_glove():
 def test_an_npz_holds_both_wrists(tmp_path):
     sent = episode()
     write_npz_episode(tmp_path / "a.npz", sent)
-    same(read_npz_episode(tmp_path / "a.npz"), sent)
+    same(read_npz_episode(tmp_path / "a.npz"), sent, ARRAYS[:3])
     plain = read_recording(tmp_path / "a.npz")
     np.testing.assert_array_equal(plain.T_world_wrist, sent.recording.T_world_wrist)
     assert plain.world == "synthetic"
 
 
-def test_an_hdf5_file_holds_both_wrists(tmp_path):
+def test_an_hdf5_file_holds_all_of_it(tmp_path):
     pytest.importorskip("h5py", reason="needs the extra hdf5")
     sent = episode()
     write_hdf5_episode(tmp_path / "a.h5", sent)
     same(read_hdf5_episode(tmp_path / "a.h5"), sent)
 
 
-def test_a_log_holds_both_wrists(tmp_path):
+def test_a_log_holds_all_of_it(tmp_path):
     sent = episode()
     write_log_episode(tmp_path / "a.mcap", sent)
     same(read_log_episode(tmp_path / "a.mcap"), sent)
@@ -193,7 +227,7 @@ def test_a_log_holds_both_wrists(tmp_path):
     assert b"foxglove.PoseInFrame" in data
 
 
-def test_a_lerobot_dataset_holds_both_wrists(tmp_path):
+def test_a_lerobot_dataset_holds_all_of_it(tmp_path):
     pytest.importorskip("pyarrow", reason="needs the extra lerobot")
     from smooth_operator.episode_files.lerobot.reader import open_dataset, read_dataset_episode
     from smooth_operator.episode_files.lerobot.writer import write_dataset
@@ -204,9 +238,11 @@ def test_a_lerobot_dataset_holds_both_wrists(tmp_path):
     )
     write_dataset(tmp_path / "set", [lambda: sent, lambda: bare])
     dataset = open_dataset(tmp_path / "set")
-    same(read_dataset_episode(dataset, 0), sent)
+    same(read_dataset_episode(dataset, 0), sent, (*ARRAYS[:10], "states.names"))
     features = dataset.info["features"]
     assert features["wrist_command"]["names"] == ["x", "y", "z", "qw", "qx", "qy", "qz"]
+    assert features["arm_positions"]["names"] == ["j1", "j2", "j3"]
+    assert features["arm_wrist"]["shape"] == [7]
     back = read_dataset_episode(dataset, 1)
     assert back.wrist is None
     assert back.recording.T_world_wrist is None
@@ -254,6 +290,25 @@ def test_a_live_command_carries_both_wrists_to_log_and_message(tmp_path):
     bare = command_message(make_tick(hand), 0.2)
     assert "wrist" not in bare
     assert "operator_wrist" not in bare
+
+
+def test_zeromq_carries_the_arm_with_the_hand():
+    q, pose = np.array([0.2, 0.4, 0.6]), np.array(POSE)
+    arm = ArmCommand("ur5e", ("a", "b", "c"), q, q / 2, pose, measured=q + 0.01)
+    tick = replace(make_tick(load_hand("mimic_p050")), arm=arm)
+    message = json.loads(encode(command_message(tick, 0.2)))["arm"]
+    assert (message["names"], message["state"]) == (["a", "b", "c"], "following")
+    assert message["positions"] == pytest.approx([0.2, 0.4, 0.6])
+    assert message["measured"] == pytest.approx([0.21, 0.41, 0.61])
+    assert "arm" not in command_message(replace(tick, arm=None), 0.2)
+
+
+def test_an_arm_with_another_number_of_joints_is_refused(tmp_path):
+    with LogWriter(tmp_path / "bad.mcap") as writer:
+        arm = ArmCommand("ur5e", ("a", "b", "c"), np.zeros(2), np.zeros(2), np.eye(7)[3])
+        writer.write_command(JointCommand(np.zeros(1), ("x",), 0.0), Status.OK, 1.0, arm=arm)
+    with pytest.raises(RecordingError):
+        read_log(tmp_path / "bad.mcap")
 
 
 def test_the_wrist_and_the_fingers_of_a_row_have_one_stamp(tmp_path):
