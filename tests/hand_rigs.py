@@ -75,6 +75,10 @@ class Rig:
         """Where the motors are, in the commands' unit."""
         return self.hand.servos.positions()
 
+    def near(self, commands: np.ndarray) -> bool:
+        """Whether the motors have come to their commands."""
+        return bool(np.abs(self.positions() - commands).max() <= 2 * self.unit)
+
     def outside(self) -> int:
         """How often a target beyond the ends came."""
         return len(self.hand.servos.outside)

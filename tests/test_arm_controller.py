@@ -1,8 +1,6 @@
 """Arms: their kinematics against the makers' figures, and a controller that keeps every limit."""
 
 import runpy
-import time
-from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,11 +8,18 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from live_time import PATIENCE_S
+from live_time import until
+from ticks import KeptTicks
 
 from smooth_operator.errors import ConfigError, UnknownNameError
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.simulation.arms.arm import FLANGE, HandCapsules, HandMount, arm_spec
+from smooth_operator.simulation.arms.arm import (
+    FLANGE,
+    HandCapsules,
+    HandMount,
+    arm_spec,
+    rigid,
+)
 from smooth_operator.simulation.arms.catalogue import ARMS, arm_named
 from smooth_operator.simulation.scenes import ScenePhysics, scene_for
 from smooth_operator.simulation.scenes.physics import ArmPhysics
@@ -22,7 +27,6 @@ from smooth_operator.teleop import TeleopRequest, teleoperate
 from smooth_operator.teleop.arm.controller import ArmController
 from smooth_operator.teleop.arm.settings import ArmSettings, place_arms, read_arm
 from smooth_operator.teleop.sinks.simulation import Simulation
-from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import ArmCommand, Mode, Tick
 from smooth_operator.types import JointCommand
 
@@ -224,9 +228,8 @@ def test_nothing_passes_the_wall_nor_the_table():
     assert -0.002 < lowest < 0.03, "the fingers may touch the table, and go no deeper"
 
 
-def test_a_home_pose_out_of_reach_is_refused():
-    from smooth_operator.simulation.arms.arm import rigid
-
+def test_a_home_pose_out_of_reach_is_refused(monkeypatch):
+    monkeypatch.setattr("smooth_operator.teleop.arm.controller._HOME_STEPS", 50)
     with pytest.raises(ConfigError, match="can't reach the home pose"):
         _controller("ur5e", home=rigid(np.eye(3), (2.0, 0.0, 0.5)))
 
@@ -279,10 +282,7 @@ def test_the_sink_carries_the_hand_and_reads_the_arm_back():
         sink.send(
             Tick("right", hand.name, command, np.zeros(len(q)), Mode.TRACKING, 0.0, 0, arm=arm)
         )
-        end = time.monotonic() + PATIENCE_S
-        while np.abs(sink.measured_arm("right") - wanted).max() > 5e-3:
-            assert time.monotonic() < end, "the arm does not go where it is sent"
-            time.sleep(0.02)
+        until(lambda: np.abs(sink.measured_arm("right") - wanted).max() < 5e-3)
         after = sink.measured_wrist("right")
         assert after[1] - before[1] > 0.05, "a positive first joint turns it to the left"
         assert sink.arm_base("right") is None, "there is no task"
@@ -290,26 +290,8 @@ def test_the_sink_carries_the_hand_and_reads_the_arm_back():
         sink.close()
 
 
-@dataclass(frozen=True)
-class _Kept(Sink):
-    ticks: list[Tick] = field(default_factory=list)
-
-    @property
-    def label(self) -> str:
-        return "kept"
-
-    def open(self, hands: Any, config: Any) -> None:
-        pass
-
-    def send(self, tick: Tick) -> None:
-        self.ticks.append(tick)
-
-    def close(self) -> None:
-        pass
-
-
 def test_one_command_moves_two_arms_with_their_hands():
-    kept = _Kept()
+    kept = KeptTicks()
     request = TeleopRequest(
         source="synthetic:wrist=0.1",
         sink=("mujoco",),

@@ -2,14 +2,14 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hand_rigs import RIGS, Rig, missing
 from inspire_simulator import ANGLE_ACT
-from live_time import PATIENCE_S
+from live_time import until
 from ticks import make_tick
 
 from smooth_operator import Hand, load_hand
@@ -42,13 +42,6 @@ def rig(request, tmp_path, monkeypatch) -> Iterator[Rig]:
     made.patience(3.0)  # the machine may be busy
     yield made
     made.close()
-
-
-def until(done: Callable[[], object], what: str = "it", seconds: float = PATIENCE_S) -> None:
-    end = time.perf_counter() + seconds
-    while not done():
-        assert time.perf_counter() < end, f"{what} did not happen in time"
-        time.sleep(0.002)
 
 
 _hands: dict[str, Hand] = {}
@@ -178,10 +171,7 @@ def test_opening_moves_nothing_and_reads_where_the_hand_is(rig):
 def test_it_goes_where_it_is_told_and_reads_it_back(rig):
     with Driven(rig) as driven:
         wanted = driven.ask(0.4)
-        until(
-            lambda: np.abs(rig.positions() - wanted).max() <= 2 * rig.unit,
-            f"{rig.positions()} -> {wanted}",
-        )
+        until(lambda: rig.near(wanted))
         wished = driven.bound.joints(wanted)
 
         def read_back() -> bool:
@@ -191,13 +181,13 @@ def test_it_goes_where_it_is_told_and_reads_it_back(rig):
             measured = driven.bound.commands(driven.bound.angles(state.positions))
             return bool(np.abs(measured - wanted).max() <= 2 * rig.unit)
 
-        until(read_back, "reading back")
+        until(read_back)
         state = driven.sink.state("right")
         assert state is not None
         assert np.isfinite(wished).all()
         # a wish far beyond every joint never leaves the ends
         driven.ask_joints(np.full(len(driven.hand.joint_names), 9.0))
-        until(lambda: np.abs(rig.positions() - wanted).max() > 5 * rig.unit, "moving on")
+        until(lambda: np.abs(rig.positions() - wanted).max() > 5 * rig.unit)
         driven.ask_joints(np.full(len(driven.hand.joint_names), -9.0))
         time.sleep(0.02)
     assert rig.outside() == 0
@@ -208,19 +198,19 @@ def test_a_stop_holds_the_hand_on_its_way(rig):
         start = rig.positions()
         rig.slow()
         goal = driven.ask(0.6)
-        until(lambda: np.abs(rig.positions() - start).max() > 3 * rig.unit, "moving")
+        until(lambda: np.abs(rig.positions() - start).max() > 3 * rig.unit)
         driven.tick = replace(driven.tick, mode=Mode.STOPPED)
-        until(lambda: "emergency stop" in driven.sink.note, "the stop")
+        until(lambda: "emergency stop" in driven.sink.note)
         last = rig.positions()
 
         def stands() -> bool:
             nonlocal last
             cycles = driven.statistics()["cycles"]
-            until(lambda: driven.statistics()["cycles"] > cycles + 1, "two cycles")
+            until(lambda: driven.statistics()["cycles"] > cycles + 1)
             before, last = last, rig.positions()
             return bool(np.abs(last - before).max() < 0.1 * rig.unit)
 
-        until(stands, "standing")
+        until(stands)
         assert np.abs(last - goal).max() > 3 * rig.unit
     assert rig.outside() == 0
 
@@ -235,30 +225,24 @@ def test_relaxing_is_taken_by_every_hand(rig):
             opened.device.read()
             assert rig.targets() == sent
         else:
-            until(rig.powered, "the torque")
+            until(rig.powered)
             opened.device.relax()
-            until(lambda: not rig.powered(), "its end", 60.0)
+            until(lambda: not rig.powered())
 
 
 def test_a_hand_lost_in_motion_comes_back(rig):
     rig.patience(0.5)
     with Driven(rig, lost_s=1.0) as driven:
         driven.ask(0.2)
-        until(lambda: driven.statistics()["cycles"] > 3, "following")
+        until(lambda: driven.statistics()["cycles"] > 3)
         before = driven.statistics()["device_lost"]  # on a starved machine it was late before
         rig.lose()
-        until(lambda: driven.statistics()["device_lost"] > before, "the loss")
+        until(lambda: driven.statistics()["device_lost"] > before)
         assert driven.sink.state("right") is None
         assert "retrying" in driven.sink.note
         rig.back()
         wanted = driven.ask(0.5)
-        until(
-            lambda: (
-                driven.sink.state("right") is not None
-                and np.abs(rig.positions() - wanted).max() <= 2 * rig.unit
-            ),
-            "the return",
-        )
+        until(lambda: driven.sink.state("right") is not None and rig.near(wanted))
     assert rig.outside() == 0
 
 
@@ -282,17 +266,17 @@ def test_after_an_outage_the_first_command_is_where_the_hand_is(rig, monkeypatch
     monkeypatch.setattr(servos, "aim", note)
     with Driven(rig, lost_s=60.0, approach=2.0, speed=15.0) as driven:
         wanted = driven.ask(0.2)
-        until(lambda: np.abs(rig.positions() - wanted).max() <= 2 * rig.unit, "the start")
+        until(lambda: rig.near(wanted))
         wrong = driven.statistics()["wrong_answers"]
         rig.faults.mute = True
-        until(lambda: driven.statistics()["wrong_answers"] > wrong, "the outage")
+        until(lambda: driven.statistics()["wrong_answers"] > wrong)
         wanted = driven.ask(0.7)
         time.sleep(seconds)
         before = len(sent)
         rig.faults.mute = False
-        until(lambda: len(sent) > before, "the return")
+        until(lambda: len(sent) > before)
         angles = [driven.bound.drive_angles(row) for row in sent[before]]
-        until(lambda: np.abs(rig.positions() - wanted).max() <= 2 * rig.unit, "following")
+        until(lambda: rig.near(wanted))
     assert np.nanmax(np.abs(angles[0] - angles[1])) < 0.05  # a frame of a LinkerHand has not all
 
 
@@ -302,19 +286,19 @@ def test_a_stop_while_an_inspire_hand_has_no_angles(rig, monkeypatch, words):
     """0xFFFF, -1, is no angle: taken for one, the stop would close an open hand."""
     with Driven(rig, lost_s=60.0) as driven:
         wanted = driven.ask(0.8)
-        until(lambda: np.abs(rig.positions() - wanted).max() <= 2 * rig.unit, "the start")
+        until(lambda: rig.near(wanted))
         registers = rig.hand.registers
         monkeypatch.setattr(
             rig.hand, "registers", lambda a, n: words if a == ANGLE_ACT else registers(a, n)
         )
         wrong = driven.statistics()["wrong_answers"]
         driven.tick = replace(driven.tick, mode=Mode.STOPPED)
-        until(lambda: driven.statistics()["wrong_answers"] > wrong + 3, "readings without angles")
-        assert np.abs(rig.positions() - wanted).max() <= 2 * rig.unit
+        until(lambda: driven.statistics()["wrong_answers"] > wrong + 3)
+        assert rig.near(wanted)
         monkeypatch.setattr(rig.hand, "registers", registers)
         cycles = driven.statistics()["cycles"]
-        until(lambda: driven.statistics()["cycles"] > cycles + 5, "the hold")
-    assert np.abs(rig.positions() - wanted).max() <= 2 * rig.unit
+        until(lambda: driven.statistics()["cycles"] > cycles + 5)
+    assert rig.near(wanted)
 
 
 WITH_LIMITS = ("inspire", "inspire-rtu", "linker-l20", "linker-l10", "wuji", "revo2", "revo2-sdk")
@@ -336,15 +320,15 @@ def test_a_hand_that_restarts_in_motion_is_lost_and_limited_again(rig, monkeypat
         rig.patience(0.2)
     with Driven(rig, **LIMITED.get(rig.driver, {})) as driven:
         goal = driven.ask(0.3)
-        until(lambda: np.abs(rig.positions() - goal).max() <= 2 * rig.unit, "the start")
+        until(lambda: rig.near(goal))
         limits, some = rig.limits(), len(readings) + 3
-        until(lambda: len(readings) > some, "reading the limits back")
+        until(lambda: len(readings) > some)
         before = driven.statistics()["device_lost"]
         rig.restart()
         assert rig.limits() != limits or not limits
-        until(lambda: driven.statistics()["device_lost"] > before, "the loss")
+        until(lambda: driven.statistics()["device_lost"] > before)
         goal = driven.ask(0.6)
-        until(lambda: np.abs(rig.positions() - goal).max() <= 2 * rig.unit, "the return")
+        until(lambda: rig.near(goal))
         assert rig.limits() == limits
     assert rig.outside() == 0
 
@@ -403,7 +387,7 @@ def test_wrong_answers_move_nothing_and_pass(rig):
             except WrongAnswerError:
                 return False
 
-        until(right, "a right answer")
+        until(right)
     assert rig.targets() == 0
 
 
@@ -412,7 +396,7 @@ def test_a_slow_bus_costs_the_loop_nothing(rig):
         rig.faults.delay_s = rig.delay_s
         driven.ask(0.3)
         cycles = driven.statistics()["cycles"]
-        until(lambda: driven.statistics()["cycles"] > cycles + 2, "slow cycles")
+        until(lambda: driven.statistics()["cycles"] > cycles + 2)
         assert driven.longest < 0.005  # of the processor; the bus takes tens of milliseconds
         rig.faults.delay_s = 0.0
     assert rig.outside() == 0
@@ -433,9 +417,9 @@ def test_nothing_on_the_wire_is_one_sentence(rig):
 def test_a_blocked_motor_squeezes_no_further(rig):
     with Driven(rig) as driven:
         before = driven.ask(0.5)
-        until(lambda: np.abs(rig.positions() - before).max() <= 2 * rig.unit, "the start")
+        until(lambda: rig.near(before))
         rig.stick(1)
         driven.ask(0.9)
         name = driven.table.names[1]
-        until(lambda: f"contact limit reached: {name}" in driven.sink.note, "the contact guard")
+        until(lambda: f"contact limit reached: {name}" in driven.sink.note)
     assert rig.outside() == 0

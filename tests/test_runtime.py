@@ -509,13 +509,13 @@ def test_whoever_looks_during_a_switch_sees_a_method_with_its_own_state(hand, mo
 def test_the_fault_run_breaks_no_limit(hand, retargeter):
     """Drop-outs, bursts, NaN, swapped hands, doubled and shuffled stamps, a restarted tracker."""
     rng, stage = np.random.default_rng(7), Stage(retargeter)
-    frames = list(SyntheticOperator(seed=9, rate_hz=1 / PERIOD).record(40.0))
+    frames = list(SyntheticOperator(seed=9, rate_hz=1 / PERIOD).record(16.0))
     events: list[HandFrame | None] = []
-    for i in range(3000, len(frames)):  # started again
-        frames[i] = replace(frames[i], stamp=frames[i].stamp - 25.0)
+    for i in range(1200, len(frames)):  # started again
+        frames[i] = replace(frames[i], stamp=frames[i].stamp - 10.0)
     for i, frame in enumerate(frames):
         kind = rng.random()
-        if 1000 <= i < 1200 or kind < 0.1:
+        if 500 <= i < 600 or kind < 0.1:
             events.append(None)
         elif kind < 0.13:
             landmarks = frame.landmarks.copy()

@@ -103,7 +103,7 @@ TELEOP = (
 
 
 @posix
-@pytest.mark.parametrize("how", ["closed", "SIGTERM"])
+@pytest.mark.parametrize("how", [pytest.param("closed", marks=pytest.mark.weekly), "SIGTERM"])
 def test_a_run_ends_with_torque_off_and_a_whole_recording(bank, tmp_path, how):
     log = tmp_path / "take.mcap"
     sinks = ("--sink", f"leap:{bank.path},baud=57600", f"record:{log}")
@@ -119,7 +119,7 @@ def test_a_run_ends_with_torque_off_and_a_whole_recording(bank, tmp_path, how):
 
 
 @posix
-@pytest.mark.parametrize("how", ["closed", "SIGTERM"])
+@pytest.mark.parametrize("how", ["closed", pytest.param("SIGTERM", marks=pytest.mark.weekly)])
 def test_a_check_of_a_hand_ends_with_torque_off(bank, how):
     device = f"leap:{bank.path},baud=57600"
     terminal = Terminal("-m", "smooth_operator", "hardware", "check", device)
@@ -179,8 +179,10 @@ sys.exit(program())
 
 
 @posix
-@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM"])
-@pytest.mark.parametrize("where", ["smooth_operator.errors", "tyro", "numpy"])
+@pytest.mark.parametrize(
+    ("where", "how"),
+    [("smooth_operator.errors", "SIGTERM"), ("tyro", "SIGINT"), ("numpy", "SIGINT")],
+)
 def test_a_signal_in_the_midst_of_the_imports_is_no_traceback(tmp_path, where, how):
     (tmp_path / "importing.py").write_text(IMPORTING, encoding="utf-8")
     command = [sys.executable, "-m", "importing", where, how]

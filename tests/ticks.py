@@ -1,11 +1,16 @@
-"""Ticks as the loop makes them, for the tests of sinks."""
+"""Ticks as the loop makes them, and a sink that keeps them."""
 
 import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from made_hands import hand_points
 
+from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import HandFrame, JointCommand, Status
@@ -49,3 +54,38 @@ def make_tick(
         1.1 if frame else float("nan"),
         events,
     )
+
+
+@dataclass
+class KeptTicks(Sink):
+    """A sink that keeps what it gets.
+
+    Attributes:
+        fails: True if every command raises.
+        slow_s: time that a command takes [s].
+    """
+
+    fails: bool = False
+    observes: bool = False
+    slow_s: float = 0.0
+    label: str = "kept"
+    ticks: list[Tick] = field(default_factory=list)
+    silences: list[float] = field(default_factory=list)
+    config: Mapping[str, Any] = field(default_factory=dict)
+    opened: int = 0
+    closed: int = 0
+
+    def open(self, hands: Mapping[Any, Hand], config: Mapping[str, Any]) -> None:
+        self.opened, self.config = self.opened + 1, config
+
+    def send(self, tick: Tick) -> None:
+        time.sleep(self.slow_s)
+        if self.fails:
+            raise SinkError("the cable is out")
+        self.ticks.append(tick)
+
+    def stalled(self, seconds: float) -> None:
+        self.silences.append(seconds)
+
+    def close(self) -> None:
+        self.closed += 1

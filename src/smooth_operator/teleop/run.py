@@ -65,7 +65,7 @@ COMPILES: Final = "compile"
 """Name of the thread that compiles while the loop runs; a command does not wait for its end."""
 
 _ANNOUNCE_S: Final = 5.0
-"""Time that a source may take to say how it is reached [s]."""
+"""Time in which a source must know its address [s]."""
 
 
 def teleoperate(
@@ -83,10 +83,10 @@ def teleoperate(
     """Drives a robot hand from a live source, and returns when the run has ended.
 
     All settings are checked and everything is opened before anything moves. A run ends when the
-    source ends, after ``duration``, on an ending signal (Ctrl-C, SIGTERM, SIGHUP of a closed
-    terminal, SIGQUIT; Windows' Ctrl-Break and closed window) if called on the main thread, or when
-    another thread calls ``loop.controls.quit()``. Sources, sinks and recordings are then closed
-    and whole. It needs no terminal and no browser.
+    source ends, after ``duration``, when another thread calls ``loop.controls.quit()``, or, if
+    called on the main thread, on an ending signal (Ctrl-C, SIGTERM, SIGHUP of a closed terminal,
+    SIGQUIT; Windows' Ctrl-Break and closed window). Sources, sinks and recordings are then closed
+    and complete. It needs no terminal and no browser.
 
     Example::
 
@@ -96,24 +96,25 @@ def teleoperate(
         summary = teleoperate(request)
         print(summary["rate_hz"], summary["added_latency_ms"]["p99"])
 
-    Without any ``methods``, the loop starts while the method is compiled: it shows the operator's
-    hand and holds the robot. A run with a ``task`` or a ``duration`` and one of a recording wait.
+    The loop starts while the method is compiled: it shows the operator's hand and holds the robot.
+    A run with ``methods``, a ``task`` or a ``duration``, or of a recording, compiles first.
 
     Args:
         request: source, sinks, robot hand and limits; None for the defaults.
-        source: an object that hand frames come from, in place of the request's.
-        sinks: objects that commands go to, before the request's.
+        source: source of the hand frames, in place of the request's.
+        sinks: sinks of the commands, in addition to the request's.
         hand: a spec file, a description or a loaded hand, in place of the request's. The other side
             is its mirror image.
-        stop: function that says whether an emergency stop is pressed, in place of the request's.
-        page: serve the live page; None for none.
-        keys: listen to the keyboard where there is a terminal: stop, release, pause, quit.
-        reporter: takes lines for a person; None for the logger ``smooth_operator.teleop``.
+        stop: function that returns True while an emergency stop is pressed, in place of the
+            request's.
+        page: address and look of the live page; None for no page.
+        keys: True to listen to the keyboard of a terminal: stop, release, pause, quit.
+        reporter: shows lines to a person; None for the logger ``smooth_operator.teleop``.
         started: called with the running loop once everything is open, on the loop's thread, so
             it must not wait; the loop's ``controls`` may be used from any thread.
 
     Returns:
-        What the run came to, as plain JSON values: ``duration_s``, ``interrupted`` (by a signal),
+        Summary of the run, as plain JSON values: ``duration_s``, ``interrupted`` (by a signal),
         ``rate_hz``, ``frames_received``, ``frames_answered``, ``added_latency_ms`` (percentiles,
         None without a frame), ``source`` and ``sinks`` (state and failures), and more.
 
@@ -123,156 +124,148 @@ def teleoperate(
     """
     reporter = LoggingReporter() if reporter is None else reporter
     request = TeleopRequest() if request is None else request
-    described = hand.spec if isinstance(hand, Hand) else hand or request.hand
+    spec = hand.spec if isinstance(hand, Hand) else hand or request.hand
     side = request.side
     if side is None:
-        side = default_side(described) if isinstance(described, str) else "right"
-    requested: list[str | Sink] = [*sinks, *with_task(request.sink, request.task)]
-    settings = request.settings() | {
-        "hand": described,
-        "operator": _known(request.operator, "right" if side == "both" else side),
-    }
-    asked = make_request(**settings)
+        side = default_side(spec) if isinstance(spec, str) else "right"
+    texts: list[str | Sink] = [*sinks, *with_task(request.sink, request.task)]
+    operator = _operator(request.operator, "right" if side == "both" else side)
+    retarget = make_request(**request.settings() | {"hand": spec, "operator": operator})
+    names = [name for text in request.methods for name in text.split(",")]
     run = _Run(
         request,
-        asked,
-        others=[_with_method(asked, name) for text in request.methods for name in text.split(",")],
+        retarget,
+        others=[_with_method(retarget, name) for name in names],
         config=LoopConfig(request.rate, request.safety, request.limits, request.wrist),
         sides=("right", "left") if side == "both" else (side,),
         source=build_source(request.source, side) if source is None else source,
-        requested=requested,
-        acting=[build_sink(sink) if isinstance(sink, str) else sink for sink in requested],
-        carrier=None if request.arm is None else read_arm(request.arm),
+        sink_texts=texts,
+        sinks=[build_sink(sink) if isinstance(sink, str) else sink for sink in texts],
+        arm=None if request.arm is None else read_arm(request.arm),
         stop=StopInput(request.estop) if stop is None and request.estop is not None else stop,
         attended=keys and bool(sys.stdin) and sys.stdin.isatty(),
         reporter=reporter,
         started=started,
     )
     run.check(page)
-    with ended_by_signals() as ending, _begun_page(page, run) as begun:
-        summary = run.drive(ending, begun)
+    with ended_by_signals() as ending, _open_page(page, run) as live_page:
+        summary = run.drive(ending, live_page)
         while run.next_request is not None and not ending.came:
             run.take_next()
-            summary = run.drive(ending, begun)
+            summary = run.drive(ending, live_page)
         return summary
 
 
 @dataclass
 class _Run:
-    """A teleoperation: what it was asked for, read and checked. It can go on with another hand."""
+    """A teleoperation with its parts, which can go on with another hand."""
 
-    asked: TeleopRequest
+    teleop: TeleopRequest
     request: RetargetRequest
     others: Sequence[RetargetRequest]
     config: LoopConfig
     sides: tuple[Side, ...]
     source: LiveSource
-    requested: Sequence[str | Sink]
-    acting: Sequence[Sink]
-    carrier: ArmSettings | None
+    sink_texts: Sequence[str | Sink]
+    sinks: Sequence[Sink]
+    arm: ArmSettings | None
     stop: Callable[[], bool] | None
     attended: bool
     reporter: Reporter
     started: Callable[[TeleopLoop], None] | None
-    settled: dict[Side, tuple[Hand, MethodConfig]] = field(default_factory=dict)
+    hands: dict[Side, tuple[Hand, MethodConfig]] = field(default_factory=dict)
     arms: dict[Side, ArmOfHand] = field(default_factory=dict)
     next_request: RetargetRequest | None = None
 
     def check(self, page: PageSettings | None) -> None:
-        """Find out whether all that the run needs is there.
-
-        Whatever is missing, taken or wrong is found here, in a second, and not after a compilation:
-        extras, files, models, addresses, ports. The source is open afterwards.
-        """
-        self._settle(self.request)
-        hands = {side: hand for side, (hand, _) in self.settled.items()}
-        SinkRunner(self.acting).check(hands)
-        if self.asked.control is not None:
+        """Check extras, files, models, addresses and ports, and open the source."""
+        self._load(self.request)
+        hands = {side: hand for side, (hand, _) in self.hands.items()}
+        SinkRunner(self.sinks).check(hands)
+        if self.teleop.control is not None:
             from smooth_operator.teleop.control.rpc import check_address
 
-            check_address(self.asked.control)
+            check_address(self.teleop.control)
         if page is not None:
             from smooth_operator.teleop.pages.viser_server import free_port
 
             free_port(page.host, page.port)
             if page.model is not None:
                 for hand in hands.values():
-                    drawn_on(hand, page.model)  # the page's own process does it again
+                    drawn_on(hand, page.model)  # as later in the page's process
         self.source.prepare()
 
-    def _settle(self, request: RetargetRequest) -> None:
-        """Reads the hands of a request, their methods' settings and their arms, or changes
-        nothing."""
-        settled = {side: resolve(request, side) for side in self.sides}
-        hands = {side: hand for side, (hand, _) in settled.items()}
-        for hand in hands.values():
+    def _resolve(self, request: RetargetRequest) -> dict[Side, tuple[Hand, MethodConfig]]:
+        """Hands of a request and settings of their methods, which fit the limits."""
+        hands = {side: resolve(request, side) for side in self.sides}
+        for hand, _ in hands.values():
             Limiter(hand, self.config.limits)
+        return hands
+
+    def _load(self, request: RetargetRequest) -> None:
+        """Load hands, settings and arms of a request; changes nothing if one fails."""
+        hands = self._resolve(request)
         arms: dict[Side, ArmOfHand] = {}
-        if self.carrier is not None:
+        if self.arm is not None:
             require("an arm", "arm", "mink", "daqp")
             from smooth_operator.teleop.arm.controller import build_arms
 
-            arms = build_arms(self.carrier, hands)
-            for sink in self.acting:
+            arms = build_arms(self.arm, {side: hand for side, (hand, _) in hands.items()})
+            for sink in self.sinks:
                 sink.use_arms({side: one.carried for side, one in arms.items()})
-        self.settled, self.arms = settled, arms
+        self.hands, self.arms = hands, arms
 
     @property
     def other_hands(self) -> list[str]:
-        """Names of the hands that the run could go on with; none where it can't."""
-        fixed = self.asked.task is not None or self.asked.blind or any(map(real_hand, self.acting))
+        """Names of the hands with which the run can go on; empty if its hand is fixed."""
+        fixed = self.teleop.task is not None or self.teleop.blind or any(map(real_hand, self.sinks))
         if fixed or not isinstance(self.request.hand, str):
             return []
         return list(hand_names())
 
     def change_hand(self, name: str, loop: TeleopLoop, switcher: MethodSwitcher) -> None:
-        """End this loop, and have the next one drive another hand by the same method.
-
-        Raises:
-            ConfigError: it is not among ``other_hands``.
-            SmoothOperatorError: the hand does not fit the settings of the run; nothing changes.
-        """
+        """End this loop, and let the next one drive another hand by the same method."""
         if name not in self.other_hands:
-            raise ConfigError(f"this run can't go on with the hand {name!r}")
+            raise ConfigError(
+                f"this run can't go on with the hand {name!r}; expected one of "
+                f"{', '.join(self.other_hands) or 'no other hand'}"
+            )
         used = switcher.used
-        following = replace(
+        request = replace(
             self.request, hand=name, method=used.method, preset=used.preset, config=used.base
         )
-        for side in self.sides:
-            hand, _ = resolve(following, side)
-            Limiter(hand, self.config.limits)
-        self.next_request = following
+        self._resolve(request)
+        self.next_request = request
         loop.controls.quit()
 
     def _keep_operator(
         self, pipelines: Mapping[Side, HandPipeline], switcher: MethodSwitcher
     ) -> None:
-        """Writes what was learnt about the operator into his file, if the run has one."""
-        known = self.request.operator
+        """Write the pinch gaps of this session into the operator's file, if there is one."""
+        operator, file = self.request.operator, self.teleop.operator
         for side, pipeline in pipelines.items():
             gaps = {name: round(gap, 4) for name, gap in pipeline.pinch_gaps.items()}
-            file = self.asked.operator
-            if file is None or known is None or known is not switcher.operators[side]:
+            if file is None or operator is None or operator is not switcher.operators[side]:
                 return
-            if gaps and gaps != known.pinch_gaps:
-                source = known.source or self.source.label
-                kept = replace(known, pinch_gaps={**known.pinch_gaps, **gaps}, source=source)
-                write_operator(file, kept)
+            if gaps and gaps != operator.pinch_gaps:
+                source = operator.source or self.source.label
+                gaps = {**operator.pinch_gaps, **gaps}
+                write_operator(file, replace(operator, pinch_gaps=gaps, source=source))
                 self.reporter.note(f"wrote {file}: the pinch gaps of this session")
 
     def take_next(self) -> None:
-        """Go over to the hand of ``change_hand``."""
+        """Change to the hand of ``change_hand``."""
         assert self.next_request is not None
         self.request, self.next_request = self.next_request, None
         self.reporter.note(f"the next hand: {self.request.hand}", matters=True)
-        self._settle(self.request)
+        self._load(self.request)
 
-    def drive(self, ending: Ending, begun: LivePage | None) -> dict[str, Any]:
-        """Drives the hands until the run ends, or the next hand is chosen; the summary."""
-        request, reporter, source, sides = self.request, self.reporter, self.source, self.sides
-        settled, blind, config, acting = self.settled, self.asked.blind, self.config, self.acting
-        runner = SinkRunner(acting)
-        retargeters = _built(settled, request, source, blind, reporter)
+    def drive(self, ending: Ending, page: LivePage | None) -> dict[str, Any]:
+        """Drive the hands until the run ends or the next hand is chosen; returns the summary."""
+        request, reporter, source, teleop = self.request, self.reporter, self.source, self.teleop
+        blind, config, sinks = teleop.blind, self.config, self.sinks
+        runner = SinkRunner(sinks)
+        retargeters = self._retargeters()
         pipelines = {
             side: HandPipeline(
                 retargeter,
@@ -291,9 +284,9 @@ class _Run:
             {side: retargeter.config for side, retargeter in retargeters.items()},
             pinch_gaps={side: retargeter.known_gaps for side, retargeter in retargeters.items()},
             source=source if dataclasses.is_dataclass(source) else source.label,
-            sinks=[sink if isinstance(sink, str) else sink.label for sink in self.requested],
+            sinks=[sink if isinstance(sink, str) else sink.label for sink in self.sink_texts],
             loop=config,
-            arm=self.carrier,
+            arm=self.arm,
         )
 
         def record(side: Side, text: str) -> None:
@@ -303,42 +296,42 @@ class _Run:
             used = switcher.used
             return {"method": used.method, "preset": used.preset, "source": source.label}
 
-        tried = TaskTrials(
-            acting,
-            sides,
+        trials = TaskTrials(
+            sinks,
+            self.sides,
             reporter,
-            task=self.asked.task,
-            folder=self.asked.trials,
-            controlled=self.asked.control is not None,
+            task=teleop.task,
+            folder=teleop.trials,
+            controlled=teleop.control is not None,
             attended=self.attended,
             about=about,
             record=record,
         )
-        if begun is not None:
+        if page is not None:
             from smooth_operator.teleop.pages.live.live_session import LiveSession
 
             session = LiveSession(
                 loop,
                 request,
-                acting,
+                sinks,
                 switcher=switcher,
                 blind=blind,
-                trial=tried.shown,
+                trial=trials.shown,
                 other_hands=self.other_hands,
                 change_hand=lambda name: self.change_hand(name, loop, switcher),
             )
             loop.watch = session.watch
-            begun.serve(session)
-        # What is played, and ends, begins with its first frame.
+            page.serve(session)
+        # A recording, which ends, must not play before the robot can move.
         played = isinstance(source, Replay) or (isinstance(source, Video) and not source.loop)
-        waits = self.asked.task is not None or self.asked.duration is not None or played
+        waits = teleop.task is not None or teleop.duration is not None or played
         if self.others or waits:
             switcher.building = "compiling"
-            _compile(settled, request, self.others, blind, reporter)
+            self._compile()
             switcher.building = ""
             for pipeline in pipelines.values():
                 pipeline.go_on()
-        handlers = RpcHandlers(loop, switcher, lambda: tried.runner, blind=blind)
+        handlers = RpcHandlers(loop, switcher, lambda: trials.runner, blind=blind)
         granted = "normal"
         begin = time.perf_counter()
         ending.quit = loop.controls.quit
@@ -347,80 +340,61 @@ class _Run:
         with (
             contextlib.closing(switcher),
             low_jitter(),
-            keyboard(loop, reporter, tried.keys, tried.key_help)
+            keyboard(loop, reporter, trials.keys, trials.key_help)
             if self.attended
             else contextlib.nullcontext(),
-            _remote(loop, self.asked.control, handlers, reporter),
+            _remote(loop, teleop.control, handlers, reporter),
             stopped_by(loop, self.stop),
             _compiling(retargeters, loop, reporter),
-            contextlib.ExitStack() as first,
+            contextlib.ExitStack() as stack,
         ):
 
             def opened() -> None:
                 nonlocal granted
-                if self.asked.priority == "high":
-                    granted = first.enter_context(going_first())
-                first.enter_context(_announced(source, reporter))
-                tried.begin()
+                if teleop.priority == "high":
+                    granted = stack.enter_context(going_first())
+                stack.enter_context(_announced(source, reporter))
+                trials.begin()
                 if self.started is not None:
                     self.started(loop)
 
-            loop.run(self.asked.duration, recorded, started=opened)
-        if begun is not None and self.next_request is not None:
-            begun.change(replace(begun.setup, hand=str(self.next_request.hand)))
+            loop.run(teleop.duration, recorded, started=opened)
+        if page is not None and self.next_request is not None:
+            page.change(replace(page.setup, hand=str(self.next_request.hand)))
         seconds = time.perf_counter() - begin
-        tried.end()
+        trials.end()
         self._keep_operator(pipelines, switcher)
-        more = {"priority": granted, "interrupted": ending.came, **tried.summary()}
+        more = {"priority": granted, "interrupted": ending.came, **trials.summary()}
         return summarise(loop, seconds, reporter, more)
 
+    def _retargeters(self) -> dict[Side, Retargeter]:
+        """Retargeters of the hands, which may not be compiled yet."""
+        retargeters: dict[Side, Retargeter] = {}
+        request, gaps = self.request, self.request.known_gaps(source_gaps(self.source))
+        for side, (hand, config) in self.hands.items():
+            for note in () if self.teleop.blind else config.notes(hand):
+                self.reporter.note(note, matters=True)
+            retargeters[side] = Retargeter(hand, config=config, seed=request.seed, pinch_gaps=gaps)
+        return retargeters
 
-def _known(path: Path | None, side: Side) -> OperatorProfile | None:
-    """What an operator's file says; nothing yet where there is none.
+    def _compile(self) -> None:
+        """Compile the run's method and the others, which this process then keeps."""
+        for side, (hand, own) in self.hands.items():
+            configs = [(self.request.method, own)]
+            configs += [(each.method, resolve_config(each, hand)) for each in self.others]
+            for name, config in configs:
+                method = "the method" if self.teleop.blind else name
+                with self.reporter.waiting(f"compiling {method} for {hand.name} {side}"):
+                    Retargeter(hand, config=config, seed=self.request.seed).warm_up()
 
-    Raises:
-        ConfigError: the file can't be read, or its folder isn't there.
-    """
+
+def _operator(path: Path | None, side: Side) -> OperatorProfile | None:
+    """Content of an operator's file; an empty profile if there is no file yet."""
     if path is None:
         return None
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: there is no folder {path.parent}; make it, or name another")
     return read_operator(path) if path.exists() else OperatorProfile(side)
-
-
-def _built(
-    settled: Mapping[Side, tuple[Hand, MethodConfig]],
-    request: RetargetRequest,
-    source: LiveSource,
-    blind: bool,
-    reporter: Reporter,
-) -> dict[Side, Retargeter]:
-    """The hands' retargeters, not compiled yet."""
-    retargeters: dict[Side, Retargeter] = {}
-    for side, (hand, config) in settled.items():
-        if not blind:
-            for note in config.notes(hand):
-                reporter.note(note, matters=True)
-        gaps = request.known_gaps(source_gaps(source))
-        retargeters[side] = Retargeter(hand, config=config, seed=request.seed, pinch_gaps=gaps)
-    return retargeters
-
-
-def _compile(
-    settled: Mapping[Side, tuple[Hand, MethodConfig]],
-    request: RetargetRequest,
-    others: Sequence[RetargetRequest],
-    blind: bool,
-    reporter: Reporter,
-) -> None:
-    """Compiles the run's method and those of other requests, which the process then has."""
-    for side, (hand, own) in settled.items():
-        configs = [(request.method, own)]
-        configs += [(each.method, resolve_config(each, hand)) for each in others]
-        for name, config in configs:
-            what = "the method" if blind else name
-            with reporter.waiting(f"compiling {what} for {hand.name} {side}"):
-                Retargeter(hand, config=config, seed=request.seed).warm_up()
 
 
 def _with_method(request: RetargetRequest, text: str) -> RetargetRequest:
@@ -436,11 +410,11 @@ def _with_method(request: RetargetRequest, text: str) -> RetargetRequest:
 def _compiling(
     retargeters: Mapping[Side, Retargeter], loop: TeleopLoop, reporter: Reporter
 ) -> Iterator[None]:
-    """While the block runs: methods that are not compiled yet are, and their hands go on then."""
+    """Compiles methods while the block runs; a hand moves as soon as its method is compiled."""
     waiting = {side: each for side, each in retargeters.items() if not each.compiled}
     errors: list[Exception] = []
 
-    def let_go(side: Side) -> None:
+    def go_on(side: Side) -> None:
         loop.controls.change(lambda hand: hand.go_on() if hand.side == side else None)
 
     def compile_all() -> None:
@@ -452,11 +426,11 @@ def _compiling(
                 errors.append(error)
                 loop.controls.quit()
                 return
-            let_go(side)
+            go_on(side)
             reporter.note(f"{side}: compiled after {seconds:.1f} s")
 
     if waiting:
-        # Not a daemon: one that is inside XLA when the interpreter ends can abort the process.
+        # Not a daemon: a thread inside XLA at the end of the interpreter can abort the process.
         threading.Thread(target=compile_all, name=COMPILES).start()
     yield
     if errors:
@@ -465,7 +439,7 @@ def _compiling(
 
 @contextlib.contextmanager
 def _announced(source: LiveSource, reporter: Reporter) -> Iterator[None]:
-    """Reports how the operator connects: address and code."""
+    """Reports the address and the code with which the operator connects."""
     over = threading.Event()
 
     def tell() -> None:
@@ -480,7 +454,7 @@ def _announced(source: LiveSource, reporter: Reporter) -> Iterator[None]:
     thread.start()
     try:
         yield
-    finally:  # a thread that outlives the command can abort the interpreter as it ends
+    finally:  # a thread that outlives the command can abort the interpreter
         over.set()
         thread.join()
 
@@ -489,7 +463,7 @@ def _announced(source: LiveSource, reporter: Reporter) -> Iterator[None]:
 def _remote(
     loop: TeleopLoop, address: str | None, handlers: RpcHandlers, reporter: Reporter
 ) -> Iterator[None]:
-    """Commands of other programs, where they are to be listened to."""
+    """Listens for commands of other programs, if there is an address."""
     if address is None:
         yield
         return
@@ -505,12 +479,11 @@ class PageSettings:
     """Address and look of the live page. Needs the extra ``teleop``.
 
     Attributes:
-        host: address to listen at; other than this machine's, a token in the page's address is
-            needed to open it.
-        port: first port to try; 0 for any free one.
-        open_browser: open it in the browser.
+        host: address on which to listen. Other machines need a token in the page's address.
+        port: first port to try; 0 for any free port.
+        open_browser: True to open the page in the browser.
         model: the vendor's MJCF or URDF to draw in place of simple shapes, or ``menagerie``.
-        meshes: draw meshes, where there are some; otherwise simple shapes.
+        meshes: True to draw meshes if there are any, False for simple shapes.
     """
 
     host: str = "127.0.0.1"
@@ -521,8 +494,8 @@ class PageSettings:
 
 
 @contextlib.contextmanager
-def _begun_page(page: PageSettings | None, run: _Run) -> Iterator[LivePage | None]:
-    """The page's process, whose address is reported first of all; None if it is left out."""
+def _open_page(page: PageSettings | None, run: _Run) -> Iterator[LivePage | None]:
+    """Starts the page's process and reports its address; None without a page."""
     if page is None:
         yield None
         return
@@ -535,15 +508,15 @@ def _begun_page(page: PageSettings | None, run: _Run) -> Iterator[LivePage | Non
             run.request.fingers,
             page.host,
             page.port,
-            any(sink.measures for sink in run.acting),
-            run.asked.blind,
+            any(sink.measures for sink in run.sinks),
+            run.teleop.blind,
             None if page.model is None else str(page.model),
             page.meshes,
-            arm=run.carrier,
+            arm=run.arm,
             attended=run.attended,
         )
-        with LivePage(setup) as begun:
-            run.reporter.note(f"page: {begun.url}", matters=True)
+        with LivePage(setup) as live_page:
+            run.reporter.note(f"page: {live_page.url}", matters=True)
             if page.open_browser:
-                open_page(begun.url)
-            yield begun
+                open_page(live_page.url)
+            yield live_page
