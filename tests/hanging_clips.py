@@ -8,8 +8,7 @@ from pathlib import Path
 from made_clips import MadeClips
 
 from smooth_operator.datasets import work
-from smooth_operator.datasets.clip import Clip
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 
 LAYOUT = "hanging_clips:CLIPS"
 work.READING_S = 1.0

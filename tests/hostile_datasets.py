@@ -31,9 +31,10 @@ def read_soundly(layout: str, path: Path) -> None:
         SmoothOperatorError: it is refused.
         AssertionError: it is not read soundly.
     """
-    from smooth_operator.datasets.registry import DATASETS, ReadingOptions
+    from smooth_operator.formats.clip import ReadingOptions
+    from smooth_operator.formats.registry import READERS
 
-    reader = DATASETS.load(layout)
+    reader = READERS.load(layout)
     reader.matches(path)
     for ref in reader.clips(path):
         options = ReadingOptions(rate=files.RATE, mano=path.parent.parent / "mano")

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from smooth_operator import poses
-from smooth_operator.datasets.clip import SIDES, Clip
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import SIDES, Clip, ClipRef, ReadingOptions
 from smooth_operator.synthetic import SyntheticOperator, WristMotion
 from smooth_operator.types import HandRecording, Side
 

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from smooth_operator.datasets.clip import Clip, ObjectTrack, RobotClip
+from smooth_operator.datasets.clip import RobotClip
+from smooth_operator.formats.clip import Clip, ObjectTrack
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 
 JOINTS = ("thumb", "index_a", "index_b", "middle", "ring", "pinky")

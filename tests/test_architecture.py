@@ -74,7 +74,11 @@ LEVELS = CORE | SHARED | WINGS | {"cli": 9, "__main__": 9}
 
 KNOWN_UPWARD = {
     "formats/registry.py": {
+        "episode_files",
+        "episode_files.egodex",
         "episode_files.hdf5",
+        "episode_files.landmark_pairs",
+        "episode_files.packed",
         "headsets.recordings",
         "teleop.recording",
         "teleop.recording.log_reader",

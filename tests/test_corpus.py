@@ -17,8 +17,9 @@ from made_clips import CLIPS, LAYOUT
 
 from smooth_operator.datasets import writing
 from smooth_operator.datasets.pipeline import DatasetRequest, make_dataset
-from smooth_operator.datasets.registry import DATASETS, ClipRef, ReadingOptions
 from smooth_operator.datasets.sources import Item, each_item
+from smooth_operator.formats.clip import ClipRef, ReadingOptions
+from smooth_operator.formats.registry import READERS
 from smooth_operator.reporter import Reporter
 
 NEEDS_ARROW = "needs pyarrow: in the clone, pip install '.[cluster]'"
@@ -133,7 +134,7 @@ def test_human_clips_of_parquet_files_are_read_as_they_were(tmp_path, source):
     make_dataset(request(source, tmp_path))
     packed = items(tmp_path / "dataset" / "data", None)
     assert [each.ref.layout for each in packed if each.ref] == ["parquet"] * 10
-    reader = DATASETS.load("parquet")
+    reader = READERS.load("parquet")
     for before, after in zip(items(source), packed, strict=True):
         want, found = CLIPS.read(before.ref, OPTIONS), reader.read(after.ref, OPTIONS)
         assert (found.name, found.task, found.layout) == (before.name, want.task, "made")

@@ -12,16 +12,11 @@ import pytest
 
 from smooth_operator import method_config, plugins
 from smooth_operator.datasets import retargeting
-from smooth_operator.datasets.clip import CAMERA, Clip
-from smooth_operator.datasets.registry import (
-    DATASETS,
-    RESEARCH_LAYOUTS,
-    ReadingOptions,
-    readers,
-)
 from smooth_operator.datasets.sources import find_items
 from smooth_operator.datasets.writers.registry import WRITERS
 from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.formats.clip import CAMERA, Clip, ReadingOptions
+from smooth_operator.formats.registry import READERS, RESEARCH_LAYOUTS, clip_readers
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid, matrices, separation, wrist_from_landmarks
 
@@ -31,11 +26,11 @@ COUNT = 30
 
 def layout_of(path: Path) -> str:
     """The first layout that a file is of, as the command asks them."""
-    return next(name for name, reader in readers().items() if reader.matches(path))
+    return next(name for name, reader in clip_readers().items() if reader.matches(path))
 
 
 def clip_of(path: Path, options: ReadingOptions = RATED) -> Clip:
-    reader = DATASETS.load(layout_of(path))
+    reader = READERS.load(layout_of(path))
     (ref,) = reader.clips(path)
     found: Clip = reader.read(ref, options)
     assert found.layout == ref.layout == layout_of(path)
@@ -129,7 +124,7 @@ def test_a_file_of_egodex_that_differs_is_refused_by_name(tmp_path):
 @pytest.mark.parametrize("version", ["earliest", "latest"])
 def test_egodex_is_distinguished_from_other_hdf5(tmp_path, version):
     h5py = pytest.importorskip("h5py", reason="needs the extra hdf5")
-    reader = DATASETS.load("egodex")
+    reader = READERS.load("egodex")
     for name, found in (("transforms/rightHand", True), ("hand/landmarks", False)):
         path = tmp_path / f"{found}.hdf5"
         with h5py.File(path, "w", libver=version) as file:
@@ -332,7 +327,7 @@ def test_plain_recordings_are_still_read(tmp_path):
 
 def test_json_of_other_programs_is_no_data_set(tmp_path):
     (tmp_path / "a.jsonl").write_text(json.dumps({"x": 1}) + "\n")
-    names = [name for name in DATASETS if DATASETS.load(name).matches(tmp_path / "a.jsonl")]
+    names = [name for name in READERS if READERS.load(name).matches(tmp_path / "a.jsonl")]
     assert names == ["files"]  # by its suffix; it says then what it reads
 
 
@@ -343,7 +338,7 @@ def test_without_the_research_data_sets_messages_say_how_to_install_them(tmp_pat
         "allegro_hand", "smooth", "offline", method_config("smooth", "offline")
     )
     tries: tuple[Callable[[], object], ...] = (
-        lambda: DATASETS.load("grab"),
+        lambda: READERS.load("grab"),
         lambda: WRITERS.load("spider"),
         lambda: retargeting.Recipe(request, with_objects=True),
     )
@@ -357,7 +352,7 @@ def test_without_the_research_data_sets_messages_say_how_to_install_them(tmp_pat
 
 
 def test_all_layouts_of_the_research_data_sets_are_named():
-    offered = {name for name, entry in DATASETS.plugins.items() if "smooth_hand" in entry.target}
+    offered = {name for name, entry in READERS.plugins.items() if "smooth_hand" in entry.target}
     assert offered == set(RESEARCH_LAYOUTS)
 
 

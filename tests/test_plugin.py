@@ -95,12 +95,13 @@ def test_a_layout_and_a_format_of_data_sets(python, tmp_path):
         np.savetxt(tmp_path / "take" / f"{side}.csv", points, delimiter=",")
     code = f"""
 from pathlib import Path
-from smooth_operator.datasets.registry import DATASETS, ReadingOptions
+from smooth_operator.formats.registry import READERS
+from smooth_operator.formats.clip import ReadingOptions
 path = Path({str(tmp_path / "take")!r})
-layout, = (name for name in DATASETS if DATASETS.load(name).matches(path))
-ref, = DATASETS.load(layout).clips(path)
-clip = DATASETS.load(layout).read(ref, ReadingOptions(rate={RATE}))
-print(layout, DATASETS[layout].summary, len(clip), *clip.hands)
+layout, = (name for name in READERS if READERS.load(name).matches(path))
+ref, = READERS.load(layout).clips(path)
+clip = READERS.load(layout).read(ref, ReadingOptions(rate={RATE}))
+print(layout, READERS[layout].summary, len(clip), *clip.hands)
 
 import numpy as np
 from smooth_operator.types import CommandTrajectory

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from smooth_operator.datasets.clip import SIDES, Clip
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import SIDES, Clip, ClipRef, ReadingOptions
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.tracker import WristMotion
 from smooth_operator.types import HandRecording

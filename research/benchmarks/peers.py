@@ -31,7 +31,8 @@ import tyro
 
 from smooth_operator import HandRecording, assemble_trace, evaluate, load_hand
 from smooth_operator.formats.checks import frame_slice
-from smooth_operator.formats.readers import rated_if_unstamped, read_recording
+from smooth_operator.formats.readers import read_recording
+from smooth_operator.formats.registry import rated_if_unstamped
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.retargeting.presets import method_config

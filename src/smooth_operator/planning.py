@@ -178,7 +178,7 @@ def make_request(
     )
 
 
-def code_of_commands(request: RetargetRequest, *readers: str) -> str:
+def code_of_commands(request: RetargetRequest, *more: str) -> str:
     """Digest of the code and the hands that make the commands of a request.
 
     It covers this package's code from the reader of a file to the commands, the code of plugins for
@@ -187,20 +187,16 @@ def code_of_commands(request: RetargetRequest, *readers: str) -> str:
 
     Args:
         request: settings of the retargeting.
-        readers: more files and folders of this package that the commands depend on, and modules of
-            other distributions, as ``module:attribute``.
+        more: further files and folders of this package that the commands depend on.
     """
-    own = [name for name in readers if ":" not in name]
-    others = [entry.target for entry in READERS.plugins.values()]
-    others += [name for name in readers if ":" in name]
-    modules = [target.partition(":")[0] for target in others]
+    modules = [entry.target.partition(":")[0] for entry in READERS.plugins.values()]
     hands = []
     sides: tuple[Side, Side] = ("right", "left")
     for side in sides:
         with suppress(HandModelError):  # there is no hand of this side
             spec = request.load_hand(side).spec
             hands.append((replace(spec, model=Path(spec.model.name)), content_digest(spec.model)))
-    code = code_digest(*_CODE, *own)
+    code = code_digest(*_CODE, *more)
     return key_digest([code, outside_code(request.config, *modules), versions(), hands])
 
 

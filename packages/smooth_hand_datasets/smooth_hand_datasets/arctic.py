@@ -24,8 +24,7 @@ from smooth_hand_datasets.scene import (
 )
 from smooth_hand_datasets.unpickle import array, load_restricted, numbers, table
 from smooth_operator import poses
-from smooth_operator.datasets.clip import Clip
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
+from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 from smooth_operator.types import Side
 
 RATE_HZ: Final = 30.0

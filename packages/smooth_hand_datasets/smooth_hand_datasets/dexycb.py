@@ -25,10 +25,9 @@ from smooth_hand_datasets.scene import (
 )
 from smooth_hand_datasets.unpickle import array, table
 from smooth_operator import poses
-from smooth_operator.datasets.clip import Clip
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 from smooth_operator.io.plain_files import read_text
 from smooth_operator.types import Side, as_side
 

@@ -32,11 +32,12 @@ import numpy as np
 
 from smooth_hand_datasets.keypoints import FileShards
 from smooth_operator import poses
-from smooth_operator.datasets.clip import SIDES, RobotClip
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.arrays import unique_slug
 from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.datasets.writers.shards import npz_bytes
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import SIDES
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 

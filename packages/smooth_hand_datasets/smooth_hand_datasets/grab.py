@@ -17,10 +17,9 @@ from smooth_hand_datasets.mano_model import PlacedHand, load_model
 from smooth_hand_datasets.scene import Scene, Thing, checked_count, stamps_at
 from smooth_hand_datasets.unpickle import array, load_restricted, numbers, table, text
 from smooth_operator import poses
-from smooth_operator.datasets.clip import Clip
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.errors import RecordingError, brief, reason
 from smooth_operator.formats.arrays import open_arrays
+from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.types import Side
 

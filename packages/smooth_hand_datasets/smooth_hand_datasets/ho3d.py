@@ -18,9 +18,8 @@ from smooth_hand_datasets.mano_model import from_axis_angle, load_model
 from smooth_hand_datasets.scene import Scene, Thing, checked_count, world_pose
 from smooth_hand_datasets.unpickle import array, load_restricted, table, text
 from smooth_operator import poses
-from smooth_operator.datasets.clip import CAMERA, Clip
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import CAMERA, Clip, ClipRef, ReadingOptions
 from smooth_operator.types import Side
 
 RATE_HZ: Final = 30.0

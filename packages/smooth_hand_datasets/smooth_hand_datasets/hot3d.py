@@ -28,9 +28,8 @@ from smooth_hand_datasets.scene import (
 )
 from smooth_hand_datasets.unpickle import array, table
 from smooth_operator import poses
-from smooth_operator.datasets.clip import Clip
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 from smooth_operator.io.documents import parse_json, read_json
 from smooth_operator.io.plain_files import check_plain_file, read_text
 from smooth_operator.poses import WORLD_AXES

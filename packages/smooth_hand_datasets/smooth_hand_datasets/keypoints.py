@@ -20,10 +20,11 @@ from jaxtyping import Float
 from smooth_hand_datasets.objects.placement import landmarks_in_world
 from smooth_operator import poses
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.datasets.clip import CAMERA, SIDES, Clip, ObjectTrack, RobotClip
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.arrays import Grid, resampled, slug
 from smooth_operator.datasets.writers.shards import TarShards
 from smooth_operator.errors import RecordingError, reason
+from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ObjectTrack
 from smooth_operator.types import Side
 
 MOST_MISSING: Final = 0.2

@@ -27,11 +27,10 @@ from smooth_hand_datasets.unpickle import (
     text,
 )
 from smooth_operator import poses
-from smooth_operator.datasets.clip import CAMERA, SIDES, Clip
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.errors import ConfigError, RecordingError, listed
 from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ClipRef, ReadingOptions
 from smooth_operator.formats.foreign import body_parameters
 from smooth_operator.formats.hand_arrays import shares
 from smooth_operator.poses import WORLD_AXES

@@ -24,9 +24,8 @@ from smooth_hand_datasets.scene import (
 )
 from smooth_hand_datasets.unpickle import array, load_restricted, table, text
 from smooth_operator import poses
-from smooth_operator.datasets.clip import Clip
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 from smooth_operator.io.documents import read_json
 from smooth_operator.poses import WORLD_AXES
 from smooth_operator.types import Side

@@ -34,16 +34,11 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_hand_datasets.unpickle import load_restricted, numbers
-from smooth_operator.datasets.clip import CAMERA, SIDES, Clip
-from smooth_operator.datasets.readers.both_hands import (
-    checked_hands,
-    first_video,
-    wrist_of_points,
-)
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.errors import DocumentError, RecordingError, brief
 from smooth_operator.formats.arrays import Allowance, open_arrays
+from smooth_operator.formats.both_hands import checked_hands, first_video, wrist_of_points
 from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ClipRef, ReadingOptions
 from smooth_operator.formats.hand_arrays import shares
 from smooth_operator.io import documents
 from smooth_operator.io.plain_files import read_text

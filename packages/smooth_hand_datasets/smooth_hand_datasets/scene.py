@@ -12,10 +12,9 @@ from jaxtyping import Float
 
 from smooth_hand_datasets.mano_model import PlacedHand
 from smooth_operator import poses
-from smooth_operator.datasets.clip import CAMERA, Clip, ObjectTrack
-from smooth_operator.datasets.readers.both_hands import checked_hands, first_video
-from smooth_operator.datasets.registry import ClipRef
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.both_hands import checked_hands, first_video
+from smooth_operator.formats.clip import CAMERA, Clip, ClipRef, ObjectTrack
 from smooth_operator.retargeting.palm import palm_axes
 from smooth_operator.types import HandRecording, Side
 

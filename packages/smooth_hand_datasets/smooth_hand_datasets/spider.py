@@ -30,10 +30,11 @@ import numpy as np
 
 from smooth_hand_datasets.keypoints import FileShards, Scene
 from smooth_operator import poses
-from smooth_operator.datasets.clip import SIDES, RobotClip
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.arrays import slug, unique_slug
 from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.datasets.writers.shards import npz_bytes
+from smooth_operator.formats.clip import SIDES
 from smooth_operator.io.jsonable import to_json
 
 _RATE: Final = 50.0  # ref_dt = 0.02, the default of SPIDER's programs

@@ -17,9 +17,8 @@ import numpy as np
 from smooth_hand_datasets.mano_model import load_model
 from smooth_hand_datasets.scene import Scene, Thing, checked_count, rigid, stamps_at
 from smooth_hand_datasets.unpickle import array, load_restricted, table
-from smooth_operator.datasets.clip import Clip
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
 from smooth_operator.types import Side
 
 RATE_HZ: Final = 30.0

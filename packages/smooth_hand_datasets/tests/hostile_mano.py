@@ -27,10 +27,11 @@ def read_soundly(layout: str, path: Path) -> None:
         SmoothOperatorError: it is refused.
         AssertionError: it is not read soundly.
     """
-    from smooth_operator.datasets.registry import DATASETS, ReadingOptions
+    from smooth_operator.formats.clip import ReadingOptions
+    from smooth_operator.formats.registry import READERS
 
     models = next(p / "mano_models" for p in path.parents if (p / "mano_models").is_dir())
-    reader = DATASETS.load(layout)
+    reader = READERS.load(layout)
     reader.matches(path)
     for ref in reader.clips(path):
         clip = reader.read(ref, ReadingOptions(mano=models))

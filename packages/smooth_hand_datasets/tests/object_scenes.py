@@ -31,8 +31,8 @@ from smooth_hand_datasets.objects.signed_distance import (
     signed_distance,
 )
 from smooth_operator import poses
-from smooth_operator.datasets.clip import Clip, ObjectTrack
 from smooth_operator.errors import ConfigError
+from smooth_operator.formats.clip import Clip, ObjectTrack
 from smooth_operator.landmarks import TIPS
 from smooth_operator.synthetic.hand_anatomy import (
     FREE,

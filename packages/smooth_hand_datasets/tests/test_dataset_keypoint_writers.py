@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from robot_clips import robot_clip, rotation
 
-from smooth_operator.datasets.clip import CAMERA, ObjectTrack, RobotClip
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import CAMERA, ObjectTrack
 
 TIPS = [4, 8, 12, 16, 20]
 SIZE = 0.03  # half a cube's edge [m]

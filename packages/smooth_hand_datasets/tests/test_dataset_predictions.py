@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from test_dataset_readers import COUNT, check_camera, clip_of, layout_of
 
-from smooth_operator.datasets.registry import ReadingOptions
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import ReadingOptions
 
 Write = Callable[[Path], Any]
 

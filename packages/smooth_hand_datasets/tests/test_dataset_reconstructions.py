@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from test_dataset_readers import clip_of
 
-from smooth_operator.datasets.registry import DATASETS, ReadingOptions
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import ReadingOptions
+from smooth_operator.formats.registry import READERS
 from smooth_operator.poses import matrices, separation, wrist_from_landmarks
 from smooth_operator.types import Side
 
@@ -68,7 +69,7 @@ def test_hawor(tmp_path):
     assert (found.name, found.layout, found.world) == ("kitchen", "hawor", "hawor")
     assert found.video == tmp_path / "kitchen.mp4"
     assert len(found.source) == 3
-    reader = DATASETS.load("hawor")  # which does not look into the rest of the folder
+    reader = READERS.load("hawor")  # which does not look into the rest of the folder
     assert reader.matches(path.parent)
     assert [ref.path for ref in reader.clips(path.parent)] == [path]
     assert not reader.matches(tmp_path)

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import strategies as st
 
 from smooth_operator import poses
-from smooth_operator.datasets.clip import CAMERA, Clip
-from smooth_operator.datasets.registry import DATASETS, ReadingOptions
 from smooth_operator.datasets.sources import find_items
 from smooth_operator.errors import RecordingError, SmoothOperatorError
+from smooth_operator.formats.clip import CAMERA, Clip, ReadingOptions
+from smooth_operator.formats.registry import READERS
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def models(tmp_path_factory) -> Path:
 
 
 def read(layout: str, path: Path, models: Path, **options: Any) -> Clip:
-    reader = DATASETS.load(layout)
+    reader = READERS.load(layout)
     assert reader.matches(path)
     (ref,) = reader.clips(path)
     assert ref.layout == layout
@@ -201,7 +201,7 @@ def test_ambiguous_parameters_are_refused(tmp_path, models):
 
 def test_the_side_may_come_from_the_user(tmp_path, models):
     path = changed(tmp_path, side=None)
-    reader = DATASETS.load("mano")
+    reader = READERS.load("mano")
     clip = reader.read(next(reader.clips(path)), ReadingOptions(mano=models, side="right"))
     assert list(clip.hands) == ["right"]
 

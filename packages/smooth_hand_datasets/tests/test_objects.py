@@ -29,12 +29,13 @@ from smooth_hand_datasets.objects.signed_distance import (
 )
 from smooth_hand_datasets.objects.terms import ObjectCosts, ObjectSettings, object_frames
 from smooth_operator import AlignmentConfig, HandRecording, load_hand, method_config, poses
-from smooth_operator.datasets.clip import Clip, ObjectTrack, robot_part
+from smooth_operator.datasets.clip import robot_part
 from smooth_operator.datasets.quality import quality_figures
 from smooth_operator.datasets.retargeting import Recipe, retarget_clips, whole_config
 from smooth_operator.datasets.sources import find_items
 from smooth_operator.datasets.work import read_item
 from smooth_operator.errors import ConfigError, RecordingError
+from smooth_operator.formats.clip import Clip, ObjectTrack
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.newton import NewtonConfig

@@ -21,8 +21,8 @@ import numpy as np
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
 from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.commands import only_commands
-from smooth_operator.formats.readers import rated_if_unstamped, read_recording
-from smooth_operator.formats.registry import is_dataset, recording_suffixes
+from smooth_operator.formats.readers import read_recording
+from smooth_operator.formats.registry import is_dataset, rated_if_unstamped, recording_suffixes
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, known_gaps
 from smooth_operator.synthetic import SyntheticOperator

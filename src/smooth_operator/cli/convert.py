@@ -291,7 +291,7 @@ def _commands_of(commands: Path | None, sources: list[Source]) -> list[Path | No
 
 def _load(source: Source, commands: Path | None, options: Convert, several: bool) -> Episode:
     from smooth_operator.formats.checks import frame_slice
-    from smooth_operator.formats.readers import rated_if_unstamped
+    from smooth_operator.formats.registry import rated_if_unstamped
     from smooth_operator.teleop.recording.convert import read_episode
     from smooth_operator.teleop.sources.webcam.camera import is_video
 

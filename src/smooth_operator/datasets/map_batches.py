@@ -8,16 +8,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from smooth_operator.datasets.clip import Clip, Frame, RobotClip
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.quality import NO_LIMITS, Dropped, Limits, select
-from smooth_operator.datasets.readers.packed import clip_of_row
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.datasets.sources import Item
 from smooth_operator.datasets.store import as_stored
 from smooth_operator.datasets.work import ReadClip, read_item
 from smooth_operator.datasets.writers.parquet import clips_table
+from smooth_operator.episode_files.packed import clip_of_row
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import Clip, ClipRef, Frame, ReadingOptions
 from smooth_operator.parallel.tasks import describe, one_thread
 from smooth_operator.planning import checked, make_request
 from smooth_operator.result_cache import key_digest

@@ -12,11 +12,12 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from smooth_operator.datasets.clip import SIDES, Clip, Frame, RobotClip, in_frame, with_side
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.quality import Tracks, quality_tracks
-from smooth_operator.datasets.registry import DATASETS, RESEARCH_PACKAGE, ReadingOptions
 from smooth_operator.datasets.request import DatasetRequest
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.formats.clip import SIDES, Clip, Frame, ReadingOptions, in_frame, with_side
+from smooth_operator.formats.registry import RESEARCH_PACKAGE
 from smooth_operator.hands.registry import default_side
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.planning import (
@@ -44,8 +45,7 @@ Its result has the attributes ``commands``, ``loss`` (T,), ``tracks`` (name -> (
 """
 
 _CODE: Final = tuple(
-    f"datasets/{name}"
-    for name in ("clip.py", "quality.py", "readers", "registry.py", "retargeting.py", "store.py")
+    f"datasets/{name}" for name in ("clip.py", "quality.py", "retargeting.py", "store.py")
 )
 """Files and folders of this package that a retargeted clip depends on, beside those of commands."""
 
@@ -148,8 +148,7 @@ class Recipe:
         """Digest of it, with the code and both robot hands; see ``code_of_commands``."""
         mano = self.mano
         models = [] if mano is None else [*sorted(mano.glob("MANO_*"))] if mano.is_dir() else [mano]
-        readers = [entry.target for entry in DATASETS.plugins.values()]
-        code = code_of_commands(self.request, *_CODE, *readers)
+        code = code_of_commands(self.request, *_CODE)
         # Frames are of an item, and a rate is for the items that need it.
         request = replace(self.request, frames=None, rate=None)
         parts = [code, request, self.frame]

@@ -16,14 +16,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final, TypeAlias
 from urllib.parse import unquote, urlsplit
 
-from smooth_operator.datasets.registry import (
-    DATASETS,
-    RESEARCH_LAYOUTS,
-    RESEARCH_PACKAGE,
-    ClipRef,
-    DatasetReader,
-    readers,
-)
 from smooth_operator.errors import (
     ConfigError,
     DocumentError,
@@ -35,8 +27,18 @@ from smooth_operator.errors import (
     require,
 )
 from smooth_operator.formats.checks import frame_slice
+from smooth_operator.formats.clip import ClipRef
 from smooth_operator.formats.foreign import foreign_dataset, foreign_file, is_dataset
-from smooth_operator.formats.registry import file_kind
+from smooth_operator.formats.registry import (
+    READERS,
+    RESEARCH_LAYOUTS,
+    RESEARCH_PACKAGE,
+    ClipReader,
+    clip_readers,
+    file_kind,
+    find_reader,
+    recognise,
+)
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.plain_files import check_plain_file, read_text
 from smooth_operator.parallel.tasks import describe
@@ -395,7 +397,7 @@ def each_item(
         UnknownNameError, RecordingError, MissingExtraError: as ``find_items``.
     """
     if layout is not None:
-        DATASETS.load(layout)
+        find_reader(layout)
     look = _Looking(layout, None if leave_out is None else leave_out.resolve())
     return (item for source in sources for item in look.through(source))
 
@@ -406,22 +408,6 @@ def in_shard(item: Item, shard: tuple[int, int] | None) -> bool:
         return True
     number = int.from_bytes(hashlib.sha256(item.name.encode()).digest()[:8])
     return number % shard[1] == shard[0] - 1
-
-
-def find_reader(path: Path, layout: str | None) -> tuple[str, DatasetReader] | None:
-    """Name and reader of a file or folder; None if no reader matches.
-
-    Raises:
-        UnknownNameError: there is no reader of the name ``layout``.
-    """
-    choice = readers() if layout is None else {layout: DATASETS.load(layout)}
-    for name, reader in choice.items():
-        try:
-            if reader.matches(path):
-                return name, reader
-        except Exception:  # a file that makes a reader stumble is not of its layout
-            continue
-    return None
 
 
 class _Looking:
@@ -479,7 +465,7 @@ class _Looking:
     def _named(self, path: Path, root: Path, row: Item) -> Iterator[_Each]:
         """Something that was named, so that it must be of use."""
         layout = row.layout or self._layout
-        reader = find_reader(path, layout)
+        reader = recognise(path, layout)
         if reader is not None:
             yield from _clips(*reader, path, root, row)
         elif is_dataset(path):
@@ -503,7 +489,7 @@ class _Looking:
             if entry.name.startswith("."):
                 continue
             path = folder / entry.name
-            reader = find_reader(path, layout)
+            reader = recognise(path, layout)
             if reader is not None:
                 yield from _clips(*reader, path, root, row)
             elif is_dataset(path):
@@ -531,7 +517,7 @@ class _Looking:
 
 
 def _clips(
-    name: str, reader: DatasetReader, path: Path, root: Path, row: Item
+    name: str, reader: ClipReader, path: Path, root: Path, row: Item
 ) -> Iterator[Item | Refused]:
     """The clips of a file or folder, with the folders above it in their names."""
     folder = path.parent if path != root and path.is_relative_to(root) else root
@@ -570,9 +556,9 @@ def _lerobot(path: Path) -> str:
 
 def _unknown(path: Path, layout: str | None) -> str:
     if layout is not None:
-        reader = DATASETS.load(layout)
+        reader = find_reader(layout)
         return f"it is not {reader.what}; expected {reader.expects}"
-    missing = [name for name in RESEARCH_LAYOUTS if name not in DATASETS]
+    missing = [name for name in RESEARCH_LAYOUTS if name not in READERS]
     more = f"; {', '.join(missing)}: {RESEARCH_PACKAGE}" if missing else ""
     try:
         file_kind(path)  # names the kind, and the way from it
@@ -580,7 +566,7 @@ def _unknown(path: Path, layout: str | None) -> str:
         kind = str(error).removeprefix(f"{path}: ")
         if not kind.startswith("not a recording"):
             return kind + (more if "pickle" in kind else "")
-    return f"no reader recognises it; layouts that are read: {', '.join(DATASETS)}{more}"
+    return f"no reader recognises it; layouts that are read: {', '.join(clip_readers())}{more}"
 
 
 def _name(path: Path, root: Path) -> str:

@@ -18,9 +18,10 @@ from typing import Any, BinaryIO, Final, TypeAlias, cast
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error, remove_leftovers
-from smooth_operator.datasets.clip import Clip, ObjectTrack, RobotClip
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.retargeting import SourceFile, shared_config
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import Clip, ObjectTrack
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.result_cache import key_digest

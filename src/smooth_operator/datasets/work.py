@@ -11,13 +11,13 @@ from multiprocessing import parent_process
 from pathlib import Path
 from typing import TypeAlias
 
-from smooth_operator.datasets.clip import RATE, Clip, clip_part, with_side
-from smooth_operator.datasets.registry import DATASETS, ClipRef
 from smooth_operator.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
-from smooth_operator.datasets.sources import Item, fetched, find_reader
+from smooth_operator.datasets.sources import Item, fetched
 from smooth_operator.datasets.store import Finished, Kept, write_pack
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.formats.checks import frame_slice
+from smooth_operator.formats.clip import RATE, Clip, ClipRef, clip_part, with_side
+from smooth_operator.formats.registry import find_reader, recognise
 from smooth_operator.parallel.tasks import describe
 from smooth_operator.result_cache import content_digest
 
@@ -155,7 +155,7 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
     """
     reading = recipe.reading(item.side, item.rate)
     if item.ref is not None:
-        reader = DATASETS.load(item.ref.layout)
+        reader = find_reader(item.ref.layout)
         with _limited():
             clip = reader.read(item.ref, reading)
         if item.frames:
@@ -164,7 +164,7 @@ def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:
         return
     with ExitStack() as stack:
         path = stack.enter_context(fetched(item.address))
-        recognised = find_reader(path, item.layout)
+        recognised = recognise(path, item.layout)
         if recognised is None:
             raise RecordingError(
                 f"{item.address}: no reader knows it; layouts of several files have to be copied "
@@ -203,7 +203,7 @@ def _read_clip(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) 
     else:
         files = tuple(replace(_file(path), path=_shown(path, item.root)) for path in paths)
     # The reader of plain recordings says whether it needed the rate.
-    rate = clip.meta.get(RATE) if ref.layout == "files" else item.rate or recipe.request.rate
+    rate = clip.meta.get(RATE) if clip.layout == "files" else item.rate or recipe.request.rate
     key = clip_key(recipe, ref.layout, ref.key or name, item.asked, files, rate)
     task = clip.task if item.task is None else item.task
     clip = with_side(clip, item.side)

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, write_json
-from smooth_operator.datasets.clip import NOTES, SIDES, RobotClip
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.quality import FIGURES, Dropped, Limits, select, worst
 from smooth_operator.datasets.request import DATASET, DatasetRequest
 from smooth_operator.datasets.store import Kept, Store
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.errors import OutputError, RecordingError
+from smooth_operator.formats.clip import NOTES, SIDES
 from smooth_operator.io.documents import read_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.parallel import run_tasks

@@ -42,13 +42,8 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from smooth_operator.episode_files.hdf5_tree import (
-    Hdf5Array,
-    Hdf5Group,
-    h5py_of,
-    read_egodex,
-    read_tree,
-)
+from smooth_operator.episode_files.egodex import read_egodex
+from smooth_operator.episode_files.hdf5_tree import Hdf5Array, Hdf5Group, h5py_of, read_tree
 from smooth_operator.episode_files.staging import staged_file
 from smooth_operator.errors import DocumentError, RecordingError, brief
 from smooth_operator.extras import UPGRADE

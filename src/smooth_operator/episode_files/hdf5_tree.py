@@ -1,37 +1,19 @@
-"""The groups and arrays of an HDF5 file, within bounds; and hands of the EgoDex data set.
-
-A file of EgoDex has 4 x 4 transforms in ARKit's world: the group ``transforms`` with an array
-(T, 4, 4) for each joint (``rightHand``, ``rightIndexFingerTip``, ...) and for the camera, and
-perhaps ``confidences`` with an array (T,) for each joint. Both hands are in one file; times are
-not.
-"""
+"""Groups and arrays of an HDF5 file, read within bounds on memory."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from smooth_operator.errors import DocumentError, MissingExtraError, RecordingError, listed
 from smooth_operator.formats.arrays import Allowance, damaged
-from smooth_operator.formats.checks import check_recording, check_side, stamps_from_rate
 from smooth_operator.io.plain_files import check_plain_file
-from smooth_operator.landmarks import FROM_WEBXR_25, METACARPALS_WEBXR_25
-from smooth_operator.poses import (
-    WORLD_AXES,
-    WRIST_AXES,
-    from_matrices,
-    is_rigid,
-    points_to_ours,
-    to_ours,
-)
-from smooth_operator.types import HandRecording, Side
 
 _BONES = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
 _FINGERS = ("Index", "Middle", "Ring", "Little")
@@ -261,122 +243,3 @@ def h5py_of() -> Any:
     except ImportError as error:
         raise MissingExtraError("an HDF5 file", "hdf5") from error
     return h5py
-
-
-WORLD: Final = "egodex"
-RATE_HZ: Final = 30.0
-"""Frames a second of the data set, which its files do not say."""
-
-_AXES: Final = WORLD_AXES["openxr"]
-_WRISTS: Final[Mapping[Side, Float[np.ndarray, "3 3"]]] = {
-    "right": WRIST_AXES["arkit_right"],
-    "left": WRIST_AXES["arkit_left"],
-}
-
-
-def read_egodex(
-    tree: Mapping[str, Hdf5Group], path: Path, rate: float | None, side: Side | None
-) -> HandRecording:
-    """One hand of a file, its wrist and landmarks in a z-up world.
-
-    Args:
-        tree: the file's groups.
-        path: the file, for messages.
-        rate: frames a second [Hz]; the data set has 30.
-        side: side of the hand; the right one if left out.
-
-    Raises:
-        RecordingError: joints are missing or have another shape; there is no rate.
-    """
-    label, assumed = check_side([], side, str(path))
-    recording = egodex_hand(tree, path, rate, label)
-    recording.meta["side_assumed"] = assumed
-    check_recording(recording, str(path))
-    return recording
-
-
-def egodex_hand(
-    tree: Mapping[str, Hdf5Group], path: Path, rate: float | None, side: Side
-) -> HandRecording:
-    """The same before units and stamps are checked; joints that ARKit lost or are no poses are NaN.
-
-    Raises:
-        RecordingError: as ``read_egodex``.
-    """
-    names = EGODEX_JOINTS[side]
-    joints = np.stack([egodex_transforms(tree, name, path) for name in names], axis=1)
-    with np.errstate(all="ignore"):  # of numbers beyond any transform
-        volume = np.linalg.det(joints[..., :3, :3])  # 1 of a rotation; mirrored ones have -1
-    valid = np.isfinite(joints).all(axis=(2, 3)) & (volume > 0.5) & (volume < 2.0)
-    sure = egodex_confidences(tree, side, len(joints))
-    if sure is not None:
-        valid &= ~(sure <= 0.0)  # NaN: the file does not say
-    joints[~valid] = np.nan
-    points = points_to_ours(joints[..., :3, 3], _AXES)
-    return HandRecording(
-        points[:, FROM_WEBXR_25],
-        stamps_from_rate(len(points), rate, str(path)),
-        side,
-        metacarpals=points[:, METACARPALS_WEBXR_25],
-        name=path.stem,
-        meta={"format": "egodex"},
-        T_world_wrist=to_ours(_poses(joints[:, 0]), _AXES, _WRISTS[side]),
-        world=WORLD,
-    )
-
-
-def egodex_camera(tree: Mapping[str, Hdf5Group], path: Path) -> Float[np.ndarray, "T 7"] | None:
-    """(T, 7) poses of the camera in the same world, x right, y down, z into the picture.
-
-    Its axes in the file are those already: the inverse of ``transforms/camera`` and the 3 x 3
-    ``camera/intrinsic`` project joints to pixels. None if it is not there.
-
-    Raises:
-        RecordingError: it has another shape.
-    """
-    if "camera" not in tree["transforms"].arrays:
-        return None
-    return to_ours(_poses(egodex_transforms(tree, "camera", path)), _AXES, np.eye(3))
-
-
-def egodex_confidences(
-    tree: Mapping[str, Hdf5Group], side: Side, count: int
-) -> Float[np.ndarray, "T 25"] | None:
-    """Confidence of ARKit in each joint, 0 to 1; NaN for a joint without; None without any."""
-    group = tree.get("confidences")
-    held = {} if group is None else group.arrays
-    sure = np.full((count, len(EGODEX_JOINTS[side])), np.nan)
-    for column, name in enumerate(EGODEX_JOINTS[side]):
-        stored = held.get(name)
-        if stored is not None and stored.data is not None and stored.shape == (count,):
-            sure[:, column] = stored.data
-    return None if np.isnan(sure).all() else sure
-
-
-def egodex_transforms(
-    tree: Mapping[str, Hdf5Group], name: str, path: Path
-) -> Float[np.ndarray, "T 4 4"]:
-    """The transforms of a joint or of the camera, as they are in the file.
-
-    Raises:
-        RecordingError: there are none, or another number than of the other joints.
-    """
-    group = tree["transforms"]
-    first = next((n for pair in EGODEX_JOINTS.values() for n in pair if n in group.arrays), name)
-    stored, example = group.arrays.get(name), group.arrays.get(first)
-    count = example.shape[0] if example is not None and example.shape else 0
-    if stored is None or stored.data is None or stored.shape != (count, 4, 4):
-        what = "nothing" if stored is None else f"{stored.type[:80]} {stored.shape}"
-        raise RecordingError(
-            f"{path}: a file of EgoDex has {group.name}/{name} with numbers of shape "
-            f"(frames, 4, 4); this one has {what}"
-        )
-    return stored.data.astype(np.float64)
-
-
-def _poses(matrices: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T 7"]:
-    """NaN where a matrix is no rigid transform."""
-    good = is_rigid(matrices)
-    poses = np.full((len(matrices), 7), np.nan)
-    poses[good] = from_matrices(matrices[good])
-    return poses

@@ -14,7 +14,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import ConfigError, RecordingError, listed
-from smooth_operator.io.anatomy import OF_A_PICTURE, PALM_RANGE_M, keeps_lengths, of_a_picture
+from smooth_operator.io.anatomy import (
+    OF_A_PICTURE,
+    PALM_RANGE_M,
+    doubt,
+    keeps_lengths,
+    layout_order,
+    of_a_picture,
+)
 from smooth_operator.landmarks import TIPS, WRIST, index
 from smooth_operator.settings import RATE_RANGE_HZ, check_frame_rate
 from smooth_operator.types import HandRecording, Side, as_side
@@ -57,6 +64,30 @@ def check_recording(recording: HandRecording, where: str) -> None:
     check_stamps(recording.stamps, where, recording.landmarks)
     assert recording.valid is not None  # filled in by HandRecording
     check_units(recording.landmarks, recording.valid, where)
+
+
+def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) -> None:
+    """Refuse a recording whose shape is that of the other hand or of another order.
+
+    The message calls it ``where`` and depends on ``asked``, the side that the caller asked for.
+    """
+    layout = recording.meta.get("layout")
+    as_it_came = np.argsort(layout_order(layout))
+    assert recording.valid is not None  # filled in by HandRecording
+    points, valid = recording.landmarks[:, as_it_came], recording.valid[:, as_it_came]
+    suspicion = doubt(points, recording.side, valid, layout=layout)
+    if suspicion is None:
+        return
+    labelled = (
+        suspicion.side is not None and side is None and not recording.meta.get("side_assumed")
+    )
+    remedy = (
+        f"the file says {recording.side}: correct the side, or mirror the points back: "
+        "points * (-1, 1, 1)"
+        if labelled
+        else suspicion.remedy
+    )
+    raise RecordingError(f"{where}: {suspicion.what}; {remedy}")
 
 
 def check_units(

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import RecordingError, brief, listed
 from smooth_operator.formats.arrays import PICKLE_REMEDY, StoredArray, StoredArrays, open_arrays
-from smooth_operator.formats.checks import (
-    check_rate,
-    check_recording,
-    check_side,
-    stamps_from_rate,
-    without_outliers,
-)
+from smooth_operator.formats.checks import check_side, stamps_from_rate
+from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
+from smooth_operator.formats.commands import only_commands
 from smooth_operator.formats.foreign import body_parameters
 from smooth_operator.formats.hand_arrays import (
     own_stamps,
@@ -29,12 +25,16 @@ from smooth_operator.formats.hand_arrays import (
     unread_flags,
     validity,
 )
-from smooth_operator.formats.registry import file_kind, find_reader, readable
-from smooth_operator.io.anatomy import doubt, in_our_order, layout_order
+from smooth_operator.formats.registry import (
+    file_kind,
+    readable,
+    recording_format,
+    recording_suffixes,
+    with_assumed_side,
+)
+from smooth_operator.io.anatomy import in_our_order, layout_order
 from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.types import HandRecording, Side, as_side
-
-_Read = TypeVar("_Read")
 
 LANDMARK_STAMPS = "landmark_timestamps"
 """Array of frame timestamps in a file whose ``timestamps`` are those of commands."""
@@ -110,12 +110,9 @@ def read_recording(
     side = None if side is None else as_side(side)
     layout_order(layout)  # an unknown one is refused, whatever the file
     kind = file_kind(path)
-    recording = find_reader(kind).read_file(path, rate, side, layout)
+    recording = recording_format(kind).recording(path, rate, side, layout)
     recording.meta.setdefault("format", kind)
-    check_anatomy(recording, str(path), side=side)
-    check_recording(recording, str(path))
-    check_rate(recording.stamps, rate, str(path))
-    return without_outliers(recording)
+    return recording
 
 
 def read_assumed(
@@ -126,57 +123,38 @@ def read_assumed(
     Raises:
         RecordingError: as ``read_recording``.
     """
-    if side is None and assumed == "left":
-        with suppress(RecordingError):  # it is a right hand, by its side or by its shape
-            return read_recording(path, rate=rate, side="left", layout=layout)
-    return read_recording(path, rate=rate, side=side, layout=layout)
-
-
-def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) -> None:
-    """Refuse a recording whose shape is that of the other hand or of another order.
-
-    The message calls it ``where`` and depends on ``asked``, the side that the caller asked for.
-    """
-    layout = recording.meta.get("layout")
-    as_it_came = np.argsort(layout_order(layout))
-    assert recording.valid is not None  # filled in by HandRecording
-    points, valid = recording.landmarks[:, as_it_came], recording.valid[:, as_it_came]
-    suspicion = doubt(points, recording.side, valid, layout=layout)
-    if suspicion is None:
-        return
-    labelled = (
-        suspicion.side is not None and side is None and not recording.meta.get("side_assumed")
+    return with_assumed_side(
+        lambda side: read_recording(path, rate=rate, side=side, layout=layout), side, assumed
     )
-    remedy = (
-        f"the file says {recording.side}: correct the side, or mirror the points back: "
-        "points * (-1, 1, 1)"
-        if labelled
-        else suspicion.remedy
-    )
-    raise RecordingError(f"{where}: {suspicion.what}; {remedy}")
 
 
-def rated_if_unstamped(
-    read: Callable[[float | None], _Read], rate: float | None
-) -> tuple[_Read, float | None]:
-    """Reads one of several files. Files without timestamps need a rate.
+class Files:
+    """Reader of any recording of one hand: one file, one clip."""
 
-    Args:
-        read: reads it, with a rate or without.
-        rate: for a file without stamps; None if there is none.
+    what = "a recording of one hand"
+    expects = "a file that 'smooth-operator retarget' reads"
 
-    Returns:
-        what was read, and the rate if it was needed.
+    def matches(self, path: Path) -> bool:
+        """True if its name ends as those of recordings do, and it holds more than commands."""
+        ending = path.suffix.lower() in recording_suffixes()
+        return ending and path.is_file() and not only_commands(path)
 
-    Raises:
-        RecordingError: as ``read``.
-    """
-    try:
-        return read(None), None
-    except RecordingError:
-        if rate is None:
-            raise
-        return read(rate), rate
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        """The file."""
+        yield ClipRef(path.stem, path, layout="files", size=path.stat().st_size)
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """Its hand.
+
+        Raises:
+            RecordingError: as ``read_recording``.
+        """
+        layout_order(options.order)  # an unknown one is refused, whatever the file
+        reader = recording_format(file_kind(ref.path))
+        return replace(reader, read_hands=None).read(ref, options)
+
+
+FILES: Final = Files()
 
 
 def read_arrays(

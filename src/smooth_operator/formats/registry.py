@@ -1,14 +1,32 @@
-"""Registry of the recording formats, built-in and of plugins: how a file is recognised and read."""
+"""Registry of the readers, built-in and of plugins: how files are recognised and read.
+
+A reader gives clips. A recording is a clip of one hand; ``read_recording`` returns the hand.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol, TypeVar
 
-from smooth_operator.errors import ConfigError, DocumentError, RecordingError, SmoothOperatorError
+from smooth_operator.errors import (
+    ConfigError,
+    DocumentError,
+    RecordingError,
+    SmoothOperatorError,
+    listed,
+)
 from smooth_operator.formats.arrays import PICKLE_REMEDY
+from smooth_operator.formats.both_hands import checked_hands, on_common_stamps
+from smooth_operator.formats.checks import (
+    check_anatomy,
+    check_rate,
+    check_recording,
+    without_outliers,
+)
+from smooth_operator.formats.clip import NOTES, ORDER, RATE, Clip, ClipRef, ReadingOptions
 from smooth_operator.formats.foreign import foreign_dataset, foreign_file
 from smooth_operator.formats.foreign import is_dataset as is_dataset
 from smooth_operator.io.plain_files import check_plain_file
@@ -18,33 +36,84 @@ from smooth_operator.types import HandRecording, Side
 NPY_MAGIC: Final = b"\x93NUMPY"
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 
-_HERE: Final = "smooth_operator.formats.registry"
+_Read = TypeVar("_Read")
+
+_HEAD_BYTES: Final = 128
+_FORMATS: Final = "smooth_operator.formats"
+_EPISODES: Final = "smooth_operator.episode_files"
+_HEADSETS: Final = "smooth_operator.headsets.recordings"
 _RECORDING: Final = "smooth_operator.teleop.recording"
+
+RESEARCH_PACKAGE: Final = (
+    "a part of smooth-hand-datasets, research data sets of hands and objects, which is not "
+    "installed; in a clone of the repository: python -m pip install ./packages/smooth_hand_datasets"
+)
+"""Where to get what this distribution does not have, for messages."""
+
+RESEARCH_LAYOUTS: Final = (
+    *("arctic", "dexycb", "dynhamr", "egohandkit", "grab", "hawor", "ho3d", "hot3d", "mano"),
+    *("oakink2", "predictions", "taco"),
+)
+"""Layouts that smooth-hand-datasets reads."""
+
+
+class ClipReader(Protocol):
+    """A layout of files or folders: finds the clips in them, and reads one."""
+
+    what: str
+    """Kind of its files, for messages: ``an HDF5 file of EgoDex``."""
+
+    expects: str
+    """The files and arrays that it needs, by name, for messages."""
+
+    def matches(self, path: Path) -> bool:
+        """True if a file or folder is of this layout. It opens as little as it can.
+
+        Folders are asked before their contents. A folder that matches is not searched further.
+        """
+
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        """The clips of a file or folder that matches, by name; reads no arrays."""
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """One clip.
+
+        Raises:
+            RecordingError: the files differ from the layout; says by name what was expected, what
+                came, and what to do.
+            MissingExtraError: a library is missing.
+        """
 
 
 @dataclass(frozen=True)
 class Reader:
-    """A format of recordings.
+    """Reader of a file format with one recording: a clip of one hand, or of both.
 
     Attributes:
         what: kind of its files, for messages: ``a .csv file of landmarks``.
-        read: ``read(path, rate, side, layout)`` returns the recording: ``rate`` [Hz] for a file
-            without stamps, ``side`` and ``layout`` (the order of 21 landmarks, by its name) as the
-            caller says, each None if the caller does not state it. Raises ``RecordingError`` if the
-            file can't be used. The result is checked like other recordings. This is a function, or
-            the path from which it is imported when a file is read.
+        read_hand: ``read_hand(path, rate, side, layout)`` returns the recording of one hand:
+            ``rate`` [Hz] for a file without stamps, ``side`` and ``layout`` (the order of 21
+            landmarks, by its name) as the caller says, each None if the caller does not state it.
+            Raises ``RecordingError`` if the file can't be used. The result is checked like other
+            recordings. This is a function, or the path from which it is imported when a file is
+            read.
         magic: possible first bytes of its files.
         suffixes: suffixes of its files, in lower case (``.csv``). They select the files of a
             folder; for a format without ``magic``, they also identify its files.
+        expects: expected content of a file, for messages.
+        read_hands: ``read_hands(path, rate)`` returns the recordings of all hands by side, for a
+            format whose clips have both; None for a format with one hand.
 
     Raises:
         ConfigError: neither ``magic`` nor ``suffixes`` is given.
     """
 
     what: str
-    read: Callable[[Path, float | None, Side | None, str | None], HandRecording] | Entry
+    read_hand: Callable[[Path, float | None, Side | None, str | None], HandRecording] | Entry
     magic: tuple[bytes, ...] = ()
     suffixes: tuple[str, ...] = ()
+    expects: str = "a recording of one hand"
+    read_hands: Callable[[Path, float | None], dict[Side, HandRecording]] | Entry | None = None
 
     def __post_init__(self) -> None:
         if not (self.magic or self.suffixes):
@@ -64,19 +133,58 @@ class Reader:
             return head.startswith(self.magic)
         return path.suffix.lower() in self.suffixes
 
-    def read_file(
+    def matches(self, path: Path) -> bool:
+        """True for a file with a suffix and the first bytes of this format."""
+        if path.suffix.lower() not in self.suffixes or not path.is_file():
+            return False
+        with path.open("rb") as stream:
+            return self.recognises(path, stream.read(_HEAD_BYTES))
+
+    def clips(self, path: Path) -> Iterator[ClipRef]:
+        """The clip of a file."""
+        yield ClipRef(path.stem, path, size=path.stat().st_size)
+
+    def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
+        """The clip of a file. Of both hands, it has common stamps, with NaN where one is missing.
+
+        Raises:
+            RecordingError: the file can't be used, or its units, order or side are wrong.
+        """
+        if self.read_hands is not None:
+            where = str(ref.path)
+            hands = _loaded(self.read_hands)(ref.path, options.rate)
+            checked = checked_hands(on_common_stamps(hands, where), where, self.expects)
+            form = next(iter(checked.values())).meta["format"]
+            return Clip(ref.name, checked, form, (ref.path,), meta={"form": form})
+        recording, rate = rated_if_unstamped(
+            lambda rate: with_assumed_side(
+                lambda side: self.recording(ref.path, rate, side, options.order),
+                options.side,
+                options.assumed,
+            ),
+            options.rate,
+        )
+        notes = []
+        if recording.meta.get("side_assumed"):
+            notes.append("the side is not stated; assuming right. Use --side left otherwise")
+        if ignored := recording.meta.get("ignored"):
+            notes.append(f"not read: {listed(ignored)}")
+        facts = {NOTES: notes, RATE: rate, ORDER: options.order}
+        meta = {name: value for name, value in facts.items() if value}
+        return Clip(ref.name, {recording.side: recording}, "files", (ref.path,), meta=meta)
+
+    def recording(
         self, path: Path, rate: float | None, side: Side | None, layout: str | None
     ) -> HandRecording:
-        """Calls ``read``.
+        """One hand of a file, checked; arguments as ``read_recording``.
 
         Raises:
             RecordingError: the file can't be used.
-            ConfigError: ``read`` can't be imported, or gives something else.
+            ConfigError: ``read_hand`` can't be imported, or gives something else.
             MissingExtraError: the format needs an extra that is not installed.
         """
-        read = self.read.load() if isinstance(self.read, Entry) else self.read
         try:
-            recording: Any = read(path, rate, side, layout)
+            recording: Any = _loaded(self.read_hand)(path, rate, side, layout)
         except SmoothOperatorError:
             raise
         except (OSError, ValueError) as error:  # of a plugin that leaves a bad file to NumPy
@@ -86,10 +194,58 @@ class Reader:
                 f"the reader of {self.what} must return a HandRecording, not "
                 f"{type(recording).__name__}"
             )
-        return recording
+        check_anatomy(recording, str(path), side=side)
+        check_recording(recording, str(path))
+        check_rate(recording.stamps, rate, str(path))
+        return without_outliers(recording)
 
 
-_ARRAYS: Final = Entry("smooth_operator.formats.readers:read_arrays")
+def _loaded(function: Callable[..., Any] | Entry) -> Callable[..., Any]:
+    return function.load() if isinstance(function, Entry) else function
+
+
+def rated_if_unstamped(
+    read: Callable[[float | None], _Read], rate: float | None
+) -> tuple[_Read, float | None]:
+    """Reads a file without the rate, and with it if that fails: files without stamps need one.
+
+    Args:
+        read: reads the file with a rate [Hz], or with None.
+        rate: rate of files without stamps [Hz]; None if the caller has none.
+
+    Returns:
+        what was read, and the rate if it was needed.
+
+    Raises:
+        RecordingError: as ``read``.
+    """
+    try:
+        return read(None), None
+    except RecordingError:
+        if rate is None:
+            raise
+        return read(rate), rate
+
+
+def with_assumed_side(
+    read: Callable[[Side | None], HandRecording], side: Side | None, assumed: Side
+) -> HandRecording:
+    """Reads a recording. One that states no side is of the side ``assumed``.
+
+    Args:
+        read: reads the file as a hand of a side, or of the file's own side for None.
+        side: side that the caller requests.
+
+    Raises:
+        RecordingError: as ``read``.
+    """
+    if side is None and assumed == "left":
+        with suppress(RecordingError):  # it is a right hand, by its side or by its shape
+            return read("left")
+    return read(side)
+
+
+_ARRAYS: Final = Entry(f"{_FORMATS}.readers:read_arrays")
 
 NPY: Final = Reader("a .npy of landmarks (T, 21, 3) [m]", _ARRAYS, (NPY_MAGIC,), (".npy",))
 NPZ: Final = Reader(
@@ -103,13 +259,13 @@ LOG: Final = Reader(
 )
 HDF5: Final = Reader(
     "this program's own .h5 file",
-    Entry("smooth_operator.episode_files.hdf5:read_hdf5_recording"),
+    Entry(f"{_EPISODES}.hdf5:read_hdf5_recording"),
     (b"\x89HDF\r\n\x1a\n",),
     (".h5", ".hdf5"),
 )
 AVP: Final = Reader(
     "a .jsonl of Tracking Streamer (Vision Pro)",
-    Entry("smooth_operator.headsets.recordings:read_avp_recording"),
+    Entry(f"{_HEADSETS}:read_avp_recording"),
     tuple(
         f'{{"{key}"'.encode()
         for key in (
@@ -118,53 +274,115 @@ AVP: Final = Reader(
         )
     ),
     (".jsonl",),
+    "lines of JSON with 'timestamp', 'leftHand' and 'rightHand', the hands with 'wrist' and 24 "
+    "joints of 16 numbers each",
+    Entry(f"{_HEADSETS}:read_avp_hands"),
 )
 HTS: Final = Reader(
     "the lines of Hand Tracking Streamer (Quest)",
-    Entry("smooth_operator.headsets.recordings:read_hts_lines"),
+    Entry(f"{_HEADSETS}:read_hts_lines"),
     tuple(
         f"{start}{who}".encode()
         for start in ("", "\n")
         for who in ("Right wrist", "Left wrist", "Right landmarks", "Left landmarks", "Head pose")
     ),
     (".hts",),
+    "lines 'Right wrist:, ...' and 'Right landmarks:, ...', or the same of 'Left'",
+    Entry(f"{_HEADSETS}:read_hts_hands"),
 )
+ONE_HAND: Final = {"npy": NPY, "npz": NPZ, "log": LOG, "hdf5": HDF5, "avp": AVP, "hts": HTS}
+"""Built-in formats of recordings: name -> reader. The first that recognises a file reads it."""
+
 READERS: Final = Registry(
     "reader",
     {
-        "npy": Entry(f"{_HERE}:NPY", NPY.what),
-        "npz": Entry(f"{_HERE}:NPZ", NPZ.what),
-        "log": Entry(f"{_HERE}:LOG", LOG.what),
-        "hdf5": Entry(f"{_HERE}:HDF5", HDF5.what),
-        "avp": Entry(f"{_HERE}:AVP", AVP.what),
-        "hts": Entry(f"{_HERE}:HTS", HTS.what),
+        **{
+            name: Entry(f"{_FORMATS}.registry:{name.upper()}", reader.what)
+            for name, reader in ONE_HAND.items()
+        },
+        "egodex": Entry(
+            f"{_EPISODES}.egodex:EGODEX", "EgoDex: HDF5 of both hands, camera and task"
+        ),
+        "landmarks": Entry(
+            f"{_EPISODES}.landmark_pairs:LANDMARKS_OF_BOTH_HANDS", "an .npz with 'right' and 'left'"
+        ),
+        "parquet": Entry(
+            f"{_EPISODES}.packed:PACKED", "clips that the format 'parquet' has packed"
+        ),
+        "files": Entry(
+            f"{_FORMATS}.readers:FILES", "any recording of one hand that 'retarget' reads"
+        ),
     },
-    needs=("what", "recognises", "read_file"),
+    needs=("what", "expects", "matches", "clips", "read"),
+    elsewhere=dict.fromkeys(RESEARCH_LAYOUTS, RESEARCH_PACKAGE),
 )
-"""Maps names to ``Reader``. The first reader that recognises a file reads it."""
+"""Name -> ``ClipReader``, such as a ``Reader``, open to plugins as ``smooth_operator.readers``.
+``--layout`` takes one of these names."""
 
 
-def find_reader(name: str) -> Reader:
+def find_reader(name: str) -> ClipReader:
     """Returns the reader with a name.
 
     Raises:
         UnknownNameError: there is none.
-        ConfigError: the reader of a plugin can't be loaded or is not a ``Reader``.
+        ConfigError: the reader of a plugin can't be loaded or lacks an attribute of a reader.
     """
-    reader: Reader = READERS.load(name)
+    reader: ClipReader = READERS.load(name)
     READERS.check(name, reader)
     return reader
 
 
+def recording_format(kind: str) -> Reader:
+    """The reader of recordings of a kind that ``file_kind`` found."""
+    return _recording_formats()[kind] if kind not in ONE_HAND else ONE_HAND[kind]
+
+
+def _recording_formats() -> dict[str, Reader]:
+    """Formats of recordings by name, built-in ones first."""
+    if not READERS.plugins:
+        return ONE_HAND
+    readers = READERS.loadable(find_reader)
+    return {name: reader for name, reader in readers.items() if isinstance(reader, Reader)}
+
+
+def clip_readers() -> dict[str, ClipReader]:
+    """Readers by name, in the order in which a path is offered to them.
+
+    A reader with a true attribute ``generic`` follows the others. ``files``, the last, stands for
+    all formats with one hand.
+    """
+    parts = READERS.loadable(find_reader)
+    names = [n for n, r in parts.items() if not isinstance(r, Reader) or r.read_hands is not None]
+    names.sort(key=lambda n: (n == "files", getattr(parts[n], "generic", False)))
+    return {name: parts[name] for name in names}
+
+
+def recognise(path: Path, layout: str | None) -> tuple[str, ClipReader] | None:
+    """Name and reader of a file or folder; None if no reader matches.
+
+    Args:
+        layout: name of the only reader to ask; None to ask all.
+
+    Raises:
+        UnknownNameError: there is no reader of the name ``layout``.
+    """
+    choice = clip_readers() if layout is None else {layout: find_reader(layout)}
+    for name, reader in choice.items():
+        with suppress(Exception):  # a file that makes a reader stumble is not of its layout
+            if reader.matches(path):
+                return name, reader
+    return None
+
+
 def recording_suffixes() -> tuple[str, ...]:
     """Suffixes of the files that are read as recordings, in lower case."""
-    readers = READERS.loadable(find_reader).values()
+    readers = _recording_formats().values()
     return tuple(dict.fromkeys(suffix for reader in readers for suffix in reader.suffixes))
 
 
 def readable() -> str:
     """List of the formats that are read, for error messages."""
-    readers = READERS.loadable(find_reader)
+    formats = _recording_formats()
     *most, last = (
         "a MANUS .npz",
         "a .npy or .npz of landmarks (T, 21, 3) [m]",
@@ -172,7 +390,7 @@ def readable() -> str:
         HTS.what,
         LOG.what,
         HDF5.what,
-        *(readers[name].what for name in READERS.plugins if name in readers),
+        *(reader.what for name, reader in formats.items() if name not in ONE_HAND),
     )
     return f"{', '.join(most)} and {last}"
 
@@ -194,7 +412,7 @@ def file_kind(path: Path) -> str:
         if not path.is_dir():
             check_plain_file(path)
         with path.open("rb") as stream:
-            head = stream.read(128)
+            head = stream.read(_HEAD_BYTES)
     except DocumentError as error:
         raise RecordingError(f"{path}: {error}; name the file of a recording") from None
     except FileNotFoundError:
@@ -207,8 +425,7 @@ def file_kind(path: Path) -> str:
         raise RecordingError(f"{path}: can't be opened: {error.strerror or error}") from error
     if not head:
         raise RecordingError(f"{path}: the file is empty (0 bytes); record or copy it again")
-    built_in = [find_reader(name) for name in READERS.built_in]
-    for name, reader in zip(READERS.built_in, built_in, strict=True):
+    for name, reader in ONE_HAND.items():
         if reader.recognises(path, head):
             return name
     # Protocols 2 to 5 announce themselves; 0 and 1 are text that only the name gives away.
@@ -216,7 +433,7 @@ def file_kind(path: Path) -> str:
         path.suffix.lower() in _PICKLE_SUFFIXES
     )
     if READERS.plugins and not pickled:
-        for name, reader in READERS.loadable(find_reader).items():
+        for name, reader in _recording_formats().items():
             if reader.recognises(path, head):
                 return name
     if is_video_head(head):
@@ -225,7 +442,7 @@ def file_kind(path: Path) -> str:
             f"{path} --output {path.with_suffix('.npz').name}; or drive a hand from it live: "
             f"smooth-operator teleop --source video:{path} (webcam extra)"
         )
-    if any(magic.startswith(head) for reader in built_in for magic in reader.magic):
+    if any(magic.startswith(head) for reader in ONE_HAND.values() for magic in reader.magic):
         raise RecordingError(
             f"{path}: the file is cut off after {len(head)} bytes, before its first frame; record "
             "or copy it again"

@@ -12,7 +12,7 @@ Frames without a new measurement of the hand are left out.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -227,24 +227,25 @@ def _hts(path: Path, side: Side | None) -> _Collected:
     return frames
 
 
-_COLLECTORS: Final[Mapping[str, Callable[[Path, Side | None], _Collected]]] = {
-    "avp": _avp,
-    "hts": _hts,
-}
+def read_avp_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
+    """All hands of a ``tracking.jsonl``, each with its own frames, by one clock.
+
+    Raises:
+        RecordingError: there is no hand in it.
+    """
+    return _avp(path, None).recordings(rate, "avp")
 
 
-def read_both_hands(path: Path, rate: float | None, form: str) -> dict[Side, HandRecording]:
-    """Recordings of the hands in a file, each with its own frames, by one clock.
+def read_hts_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
+    """All hands in lines of Hand Tracking Streamer, each with its own frames, by one clock.
 
     Args:
-        path: the file.
         rate: frames a second [Hz], for a file without stamps.
-        form: name of its reader: ``avp`` or ``hts``.
 
     Raises:
         RecordingError: there is no hand in it, or it has no stamps and there is no rate.
     """
-    return _COLLECTORS[form](path, None).recordings(rate, form)
+    return _hts(path, None).recordings(rate, "hts")
 
 
 def _numbers(value: Any, count: int, what: str) -> Float[np.ndarray, " n"]:

@@ -18,8 +18,8 @@ from jaxtyping import Bool, Float, Int
 from smooth_hand_datasets.objects.placement import apply, landmarks_in_world
 from smooth_hand_datasets.objects.signed_distance import FAR_M, Solid, read_solid
 from smooth_operator import poses
-from smooth_operator.datasets.clip import Clip, ObjectTrack
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import Clip, ObjectTrack
 from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.settings import check_numbers
 from smooth_operator.types import Side

@@ -32,9 +32,9 @@ from smooth_hand_datasets.objects.terms import (
     object_frames,
 )
 from smooth_operator import poses
-from smooth_operator.datasets.clip import Clip
 from smooth_operator.datasets.retargeting import whole_config
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import Clip
 from smooth_operator.hands.hand import Hand, fingerprint
 from smooth_operator.planning import Plan
 from smooth_operator.retargeting.presets import method_config

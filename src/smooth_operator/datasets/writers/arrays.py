@@ -35,8 +35,9 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator import poses
-from smooth_operator.datasets.clip import SIDES, RobotClip
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.episode_files.lerobot.tables import PAUSE
+from smooth_operator.formats.clip import SIDES
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 

@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 
 from smooth_operator import poses
-from smooth_operator.datasets.clip import SIDES, RobotClip
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.arrays import clip_valid
 from smooth_operator.datasets.writers.registry import WritingOptions
 from smooth_operator.episode_files.lerobot.columns import (
@@ -47,6 +47,7 @@ from smooth_operator.episode_files.lerobot.columns import (
     index_features,
 )
 from smooth_operator.errors import RecordingError
+from smooth_operator.formats.clip import SIDES
 from smooth_operator.types import Side
 
 UNITS = {

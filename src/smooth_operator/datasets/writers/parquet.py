@@ -13,7 +13,7 @@ from typing import IO, Any, Final
 
 import numpy as np
 
-from smooth_operator.datasets.clip import SIDES, RobotClip
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.arrays import (
     clip_arrays,
     clip_document,
@@ -32,6 +32,7 @@ from smooth_operator.datasets.writers.shards import (
 )
 from smooth_operator.episode_files.lerobot.tables import arrow, parquet
 from smooth_operator.errors import require
+from smooth_operator.formats.clip import SIDES
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import Side
 

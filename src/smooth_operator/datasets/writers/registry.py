@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from smooth_operator.datasets.registry import RESEARCH_PACKAGE
 from smooth_operator.datasets.request import DatasetRequest
 from smooth_operator.errors import ConfigError
+from smooth_operator.formats.registry import RESEARCH_PACKAGE
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.types import Side
 

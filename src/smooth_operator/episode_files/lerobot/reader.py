@@ -15,6 +15,7 @@ from smooth_operator.episode_files.lerobot.tables import OWN_COLUMN, numbers, re
 from smooth_operator.errors import ConfigError, DocumentError, RecordingError, brief, listed, reason
 from smooth_operator.extras import UPGRADE
 from smooth_operator.formats.checks import (
+    check_anatomy,
     check_rate,
     check_recording,
     check_side,
@@ -31,7 +32,6 @@ from smooth_operator.formats.episode import (
     check_commands,
 )
 from smooth_operator.formats.foreign import foreign_dataset
-from smooth_operator.formats.readers import check_anatomy
 from smooth_operator.formats.registry import is_dataset
 from smooth_operator.io.anatomy import in_our_order, layout_order
 from smooth_operator.io.documents import parse_json, read_json

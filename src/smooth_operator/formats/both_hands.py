@@ -10,10 +10,14 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.datasets.clip import SIDES
 from smooth_operator.errors import RecordingError
-from smooth_operator.formats.checks import check_recording, check_stamps, without_outliers
-from smooth_operator.formats.readers import check_anatomy
+from smooth_operator.formats.checks import (
+    check_anatomy,
+    check_recording,
+    check_stamps,
+    without_outliers,
+)
+from smooth_operator.formats.clip import SIDES
 from smooth_operator.io.anatomy import MIRRORED, chirality
 from smooth_operator.landmarks import WRIST, index
 from smooth_operator.poses import wrist_from_landmarks

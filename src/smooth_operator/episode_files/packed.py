@@ -9,12 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.datasets.clip import SIDES, Clip, ObjectTrack
-from smooth_operator.datasets.readers.both_hands import checked_hands
-from smooth_operator.datasets.registry import ClipRef, ReadingOptions
 from smooth_operator.episode_files.lerobot.tables import arrow, parquet
 from smooth_operator.errors import DocumentError, RecordingError, SmoothOperatorError, brief
 from smooth_operator.formats.arrays import damaged
+from smooth_operator.formats.both_hands import checked_hands
+from smooth_operator.formats.clip import SIDES, Clip, ClipRef, ObjectTrack, ReadingOptions
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.types import HandRecording
