@@ -14,7 +14,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_smooth_hand.camera import SmoothHandCamera
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
 from lerobot_robot_smooth_hand.hand_port import FACTORS, HandPort
-from lerobot_robot_smooth_hand.wrist_port import KINDS
+from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES
 from smooth_operator.errors import require
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.settings import check_numbers
@@ -184,7 +184,7 @@ def _hand_ports(config: SmoothHandConfig, arms: dict[Side, ArmOfHand]) -> list[H
         ("side", ("right", "left", "both")),
         ("unit", tuple(FACTORS)),
         ("keys", ("actuated", "all")),
-        ("wrist", tuple(KINDS)),
+        ("wrist", tuple(WRIST_NAMES)),
         ("unmeasured", ("refuse", "command")),
     ):
         value = getattr(config, name)

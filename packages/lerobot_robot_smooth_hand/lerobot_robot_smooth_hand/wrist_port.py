@@ -10,6 +10,7 @@ import numpy as np
 from lerobot.utils.errors import DeviceNotConnectedError
 
 from smooth_operator import poses
+from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES, joint_keys, pose_keys
 from smooth_operator.teleop.runtime.limiter import PoseLimiter
 from smooth_operator.teleop.runtime.settings import WristConfig
 from smooth_operator.teleop.sinks.sink import Sink
@@ -18,13 +19,6 @@ from smooth_operator.types import Side
 
 if TYPE_CHECKING:  # which needs the extra arm
     from smooth_operator.teleop.arm.controller import ArmController
-
-KINDS = {
-    "none": (),
-    "rotation_6d": ("x", "y", "z", "r1", "r2", "r3", "r4", "r5", "r6"),
-    "quaternion": ("x", "y", "z", "qw", "qx", "qy", "qz"),
-}
-"""How the pose is written -> its keys after ``tcp.``."""
 
 _APPROACH = 0.05
 _FASTER = 0.3
@@ -39,7 +33,7 @@ class WristPort:
     """Targets of a wrist, as actions, to commands within the limits of speed and acceleration.
 
     Args:
-        kind: one of ``KINDS``.
+        kind: one of ``WRIST_NAMES``.
         prefix: prefix of the keys.
         side: side of the hand.
         arm: controller of the arm that carries the hand; None where the sinks take the wrist.
@@ -54,9 +48,9 @@ class WristPort:
         self, kind: str, prefix: str, side: Side, arm: ArmController | None, factor: float
     ) -> None:
         self.kind, self.side, self._arm, self._factor = kind, side, arm, factor
-        self.keys = tuple(f"{prefix}tcp.{name}" for name in KINDS[kind])
+        self.keys = tuple(f"{prefix}{key}" for key in pose_keys(WRIST_NAMES[kind]))
         names = () if arm is None else arm.arm.joint_names
-        self.arm_keys = tuple(f"{prefix}arm_{name}.pos" for name in names)
+        self.arm_keys = joint_keys([f"{prefix}arm_{name}" for name in names])
         # The workspace is the arm's: its controller keeps it, or who is behind the sinks.
         self._limiter = PoseLimiter(WristConfig(low=(-10.0,) * 3, high=(10.0,) * 3))
         self._begun = False

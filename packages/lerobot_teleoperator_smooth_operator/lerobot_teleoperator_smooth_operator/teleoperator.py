@@ -16,15 +16,10 @@ from lerobot_teleoperator_smooth_operator.config_smooth_operator import SmoothOp
 from lerobot_teleoperator_smooth_operator.following import Follower, PoseFollower, rotation_6d
 from lerobot_teleoperator_smooth_operator.joint_keys import JointKey, check_names, joint_keys
 from lerobot_teleoperator_smooth_operator.subscription import Feed, InProcess, Subscription
+from smooth_operator.episode_files.lerobot.schema import WRIST_NAMES, pose_keys
 from smooth_operator.settings import check_numbers
 
 logger = logging.getLogger(__name__)
-
-_POSE_KEYS = {
-    "rotation_6d": ("x", "y", "z", "r1", "r2", "r3", "r4", "r5", "r6"),
-    "quaternion": ("x", "y", "z", "qw", "qx", "qy", "qz"),
-    "none": (),
-}
 
 
 class _HandActions:
@@ -46,7 +41,7 @@ class _HandActions:
         self._order: tuple[int, ...] = ()
         self._names: tuple[str, ...] = ()
         self._joints, self._pose = Follower(), PoseFollower()
-        self.pose_keys = tuple(f"{prefix}tcp.{name}" for name in _POSE_KEYS[config.wrist])
+        self.pose_keys = tuple(f"{prefix}{key}" for key in pose_keys(WRIST_NAMES[config.wrist]))
 
     def ready(self, command: Command | None) -> bool:
         """True if a command has all that an action needs."""
@@ -341,8 +336,8 @@ def _hands(config: SmoothOperatorConfig) -> list[_HandActions]:
     """
     if config.side not in ("right", "left", "both"):
         raise ValueError(f"side must be right, left or both, not {config.side!r}")
-    if config.wrist not in _POSE_KEYS:
-        raise ValueError(f"wrist must be one of {', '.join(_POSE_KEYS)}, not {config.wrist!r}")
+    if config.wrist not in WRIST_NAMES:
+        raise ValueError(f"wrist must be one of {', '.join(WRIST_NAMES)}, not {config.wrist!r}")
     check_numbers(config, not_negative=("timeout_s", "hold_s"))
     left = config.left_joints or config.joints
     named = {**config.joints, **{f"{name} (left)": key for name, key in left.items()}}

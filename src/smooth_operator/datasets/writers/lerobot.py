@@ -32,7 +32,7 @@ import numpy as np
 from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.arrays import clip_document, drift, resampled
-from smooth_operator.datasets.writers.lerobot_columns import RobotLayout, unit_of
+from smooth_operator.datasets.writers.lerobot_columns import RobotLayout
 from smooth_operator.datasets.writers.registry import DatasetFormat, WritingOptions
 from smooth_operator.datasets.writers.shards import (
     ShardedWriter,
@@ -42,7 +42,11 @@ from smooth_operator.datasets.writers.shards import (
     publish,
     remove,
 )
-from smooth_operator.episode_files.lerobot.columns import index_columns
+from smooth_operator.episode_files.lerobot.schema import (
+    column_of,
+    dataset_features,
+    index_columns,
+)
 from smooth_operator.episode_files.lerobot.tables import (
     DATA_PATH,
     EPISODES_PATH,
@@ -238,6 +242,12 @@ def place(source: Path, target: Path, how: str) -> None:
 require("a LeRobot data set", "datasets", "pyarrow")
 
 _OFF_GRID: Final = 0.25  # frames
+_UNITS: Final = {
+    "observation.state": "rad, joint positions; m and quaternion wxyz, the robot's wrists",
+    "action": "the same, of the frame that comes next",
+    VIDEO_KEY: "the source's video",
+}
+"""Units of columns whose content is not that of ``convert``."""
 _IMAGENET: Final = {"mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
 
 
@@ -425,7 +435,7 @@ class _Writer(ShardedWriter):
                 parquet().write_table(tasks_table(self._tasks), file)
             self._tasks_written = len(self._tasks)
         stats: dict[str, Any] = {name: part.to_lists() for name, part in self._total.items()}
-        features = layout.features()
+        features = dataset_features(layout.layout())
         if layout.video is not None:
             features = {**features, VIDEO_KEY: dict(layout.video)}
             stats[VIDEO_KEY] = _video_statistics(self._frames)
@@ -531,7 +541,7 @@ def _card(info: dict[str, Any]) -> str:
     rows = []
     for name, feature in info["features"].items():
         size = " × ".join(map(str, feature["shape"]))
-        unit = "the source's video" if name == VIDEO_KEY else unit_of(name)
+        unit = _UNITS.get(name) or column_of(name)[1]
         rows.append((name, f"{feature['dtype']} × {size}", unit))
     readme = dataset_card("Human hands as robot hands", text, rows)
     if VIDEO_KEY in info["features"]:

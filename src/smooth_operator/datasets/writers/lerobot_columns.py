@@ -39,34 +39,16 @@ from smooth_operator import poses
 from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.writers.arrays import clip_valid
 from smooth_operator.datasets.writers.registry import WritingOptions
-from smooth_operator.episode_files.lerobot.columns import (
-    INDICES,
-    POSE_KEYS,
+from smooth_operator.episode_files.lerobot.schema import (
     POSE_NAMES,
-    feature,
-    index_features,
+    Layout,
+    joint_keys,
+    pose_keys,
+    typed,
 )
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.clip import SIDES
 from smooth_operator.types import Side
-
-UNITS = {
-    "observation.state": "rad, joint positions; m and quaternion wxyz, the robot's wrists",
-    "action": "the same, of the frame that comes next",
-    "timestamp": "s, frame_index / fps",
-    "stamp": "s, true time of the frame",
-    "valid": "whether the command answers a hand that was seen",
-    "wrist_valid": "whether the wrist was known; where not, another one is held",
-    "status": "why the command is what it is; -1: the clip lacks this hand",
-    "confidence": "of the tracker, 0 to 1; -1: not known",
-    "human_wrist": "m, quaternion wxyz, in the clip's world",
-    "human_wrist_valid": "whether it was known",
-    "camera": "m, quaternion wxyz, axes x right, y down, z forward",
-    "camera_valid": "whether it was known",
-    "objects": "m, quaternion wxyz, one object after the other",
-    "objects_valid": "whether each was known",
-}
-"""Unit or meaning of each column, without its side."""
 
 
 @dataclass(frozen=True)
@@ -107,17 +89,9 @@ class RobotLayout:
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> RobotLayout:
-        """From what ``to_json`` made of it."""
+        """From the JSON form of a layout."""
         joints = {side: tuple(value["joints"][side]) for side in SIDES if side in value["joints"]}
-        return cls(
-            joints,
-            value["wrist"],
-            value["camera"],
-            value["objects"],
-            value["fps"],
-            value["robot"],
-            value["video"],
-        )
+        return cls(**{**value, "joints": joints})
 
     def check(self, clip: RobotClip) -> None:
         """Refuses a clip that these columns can't hold.
@@ -148,42 +122,28 @@ class RobotLayout:
                 f"{name}: {has}; write clips with and without wrists to two data sets"
             )
 
-    def state_names(self) -> list[str]:
-        """Names of the components of state and action."""
-        names: list[str] = []
+    def layout(self) -> Layout:
+        """The columns, without indices and video."""
+        state: list[str] = []
         for side, joints in self.joints.items():
-            names += [f"{_sided(joint, side)}.pos" for joint in joints]
+            state += joint_keys([_sided(joint, side) for joint in joints])
             if self.wrist:
-                names += [f"{side}_{key}" for key in POSE_KEYS]
-        return names
-
-    def features(self) -> dict[str, dict[str, Any]]:
-        """The ``features`` of ``meta/info.json``, without the video."""
-        features: dict[str, dict[str, Any]] = {}
-
-        def add(name: str, dtype: str, names: list[str] | None = None) -> None:
-            features[name] = feature(dtype, names)
-
-        add("observation.state", "float32", self.state_names())
-        add("action", "float32", self.state_names())
-        add("stamp", "float64")
+                state += [f"{side}_{key}" for key in pose_keys()]
+        layout: Layout = {"observation.state": tuple(state), "action": tuple(state), "stamp": None}
         for side in self.joints:
-            add(f"{side}_valid", "bool")
+            names = ("valid", "wrist_valid", "status", "confidence")
+            layout |= {
+                f"{side}_{name}": None for name in names if self.wrist or name != "wrist_valid"
+            }
             if self.wrist:
-                add(f"{side}_wrist_valid", "bool")
-            add(f"{side}_status", "int64")
-            add(f"{side}_confidence", "float32")
-            if self.wrist:
-                add(f"{side}_human_wrist", "float32", list(POSE_NAMES))
-                add(f"{side}_human_wrist_valid", "bool")
+                layout |= {f"{side}_human_wrist": POSE_NAMES, f"{side}_human_wrist_valid": None}
         if self.camera:
-            add("camera", "float32", list(POSE_NAMES))
-            add("camera_valid", "bool")
+            layout |= {"camera": POSE_NAMES, "camera_valid": None}
         if self.objects:
-            names = [f"object{i}.{name}" for i in range(self.objects) for name in POSE_NAMES]
-            add("objects", "float32", names)
-            add("objects_valid", "bool", [f"object{i}" for i in range(self.objects)])
-        return features | index_features()
+            objects = [f"object{i}" for i in range(self.objects)]
+            layout["objects"] = tuple(f"{each}.{name}" for each in objects for name in POSE_NAMES)
+            layout["objects_valid"] = tuple(objects)
+        return layout
 
     def columns(self, clip: RobotClip) -> dict[str, np.ndarray]:
         """(T,) or (T, k) of each feature but the indices, in its type, of a clip that fits."""
@@ -224,18 +184,7 @@ class RobotLayout:
             tracks = [_poses(each, count) for each in object_tracks]
             columns["objects"] = np.concatenate([track for track, _ in tracks], axis=1)
             columns["objects_valid"] = np.stack([valid for _, valid in tracks], axis=1)
-        with np.errstate(over="ignore"):
-            return {
-                name: columns[name].astype(feature["dtype"])
-                for name, feature in self.features().items()
-                if name not in INDICES
-            }
-
-
-def unit_of(column: str) -> str:
-    """Unit or meaning of a column."""
-    side, _, what = column.partition("_")
-    return UNITS.get(what if side in SIDES else column, "index")
+        return typed(columns, self.layout())
 
 
 def _has_wrist(clip: RobotClip) -> bool:

@@ -12,7 +12,7 @@
 
 LeRobot's own columns are in its own types. What they can't hold is in further columns, whose names
 begin with neither ``observation`` nor ``action``, since LeRobot makes inputs and outputs of a
-policy of all that do. They are listed in ``smooth_operator.episode_files.lerobot.columns``.
+policy of all that do. They are listed in ``smooth_operator.episode_files.lerobot.schema``.
 
 LeRobot has one number of frames a second and no other clock: ``timestamp`` is
 ``frame_index / fps``, as its own recorder writes it, and the true time of each frame is in

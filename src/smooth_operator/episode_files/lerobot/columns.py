@@ -63,11 +63,20 @@ clock, from the first command that is measured to the last one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
+from smooth_operator.episode_files.lerobot.schema import (
+    COLUMNS,
+    ENVIRONMENT_STATE,
+    POSE_NAMES,
+    Layout,
+    index_columns,
+    joint_keys,
+    pose_keys,
+    typed,
+)
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.episode import Episode
 from smooth_operator.hands.registry import load_hand
@@ -79,55 +88,11 @@ NO_COMMAND: Final = -1
 _LANDMARK_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "xyz")
 _METACARPAL_NAMES: Final = tuple(f"{f}_metacarpal.{axis}" for f in FINGERS[1:] for axis in "xyz")
 _ORIENTATION_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "wxyz")
-POSE_NAMES: Final = ("x", "y", "z", "qw", "qx", "qy", "qz")
-POSE_KEYS: Final = tuple(f"tcp.{name}" for name in POSE_NAMES)
-"""Keys of a wrist's target in LeRobot, those of the teleoperator plug-in."""
-
-INDICES: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
-
 ROBOT_TYPE: Final = "smooth_hand"
 """Name of the robot plug-in."""
 
 ROBOT_FPS: Final = 30
 """Frames a second of a robot's columns unless stated otherwise, as ``lerobot-record`` has it."""
-
-_ENVIRONMENT_STATE: Final = "observation.environment_state"
-
-COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
-    "observation.state": (
-        "float32",
-        "m, landmarks; rad, measured joint positions, if its names are those of joints",
-    ),
-    _ENVIRONMENT_STATE: ("float32", "rad, measured positions of all joints"),
-    "action": ("float32", "rad, joint positions; m and quaternion wxyz, wrist"),
-    "stamp": ("float64", "s, true time of the frame"),
-    "landmarks": ("float64", "m, as observation.state, without loss"),
-    "landmarks_valid": ("bool", "false where the tracker lost the landmark"),
-    "left_hand": ("bool", "which hand"),
-    "metacarpals": ("float64", "m"),
-    "orientations": ("float64", "quaternions wxyz"),
-    "human_wrist": ("float64", "m, quaternion wxyz, in its world"),
-    "wrist_command": ("float64", "m, quaternion wxyz, of the robot hand in the robot's base"),
-    "wrist_engaged": ("bool", "true if the operator's wrist moved the robot's"),
-    "wrist_valid": ("bool", "whether the operator's wrist was known"),
-    "arm_positions": ("float64", "rad, commanded joint positions of the arm"),
-    "arm_measured": ("float64", "rad, measured joint positions of the arm"),
-    "arm_wrist": (
-        "float64",
-        "m, quaternion wxyz, of the robot hand at arm_positions, in the arm's base",
-    ),
-    "joint_positions": ("float64", "rad, as action, without loss"),
-    "command_stamp": ("float64", "s, NaN in a frame without a command"),
-    "status": ("int64", "status of the command; -1 in a frame without a command"),
-    "latency_ms": ("float64", "ms, from landmarks to command"),
-    "stages_ms": ("float64", "ms, parts of the latency"),
-    "measured_positions": ("float64", "rad, measured, the newest at stamp"),
-    "measured_stamp": ("float64", "s, when they were measured"),
-}
-"""Name -> type, and unit or meaning, of each column that is not an index; in their order."""
-
-Layout: TypeAlias = dict[str, tuple[str, ...] | None]
-"""Columns of a dataset or episode: name -> names of the components; None for one number."""
 
 _OF_RECORDING: Final = {
     "metacarpals": ("metacarpals", _METACARPAL_NAMES),
@@ -135,47 +100,6 @@ _OF_RECORDING: Final = {
     "human_wrist": ("T_world_wrist", POSE_NAMES),
 }
 """Column -> attribute of a recording, which may be None, and names of the components."""
-
-
-def unit_of(column: str, robot: str | None = None) -> str:
-    """Unit or meaning of a column, in a dataset of a type of robot."""
-    if column == "observation.state" and robot == ROBOT_TYPE:
-        return "rad, measured joint positions"
-    if column == "timestamp":
-        return "s, frame_index / fps"
-    return COLUMNS.get(column, ("", "index"))[1]
-
-
-def feature(dtype: str, names: Sequence[str] | None = None) -> dict[str, Any]:
-    """A feature of ``meta/info.json``: one number, or one for each of some names."""
-    shape = [1 if names is None else len(names)]
-    return {"dtype": dtype, "shape": shape, "names": None if names is None else list(names)}
-
-
-def index_features() -> dict[str, dict[str, Any]]:
-    """The features of ``INDICES``."""
-    return {name: feature("float32" if name == "timestamp" else "int64") for name in INDICES}
-
-
-def index_columns(
-    count: int, *, number: int, first: int, task: int, fps: float
-) -> dict[str, np.ndarray]:
-    """The columns ``INDICES`` of an episode of ``count`` frames.
-
-    Args:
-        count: number of frames.
-        number: ``episode_index``.
-        first: ``index`` of its first frame.
-        task: ``task_index``.
-    """
-    frames = np.arange(count)
-    return {
-        "timestamp": (frames / fps).astype(np.float32),
-        "frame_index": frames,
-        "episode_index": np.full(count, number),
-        "index": frames + first,
-        "task_index": np.full(count, task),
-    }
 
 
 def layout_of(episode: Episode) -> Layout:
@@ -190,10 +114,10 @@ def layout_of(episode: Episode) -> Layout:
                 layout[name] = names
     if commands is not None:
         joints = tuple(commands.joint_names)
-        layout |= {"action": _keys(joints), "joint_positions": joints}
+        layout |= {"action": joint_keys(joints), "joint_positions": joints}
         layout |= {"command_stamp": None, "status": None, "latency_ms": None}
         if episode.wrist is not None:
-            layout["action"] = (*_keys(joints), *POSE_KEYS)
+            layout["action"] = (*joint_keys(joints), *pose_keys())
             layout |= {"wrist_command": POSE_NAMES, "wrist_engaged": None, "wrist_valid": None}
         if episode.arm is not None:
             names = episode.arm.joint_names
@@ -202,7 +126,7 @@ def layout_of(episode: Episode) -> Layout:
             layout["stages_ms"] = tuple(episode.stages_ms)
     if states is not None:
         names = tuple(states.names)
-        layout |= {"observation.state": _keys(names), "measured_positions": names}
+        layout |= {"observation.state": joint_keys(names), "measured_positions": names}
         layout["measured_stamp"] = None
     return _ordered(layout)
 
@@ -249,19 +173,8 @@ def widened(layout: Layout, other: Layout, names: tuple[str, str]) -> Layout:
     return _ordered(both)
 
 
-def dataset_features(layout: Layout) -> dict[str, dict[str, Any]]:
-    """The ``features`` of ``meta/info.json``: dtype, shape and names of each column."""
-    columns = {name: feature(COLUMNS[name][0], names) for name, names in layout.items()}
-    return columns | index_features()
-
-
 def _ordered(layout: Layout) -> Layout:
     return {name: layout[name] for name in COLUMNS if name in layout}
-
-
-def _keys(joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Keys of joints in LeRobot, those of the robot and the teleoperator plug-in."""
-    return tuple(f"{name}.pos" for name in joints)
 
 
 def episode_columns(
@@ -336,17 +249,8 @@ def episode_columns(
     if commands is not None:
         parts = [columns[name] for name in ("joint_positions", "wrist_command") if name in layout]
         columns["action"] = np.concatenate(parts, axis=1)
-    columns |= index_columns(count, number=number, first=first, task=task, fps=fps)
-    return _typed(columns, layout)
-
-
-def _typed(columns: Mapping[str, np.ndarray], layout: Layout) -> dict[str, np.ndarray]:
-    # Values beyond float32 become infinite there, as they must; the float64 columns have them.
-    with np.errstate(over="ignore"):
-        return {
-            name: columns[name].astype(feature["dtype"])
-            for name, feature in dataset_features(layout).items()
-        }
+    indices = index_columns(count, number=number, first=first, task=task, fps=fps)
+    return typed(columns, layout) | indices
 
 
 def _rows(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
@@ -416,10 +320,13 @@ def robot_layout(episode: Episode, wrist: bool, environment_state: bool) -> Layo
             raise RecordingError(
                 f"{episode.name}: it has no {', '.join(missing)} of the hand {hand.name}"
             )
-    state = _keys(hand.actuated_names)
-    layout: Layout = {"action": (*state, *(POSE_KEYS if wrist else ())), "observation.state": state}
+    state = joint_keys(hand.actuated_names)
+    layout: Layout = {
+        "action": (*state, *(pose_keys() if wrist else ())),
+        "observation.state": state,
+    }
     if environment_state:
-        layout[_ENVIRONMENT_STATE] = tuple(f"environment.{n}.pos" for n in hand.joint_names)
+        layout[ENVIRONMENT_STATE] = tuple(f"environment.{n}.pos" for n in hand.joint_names)
     return layout
 
 
@@ -457,9 +364,9 @@ def robot_columns(
     columns = {
         "action": action[newest],
         "observation.state": positions[:, [states.names.index(name) for name in joints]],
-        **index_columns(count, number=number, first=first, task=task, fps=fps),
     }
-    if (names := layout.get(_ENVIRONMENT_STATE)) is not None:
+    if (names := layout.get(ENVIRONMENT_STATE)) is not None:
         every = [name.removeprefix("environment.").removesuffix(".pos") for name in names]
-        columns[_ENVIRONMENT_STATE] = positions[:, [states.names.index(name) for name in every]]
-    return _typed(columns, layout)
+        columns[ENVIRONMENT_STATE] = positions[:, [states.names.index(name) for name in every]]
+    indices = index_columns(count, number=number, first=first, task=task, fps=fps)
+    return typed(columns, layout) | indices

@@ -12,15 +12,13 @@ import numpy as np
 from smooth_operator.episode_files.lerobot.columns import (
     ROBOT_FPS,
     ROBOT_TYPE,
-    Layout,
-    dataset_features,
     episode_columns,
     layout_of,
     robot_columns,
     robot_layout,
-    unit_of,
     widened,
 )
+from smooth_operator.episode_files.lerobot.schema import Layout, column_of, dataset_features
 from smooth_operator.episode_files.lerobot.tables import (
     DATA_PATH,
     EPISODES_PATH,
@@ -184,7 +182,10 @@ def _card(info: dict[str, Any]) -> str:
     rows = []
     for name, feature in info["features"].items():
         kind = feature["dtype"] + ("" if feature["names"] is None else f" × {feature['shape'][0]}")
-        rows.append((name, kind, unit_of(name, info["robot_type"])))
+        unit = column_of(name)[1]
+        if name == "observation.state" and info["robot_type"] == ROBOT_TYPE:
+            unit = "rad, measured joint positions"
+        rows.append((name, kind, unit))
     return dataset_card("Human hands and robot commands", text, rows)
 
 

@@ -1,0 +1,131 @@
+"""Columns of LeRobot data sets for the recorder, ``convert`` and ``dataset``: keys, types, units.
+
+A data set has some of the columns of ``COLUMNS``, in the order of its ``Layout``, and the columns
+``INDICES``, which LeRobot has in all data sets. ``columns`` makes those of ``convert`` and of the
+robot ``smooth_hand``, ``smooth_operator.datasets.writers.lerobot_columns`` those of ``dataset``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+POSE_NAMES: Final = ("x", "y", "z", "qw", "qx", "qy", "qz")
+WRIST_NAMES: Final[Mapping[str, tuple[str, ...]]] = {
+    "none": (),
+    "rotation_6d": ("x", "y", "z", "r1", "r2", "r3", "r4", "r5", "r6"),
+    "quaternion": POSE_NAMES,
+}
+"""Notation of a wrist's pose in the plug-ins -> names of its numbers."""
+
+
+def joint_keys(joints: Sequence[str]) -> tuple[str, ...]:
+    """Keys of joints in LeRobot, in actions and observations."""
+    return tuple(f"{name}.pos" for name in joints)
+
+
+def pose_keys(names: Sequence[str] = POSE_NAMES) -> tuple[str, ...]:
+    """Keys of a wrist's pose in LeRobot, in actions and observations."""
+    return tuple(f"tcp.{name}" for name in names)
+
+
+INDICES: Final = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+
+ENVIRONMENT_STATE: Final = "observation.environment_state"
+
+COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
+    "observation.state": (
+        "float32",
+        "m, landmarks; rad, measured joint positions, if its names are those of joints",
+    ),
+    ENVIRONMENT_STATE: ("float32", "rad, measured positions of all joints"),
+    "action": ("float32", "rad, joint positions; m and quaternion wxyz, wrist"),
+    "stamp": ("float64", "s, true time of the frame"),
+    "landmarks": ("float64", "m, as observation.state, without loss"),
+    "landmarks_valid": ("bool", "false where the tracker lost the landmark"),
+    "left_hand": ("bool", "which hand"),
+    "metacarpals": ("float64", "m"),
+    "orientations": ("float64", "quaternions wxyz"),
+    "human_wrist": ("float64", "m, quaternion wxyz, in its world"),
+    "wrist_command": ("float64", "m, quaternion wxyz, of the robot hand in the robot's base"),
+    "wrist_engaged": ("bool", "true if the operator's wrist moved the robot's"),
+    "wrist_valid": ("bool", "whether the operator's wrist was known"),
+    "arm_positions": ("float64", "rad, commanded joint positions of the arm"),
+    "arm_measured": ("float64", "rad, measured joint positions of the arm"),
+    "arm_wrist": (
+        "float64",
+        "m, quaternion wxyz, of the robot hand at arm_positions, in the arm's base",
+    ),
+    "joint_positions": ("float64", "rad, as action, without loss"),
+    "command_stamp": ("float64", "s, NaN in a frame without a command"),
+    "status": ("int64", "status of the command; -1 in a frame without a command"),
+    "latency_ms": ("float64", "ms, from landmarks to command"),
+    "stages_ms": ("float64", "ms, parts of the latency"),
+    "measured_positions": ("float64", "rad, measured, the newest at stamp"),
+    "measured_stamp": ("float64", "s, when they were measured"),
+    "SIDE_valid": ("bool", "whether the command answers a hand that was seen"),
+    "SIDE_wrist_valid": ("bool", "whether the wrist was known; where not, another one is held"),
+    "SIDE_status": ("int64", "why the command is what it is; -1: the clip lacks this hand"),
+    "SIDE_confidence": ("float32", "of the tracker, 0 to 1; -1: not known"),
+    "SIDE_human_wrist": ("float32", "m, quaternion wxyz, in the clip's world"),
+    "SIDE_human_wrist_valid": ("bool", "whether it was known"),
+    "camera": ("float32", "m, quaternion wxyz, axes x right, y down, z forward"),
+    "camera_valid": ("bool", "whether it was known"),
+    "objects": ("float32", "m, quaternion wxyz, one object after the other"),
+    "objects_valid": ("bool", "whether each was known"),
+}
+"""Name -> type, and unit or meaning, of each column that is not an index; in their order. ``SIDE``
+is ``right`` or ``left``: ``dataset`` has these columns for each hand, and poses in float32."""
+
+Layout: TypeAlias = dict[str, tuple[str, ...] | None]
+"""Columns of a dataset or episode: name -> names of the components; None for one number."""
+
+
+def column_of(name: str) -> tuple[str, str]:
+    """Type, and unit or meaning, of a column."""
+    sided = f"SIDE_{name.partition('_')[2]}"
+    index = "float32" if name == "timestamp" else "int64"
+    unit = "s, frame_index / fps" if name == "timestamp" else "index"
+    return COLUMNS.get(name) or COLUMNS.get(sided) or (index, unit)
+
+
+def dataset_features(layout: Layout) -> dict[str, dict[str, Any]]:
+    """The ``features`` of ``meta/info.json``: dtype, shape and names of each column."""
+    return {
+        name: {
+            "dtype": column_of(name)[0],
+            "shape": [1 if names is None else len(names)],
+            "names": None if names is None else list(names),
+        }
+        for name, names in (layout | dict.fromkeys(INDICES)).items()
+    }
+
+
+def index_columns(
+    count: int, *, number: int, first: int, task: int, fps: float
+) -> dict[str, np.ndarray]:
+    """The columns ``INDICES`` of an episode of ``count`` frames.
+
+    Args:
+        count: number of frames.
+        number: ``episode_index``.
+        first: ``index`` of its first frame.
+        task: ``task_index``.
+    """
+    frames = np.arange(count)
+    return {
+        "timestamp": (frames / fps).astype(np.float32),
+        "frame_index": frames,
+        "episode_index": np.full(count, number),
+        "index": frames + first,
+        "task_index": np.full(count, task),
+    }
+
+
+def typed(columns: Mapping[str, np.ndarray], layout: Layout) -> dict[str, np.ndarray]:
+    """The columns of a layout, in its order and in their types, without the indices."""
+    # Values beyond float32 become infinite there, as they must; the float64 columns have them.
+    with np.errstate(over="ignore"):
+        return {name: columns[name].astype(column_of(name)[0]) for name in layout}
