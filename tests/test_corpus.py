@@ -153,15 +153,14 @@ def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_pat
     from smooth_operator.datasets.map_batches import RetargetClips
 
     source = made_clips.write(tmp_path / "x.made.json", 3, (0.8, 1.0))
-    limits = {"cut": False, "min_seconds": 0.9, "min_reach": 0.0, "max_tip_error": 200.0}
+    limits = {"whole": True, "min_seconds": 0.9, "min_reach": 0.0, "max_tip_error": 200.0}
     limits |= {"max_collision": 1.0}
     summary = make_dataset(
         request(
             source,
             tmp_path / "out",
             no_limits=False,
-            whole=True,
-            **{name: value for name, value in limits.items() if name != "cut"},
+            **limits,
         )
     )
     (file,) = (tmp_path / "out" / "dataset" / "data").iterdir()

@@ -25,11 +25,11 @@ from smooth_operator.datasets.pipeline import DatasetRequest, make_dataset
 from smooth_operator.datasets.quality import (
     REACHED,
     Dropped,
-    Limits,
     hand_length,
     quality_tracks,
     select,
 )
+from smooth_operator.datasets.request import Limits
 from smooth_operator.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.datasets.sources import (
     find_items,
@@ -567,7 +567,7 @@ def test_a_jump_of_the_tracker_cuts(answered):
     )
     (clip,) = retarget_clips([jumping], RECIPE)
     assert episodes(clip) == [("deep/c_000000-000030", ()), ("deep/c_000030-000064", ())]
-    assert episodes(clip, cut=False) == [("deep/c", ("max_jump",))]
+    assert episodes(clip, whole=True) == [("deep/c", ("max_jump",))]
     parts = list(select(clip, LIMITS))
     assert isinstance(parts[1], RobotClip)
     assert parts[1].figures["left.jump_m_s"] < 5.0
@@ -633,7 +633,7 @@ def test_a_clip_whose_fingers_never_move_is_dropped(answered):
     assert episodes(held(slice(None))) == [("deep/c", ("min_finger_motion",))]
     (dropped,) = select(held(slice(None)), LIMITS)
     assert dropped.reasons["min_finger_motion"] == "the fingers never move: 0.0 mm in the clip"
-    assert episodes(held(slice(None)), cut=False) == [("deep/c", ("min_finger_motion",))]
+    assert episodes(held(slice(None)), whole=True) == [("deep/c", ("min_finger_motion",))]
     assert episodes(held(slice(None)), min_finger_motion=0.0) == [("deep/c", ())]
     assert episodes(held(slice(0, 30))) == [("deep/c", ())]
     assert episodes(held(slice(None), ("left",))) == [("deep/c", ())]

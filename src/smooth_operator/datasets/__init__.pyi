@@ -1,6 +1,6 @@
 from smooth_operator.datasets.pipeline import make_dataset as make_dataset
-from smooth_operator.datasets.quality import Limits as Limits
 from smooth_operator.datasets.request import DatasetRequest as DatasetRequest
+from smooth_operator.datasets.request import Limits as Limits
 from smooth_operator.datasets.retargeting import Recipe as Recipe
 from smooth_operator.formats.both_hands import checked_hands as checked_hands
 from smooth_operator.formats.clip import Clip as Clip

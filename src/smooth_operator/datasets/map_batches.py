@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.quality import NO_LIMITS, Dropped, Limits, select
+from smooth_operator.datasets.quality import Dropped, select
+from smooth_operator.datasets.request import NO_LIMITS, Limits
 from smooth_operator.datasets.retargeting import Recipe, retarget_clips
 from smooth_operator.datasets.sources import Item
-from smooth_operator.datasets.store import as_stored
-from smooth_operator.datasets.work import ReadClip, read_item
+from smooth_operator.datasets.store import ReadClip, as_stored
+from smooth_operator.datasets.work import read_item
 from smooth_operator.datasets.writers.parquet import clips_table
 from smooth_operator.episode_files.packed import clip_of_row
 from smooth_operator.errors import RecordingError
@@ -60,7 +61,7 @@ class RetargetClips:
         episodes.write_parquet("episodes/")
 
     Args:
-        limits: limits of quality, as arguments of ``filters.Limits``; None keeps every clip whole.
+        limits: limits of quality, as arguments of ``Limits``; None keeps every clip whole.
         reading: options of the readers of references.
         frame: ``world`` or ``camera``, where wrists are given; None for each clip's own frame.
         side: retarget this hand only.

@@ -26,15 +26,18 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.atomic_files import claimed, remove_leftovers
-from smooth_operator.datasets.quality import Limits
 from smooth_operator.datasets.request import DatasetRequest as DatasetRequest
 from smooth_operator.datasets.retargeting import Recipe, SourceFile
 from smooth_operator.datasets.sources import Item, find_items, in_shard, parse_shard
-from smooth_operator.datasets.store import Kept, Store, clear_unfinished
+from smooth_operator.datasets.store import (
+    ReadClip,
+    Result,
+    Results,
+    Store,
+    clear_unfinished,
+)
 from smooth_operator.datasets.work import (
     Job,
-    ReadClip,
-    Results,
     do_job,
     finish_job,
     read_job,
@@ -173,7 +176,7 @@ def entries_of_gpu(
         reasons = {name: why for *_, own in waiting for name, why in own.items()}
         done = finish_job(job, clips, reasons)
         use.retargeting += time.perf_counter() - started
-        use.frames += sum(each.frames for each in done.values() if isinstance(each, Kept))
+        use.frames += sum(each.frames for each in done.values() if isinstance(each, Result))
         return done
 
     with (
@@ -235,8 +238,10 @@ def make_dataset(
     """
     reporter = Reporter() if reporter is None else reporter
     shard = _checked_share(request)
-    recipe, writing = Recipe.of(request, asked), WritingOptions.of(request)
-    Limits.of(request)  # refuses those that can't be
+    recipe = Recipe.of(request, asked)
+    writing = WritingOptions(
+        rate=request.fps, videos=request.videos, shard_mb=request.shard_mb, loose=request.loose
+    )
     check_output(request, recipe.request.hand_name)
     for note in request_notes(recipe.request):
         reporter.note(note, matters=True)
@@ -305,19 +310,19 @@ def make_dataset(
                 ) as entries,
             ):
                 for each in entries:  # whatever happens here, the workers end
-                    for item, kept in each.items():
-                        if isinstance(kept, str):
-                            reasons[item] = kept
+                    for item, result in each.items():
+                        if isinstance(result, str):
+                            reasons[item] = result
                         else:
-                            finished[item] = kept
+                            finished[item] = result
         if shard is not None:
             return Summary.of_shard(request.output, shard, finished, reasons)
         if not request.merge:
             Store(work).remove_superseded(finished)
         shortest = getattr(WRITERS.load(request.format), "shortest", 2)
-        for item, kept in [*finished.items()]:
-            if kept.frames < shortest:
-                reasons[item] = f"{item}: it has {kept.frames} frames; {shortest} are needed"
+        for item, result in [*finished.items()]:
+            if result.frames < shortest:
+                reasons[item] = f"{item}: it has {result.frames} frames; {shortest} are needed"
                 del finished[item]
         names = [item.name for item in items if item.name in finished]
         summary = write_episodes(
@@ -385,7 +390,7 @@ def check_output(request: DatasetRequest, hand: str) -> None:
         )
 
 
-def _finished(store: Store, items: Sequence[Item], recipe: Recipe) -> dict[str, Kept]:
+def _finished(store: Store, items: Sequence[Item], recipe: Recipe) -> dict[str, Result]:
     """Items that earlier runs have done, with the places of their clips."""
     by_name = {item.name: item for item in items}
     usual = recipe.request.rate
@@ -421,9 +426,9 @@ def _retargeted(
     ):
         frames = failed = 0
         for done in packs:
-            kept = [each for each in done.values() if isinstance(each, Kept)]
-            frames += sum(each.frames for each in kept)
-            failed += len(done) - len(kept)
+            results = [each for each in done.values() if isinstance(each, Result)]
+            frames += sum(each.frames for each in results)
+            failed += len(done) - len(results)
             advance(len(done), extra=f"{frames} frames, {failed} failed")
             yield done
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
@@ -12,9 +11,8 @@ from jaxtyping import Bool, Float
 
 from smooth_operator import poses
 from smooth_operator.datasets.clip import RobotClip, robot_part
-from smooth_operator.datasets.request import DatasetRequest
-from smooth_operator.errors import ConfigError
-from smooth_operator.formats.checks import STIFF_M, finger_motion
+from smooth_operator.datasets.request import Limits
+from smooth_operator.formats.checks import finger_motion
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
@@ -279,84 +277,6 @@ def _jerk(positions: np.ndarray, stamps: np.ndarray) -> float | None:
     return summary.mean(np.abs(np.diff(acceleration, axis=0) / np.diff(stamps[1:-1])[:, None]))
 
 
-Needed: TypeAlias = Literal["any", "all"]
-"""Of how many hands of a clip a frame needs: one of them, or each."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of an episode's quality. Figures that are not known break no limit.
-
-    Attributes:
-        cut: cut clips into their good parts; otherwise a clip is kept or dropped whole.
-        hands: a frame is good if any hand is seen in it, or if all of the clip's are.
-        max_gap: longest time without a good frame in an episode [s]; a clip is cut there.
-        max_jump: largest speed of the wrist or of a fingertip to it [m/s]: beyond it the tracker
-            has jumped, and a clip is cut there.
-        min_confidence: least confidence of the tracker: frames below it count as not seen.
-        min_seconds: shortest episode [s].
-        min_valid: least share of frames of an episode with a good hand.
-        max_collision: largest share of frames with two links more than 2 mm inside.
-        max_tip_error: largest mean distance of robot and human fingertips [mm].
-        min_reach: least share of frames in which every fingertip reaches the human's; see
-            ``quality.REACHED``.
-        min_finger_motion: least motion of the human fingers in the whole clip [mm]; see
-            ``formats.checks.finger_motion``.
-
-    Raises:
-        ConfigError: a limit is not a possible one.
-    """
-
-    cut: bool = True
-    hands: Needed = "any"
-    max_gap: float = 0.5
-    max_jump: float = 5.0
-    min_confidence: float = 0.3
-    min_seconds: float = 1.0
-    min_valid: float = 0.6
-    max_collision: float = 0.2
-    max_tip_error: float = 60.0
-    min_reach: float = 0.5
-    min_finger_motion: float = 1e3 * STIFF_M
-
-    @classmethod
-    def of(cls, request: DatasetRequest) -> Limits:
-        """The limits of a request.
-
-        Raises:
-            ConfigError: one of them can't be.
-        """
-        if request.no_limits:
-            return NO_LIMITS
-        names = (each.name for each in fields(cls) if each.name != "cut")
-        return cls(cut=not request.whole, **{name: getattr(request, name) for name in names})
-
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if each.name in ("cut", "hands"):
-                continue
-            share = each.name in ("min_confidence", "min_valid", "max_collision", "min_reach")
-            if not 0.0 <= value <= (1.0 if share else math.inf):
-                expected = "between 0 and 1" if share else "0 or more"
-                raise ConfigError(f"{each.name} must be {expected}, not {value:g}")
-
-
-NO_LIMITS: Final = Limits(
-    cut=False,
-    max_gap=math.inf,
-    max_jump=math.inf,
-    min_confidence=0.0,
-    min_seconds=0.0,
-    min_valid=0.0,
-    max_collision=1.0,
-    max_tip_error=math.inf,
-    min_reach=0.0,
-    min_finger_motion=0.0,
-)
-"""Keeps every clip whole."""
-
-
 @dataclass(frozen=True)
 class Dropped:
     """Frames that are not kept.
@@ -378,7 +298,7 @@ def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
     """The episodes of a clip, in the order of time: kept, with their figures, or dropped."""
     whole = _confident(whole, limits.min_confidence)
     motion = _finger_motions(whole)
-    if not limits.cut:
+    if limits.whole:
         yield _judged(whole, slice(0, len(whole.clip)), limits, motion)
         return
     good = _good(whole, limits)
@@ -471,7 +391,7 @@ def _reasons(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, s
         motion = (max if limits.hands == "any" else min)(motions)
         if motion < limits.min_finger_motion:
             yield "min_finger_motion", f"the fingers never move: {motion:.1f} mm in the clip"
-    if not limits.cut:
+    if limits.whole:
         yield from _of_whole(figures, limits)
     checks: tuple[tuple[str, str, float, str], ...] = (
         ("max_collision", "collision", limits.max_collision, "links collide in {:.0%} of frames"),

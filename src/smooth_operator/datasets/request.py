@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 from tyro.conf import Positional, arg
 
+from smooth_operator.errors import ConfigError
 from smooth_operator.request import MethodRequest
 
 DATASET: Final = "dataset"
@@ -15,41 +17,12 @@ DATASET: Final = "dataset"
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetRequest(MethodRequest):
-    """Sources, robot hand, limits of quality, format and output of a data set."""
+class Limits:
+    """Limits of an episode's quality. Figures that are not known break no limit.
 
-    sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SOURCE...")]
-    """Folders, files, patterns, lists of paths, addresses."""
-
-    output: Annotated[Path, arg(metavar="FOLDER")]
-    """Folder of the results; created if missing."""
-
-    format: Annotated[str, arg(metavar="NAME")] = "lerobot"
-    """Output format: lerobot, webdataset, parquet, npz, spider, flashdex, or one of a plugin."""
-
-    frame: Literal["world", "camera"] | None = None
-    """Frame of wrists and objects. A clip that has no poses in it fails. Default: each
-    clip's own frame, the world where it is known, else the camera."""
-
-    side: Annotated[Literal["right", "left"] | None, arg(metavar="right|left")] = None
-    """Only this hand; and the hand of recordings that do not say which it is."""
-
-    layout: Annotated[str | None, arg(metavar="NAME")] = None
-    """Layout of the sources, such as egodex or files. Default: recognised from the files."""
-
-    rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames per second of recordings without time stamps [Hz]."""
-
-    mano: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Your MANO model files, for layouts that hold MANO parameters."""
-
-    objects: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Meshes of the objects, where they are not in the place that the layout has for them."""
-
-    with_objects: bool = False
-    """Robot fingertips touch what the human's touch, and stay out of the objects, in clips that
-    have an object's pose and mesh. For whole recordings: --preset offline. Needs
-    packages/smooth_hand_datasets."""
+    Raises:
+        ConfigError: a limit is not a possible one.
+    """
 
     whole: bool = False
     """Keep or drop clips whole; do not cut them."""
@@ -86,8 +59,71 @@ class DatasetRequest(MethodRequest):
     """Least motion of the human fingers over the whole clip [mm], where it lasts 2 s or more. Body
     captures without gloves have fingers that never move."""
 
+    def __post_init__(self) -> None:
+        for each in fields(Limits):
+            value = getattr(self, each.name)
+            if each.name in ("whole", "hands"):
+                continue
+            share = each.name in ("min_confidence", "min_valid", "max_collision", "min_reach")
+            if not 0.0 <= value <= (1.0 if share else math.inf):
+                expected = "between 0 and 1" if share else "0 or more"
+                raise ConfigError(f"{each.name} must be {expected}, not {value:g}")
+
+
+NO_LIMITS: Final = Limits(
+    whole=True,
+    max_gap=math.inf,
+    max_jump=math.inf,
+    min_confidence=0.0,
+    min_seconds=0.0,
+    min_valid=0.0,
+    max_collision=1.0,
+    max_tip_error=math.inf,
+    min_reach=0.0,
+    min_finger_motion=0.0,
+)
+"""Keeps every clip whole."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetRequest(Limits, MethodRequest):
+    """Sources, robot hand, limits of quality, format and output of a data set."""
+
+    sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SOURCE...")]
+    """Folders, files, patterns, lists of paths, addresses."""
+
+    output: Annotated[Path, arg(metavar="FOLDER")]
+    """Folder of the results; created if missing."""
+
+    format: Annotated[str, arg(metavar="NAME")] = "lerobot"
+    """Output format: lerobot, webdataset, parquet, npz, spider, flashdex, or one of a plugin."""
+
+    frame: Literal["world", "camera"] | None = None
+    """Frame of wrists and objects. A clip that has no poses in it fails. Default: each
+    clip's own frame, the world where it is known, else the camera."""
+
+    side: Annotated[Literal["right", "left"] | None, arg(metavar="right|left")] = None
+    """Only this hand; and the hand of recordings that do not say which it is."""
+
+    layout: Annotated[str | None, arg(metavar="NAME")] = None
+    """Layout of the sources, such as egodex or files. Default: recognised from the files."""
+
+    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    """Frames per second of recordings without time stamps [Hz]."""
+
+    mano: Annotated[Path | None, arg(metavar="FOLDER")] = None
+    """Your MANO model files, for layouts that hold MANO parameters."""
+
+    objects: Annotated[Path | None, arg(metavar="FOLDER")] = None
+    """Meshes of the objects, where they are not in the place that the layout has for them."""
+
+    with_objects: bool = False
+    """Robot fingertips touch what the human's touch, and stay out of the objects, in clips that
+    have an object's pose and mesh. For whole recordings: --preset offline. Needs
+    packages/smooth_hand_datasets."""
+
     no_limits: bool = False
-    """Keep every clip, whole; the options above have no effect."""
+    """Keep every clip, whole; the limits have no effect."""
 
     videos: Literal["none", "link", "copy"] = "none"
     """Videos of the clips, in formats that take them: left out, linked or copied."""
@@ -118,6 +154,13 @@ class DatasetRequest(MethodRequest):
 
     merge: bool = False
     """Write the data set from what shares have finished; retarget nothing."""
+
+    @property
+    def limits(self) -> Limits:
+        """The limits of quality."""
+        if self.no_limits:
+            return NO_LIMITS
+        return Limits(**{each.name: getattr(self, each.name) for each in fields(Limits)})
 
     @property
     def mirror(self) -> bool:

@@ -331,7 +331,7 @@ class Refused:
 
 
 @dataclass(frozen=True)
-class Found:
+class Survey:
     """Content of the sources.
 
     Attributes:
@@ -346,12 +346,12 @@ class Found:
 
 
 _Each: TypeAlias = Item | Refused | str
-"""Found in a source: work, what can't be used, or the suffix of a file of no known layout."""
+"""Part of a source: work, what can't be used, or the suffix of a file of no known layout."""
 
 
 def find_items(
     sources: Sequence[str], *, layout: str | None = None, leave_out: Path | None = None
-) -> Found:
+) -> Survey:
     """Looks through the sources; opens files, but reads no arrays.
 
     Args:
@@ -375,7 +375,7 @@ def find_items(
         else:
             passed_over[each] = passed_over.get(each, 0) + 1
     named = _unique(items)
-    return Found(tuple(sorted(named, key=lambda item: item.name)), tuple(refused), passed_over)
+    return Survey(tuple(sorted(named, key=lambda item: item.name)), tuple(refused), passed_over)
 
 
 def each_item(

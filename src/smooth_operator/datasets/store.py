@@ -20,6 +20,7 @@ import numpy as np
 from smooth_operator.atomic_files import atomic_write, output_error, remove_leftovers
 from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.retargeting import SourceFile, shared_config
+from smooth_operator.datasets.sources import Item
 from smooth_operator.errors import RecordingError
 from smooth_operator.formats.clip import Clip, ObjectTrack
 from smooth_operator.io.documents import parse_json
@@ -41,28 +42,28 @@ _KINDS: Final[dict[str, Any]] = {
 _LEFT_OUT: Final = {(RobotClip, "config"), (RobotClip, "figures"), (HandRecording, "meta")}
 
 
-@dataclass(frozen=True, eq=False)
-class Finished:
-    """The clips of one item of the work.
+@dataclass(frozen=True)
+class ReadClip:
+    """A clip as it was read.
 
     Attributes:
-        item: name of the item.
-        asked: ``Item.asked`` of the item.
+        item: item that the clip is part of.
+        clip: hands and scene.
         files: files that were read.
-        clips: results, by name.
+        key: digest of all that its commands depend on.
         rate: frames a second that the reader was given and needed [Hz].
     """
 
-    item: str
-    asked: str
+    item: Item
+    clip: Clip
     files: tuple[SourceFile, ...]
-    clips: tuple[RobotClip, ...]
+    key: str
     rate: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
-    """Place of the clips of an item.
+class Result:
+    """The retargeted clips of an item: their place in a pack, and facts of them.
 
     Attributes:
         pack: file.
@@ -70,7 +71,7 @@ class Kept:
         key: digest of all that the clips depend on.
         sides: hands that the clips have.
         frames: number of frames of all clips.
-        camera: whether a clip has poses of the camera.
+        camera: True if a clip has poses of the camera.
         objects: largest number of objects of a clip.
     """
 
@@ -82,6 +83,9 @@ class Kept:
     camera: bool
     objects: int
 
+
+Results: TypeAlias = dict[str, Result | str]
+"""Name of item -> its result, or the reason why there is none."""
 
 Accept: TypeAlias = Callable[[str, str, tuple[SourceFile, ...], float | None], bool]
 """True if an item, by its name, ``asked``, the files that were read and the rate, is done."""
@@ -98,9 +102,9 @@ class Store:
     folder: Path
     _open: dict[Path, _Pack] = field(default_factory=dict)
 
-    def find(self, accept: Accept) -> dict[str, Kept]:
+    def find(self, accept: Accept) -> dict[str, Result]:
         """Name of item -> where it is; a damaged pack is removed, and its clips are made again."""
-        packs: dict[str, Kept] = {}
+        packs: dict[str, Result] = {}
         for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
             try:
                 with _Pack(path) as pack:
@@ -114,7 +118,7 @@ class Store:
                     path.unlink()
         return packs
 
-    def remove_superseded(self, finished: Mapping[str, Kept]) -> int:
+    def remove_superseded(self, finished: Mapping[str, Result]) -> int:
         """Deletes the packs of which each item stands in another pack; returns their number.
 
         A worker of a killed run may have ended its pack while the next run made the same clips.
@@ -132,7 +136,7 @@ class Store:
                     count += 1
         return count
 
-    def read(self, stored: Kept) -> list[RobotClip]:
+    def read(self, stored: Result) -> list[RobotClip]:
         """The clips of an item.
 
         Raises:
@@ -160,17 +164,22 @@ class Store:
         self._open.clear()
 
 
-def write_pack(folder: Path, items: Sequence[Finished]) -> dict[str, Kept]:
-    """Writes a pack, whole or not at all; its name depends on what is in it.
+def write_pack(
+    folder: Path, items: Sequence[tuple[ReadClip, Sequence[RobotClip]]]
+) -> dict[str, Result]:
+    """Writes a pack, whole or not at all; its name depends on its content.
+
+    Args:
+        items: a clip of each item, for its files, and all retargeted clips of the item.
 
     Returns:
-        name of item -> where it is.
+        name of item -> its result.
 
     Raises:
         OutputError: it can't be written.
     """
-    keys = "\n".join(clip.key for item in items for clip in item.clips)
-    names = "\n".join(item.item for item in items)
+    keys = "\n".join(clip.key for _, clips in items for clip in clips)
+    names = "\n".join(source.item.name for source, _ in items)
     digest = hashlib.sha256(f"{names}\n\n{keys}".encode()).hexdigest()[:24]
     path = folder / f"{_PREFIX}{digest}.zip"
     try:
@@ -184,9 +193,9 @@ def write_pack(folder: Path, items: Sequence[Finished]) -> dict[str, Kept]:
         atomic_write(path) as file,
         zipfile.ZipFile(cast(BinaryIO, file), "w", zipfile.ZIP_STORED) as pack,
     ):
-        for item in items:
+        for source, robot_clips in items:
             clips = []
-            for clip in item.clips:
+            for clip in robot_clips:
                 config = configs.setdefault(to_json(clip.config), len(configs))
                 arrays, document = encoded(clip)
                 clips.append(
@@ -202,8 +211,8 @@ def write_pack(folder: Path, items: Sequence[Finished]) -> dict[str, Kept]:
                     with pack.open(zipfile.ZipInfo(f"{number}/{name}.npy", _DATE), "w") as member:
                         np.lib.format.write_array(member, values, allow_pickle=False)
                 number += 1
-            facts = {"asked": item.asked, "files": item.files, "rate": item.rate}
-            index.append({"item": item.item, **facts, "clips": clips})
+            facts = {"asked": source.item.asked, "files": source.files, "rate": source.rate}
+            index.append({"item": source.item.name, **facts, "clips": clips})
         content = to_json({"items": index, "configs": [*configs]})
         pack.writestr(zipfile.ZipInfo(INDEX, _DATE), content)
     return {each["item"]: _pack_entry(path, at, each["clips"]) for at, each in enumerate(index)}
@@ -257,10 +266,10 @@ def _shown(clips: Sequence[Mapping[str, Any]]) -> bool:
     return all(Path(path).exists() for clip in clips for path in clip["files"])
 
 
-def _pack_entry(path: Path, position: int, clips: Sequence[Mapping[str, Any]]) -> Kept:
+def _pack_entry(path: Path, position: int, clips: Sequence[Mapping[str, Any]]) -> Result:
     keys = [str(clip["key"]) for clip in clips]
     sides: set[Side] = {side for clip in clips for side in clip["sides"]}
-    return Kept(
+    return Result(
         path,
         position,
         keys[0] if len(keys) == 1 else key_digest(keys),

@@ -9,11 +9,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import parent_process
 from pathlib import Path
-from typing import TypeAlias
 
+from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.retargeting import Recipe, SourceFile, clip_key, retarget_clips
 from smooth_operator.datasets.sources import Item, fetched
-from smooth_operator.datasets.store import Finished, Kept, write_pack
+from smooth_operator.datasets.store import ReadClip, Results, write_pack
 from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.clip import RATE, Clip, ClipRef, clip_part, with_side
@@ -40,29 +40,6 @@ class Job:
     items: tuple[Item, ...]
     recipe: Recipe
     folder: Path
-
-
-Results: TypeAlias = dict[str, Kept | str]
-"""Name of item -> the place of its clips, or why there are none."""
-
-
-@dataclass(frozen=True)
-class ReadClip:
-    """A clip as it was read.
-
-    Attributes:
-        item: item that the clip is part of.
-        clip: hands and scene.
-        files: files that were read.
-        key: digest of all that its commands depend on.
-        rate: frames a second that the reader was given and needed [Hz].
-    """
-
-    item: Item
-    clip: Clip
-    files: tuple[SourceFile, ...]
-    key: str
-    rate: float | None = None
 
 
 def do_job(job: Job) -> Results:
@@ -95,15 +72,28 @@ def read_job(job: Job) -> tuple[list[ReadClip], dict[str, str]]:
 
 
 def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> Results:
-    """Retargets the clips of a job and writes them to a pack.
+    """Retargets the clips of a job and writes those of each item to a pack, if all succeed.
 
     Raises:
         OutputError: the pack can't be written.
     """
-    finished = _retargeted(clips, job, reasons)
-    packs = write_pack(job.folder, finished) if finished else {}
+    clips = [each for each in clips if each.item.name not in reasons]
+    answers = retarget_clips(
+        [each.clip for each in clips],
+        job.recipe,
+        [each.files for each in clips],
+        [each.key for each in clips],
+    )
+    reasons = dict(reasons)
+    items: dict[str, tuple[ReadClip, list[RobotClip]]] = {}
+    for each, answer in zip(clips, answers, strict=True):
+        if isinstance(answer, SmoothOperatorError):
+            reasons[each.item.name] = str(answer)
+        else:
+            items.setdefault(each.item.name, (each, []))[1].append(answer)
+    finished = [item for name, item in items.items() if name not in reasons]
     missing = {item.name: reasons.get(item.name, "no clip is in it") for item in job.items}
-    return {**missing, **packs}
+    return {**missing, **(write_pack(job.folder, finished) if finished else {})}
 
 
 def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
@@ -124,27 +114,6 @@ def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
         except OSError:
             return False
     return bool(files)
-
-
-def _retargeted(read: list[ReadClip], job: Job, reasons: dict[str, str]) -> list[Finished]:
-    """The items whose every clip was retargeted; the reasons of the others go into ``reasons``."""
-    read = [each for each in read if each.item.name not in reasons]
-    answers = retarget_clips(
-        [each.clip for each in read],
-        job.recipe,
-        [each.files for each in read],
-        [each.key for each in read],
-    )
-    finished: dict[str, Finished] = {}
-    for each, answer in zip(read, answers, strict=True):
-        name = each.item.name
-        if isinstance(answer, SmoothOperatorError):
-            reasons[name] = str(answer)
-            continue
-        before = finished.get(name)
-        clips = (answer,) if before is None else (*before.clips, answer)
-        finished[name] = Finished(name, each.item.asked, each.files, clips, each.rate)
-    return [one for name, one in finished.items() if name not in reasons]
 
 
 def read_item(item: Item, recipe: Recipe) -> Iterator[ReadClip]:

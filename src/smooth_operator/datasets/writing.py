@@ -16,9 +16,9 @@ import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, write_json
 from smooth_operator.datasets.clip import RobotClip
-from smooth_operator.datasets.quality import FIGURES, Dropped, Limits, select, worst
-from smooth_operator.datasets.request import DATASET, DatasetRequest
-from smooth_operator.datasets.store import Kept, Store
+from smooth_operator.datasets.quality import FIGURES, Dropped, select, worst
+from smooth_operator.datasets.request import DATASET, DatasetRequest, Limits
+from smooth_operator.datasets.store import Result, Store
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.errors import OutputError, RecordingError
 from smooth_operator.formats.clip import NOTES, SIDES
@@ -232,7 +232,7 @@ class Summary:
         cls,
         output: Path,
         shard: tuple[int, int],
-        packs: Mapping[str, Kept],
+        packs: Mapping[str, Result],
         failed: Mapping[str, str],
     ) -> Summary:
         """Summary of a run that retargets its share and writes no data set."""
@@ -260,7 +260,7 @@ class Order:
     request: DatasetRequest
     asked: RetargetRequest
     writing: WritingOptions
-    items: Sequence[tuple[str, Kept]]
+    items: Sequence[tuple[str, Result]]
     store: Path
 
     @property
@@ -270,7 +270,7 @@ class Order:
         request = self.request
         writer = WRITERS[request.format].target.partition(":")[0]
         code = [code_digest(*_CODE), outside_code(writer)]
-        return key_digest([code, Limits.of(request), request.format, self.writing, content])
+        return key_digest([code, request.limits, request.format, self.writing, content])
 
 
 @dataclass(eq=False)
@@ -354,7 +354,7 @@ def write_episodes(
             lines.write(b"".join(part.lines))
     if summary.episodes == 0 and not order.request.mirror:  # it would be taken for a data set
         shutil.rmtree(order.request.data, ignore_errors=True)
-        summary.notes += _nothing_kept(summary, figures, Limits.of(order.request))
+        summary.notes += _nothing_kept(summary, figures, order.request.limits)
     _mark(order, whole=True)
     _account(order, summary, figures)
     return summary
@@ -388,7 +388,7 @@ def _parts(order: Order) -> list[Order]:
     """Consecutive items, so many that a part has ``PART_FRAMES`` frames at least, but the last."""
     if not getattr(WRITERS.load(order.request.format), "parallel", False):
         return [order]
-    groups: list[list[tuple[str, Kept]]] = []
+    groups: list[list[tuple[str, Result]]] = []
     frames = PART_FRAMES
     for item in order.items:
         if frames >= PART_FRAMES:
@@ -420,7 +420,7 @@ def write_part(order: Order, written: Callable[[], None] = lambda: None) -> Part
     """
     request = order.request
     part = Part(Summary(request.output), items=len(order.items))
-    limits = Limits.of(request)
+    limits = request.limits
     reasons: Counter[str] = Counter()
     notes: Counter[str] = Counter()
     with (
@@ -561,7 +561,7 @@ def _account(order: Order, summary: Summary, figures: FigureTable) -> None:
         "seed": request.seed,
         "frame": order.request.frame,
         "format": order.request.format,
-        "limits": Limits.of(order.request),
+        "limits": order.request.limits,
         "figures": figures.percentiles(),
     }
     write_json(order.request.output / REPORT, content, indent=2)

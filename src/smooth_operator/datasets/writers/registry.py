@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from smooth_operator.datasets.request import DatasetRequest
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.registry import RESEARCH_PACKAGE
 from smooth_operator.plugins import Entry, Registry
@@ -51,20 +50,6 @@ class WritingOptions:
     apart: bool = False
     name: str = "smooth_operator"
     loose: bool = False
-
-    @classmethod
-    def of(cls, request: DatasetRequest) -> WritingOptions:
-        """The options of a request.
-
-        Raises:
-            ConfigError: one of them can't be.
-        """
-        return cls(
-            rate=request.fps,
-            videos=request.videos,
-            shard_mb=request.shard_mb,
-            loose=request.loose,
-        )
 
     def __post_init__(self) -> None:
         if not 0 <= self.part < self.parts:
