@@ -308,7 +308,7 @@ def test_no_permission_is_said_as_such(tmp_path):
     if os.name != "nt":
         assert "permission denied; choose a folder that you may write to" in str(denied)
     folder = output_error(tmp_path, IsADirectoryError(errno.EISDIR, "Is a directory"))
-    assert "a folder stands there" in str(folder)
+    assert "it is a folder; give the name of a file" in str(folder)
     missing = FileNotFoundError(errno.ENOENT, "No such file or directory")
     assert "no file can be made there" in str(output_error(tmp_path / "x.npz", missing))
     assert "create it first" in str(output_error(tmp_path / "a" / "x.npz", missing))

@@ -29,9 +29,9 @@ _REMEDIES = {
     errno.EACCES: "permission denied; choose a folder that you may write to",
     errno.EPERM: "permission denied; choose a folder that you may write to",
     errno.EROFS: "the file system is read-only; choose another folder",
-    errno.ENOTDIR: "a file stands where a folder is expected; choose another path",
-    errno.EISDIR: "a folder stands there; give the name of a file",
-    errno.EEXIST: "a file stands there already; choose another name, or ask to overwrite it",
+    errno.ENOTDIR: "part of the path is a file, not a folder; choose another path",
+    errno.EISDIR: "it is a folder; give the name of a file",
+    errno.EEXIST: "the file exists already; choose another name, or ask to overwrite it",
     errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
 }
 
@@ -223,11 +223,11 @@ def open_locked(path: Path, overwrite: bool) -> BinaryIO:
     If the disk can't lock (some network disks), another run is not noticed.
 
     Args:
-        overwrite: True to replace a file that stands there, unless another run writes it.
+        overwrite: True to replace an existing file, unless another run writes it.
 
     Raises:
         OutputError: another run writes the file; it is left as it is.
-        OSError: the file can't be created, or stands there already.
+        OSError: the file can't be created, or exists already.
     """
     stream = open(path, "wb" if overwrite else "xb", opener=_opened_whole)  # noqa: SIM115
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):

@@ -366,7 +366,7 @@ def check_output(request: DatasetRequest, hand: str) -> None:
     """
     if request.output.exists() and not request.output.is_dir():
         raise OutputError(
-            f"can't write into {str(request.output)!r}: a file stands there; name a folder"
+            f"can't write into {str(request.output)!r}: it is a file; name a folder"
         )
     real = request.output.resolve()
     for source in request.sources:

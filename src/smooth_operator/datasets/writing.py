@@ -509,16 +509,16 @@ def _prepare(order: Order) -> None:
     """Takes the folder of a stopped run at the same data set, or a new one.
 
     Raises:
-        OutputError: something stands there that no run has left.
+        OutputError: the folder has content that no run of this program wrote.
     """
     target = order.request.data
     state = _state(order)
     if order.request.mirror:
-        state = None  # what stands there stays until its own place is written
+        state = None  # existing files stay until new ones replace them
     elif target.exists() and state is None and any(target.iterdir()):
         raise OutputError(
-            f"can't write {str(target)!r}: it holds something that this command has not written; "
-            "give another folder to --output, or remove it first"
+            f"can't write {str(target)!r}: it has files that this command has not written; "
+            "give another folder to --output, or remove them first"
         )
     if state is not None and state.get("identity") != order.identity:
         shutil.rmtree(target, ignore_errors=True)  # other clips, limits or format: all again

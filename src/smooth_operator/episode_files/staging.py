@@ -20,7 +20,7 @@ from smooth_operator.errors import OutputError, RecordingError, SmoothOperatorEr
 def staged_file(path: Path) -> Iterator[Path]:
     """A path to write a file at, which takes its place when the block ends.
 
-    If the block raises, or the process dies, a file that stood at ``path`` is as it was. A symbolic
+    If the block raises, or the process dies, an existing file at ``path`` is unchanged. A symbolic
     link is followed, so its target is replaced and not the link.
 
     Raises:
@@ -47,11 +47,11 @@ def staged_file(path: Path) -> Iterator[Path]:
 def staged_folder(path: Path) -> Iterator[Path]:
     """A new folder to fill, which takes its place when the block ends.
 
-    A folder that stood at ``path`` is moved aside and then removed; should the process die between
+    An existing folder at ``path`` is moved aside and then removed; should the process die between
     the two moves, it is still there under a hidden name in the same folder (``.NAME.….old``).
 
     Raises:
-        OutputError: no permission, no space, or a file stands there.
+        OutputError: no permission, no space, or the path is a file.
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_dir():

@@ -74,7 +74,7 @@ class DatasetFormat:
             format began is continued. The writer is a ``ShardedWriter``, or has the same public
             methods. Raises ``MissingExtraError`` (a library is missing), ``ConfigError`` (the
             folder was begun in another format or with other options) or ``OutputError`` (something
-            else stands there, or it can't be written).
+            else is there, or it can't be written).
         parallel: parts that several writers write at a time (``part``, ``parts`` of the options)
             are one data set.
         shortest: fewest frames of a clip; one alone has no rate.

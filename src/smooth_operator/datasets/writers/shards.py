@@ -94,7 +94,7 @@ class ShardedWriter(ABC):
         self._open = False
         self._number = 0
         if output.exists() and not output.is_dir():
-            raise OutputError(f"can't write {str(output)!r}: a file stands there; name a folder")
+            raise OutputError(f"can't write {str(output)!r}: it is a file; name a folder")
         with _about(output):
             for folder in (INDEX, CONFIGURATIONS):
                 (output / folder).mkdir(parents=True, exist_ok=True)
@@ -285,11 +285,11 @@ class ShardedWriter(ABC):
                 f"{path}: can't be read ({error}); give a new folder, or remove this one"
             ) from error
         for name in sorted({*expected, *(stored if isinstance(stored, dict) else {})}):
-            mine, stood = expected.get(name), stored.get(name) if isinstance(stored, dict) else None
-            if mine != stood:
+            new, old = expected.get(name), stored.get(name) if isinstance(stored, dict) else None
+            if new != old:
                 raise ConfigError(
-                    f"{self.output} was begun with {name} = {to_json(stood)}, not {to_json(mine)}; "
-                    "go on with the same, or write to another folder"
+                    f"{self.output} was begun with {name} = {to_json(old)}, not {to_json(new)}; "
+                    "continue with the same value, or write to another folder"
                 )
 
     def _recover(self) -> None:
@@ -302,8 +302,8 @@ class ShardedWriter(ABC):
                     facts = {str(clip["key"]): _facts(clip) for clip in index["clips"]}
                 except (DocumentError, KeyError, TypeError) as error:
                     raise OutputError(
-                        f"{path}: no index of a shard ({error}); remove it, and its clips are "
-                        "written again"
+                        f"{path}: can't be read as the index of a shard ({error}); remove it, "
+                        "and its clips are written again"
                     ) from error
                 self._written |= facts.keys()
                 self._facts |= facts

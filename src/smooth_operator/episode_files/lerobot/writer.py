@@ -86,7 +86,7 @@ def write_dataset(
     """Writes a dataset; it stands at ``path`` when it is whole, and not before.
 
     Args:
-        path: the folder; one that stands there is replaced.
+        path: the folder; an existing one is replaced.
         episodes: each gives an episode when called, and the same when called again: they are looked
             at twice, so that not all need to be in memory.
         fps: frames a second; None for the median over the episodes of their mean rate, pauses left
