@@ -246,7 +246,7 @@ class ClipRef:
         name: name of the clip, unique in its source.
         path: the file or folder that holds it.
         key: part of the file, for a file that holds several.
-        layout: name of its reader in ``READERS``.
+        layout: name of its reader in ``READERS``; empty if the caller has it.
         size: bytes or frames, for the order of the work; 0 if unknown.
     """
 
