@@ -365,9 +365,7 @@ def check_output(request: DatasetRequest, hand: str) -> None:
         OutputError: with the folder.
     """
     if request.output.exists() and not request.output.is_dir():
-        raise OutputError(
-            f"can't write into {str(request.output)!r}: it is a file; name a folder"
-        )
+        raise OutputError(f"can't write into {str(request.output)!r}: it is a file; name a folder")
     real = request.output.resolve()
     for source in request.sources:
         path = Path(source).expanduser().resolve()
