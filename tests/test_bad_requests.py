@@ -19,13 +19,13 @@ from live_time import PATIENCE_S
 PAGE = """
 import sys
 import rich
-from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
+from smooth_operator.teleop.pages.viser_server import open_server, page_url
 rich.get_console().quiet = True  # viser says on it that it stops
 server = open_server(sys.argv[1], 0)
 token = page_url(sys.argv[1], server).partition("?token=")[2]
 print(server.get_port(), token, flush=True)
 sys.stdin.read()
-close_server(server)
+server.stop()
 """
 WEBXR = """
 import sys

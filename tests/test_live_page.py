@@ -40,7 +40,7 @@ from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession, RateMeter
 from smooth_operator.teleop.pages.live.stop_panel import StopPanel
-from smooth_operator.teleop.pages.viser_server import close_server, open_server, page_url
+from smooth_operator.teleop.pages.viser_server import open_server, page_url
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.recording.take_quality import take_quality
 from smooth_operator.teleop.runtime.loop import TeleopLoop
@@ -499,7 +499,7 @@ def test_elsewhere_the_page_wants_its_token():
         assert socket_status(port, "/", Cookie=cookie, Origin="https://elsewhere.example") == 403
         assert socket_status(port, "/", Cookie=cookie, Origin=f"http://127.0.0.1:{port}") == 101
     finally:
-        close_server(server)
+        server.stop()
 
 
 def test_the_redirect_with_the_cookie_stays_on_the_server():
@@ -512,7 +512,7 @@ def test_the_redirect_with_the_cookie_stays_on_the_server():
             assert status == 303, path
             assert headers["location"].lstrip("/\\") == headers["location"][1:], path
     finally:
-        close_server(server)
+        server.stop()
 
 
 def test_here_other_pages_of_the_same_browser_are_kept_out():
@@ -529,7 +529,7 @@ def test_here_other_pages_of_the_same_browser_are_kept_out():
         assert fetch(port, **rebound)[0] == 403
         assert socket_status(port, **rebound, Origin=f"http://elsewhere.example:{port}") == 403
     finally:
-        close_server(server)
+        server.stop()
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
@@ -552,7 +552,7 @@ def test_no_page_can_frame_it(host):
             assert "frame-ancestors 'none'" in headers["content-security-policy"]
         assert "default-src 'self'" in page["content-security-policy"]
     finally:
-        close_server(server)
+        server.stop()
 
 
 class Talk:
@@ -781,7 +781,7 @@ def test_what_others_worded_is_shown_and_never_run(chromium, stage, tmp_path):
             page.get_by_role("tab", name="View").click()
             page.get_by_text(f"{ATTACK} note").first.wait_for()
     finally:
-        close_server(server)
+        server.stop()
 
 
 @pytest.mark.browser
@@ -914,7 +914,7 @@ def test_a_scene_begins_without_a_stray_finger_and_with_one_floor():
         arm = LiveScene(server, hands, False, arm=ArmSettings("ur5e"), root="/second")
         assert not arm._floor.visible  # the arm's room has its own
     finally:
-        close_server(server)
+        server.stop()
 
 
 def test_a_browser_gets_the_stop_while_the_hand_is_loaded(monkeypatch):
@@ -932,7 +932,7 @@ def test_a_browser_gets_the_stop_while_the_hand_is_loaded(monkeypatch):
         page = LiveDrawing(server, link, setup, StopPanel(server, link.do, attended=True))
         page._change({**setup, "hand": "leap_hand"})
     finally:
-        close_server(server)
+        server.stop()
     assert held_back == [0, 0]
 
 
@@ -963,7 +963,7 @@ def test_after_another_hand_an_open_page_shows_what_a_new_one_shows(chromium):
         for page in pages:
             page.close()
     finally:
-        close_server(server)
+        server.stop()
 
 
 @pytest.mark.browser

@@ -32,7 +32,7 @@ from smooth_operator.teleop.pages.live.live_page import PageSetup
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.player import Playback, _views
 from smooth_operator.teleop.pages.scene import RobotLooks
-from smooth_operator.teleop.pages.viser_server import close_server, open_server
+from smooth_operator.teleop.pages.viser_server import open_server
 from smooth_operator.types import CommandTrajectory, Side
 
 HANDS: tuple[tuple[str, Side, str], ...] = (
@@ -230,7 +230,7 @@ def test_teleop_draws_the_vendors_meshes_on_its_page(tmp_path, monkeypatch, caps
             shown = palm.xmat.reshape(3, 3).T @ (robot.data.xpos[theirs] - palm.xpos)
             np.testing.assert_allclose(shown, mine, atol=1e-6)
     finally:
-        close_server(server)
+        server.stop()
 
 
 @pytest.mark.shared
@@ -298,7 +298,7 @@ def test_meshes_are_drawn_where_they_are_here_and_can_be_switched(root):
         assert {n.visible for n in real.first.nodes.values()} == {False}
         assert {n.visible for n in before.first.nodes.values()} == {True}
     finally:
-        close_server(server)
+        server.stop()
 
 
 def test_a_player_has_both_in_one_place(root, tmp_path):
@@ -343,7 +343,7 @@ def test_a_player_has_both_in_one_place(root, tmp_path):
             assert {n.visible for n in real.nodes.values()} == {visible}
             assert {n.visible for n in simple.nodes.values()} == {not visible}
     finally:
-        close_server(server)
+        server.stop()
 
 
 def test_damaged_meshes_leave_the_simple_shapes(root, capsys):

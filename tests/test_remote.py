@@ -37,7 +37,7 @@ from smooth_operator.teleop.pages.live.live_panel import LivePanel
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import LiveSession
 from smooth_operator.teleop.pages.live.stop_panel import StopPanel
-from smooth_operator.teleop.pages.viser_server import close_server, open_server
+from smooth_operator.teleop.pages.viser_server import open_server
 from smooth_operator.teleop.recording import read_log
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 from smooth_operator.teleop.runtime.pipeline import HandPipeline
@@ -337,7 +337,7 @@ def test_blind_the_panel_has_no_switch(stage):
         assert not hasattr(panel, "_method")
         assert not sent
     finally:
-        close_server(server)
+        server.stop()
 
 
 def test_blind_the_terminal_does_not_name_it(capsys, tmp_path):

@@ -24,7 +24,7 @@ from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.pages.hand_view import HandView
 from smooth_operator.teleop.pages.live.live_scene import LiveScene
 from smooth_operator.teleop.pages.live.live_session import Scenery
-from smooth_operator.teleop.pages.viser_server import close_server, open_server
+from smooth_operator.teleop.pages.viser_server import open_server
 from smooth_operator.teleop.sinks.simulation import Simulation
 from smooth_operator.types import Side
 
@@ -345,7 +345,7 @@ def page() -> Iterator[tuple[viser.ViserServer, LiveScene]]:
 
     server.on_client_connect(greet)
     yield server, scene
-    close_server(server)
+    server.stop()
 
 
 def looked(simulation: Simulation, sides: tuple[Side, ...] = SIDES, known: int = 0) -> Any:
@@ -478,7 +478,7 @@ def test_the_places_of_the_fingertips_are_marked():
         scene.set_keyvectors(False)
         assert not marks._balls.visible
     finally:
-        close_server(server)
+        server.stop()
 
 
 def test_the_forearm_is_cut_off_and_the_picture_holds_the_label():

@@ -365,7 +365,7 @@ def test_the_view(name, side):
     right, up, toward = view.axes
     np.testing.assert_allclose(np.cross(right, up), toward, atol=1e-9)
     # to who looks at the palm, a right hand's thumb is on the right
-    points = dict(zip(hand.tree.names, view.landmarks(hand.neutral), strict=True))
+    points = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
     across = (points["thumb_tip"] - points[hand.tip_names[-1]]) @ right
     assert across * (1 if side == "right" else -1) > 0
     assert set(view.finger_of_body[list(view.meshes)]) == {-1, *range(len(hand.fingers))}

@@ -401,7 +401,7 @@ def test_finger_colors_differ_for_the_colour_blind():
 
 def test_the_scene_shows_the_kinematics_of_its_frame(server, playback):
     robot, row = server._scene.robots[0], server._scene.row
-    tips, joints = row.tips["robot_0"].node, row.human._joints
+    tips, joints = row.tips["robot_0"], row.human._joints
     server.set_frame(40)
     eventually(lambda: np.allclose(tips.batched_positions, playback.trace.robot_tips[40]))
     eventually(lambda: server._panel._slider.value == 40)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http
 from collections.abc import Callable, Mapping
 from importlib import resources
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Final
 
 from smooth_operator.web.auth import well_formed
@@ -26,16 +27,28 @@ _HEADERS: Final = {
     "X-Frame-Options": "DENY",
 }
 _BARE: Final = "default-src 'none'; frame-ancestors 'none'"
-"""Policy of a response that is no page: it loads nothing, and no page frames it."""
+"""Policy of a response that is not a page: it loads nothing, and no page frames it."""
 
 
 def page_files(package: str, folder: str = "page") -> dict[str, tuple[bytes, str]]:
     """Path -> (content, type) of all files of a page."""
     return {
-        f"/{file.name}": (file.read_bytes(), _TYPES[f".{file.name.rsplit('.')[-1]}"])
+        f"/{file.name}": (file.read_bytes(), _TYPES[suffix])
         for file in (resources.files(package) / folder).iterdir()
-        if f".{file.name.rsplit('.')[-1]}" in _TYPES
+        if (suffix := PurePath(file.name).suffix) in _TYPES
     }
+
+
+def file_response(
+    connection: ServerConnection, status: http.HTTPStatus, body: bytes, kind: str
+) -> Response:
+    """Response with a file of a media type."""
+    response = connection.respond(status, "")
+    response.body = body
+    for name, value in {"Content-Type": kind, "Content-Length": str(len(body))}.items():
+        del response.headers[name]
+        response.headers[name] = value
+    return response
 
 
 def answer_with(
@@ -51,11 +64,7 @@ def answer_with(
     Args:
         links: schemes of WebSockets, which older Safaris don't count as ``'self'``.
     """
-    response = connection.respond(http.HTTPStatus.OK, "")
-    response.body = body
-    for name, value in {"Content-Type": kind, "Content-Length": str(len(body))}.items():
-        del response.headers[name]
-        response.headers[name] = value
+    response = file_response(connection, http.HTTPStatus.OK, body, kind)
     policy = (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
         f"connect-src 'self' {links}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"

@@ -1,7 +1,7 @@
-"""The port of a page, in front of viser's: checks every request, adds scripts, passes on the rest.
+"""Port of a page in front of viser's: it checks each request, adds scripts and relays the rest.
 
-viser has no option for either. So it listens on an address of this machine that nothing else knows,
-and a server of this package stands before it.
+viser has no option for either. So viser listens on a loopback address that nothing else knows, and
+a server of this package stands before it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from smooth_operator.web.auth import TokenAuth
-from smooth_operator.web.files import shielded
+from smooth_operator.web.files import file_response, shielded
 from smooth_operator.web.listening import quiet_options
 
 ALIVE_PATH: Final = "/alive"
@@ -38,41 +38,37 @@ _POLICY: Final = (
     "connect-src 'self' data: blob: ws: wss:; frame-src 'none'; object-src 'none'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""viser's page is one file with its script in it, and makes WebAssembly and workers from that. It
-loads nothing from elsewhere, and no page frames it."""
-_LARGEST: Final = 50 << 20
-"""Largest message [bytes], as viser's own."""
+"""viser's page is one file with its script, from which it makes WebAssembly and workers. It loads
+nothing from elsewhere, and no page frames it."""
+_LARGEST: Final = 50 << 20  # size of the largest message [bytes], as in viser
 
 
 def hidden_address() -> str:
-    """A loopback address that other programs can't guess; macOS has only the usual one.
-
-    A page of another origin in this machine's browsers reaches loopback addresses, too.
-    """
-    if sys.platform == "darwin":
+    """A random loopback address, since a foreign page in a browser here can try the usual one."""
+    if sys.platform == "darwin":  # which has only the usual one
         return "127.0.0.1"
     return ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
 
 
 class GuardedServer(viser.ViserServer):
-    """A server of viser behind a port that asks for a token, or for a browser of this machine.
+    """A viser server behind a port that asks for a token, or for a browser of this machine.
 
     Args:
         host: address to listen on.
         port: a free port.
-        auth: what refuses a request.
-        alive: answer to ``ALIVE_PATH``; from a thread of the server.
+        auth: check of each request.
+        alive: answer to ``ALIVE_PATH``, called from a thread of the server.
 
     Attributes:
         front: the port.
-        tab: the element that holds the title of the browser's tab; None before there is one.
+        tab: element with the title of the browser's tab; None before there is one.
     """
 
     def __init__(
         self, host: str, port: int, auth: TokenAuth, alive: Callable[[], bool] = lambda: True
     ) -> None:
         hidden = hidden_address()
-        with rich.get_console().capture():  # of this thread alone: viser prints where it listens
+        with rich.get_console().capture():  # viser prints its address; captures this thread only
             super().__init__(host=hidden, port=0, verbose=False)
         self.tab: viser.GuiHtmlHandle | None = None
         self.front = Front((host, port), (hidden, super().get_port()), auth, alive)
@@ -88,18 +84,11 @@ class GuardedServer(viser.ViserServer):
 
 
 class Front:
-    """A port that passes on to another one what it doesn't refuse or answer itself.
-
-    Args:
-        place: host and port to listen on.
-        behind: host and port of viser.
-        auth: what refuses a request.
-        alive: answer to ``ALIVE_PATH``; from the front's thread.
+    """The port: answers or refuses a request, or relays it to viser at ``behind`` (host, port).
 
     Attributes:
-        port: as given.
-        token: of the page; None if only this machine can connect.
-        scripts: run in every browser that opens the page.
+        token: token of the page; None if only this machine can connect.
+        scripts: scripts that run in each browser that opens the page.
     """
 
     def __init__(
@@ -160,28 +149,23 @@ class Front:
         return None if "Upgrade" in request.headers else self._page(connection, request.path)
 
     def _page(self, connection: ServerConnection, path: str) -> Response:
-        """A file of viser's page; scripts stand at the beginning of the page itself."""
+        """A file of viser's page, with the scripts at the beginning of the page itself."""
         viser_port = http.client.HTTPConnection(*self._behind, timeout=10.0)
         with contextlib.closing(viser_port):
             viser_port.request("GET", path)
-            found = viser_port.getresponse()
-            kind, body = found.headers.get_content_type(), found.read()
+            reply = viser_port.getresponse()
+            kind, body = reply.headers.get_content_type(), reply.read()
         if kind == "text/html":
             scripts = (f"<script>{each}</script>" for each in self.scripts)
             body = body.replace(b"<head>", "".join(["<head>", *scripts]).encode(), 1)
-        response = connection.respond(http.HTTPStatus(found.status), "")
-        response.body = body
-        for name, value in {"Content-Type": kind, "Content-Length": str(len(body))}.items():
-            del response.headers[name]
-            response.headers[name] = value
-        return response
+        return file_response(connection, http.HTTPStatus(reply.status), body, kind)
 
     async def _relay(self, client: ServerConnection) -> None:
-        """Passes messages on in both directions, until one end closes."""
+        """Relays messages in both directions until one end closes."""
         protocol = client.subprotocol
         async with connect(
             f"ws://{self._behind[0]}:{self._behind[1]}/",
-            sock=socket.create_connection(self._behind),  # by no proxy
+            sock=socket.create_connection(self._behind),  # without a proxy
             subprotocols=None if protocol is None else [protocol],
             compression=None,
             max_size=None,
@@ -204,14 +188,14 @@ async def _pass_on(source: Any, target: Any, passes: Callable[[str | bytes], boo
 
 
 def _is_message(message: str | bytes) -> bool:
-    """Whether viser can read a message; it would print a traceback for another."""
+    """True if viser can read a message. It would print a traceback for another one."""
     with contextlib.suppress(msgspec.DecodeError, TypeError):
         return isinstance(message, bytes) and "type" in msgspec.msgpack.decode(message)
     return False
 
 
 def _not_a_client(connection: Any, request: Any) -> Any:
-    """Refuses a WebSocket that is not of a page of viser, which would print a line for it."""
+    """Refuses a WebSocket that no viser page opens. viser would print a line for it."""
     protocols = request.headers.get_all("Sec-WebSocket-Protocol")
     if "Upgrade" not in request.headers or any("viser-v" in each for each in protocols):
         return None

@@ -1,4 +1,4 @@
-"""A browser page of one robot hand: shape, landmarks, palm frame, and a slider for every joint."""
+"""Browser page of one robot hand: shape, landmarks, palm frame, and a slider for each joint."""
 
 from __future__ import annotations
 
@@ -23,15 +23,13 @@ _TRANSLUCENT: Final = 0.5  # opacity of the shape, so that landmarks inside it a
 
 
 class HandPage(PageServer):
-    """Serves the page. Use as a context manager, or call ``start`` and ``stop``.
+    """Serves the page; see ``PageServer``.
 
     Args:
         hand: the robot hand.
-        notes: a line of text to put first in the panel.
-        drawn: the same hand on a model with its meshes, with the same joints by name, in any order;
-            simple shapes if left out. With it, a switch shows either.
-        host: address to listen on; another than this machine's own wants the token in the URL.
-        port: first port to try; 0 for any free one.
+        notes: first line of text in the panel.
+        drawn: the same hand on a model with meshes and the same joint names, in any order. With it
+            a switch shows meshes or simple shapes; None for simple shapes alone.
     """
 
     def __init__(
@@ -49,7 +47,7 @@ class HandPage(PageServer):
         self._view = HandView(hand, simple=True)
         self._drawn = [self._view] if drawn is None else [HandView(drawn), self._view]
         self._q = hand.neutral.copy()
-        self._lock = threading.Lock()  # viser answers its controls on several threads
+        self._lock = threading.Lock()  # viser calls back on several threads
 
     @property
     def title(self) -> str:
@@ -63,23 +61,19 @@ class HandPage(PageServer):
 
     @property
     def joint_positions(self) -> Float[np.ndarray, " m"]:
-        """(m,) positions of the actuated joints that are shown [rad]."""
+        """(m,) positions of the actuated joints on the page [rad]."""
         with self._lock:
             return self._q.copy()
 
     def set_joint(self, index: int, position: float) -> None:
-        """Moves an actuated joint, within its limits.
-
-        Args:
-            position: [rad].
-        """
+        """Moves an actuated joint to a position [rad] within its limits."""
         with self._lock:
             low, high = self.hand.limits[index]
             self._q[index] = np.clip(position, low, high)
             self._draw()
 
     def reset(self) -> None:
-        """Back to the neutral pose."""
+        """Returns to the neutral pose."""
         for slider, position in zip(self._sliders, self.hand.neutral, strict=True):
             slider.value = float(position)
         with self._lock:
@@ -95,7 +89,7 @@ class HandPage(PageServer):
         self._robot = RobotLooks(scene, self.hand, self._drawn, "/hand")
         self._robot.show(opacity=_TRANSLUCENT)
         names, bones = self.hand.tree.names, view.bones()
-        points = view.landmarks(self._q)
+        points = self.hand.landmark_positions(self._q)
         shades = np.tile(np.array([[40, 40, 40]], np.uint8), (len(points), 1))
         for finger, _, end in bones:
             shades[end] = colors[finger]
@@ -149,7 +143,7 @@ class HandPage(PageServer):
             rows = joint_rows(hand)
             gui.add_button("Neutral pose").on_click(lambda _: self.reset())
             self._sliders = []
-            # Many makers number their joints: a group says which finger one moves.
+            # Many makers number their joints, so a folder has the name of the finger.
             groups = itertools.groupby(enumerate(hand.actuated), lambda each: self._part(each[1]))
             for part, joints in groups:
                 with gui.add_folder(part):
@@ -203,7 +197,7 @@ class HandPage(PageServer):
     def _draw(self) -> None:
         every = self.hand.full_configuration(self._q)
         self._robot.draw(every)
-        points = self._view.landmarks(self._q)
+        points = self.hand.landmark_positions(self._q)
         self._balls.batched_positions = points
         self._lines.points = np.stack([points[[a, b]] for _, a, b in self._view.bones()])
         for label, point in zip(self._labels, points, strict=True):
@@ -222,18 +216,10 @@ def serve_hand(
     open_browser: bool = True,
     block: bool = True,
 ) -> HandPage:
-    """Show a hand in the browser.
-
-    Args:
-        notes: a line of text to put first in the panel.
-        drawn: the same hand on a model with its meshes; simple shapes if left out.
-        host: address to listen on; this machine only by default.
-        port: first port to try; the one that was free is printed.
-        open_browser: open the page, where there is a desktop to open it on.
-        block: return only after Ctrl-C; otherwise immediately, and the caller stops the page.
+    """Shows a hand in the browser; see ``HandPage`` and ``serve_page`` for the arguments.
 
     Raises:
-        ConfigError: if the address is not one of this machine's, or no port is free.
+        ConfigError: the address is not one of this machine's, or no port is free.
     """
     page = HandPage(hand, notes, drawn=drawn, host=host, port=port).start()
     return serve_page(page, f"showing {hand.name} at", open_browser=open_browser, block=block)

@@ -116,7 +116,7 @@ def _draw_hand(
                 linewidths=0.3,
             )
         )
-    points = view.landmarks(q) @ directions.T * 1e3
+    points = view.hand.landmark_positions(q) @ directions.T * 1e3
     bones = view.bones()
     axes.add_collection(
         LineCollection(

@@ -1,4 +1,4 @@
-"""Look of a robot hand for pages and pictures: axes, parts, colours, place, and a camera."""
+"""Shape, colours and axes of a robot hand for pages and pictures, and the camera that sees it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from trimesh.graph import smooth_shade
 
 from smooth_operator import landmarks
 from smooth_operator.hands.capsules import hand_capsules
-from smooth_operator.hands.collision import Capsule
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.retargeting.flat_hand import human_palm_axes
@@ -26,44 +25,36 @@ if TYPE_CHECKING:
 
 
 class HandView:
-    """A hand that can be posed and looked at; everything is in the palm frame [m].
+    """Surfaces of a robot hand and their poses in the palm frame [m].
 
     Args:
         hand: the robot hand.
-        simple: draw simple shapes, though the model may have meshes. A model without any shape is
-            drawn by estimated ones.
+        simple: use simple shapes even if the model has meshes. A model without shapes always gets
+            estimated ones.
     """
 
     def __init__(self, hand: Hand, *, simple: bool = False) -> None:
         self.hand = hand
         self._data = mujoco.MjData(hand.model)
         self._palm = hand.model.body(hand.spec.palm).id
-        self.meshes: dict[int, trimesh.Trimesh] = (
-            {} if simple else body_meshes(hand.model, hand.bodies)
-        )
-        self.meshes = self.meshes or simple_meshes(hand)
+        meshes = {} if simple else body_meshes(hand.model, hand.bodies)
+        self.meshes = meshes or _simple_meshes(hand)
         self.finger_of_body = finger_of_body(hand)
 
     @property
     def axes(self) -> Float[np.ndarray, "3 3"]:
-        """Rows: right, up and toward the viewer, of a viewer who looks at the palm.
-
-        Up is distal, as the human palm lies when it is aligned to the robot's.
-        """
+        """Rows right, up (distal) and toward a viewer who looks at the palm."""
         distal, radial, palmar = human_palm_axes(self.hand)
-        # The thumb of a right hand points to the right of who looks into its palm.
+        # A viewer of the palm of a right hand has its thumb on the right.
         right = radial if self.hand.spec.side == "right" else -radial
         return np.stack([right, distal, palmar])
 
     def bodies(
         self, q: Float[np.ndarray, " m"]
     ) -> dict[int, tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]]:
-        """Rotation and position of every body that has a mesh.
-
-        Args:
-            q: (m,) actuated joint positions [rad].
-        """
-        self._pose(self.hand.full_configuration(q))
+        """Rotation and position of each body with a mesh, at actuated joint positions q [rad]."""
+        self._data.qpos[:] = self.hand.qpos(self.hand.full_configuration(q))
+        mujoco.mj_kinematics(self.hand.model, self._data)
         rotation = self._data.xmat.reshape(-1, 3, 3)
         palm, origin = rotation[self._palm], self._data.xpos[self._palm]
         return {
@@ -74,12 +65,10 @@ class HandView:
     def without_forearm(
         self, below: float, distal: Float[np.ndarray, "3"]
     ) -> dict[int, trimesh.Trimesh]:
-        """The surfaces, cut off across the forearm; a body that is all forearm has none.
-
-        Fingers stay whole.
+        """The meshes, with the forearm cut off.
 
         Args:
-            below: length of the palm's bodies below the wrist that stays [m].
+            below: length that remains below the wrist [m].
             distal: unit vector along the forearm, toward the fingers.
         """
         poses, point = self.bodies(self.hand.neutral), self.hand.wrist - below * distal
@@ -101,12 +90,8 @@ class HandView:
                 cut[body] = mesh
         return cut or self.meshes
 
-    def landmarks(self, q: Float[np.ndarray, " m"]) -> Float[np.ndarray, "k 3"]:
-        """(k, 3) landmarks, in the order of ``hand.tree.names``."""
-        return self.hand.landmark_positions(q)
-
     def bones(self) -> list[tuple[int, int, int]]:
-        """(finger, from, to) of the lines between landmarks, as indices into them."""
+        """(finger, from, to) of each line between landmarks, as indices into ``hand.tree``."""
         names = self.hand.tree.names
         lines = []
         for number, finger in enumerate(self.hand.fingers):
@@ -116,62 +101,47 @@ class HandView:
             lines += [(number, a, b) for a, b in pairwise(at)]
         return lines
 
-    def _pose(self, every: Float[np.ndarray, " n"]) -> None:
-        self._data.qpos[:] = self.hand.qpos(every)
-        mujoco.mj_kinematics(self.hand.model, self._data)
+
+_Parts = dict[int, list[trimesh.Trimesh]]  # body -> its surfaces
 
 
-def simple_meshes(hand: Hand) -> dict[int, trimesh.Trimesh]:
-    """The surfaces of a hand's parts as self-collision knows them, by body, in its frame [m].
+def _merged(parts: _Parts) -> dict[int, trimesh.Trimesh]:
+    """Body -> all its surfaces as one mesh."""
+    merge: Any = trimesh.util.concatenate  # untyped: returns a mesh for meshes
+    return {body: merge(pieces) for body, pieces in parts.items()}
 
-    The capsules of one shape are drawn as one.
-    """
-    shapes: dict[tuple[int, int], list[Capsule]] = {}
+
+def _simple_meshes(hand: Hand) -> dict[int, trimesh.Trimesh]:
+    """Body -> hulls of its self-collision capsules, one hull for each shape, in its frame [m]."""
+    shapes: dict[tuple[int, int], list[Float[np.ndarray, "n 3"]]] = {}
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0).vertices
     for number, capsule in enumerate(hand_capsules(hand)):
         if capsule.radius > _VISIBLE:
             own = capsule.geom if capsule.geom >= 0 else -1 - number
-            shapes.setdefault((capsule.body, own), []).append(capsule)
-    parts: dict[int, list[trimesh.Trimesh]] = {}
-    for (body, _), capsules in shapes.items():
-        parts.setdefault(body, []).append(_surface(capsules))
-    merged: dict[int, trimesh.Trimesh] = {}
-    for body, pieces in parts.items():
-        whole: Any = trimesh.util.concatenate(pieces)  # of meshes, it returns a mesh
-        merged[body] = whole
-    return merged or body_meshes(hand.model, hand.bodies)
+            points = [end + capsule.radius * ball for end in capsule.ends]
+            shapes.setdefault((capsule.body, own), []).extend(points)
+    parts: _Parts = {}
+    for (body, _), corners in shapes.items():
+        parts.setdefault(body, []).append(trimesh.convex.convex_hull(np.concatenate(corners)))
+    return _merged(parts) or body_meshes(hand.model, hand.bodies)
 
 
 _VISIBLE: Final = 1e-4  # radius of the smallest capsule that is drawn [m]
-
-
-def _surface(capsules: list[Capsule]) -> trimesh.Trimesh:
-    """The hull of capsules."""
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0).vertices
-    points = [end + capsule.radius * ball for capsule in capsules for end in capsule.ends]
-    hull: trimesh.Trimesh = trimesh.convex.convex_hull(np.concatenate(points))
-    return hull
-
-
-VISIBLE_GROUPS = 3
-"""MuJoCo's viewer shows geom groups 0, 1 and 2; collision shapes are usually in group 3."""
-
+_VISIBLE_GROUPS: Final = 3  # as in MuJoCo's viewer; collision shapes are usually in group 3
 _CREASE = np.deg2rad(35.0)
-"""Edges sharper than this are drawn as edges; a CAD part with averaged normals looks inflated."""
+"""Smallest angle of an edge that is drawn as one; averaged normals make CAD parts look inflated."""
 
-MOST_FACES = 20_000
-"""Triangles of one part of a model; what has more is made coarser. A browser draws every triangle
-in every picture, and LEAP's published parts have up to 87,000."""
+_MOST_FACES = 20_000
+"""Largest number of triangles of a part. A browser draws each triangle in each picture, and LEAP's
+published parts have up to 87,000."""
 
 _SPECK = 5e-4
-"""Parts smaller than this [m] are left out: real models hold stray specks, and in millimetres
-taken for metres, far from where they belong; they would count for the framing of the picture."""
+"""Size of the smallest part that is drawn [m]. Some published models have stray specks far from the
+hand, which would widen the picture."""
 
 
 def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """The surface of one geom in its own frame [m]; None for shapes without a finite surface.
-
-    Planes, height fields and signed distance fields are left out: they are scenery, not hand.
-    """
+    """Surface of a geom in its frame [m]; None for planes, height fields and distance fields."""
     size = model.geom_size[geom]
     kind = int(model.geom_type[geom])
     kinds = mujoco.mjtGeom
@@ -183,7 +153,7 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
         mesh.apply_scale(size)
     elif kind == kinds.mjGEOM_CAPSULE:  # size: radius, half-length of the straight part
         mesh = trimesh.creation.capsule(height=2 * size[1], radius=size[0], count=[24, 24])
-        # trimesh releases differ in where they put the origin; MuJoCo's is the middle
+        # releases of trimesh differ in the origin; MuJoCo's is the middle
         mesh.apply_translation(-mesh.bounds.mean(axis=0))
     elif kind == kinds.mjGEOM_CYLINDER:
         mesh = trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=32)
@@ -197,22 +167,19 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
 def body_meshes(
     model: mujoco.MjModel, bodies: Bool[np.ndarray, " nbody"] | None = None
 ) -> dict[int, trimesh.Trimesh]:
-    """One merged mesh per body that has something to draw, in the body's frame [m].
+    """Body -> mesh of its geoms in its frame [m].
 
-    Geoms of the visible groups are taken; if the model has none of those, all geoms are. Vertices
-    are split along sharp edges, so that averaged vertex normals shade both curves and corners.
+    Uses the geoms of the visible groups or, if there are none, all. Vertices are split along sharp
+    edges, so that averaged normals shade both curves and corners.
 
     Args:
-        bodies: (nbody,) which to look at; all if left out.
-
-    Returns:
-        Body index -> mesh.
+        bodies: (nbody,) True for the bodies to use; None for all.
     """
     own = np.ones(model.ngeom, bool) if bodies is None else bodies[model.geom_bodyid]
-    shown = own & (model.geom_group < VISIBLE_GROUPS)
+    shown = own & (model.geom_group < _VISIBLE_GROUPS)
     if not shown.any():
         shown = own
-    parts: dict[int, list[trimesh.Trimesh]] = {}
+    parts: _Parts = {}
     assets: dict[int, trimesh.Trimesh | None] = {}  # phalanges often share a file
     for geom in np.flatnonzero(shown):
         asset = int(model.geom_dataid[geom])
@@ -230,18 +197,13 @@ def body_meshes(
         pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
         placed = shaded.copy().apply_transform(pose)
         parts.setdefault(int(model.geom_bodyid[geom]), []).append(placed)
-    merged: dict[int, trimesh.Trimesh] = {}
-    for body, pieces in parts.items():
-        whole: Any = trimesh.util.concatenate(pieces)  # of meshes, it returns a mesh
-        merged[body] = whole
-    return merged
+    return _merged(parts)
 
 
 def finger_of_body(hand: Hand) -> Int[np.ndarray, " nbody"]:
-    """(nbody,) index of the finger of each body, -1 for the palm and everything else.
+    """(nbody,) index of the finger of each body, -1 for the palm and all other bodies.
 
-    A finger is the chain from its tip's body up to the first body that others share, with all that
-    is fixed to it.
+    A finger is the chain from its tip's body up to the first shared body, with all children.
     """
     model, points = hand.model, landmark_points(hand.model, hand.spec)
     chains = [_chain(model, points[name][0]) for name in hand.tip_names]
@@ -249,7 +211,7 @@ def finger_of_body(hand: Hand) -> Int[np.ndarray, " nbody"]:
     owner = np.full(model.nbody, -1)
     for finger, chain in enumerate(chains):
         owner[list(chain.difference(palm, *chains[:finger], *chains[finger + 1 :]))] = finger
-    for body in range(1, model.nbody):  # parents first: what is fixed beyond the last joint, too
+    for body in range(1, model.nbody):  # parents come first; includes bodies beyond the tip
         if owner[body] < 0:
             owner[body] = owner[model.body_parentid[body]]
     return owner
@@ -275,30 +237,26 @@ def _asset(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
     return coarser(surface)
 
 
-def coarser(mesh: trimesh.Trimesh, most: int = MOST_FACES) -> trimesh.Trimesh:
-    """A surface of at most so many triangles: vertices in one cell of a grid become their mean.
+def coarser(mesh: trimesh.Trimesh, most: int = _MOST_FACES) -> trimesh.Trimesh:
+    """A surface with at most so many triangles: replaces vertices in a grid cell by their mean.
 
     Source: Rossignac and Borrel, "Multi-resolution 3D approximations" (1993).
-
-    Args:
-        mesh: the surface; returned as it is if it has no more.
-        most: number of triangles.
     """
     if len(mesh.faces) <= most:
         return mesh
-    # a closed surface has about two triangles to a cell that it passes
+    # a closed surface has about two triangles in each cell that it passes
     cell = float(np.sqrt(2 * mesh.area / most))
     while True:
         grid = np.floor((mesh.vertices - mesh.bounds[0]) / cell).astype(np.int64)
-        _, of, count = np.unique(grid, axis=0, return_inverse=True, return_counts=True)
-        of = of.reshape(-1)
-        faces = of[mesh.faces]
+        _, cells, count = np.unique(grid, axis=0, return_inverse=True, return_counts=True)
+        cells = cells.reshape(-1)
+        faces = cells[mesh.faces]
         a, b, c = faces.T
         faces = faces[(a != b) & (b != c) & (c != a)]
         if len(faces) <= most:
             break
         cell *= 1.25
-    means = np.stack([np.bincount(of, column) for column in mesh.vertices.T], axis=1)
+    means = np.stack([np.bincount(cells, column) for column in mesh.vertices.T], axis=1)
     coarse = trimesh.Trimesh(means / count[:, None], faces, process=False)
     coarse.update_faces(coarse.unique_faces())
     coarse.remove_unreferenced_vertices()
@@ -310,25 +268,24 @@ Rgb = tuple[int, int, int]
 FINGER_COLORS: Final[tuple[Rgb, ...]] = tuple(
     (int(code[1:3], 16), int(code[3:5], 16), int(code[5:7], 16)) for code in landmarks.FINGER_COLORS
 )
-"""One colour per finger, thumb first."""
+"""Colour of each finger, thumb first."""
 HIGHLIGHT: Final[Rgb] = (240, 228, 66)
-"""A pinching fingertip."""
+"""Colour of a pinching fingertip."""
 SIMULATED: Final[Rgb] = (240, 228, 66)
-"""Colour of the second of two robot hands in one place, seen only where it differs."""
+"""Colour of the second of two robot hands in one place, visible only where it differs."""
 PALM: Final[Rgb] = (205, 205, 212)
-"""Palm, wrist and whatever belongs to no finger."""
+"""Colour of palm, wrist and all bodies that belong to no finger."""
 
 
 def finger_colors(count: int) -> UInt8[np.ndarray, "F 3"]:
-    """(F, 3) colours of the first ``count`` fingers, repeating after five."""
+    """(F, 3) colours of the first ``count`` fingers; they repeat after five."""
     return np.array([FINGER_COLORS[i % len(FINGER_COLORS)] for i in range(count)], np.uint8)
 
 
 def linear(colors: UInt8[np.ndarray, "*n 3"]) -> UInt8[np.ndarray, "*n 3"]:
-    """sRGB colours [0..255] in linear light, also [0..255].
+    """sRGB colours as linear light, both 0 to 255.
 
-    viser's browser side takes per-instance and per-vertex colours for linear and per-node colours
-    for sRGB; only with this do both show the same colour.
+    viser reads the colours of instances and vertices as linear, those of nodes as sRGB.
     """
     value = np.asarray(colors, np.float64) / 255
     light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
@@ -341,29 +298,28 @@ def css(color: Rgb | UInt8[np.ndarray, "3"]) -> str:
 
 
 GAP = 0.03
-"""Free space between the two hands when they stand side by side [m]."""
+"""Free space between two hands side by side [m]."""
 FOV = float(np.deg2rad(32.0))
-"""Vertical field of view [rad]; narrow, so that the two hands are seen from the same side."""
-
+"""Vertical field of view [rad]; narrow, so that both hands are seen from nearly one direction."""
 FOREARM = 0.03
-"""Length below the wrist that is drawn and framed [m]."""
+"""Length below the wrist that is in the picture [m]."""
 
 _MARGIN = 1.1
-_LABEL = 0.012  # label above the highest fingertip [m]
-_SNAP = np.cos(np.deg2rad(30.0))  # an axis within this of a model axis is that axis
-_TILT = np.deg2rad(8.0)  # camera a little off the palm normal: depth can be read
+_LABEL = 0.012  # height of a label above the highest fingertip [m]
+_SNAP = np.cos(np.deg2rad(30.0))  # a direction closer than this to a model axis becomes that axis
+_TILT = np.deg2rad(8.0)  # angle between camera and palm normal, which shows depth
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where each hand goes when they stand side by side, in the palm frame.
+    """Places of hands side by side, in the palm frame.
 
     Attributes:
-        human_shift: offset of the human hand, side by side [m].
-        robot_shifts: offset of each robot hand, side by side [m].
-        centre: middle of the whole picture, side by side [m].
-        tops: points above the human and each robot hand, for labels, before the shifts [m].
-        half: half width and half height of the whole picture [m].
+        human_shift: offset of the human hand [m].
+        robot_shifts: offset of each robot hand [m].
+        centre: middle of the picture [m].
+        tops: points above the human and each robot hand, before the shifts [m].
+        half: half width and half height of the picture [m].
     """
 
     human_shift: Float[np.ndarray, "3"]
@@ -388,8 +344,8 @@ def camera_for(
         centre: its middle [m].
         half: its half width and half height [m].
         aspect: width / height of the canvas.
-        covered: share of the canvas height, from below, that controls cover.
-        above: the same from above.
+        covered: share of the canvas height that controls cover from below.
+        above: share that they cover from above.
     """
     right, up, toward = axes
     tangent = np.tan(FOV / 2)
@@ -408,20 +364,17 @@ def plan(
     wrist: Float[np.ndarray, "3"],
     *robots: Float[np.ndarray, "_ 3"],
 ) -> Layout:
-    """Lay out the scene for a recording: the human hand, and each robot hand to its right.
+    """Layout of a recording: the human hand, and each robot hand to its right.
 
     Args:
         axes: (3, 3) rows: the picture's right, up and toward the viewer.
-        human: (T, 21, 3) landmarks [m]; NaN where there is none.
+        human: (T, 21, 3) landmarks [m], NaN if missing. If all are, the layout uses the robot's.
         wrist: (3,) wrist of one of the robots [m].
         robots: (N, 3) points that bound a robot hand over the recording [m].
-
-    Returns:
-        The layout; without any valid human frame it stands on the robot's fingertips.
     """
     points = human[np.isfinite(human).all(axis=-1)]
-    points = points if len(points) else robots[0]
-    low_h, high_h = _bounds(points @ axes.T, pad=0.01)
+    points = (points if len(points) else robots[0]) @ axes.T
+    low_h, high_h = points.min(axis=0) - 0.01, points.max(axis=0) + 0.01
     floor = min(low_h[1], float(axes[1] @ wrist)) - FOREARM
     boxes = [(low_h, high_h), *(_above(points @ axes.T, floor) for points in robots)]
     low = np.min([box[0] for box in boxes], axis=0)
@@ -435,11 +388,13 @@ def plan(
     for box, own in zip(boxes, widths, strict=True):
         shifts.append((left - box[0][0]) * axes[0])
         left += own + GAP
+    top = high[1]
+    tops = [np.array([(a[0] + b[0]) / 2, top, (a[2] + b[2]) / 2]) @ axes for a, b in boxes]
     return Layout(
         human_shift=shifts[0],
         robot_shifts=tuple(shifts[1:]),
         centre=middle @ axes,
-        tops=tuple(_top(*box, high[1]) @ axes for box in boxes),
+        tops=tuple(tops),
         half=(width / 2, float(high[1] - low[1]) / 2),
     )
 
@@ -447,30 +402,23 @@ def plan(
 def _above(
     points: Float[np.ndarray, "N 3"], floor: float
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Bounds of a robot hand in the view's axes, without what is below the floor.
-
-    A forearm may run out of the picture below; framed whole, it would leave the hand small.
-    """
-    low, high = _bounds(points[points[:, 1] > floor])
+    """Bounds of a robot hand above the floor; with its forearm the picture would be too wide."""
+    hand = points[points[:, 1] > floor]
+    low, high = hand.min(axis=0), hand.max(axis=0)
     low[1] = max(points[:, 1].min(), floor)
     return low, high
 
 
 def view_axes(view: HandView) -> Float[np.ndarray, "3 3"]:
-    """Right, up and toward the viewer in the palm frame; along its axes where those are near.
+    """Rows right, up and toward the viewer in the palm frame, along its axes if those are close.
 
-    Models are built along their axes: a forearm that leans 10 degrees looks like a mistake.
+    Models are built along their axes, and a forearm that leans by 10 degrees looks like an error.
     """
     up, toward = _snap(view.axes[1]), _snap(view.axes[2])
-    toward = _unit(toward - (toward @ up) * up, np.eye(3)[np.abs(up).argmin()])
+    toward = toward - (toward @ up) * up
+    length = float(np.linalg.norm(toward))
+    toward = toward / length if length > 1e-9 else np.eye(3)[np.abs(up).argmin()]
     return np.stack([np.cross(up, toward), up, toward])
-
-
-def _unit(
-    vector: Float[np.ndarray, "3"], fallback: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "3"]:
-    length = float(np.linalg.norm(vector))
-    return vector / length if length > 1e-9 else fallback
 
 
 def _snap(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
@@ -478,38 +426,23 @@ def _snap(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     return np.sign(vector) * np.eye(3)[axis] if abs(vector[axis]) > _SNAP else vector
 
 
-def _bounds(
-    points: Float[np.ndarray, "N 3"], pad: float = 0.0
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    return points.min(axis=0) - pad, points.max(axis=0) + pad
-
-
-def _top(
-    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], top: float
-) -> Float[np.ndarray, "3"]:
-    return np.array([(low[0] + high[0]) / 2, top, (low[2] + high[2]) / 2])
-
-
-_PHONE = 0.75  # below this width / height, the panel is a sheet over the canvas's lower part
+_PHONE = 0.75  # width / height of a canvas below which the panel is a sheet over its lower part
 _SHEET = 0.44  # share of a phone's screen that the sheet covers at first
-_MOST = 0.6  # share of a canvas that a panel may take from the picture
-_LEAST = 0.2  # and what lies above it
-
-_Aim = tuple[tuple[int, int], np.ndarray]  # canvas size [px], camera position [m]
+_MOST_BELOW, _MOST_ABOVE = 0.6, 0.2  # largest shares of a canvas that panels take from the picture
 
 
 class Aiming:
-    """Points cameras at a picture.
+    """Points the cameras of all browsers at a picture.
 
     Args:
-        server: whose browsers they are.
+        server: the viser server.
         axes: (3, 3) rows: the picture's right, up and toward the viewer.
         centre: its middle [m].
         half: its half width and half height [m].
-        below: height of a panel that covers the lower edge of a desktop's canvas [px].
+        below: height of the panel at the lower edge of a desktop's canvas [px].
 
     Attributes:
-        above: height of what covers the upper edge of the canvas [px].
+        above: height of the panel at the upper edge of a canvas [px].
     """
 
     above = 0.0
@@ -523,23 +456,26 @@ class Aiming:
         below: float = 0.0,
     ) -> None:
         self._axes, self.centre, self.half, self._below = axes, centre, half, below
-        self._aims: dict[int, deque[_Aim]] = {}
+        # client number -> size of the canvas [px] and camera position [m] of the last commands
+        self._aims: dict[int, deque[tuple[tuple[int, int], np.ndarray]]] = {}
         up = axes[1]
         server.scene.set_up_direction(up)
         server.scene.configure_default_lights(cast_shadow=False)
-        camera, (position, target) = server.initial_camera, self._camera(1.4, 0.0)
+        camera, (position, target) = server.initial_camera, camera_for(axes, centre, half, 1.4)
         self._initial = position
         camera.position, camera.look_at, camera.up = position, target, up
         camera.fov, camera.near, camera.far = FOV, 0.005, 50.0
 
     def aim(self, client: viser.ClientHandle) -> None:
-        """Point one browser's camera at both hands, whatever the shape of its window."""
+        """Points one browser's camera at the picture, for the shape of its canvas."""
         camera = client.camera
         height = max(camera.image_height, 1)
-        panel = min(self._below / height, _MOST)
+        panel = min(self._below / height, _MOST_BELOW)
         covered = _SHEET if camera.aspect < _PHONE else panel
-        above = min(self.above / height, _LEAST)
-        position, target = self._camera(camera.aspect, covered, above)
+        above = min(self.above / height, _MOST_ABOVE)
+        position, target = camera_for(
+            self._axes, self.centre, self.half, camera.aspect, covered, above
+        )
         with client.atomic():
             camera.up_direction = self._axes[1]
             camera.fov = FOV
@@ -549,19 +485,23 @@ class Aiming:
         aims.append(((camera.image_width, camera.image_height), position))
 
     def greet(self, client: viser.ClientHandle) -> None:
-        """Aim a new browser's camera, and again when its canvas changes shape.
+        """Aims a browser's camera, now and when its canvas changes shape.
 
-        The canvas changes at the start, when the panel docks, and when a window is resized or a
-        phone turned. A view that its user has moved is left alone.
+        A canvas changes when the panel docks, a window is resized or a phone turned. If a person
+        has moved the view, it stays.
         """
+        camera = client.camera
+        before = (camera.image_width, camera.image_height), np.array(camera.position)
+        self._aims[client.client_id] = deque([before], maxlen=8)
         self.aim(client)
 
         async def check(camera: viser.CameraHandle) -> None:
             aims = self._aims.get(client.client_id)
             if not aims:
                 return
-            # A report may be older than our last command, and a page that is still loading may
-            # drop it for its initial camera: any place that we chose is untouched.
+            # A report may be older than the last command, and a page that is still loading may
+            # drop a command for its initial camera, of this scene or of the one before. At any of
+            # these places no person has moved the view.
             ours = [position for _, position in aims]
             at = [np.allclose(camera.position, p, atol=1e-3) for p in (self._initial, *ours)]
             reshaped = aims[-1][0] != (camera.image_width, camera.image_height)
@@ -571,10 +511,5 @@ class Aiming:
         client.camera.on_update(check)
 
     def forget(self, client: viser.ClientHandle) -> None:
-        """Drop what was kept for a browser that has left."""
+        """Drops the commands to a browser that has left."""
         self._aims.pop(client.client_id, None)
-
-    def _camera(
-        self, aspect: float, covered: float, above: float = 0.0
-    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        return camera_for(self._axes, self.centre, self.half, aspect, covered, above)

@@ -1,4 +1,4 @@
-"""The player: a local web page that shows a ``Playback``, in real time, from one thread."""
+"""The player: a local web page that plays a retargeted recording."""
 
 from __future__ import annotations
 
@@ -35,7 +35,6 @@ from smooth_operator.teleop.pages.viser_server import (
     from_person,
     name_panel,
     read_script,
-    run_script,
     serve_page,
 )
 from smooth_operator.types import Status
@@ -43,14 +42,14 @@ from smooth_operator.types import Status
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """A run, ready to be drawn.
+    """A run for the player.
 
     Attributes:
-        title: shown at the top of the page.
+        title: title of the page.
         hand: the robot hand.
         trace: the run, in the palm frame.
-        drawn: the same hand on a model with its meshes, with the same joints by name, in any order;
-            simple shapes if left out. With it, a switch shows either.
+        drawn: the same hand on a model with meshes and the same joint names, in any order. With it
+            a switch shows meshes or simple shapes; None for simple shapes alone.
         label: label above the robot; with several robots, the origin of its motion.
 
     Raises:
@@ -83,19 +82,19 @@ class Playback:
 
     @property
     def tips(self) -> list[int]:
-        """Landmarks of the human fingertips that the robot's follow, thumb first."""
+        """Landmarks of the human fingertips that drive the robot, thumb first."""
         return [TIPS[FINGERS.index(name)] for name in self.trace.fingers]
 
     def pinches(self) -> Bool[np.ndarray, "T G"]:
-        """(T, F-1) True where the human pinches; a lost hand never does."""
+        """(T, F-1) True where the human pinches; False for a lost hand."""
         return pinched_frames(self.trace.human_tips)
 
 
 def check_runs(runs: Sequence[Playback]) -> None:
-    """Looks whether runs can be shown side by side.
+    """Refuses runs that can't stand side by side.
 
     Raises:
-        RecordingError: there is none, or they are not of the same frames and fingers.
+        RecordingError: there is no run, or they have different frames or fingers.
     """
     if not runs:
         raise RecordingError("there is nothing to play: pass at least one run")
@@ -116,7 +115,7 @@ def check_runs(runs: Sequence[Playback]) -> None:
 
 
 class PlaybackClock:
-    """Maps wall time to frames of a recording; frames are dropped, time is never stretched.
+    """Maps wall time to frames of a recording: a late player drops frames and keeps the time.
 
     Args:
         times: (T,) strictly increasing times of the frames [s].
@@ -128,30 +127,23 @@ class PlaybackClock:
         self, times: Float[np.ndarray, " T"], speed: float = 1.0, loop: bool = True
     ) -> None:
         self._times = np.asarray(times, np.float64) - times[0]
-        # the last frame is shown for as long as a usual one, so a loop has no hiccup
+        # the last frame is shown for the usual time, so a loop has no jump
         period = float(np.median(np.diff(self._times))) if len(self._times) > 1 else 0.0
         self._duration = float(self._times[-1]) + period
-        self._speed = speed
-        self.loop = loop
-        self._wall = 0.0
-        self._time = 0.0
-
-    @property
-    def speed(self) -> float:
-        """Playback seconds per wall second."""
-        return self._speed
+        self._speed, self.loop = speed, loop
+        self._wall = self._time = 0.0
 
     def start(self, frame: int, now: float) -> None:
-        """Let ``frame`` be the one that is due at wall time ``now`` [s]."""
+        """Sets the frame that is due at wall time ``now`` [s]."""
         self._time, self._wall = float(self._times[frame]), now
 
     def set_speed(self, speed: float, now: float) -> None:
-        """Change the speed from ``now`` [s] on, without a jump."""
+        """Changes the speed at wall time ``now`` [s], without a jump."""
         self._time += (now - self._wall) * self._speed
         self._wall, self._speed = now, speed
 
     def frame(self, now: float) -> tuple[int, bool]:
-        """The frame that is due at wall time ``now`` [s], and whether playback has ended."""
+        """The frame that is due at wall time ``now`` [s]; True if playback has ended."""
         time = self._time + (now - self._wall) * self._speed
         if time >= self._duration:
             if not self.loop or self._duration <= 0.0:
@@ -163,21 +155,19 @@ class PlaybackClock:
 SPEEDS = (0.1, 4.0)
 """Slowest and fastest playback, as a multiple of real time."""
 
-_TICK = 1 / 60  # shortest time between two drawn frames [s]: what a display shows
-_TEXT_TICK = 1 / 10  # same for text, slider and plot, which cost the browser far more than poses
-_REST = 0.3  # a slider that has not moved for this long was released [s]
+_TICK = 1 / 60  # shortest time between two drawn frames [s], that of a display
+_TEXT_TICK = 1 / 10  # the same for text and slider, which take a browser longer than poses
+_REST = 0.3  # time after which a slider that does not move counts as released [s]
 
 
 class PlaybackServer(PageServer):
-    """Serves the page; controls work from any thread, drawing happens in one.
-
-    Use as a context manager, or call ``start`` and ``stop``.
+    """Serves the page; see ``PageServer``. Any thread may call the controls; one thread draws.
 
     Args:
         playback: motion to show; several runs over the same frames stand side by side.
-        host: address to listen on. The default is reachable from this machine only; any other
-            wants the token that is in ``url``.
-        port: first port to try; the next free one is taken, see ``url``. 0: any free one.
+        host: address to listen on. By default only this machine reaches it; another address needs
+            the token that is in ``url``.
+        port: first port to try; 0 for any free one.
         loop: start over at the end.
     """
 
@@ -197,9 +187,7 @@ class PlaybackServer(PageServer):
         self._frame = 0
         self._playing = False
         self._held_until = 0.0
-        self._jobs: list[
-            Callable[[], None]
-        ] = []  # changes of the scene, done by the drawing thread
+        self._jobs: list[Callable[[], None]] = []  # changes of the scene for the drawing thread
         self._dirty = True
         self._stopping = False
         self._thread: threading.Thread | None = None
@@ -209,10 +197,8 @@ class PlaybackServer(PageServer):
         """Title of the first run."""
         return self.playback.title
 
-    # -- life ---------------------------------------------------------------------------------
-
     def _build(self, server: GuardedServer) -> None:
-        run_script(server, read_script(__package__, "player.js"))
+        server.front.scripts.append(read_script(__package__, "player.js"))
         self._scene = Scene(server, self.runs)
         self._panel = Panel(server.gui, self.runs, self, self._clock.loop)
         self._scene.draw(0)
@@ -231,28 +217,24 @@ class PlaybackServer(PageServer):
             self._thread.join()
             self._thread = None
 
-    # -- state --------------------------------------------------------------------------------
-
     @property
     def frame(self) -> int:
-        """Index of the frame that is shown, or about to be."""
+        """Index of the current frame."""
         return self._frame
 
     @property
     def playing(self) -> bool:
-        """True if time runs."""
+        """True during playback."""
         return self._playing
 
-    # -- controls -----------------------------------------------------------------------------
-
     def set_frame(self, index: int) -> None:
-        """Show a frame; playback, if it runs, goes on from there.
+        """Shows a frame, from which playback goes on.
 
         Args:
-            index: 0 .. T-1, or negative to count from the end.
+            index: 0 to T-1, or negative to count from the end.
 
         Raises:
-            ConfigError: if there is no such frame.
+            ConfigError: there is no such frame.
         """
         count = len(self.playback)
         if not -count <= index < count:
@@ -261,71 +243,65 @@ class PlaybackServer(PageServer):
             self._go(index % count)
 
     def play(self) -> None:
-        """Let time run; at the last frame, from the beginning."""
+        """Starts playback, after the last frame from the beginning."""
         with self._change():
             at_end = self._frame == len(self.playback) - 1
             self._go(0 if at_end else self._frame)
             self._playing = True
 
     def pause(self) -> None:
-        """Hold the current frame."""
+        """Holds the current frame."""
         with self._change():
             self._playing = False
 
     def toggle(self) -> None:
-        """Play if paused, pause if playing."""
+        """Starts or pauses playback."""
         (self.pause if self._playing else self.play)()
 
     def step(self, frames: int) -> None:
-        """Pause and move by some frames; the ends wrap around if looping."""
+        """Pauses and moves by a number of frames, across the ends if it loops."""
         with self._change():
             self._playing = False
             count, target = len(self.playback), self._frame + frames
             self._go(target % count if self._clock.loop else min(max(target, 0), count - 1))
 
     def scrub(self, frame: int) -> None:
-        """Go to a frame by hand: if playing, time waits until the slider rests."""
+        """Goes to the frame of the slider; playback waits until the slider rests."""
         with self._change():
             self._go(min(max(int(frame), 0), len(self.playback) - 1))
             self._held_until = time.monotonic() + _REST
 
     def set_speed(self, speed: float) -> None:
-        """Set playback seconds per second.
-
-        Raises:
-            ConfigError: outside 0.1 .. 4.
-        """
+        """Sets playback seconds per second; raises ConfigError outside 0.1 to 4."""
         if not SPEEDS[0] <= speed <= SPEEDS[1]:
             raise ConfigError(f"speed must be in {SPEEDS[0]}..{SPEEDS[1]}, not {speed}")
         with self._change():
             self._clock.set_speed(speed, time.monotonic())
 
     def set_loop(self, loop: bool) -> None:
-        """Start over at the end, or stop there."""
+        """Starts over at the end, or stops there."""
         with self._change():
             self._clock.start(self._frame, time.monotonic())
             self._clock.loop = loop
 
     def set_overlay(self, overlay: bool) -> None:
-        """Put all hands in one place, or side by side."""
+        """Puts all hands in one place, or side by side."""
         with self._change():
             self._jobs.append(lambda: self._scene.set_overlay(overlay))
 
     def set_keyvectors(self, visible: bool) -> None:
-        """Show or hide the thumb-to-tip lines."""
+        """Shows or hides the thumb-to-tip lines."""
         with self._change():
             self._jobs.append(lambda: self._scene.row.set_keyvectors(visible))
 
     def set_meshes(self, visible: bool) -> None:
-        """Show the makers' meshes, or simple shapes."""
+        """Shows the makers' meshes, or simple shapes."""
         with self._change():
             self._jobs.append(lambda: self._scene.set_meshes(visible))
 
     def aim(self, client: viser.ClientHandle) -> None:
-        """Reset one browser's camera."""
+        """Resets one browser's camera."""
         self._scene.aiming.aim(client)
-
-    # -- inside -------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def _change(self) -> Iterator[None]:
@@ -340,7 +316,7 @@ class PlaybackServer(PageServer):
 
     async def _greet(self, client: viser.ClientHandle) -> None:
         self._scene.aiming.greet(client)
-        with self._change():  # while nobody watched, nothing was drawn
+        with self._change():  # without a browser nothing was drawn
             pass
 
     async def _forget(self, client: viser.ClientHandle) -> None:
@@ -360,18 +336,18 @@ class PlaybackServer(PageServer):
                     self._dirty = False
                 begun = time.monotonic()
                 text = dirty or begun >= next_text
-                if dirty or self._server.get_clients():  # else nobody watches: only time runs
+                if dirty or self._server.get_clients():
                     self._draw(frame, playing, jobs, text)
                 if text:
                     next_text = begun + _TEXT_TICK
                 with self._changed:
                     if self._playing or self._dirty:
-                        # at display rate, also for a burst of slider events
+                        # at the rate of a display, also in a burst of slider events
                         rest = max(begun + _TICK - time.monotonic(), 0.0)
                         self._changed.wait_for(lambda: self._stopping, rest)
                     else:
                         self._changed.wait_for(lambda: self._dirty or self._stopping)
-        except BaseException as error:  # handed to wait(): a thread has nobody to raise to
+        except BaseException as error:  # wait() raises it in the caller's thread
             self._error = error
             self._ended.set()
 
@@ -392,8 +368,7 @@ class PlaybackServer(PageServer):
                 job()
             self._scene.draw(frame)
             if text:
-                self._panel.show_frame(frame)
-                self._panel.show_playing(playing)
+                self._panel.show(frame, playing)
         self._server.flush()
 
 
@@ -405,21 +380,21 @@ def serve(
     open_browser: bool = True,
     block: bool = True,
 ) -> PlaybackServer:
-    """Show a recording in the browser.
+    """Shows a recording in the browser.
 
     Args:
         playback: motion to show; several runs over the same frames stand side by side.
         host: address to listen on; this machine only by default.
-        port: first port to try; the one that was free is printed.
-        open_browser: open the page, where there is a desktop to open it on.
-        block: return only after Ctrl-C; otherwise immediately, and the caller stops the server.
+        port: first port to try. The page's address is printed.
+        open_browser: open the page if there is a desktop.
+        block: wait for Ctrl-C and stop the server; otherwise the caller stops it.
 
     Returns:
         The server: stopped if ``block``, running otherwise.
 
     Raises:
-        ConfigError: if the address is not one of this machine's, or no port is free.
-        RecordingError: if several runs are not of the same frames and fingers.
+        ConfigError: the address is not one of this machine's, or no port is free.
+        RecordingError: several runs have different frames or fingers.
     """
     server = PlaybackServer(playback, host=host, port=port).start()
     server.play()
@@ -427,12 +402,7 @@ def serve(
 
 
 class Scene:
-    """Builds the nodes once, then shows any frame.
-
-    Args:
-        server: the viser server to draw on.
-        runs: runs to draw: the human of the first, the robot of each.
-    """
+    """Nodes of the human hand of the first run and of the robot hand of each run."""
 
     def __init__(self, server: viser.ViserServer, runs: Sequence[Playback]) -> None:
         self._runs = tuple(runs)
@@ -456,14 +426,14 @@ class Scene:
         self.set_overlay(False)
 
     def draw(self, frame: int) -> None:
-        """Show one frame of all hands."""
+        """Shows one frame of all hands."""
         for run, robot in zip(self._runs, self.robots, strict=True):
             robot.draw(run.trace.joint_positions[frame])
         tips = [run.trace.robot_tips[frame] for run in self._runs]
         self.row.draw(self._runs[0].trace.human[frame], tips, self._pinches[frame])
 
     def set_overlay(self, overlay: bool) -> None:
-        """Put all hands in one place, or side by side."""
+        """Puts all hands in one place, or side by side."""
         shifts = (self._layout.human_shift, *self._layout.robot_shifts)
         for root, shift in zip(self.row.roots.values(), shifts, strict=True):
             root.position = np.zeros(3) if overlay else shift
@@ -473,7 +443,7 @@ class Scene:
             robot.show(opacity=TRANSLUCENT if overlay else None)
 
     def set_meshes(self, visible: bool) -> None:
-        """Draw the makers' meshes, or simple shapes, where a run has both."""
+        """Draws the makers' meshes, or simple shapes, if a run has both."""
         for robot in self.robots:
             robot.show(meshes=visible)
 
@@ -483,12 +453,11 @@ def _views(run: Playback) -> list[HandView]:
     return [*([HandView(run.drawn)] if run.drawn else []), HandView(run.hand, simple=True)]
 
 
-def _bounds(run: Playback, robot: RobotLooks, samples: int = 16) -> Float[np.ndarray, "N 3"]:
-    """(N, 3) fingertips, and corners of the bodies' boxes at some frames, in the palm frame [m]."""
-    trace = run.trace
-    frames = np.unique(np.linspace(0, len(trace) - 1, samples).astype(int))
-    corners = [robot.shown.corners(trace.joint_positions[frame]) for frame in frames]
-    return np.concatenate([trace.robot_tips.reshape(-1, 3), *corners])
+def _bounds(run: Playback, robot: RobotLooks) -> Float[np.ndarray, "N 3"]:
+    """(N, 3) fingertips, and corners of the bodies at 16 frames, in the palm frame [m]."""
+    frames = np.unique(np.linspace(0, len(run) - 1, 16).astype(int))
+    corners = [robot.shown.corners(run.trace.joint_positions[frame]) for frame in frames]
+    return np.concatenate([run.trace.robot_tips.reshape(-1, 3), *corners])
 
 
 _PLAY, _PAUSE = "Play (Space)", "Pause (Space)"
@@ -496,14 +465,7 @@ _STEPS: Final = {"−1 (J)": -1, "+1 (L)": 1}
 
 
 class Panel:
-    """Builds the controls and keeps them in step with the player.
-
-    Args:
-        gui: where to build.
-        runs: runs to play.
-        controls: the player, whose methods any thread may call.
-        loop: initial state of the loop box.
-    """
+    """Controls of the player."""
 
     def __init__(
         self, gui: viser.GuiApi, runs: Sequence[Playback], controls: PlaybackServer, loop: bool
@@ -542,7 +504,7 @@ class Panel:
         overlay.on_update(from_person(lambda event: controls.set_overlay(event.target.value)))
         vectors.on_update(from_person(lambda event: controls.set_keyvectors(event.target.value)))
         view.on_click(from_person(lambda event: controls.aim(event.client)))
-        # Letters: arrows move the slider that has the focus. Space comes as K, from ``player.js``.
+        # Arrow keys move the slider that has the focus. ``player.js`` sends Space as K.
         add_hotkeys(
             gui,
             ("Play / pause", "K", controls.toggle),
@@ -551,19 +513,16 @@ class Panel:
         )
         gui.main_panel.dock_right()
 
-    def show_frame(self, frame: int) -> None:
-        """Move status line and slider to a frame."""
+    def show(self, frame: int, playing: bool) -> None:
+        """Shows a frame's status line and slider, and what the button does."""
         self._status.content = status_line(self._runs, frame)
         self._slider.value = frame
-
-    def show_playing(self, playing: bool) -> None:
-        """Make the button say what it would do."""
         self._play.label = _PAUSE if playing else _PLAY
         self._play.icon = viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY
 
 
 def status_line(runs: Sequence[Playback], frame: int) -> str:
-    """The line under the title as HTML: frame and time; status and solving time of each run."""
+    """Lines under the title as HTML: frame and time; status and solving time of each run."""
     times = runs[0].times
     parts = (
         f"<b>frame {frame}</b>/{len(times) - 1}",
@@ -582,7 +541,7 @@ def _status_text(run: Playback, frame: int, named: bool) -> str:
         status = Status(int(run.trace.status[frame]))
         good = status is Status.OK
         reason = "frame used" if good else status.reason
-    except ValueError:  # a file from a newer release; say what it holds
+    except ValueError:  # a file of a newer release
         reason, good = f"status {int(run.trace.status[frame])}", False
     latency = run.trace.latency_ms[frame]
     time = f"solved in {latency:.2f} ms" if np.isfinite(latency) else "solving time unknown"
@@ -591,7 +550,7 @@ def _status_text(run: Playback, frame: int, named: bool) -> str:
 
 
 def legend(fingers: Sequence[str]) -> str:
-    """Colours of the fingers as HTML."""
+    """Legend of the fingers' colours as HTML."""
     chips = "".join(
         f'<span style="white-space:nowrap;margin-right:0.7em"><span style="color:{css(color)}">⬤'
         f"</span> {html.escape(name)}</span>"

@@ -1,14 +1,12 @@
-"""Hands in a browser's scene: the human mannequin, robot bodies, fingertips, keyvectors, labels.
+"""Hands in a browser's scene: human hand, robot bodies, fingertips, keyvectors, labels.
 
-All that moves is a batch of instances, also where it is a single body. viser puts the pose of a
-node into a browser's next picture, and all other properties into the one after: bodies that were
-moved as nodes and lines would be of different instants on a slow browser. As properties, all that
-is sent in one ``atomic`` block is drawn in one picture.
+All moving parts are batches of instances, also single bodies. viser draws the pose of a node in
+the next picture, but other properties in the one after it, so on a slow browser bodies and lines
+would be of different times. A batch has its poses as properties: one ``atomic`` block, one picture.
 """
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any, Final
@@ -34,7 +32,7 @@ from smooth_operator.teleop.pages.hand_view import (
 
 _JOINT, _WRIST, _TIP, _PINCHED = 0.0070, 0.0095, 0.0075, 0.0095  # sphere radii [m]
 _BONE, _PALM_BONE = 0.0052, 0.0062  # bone radii [m]
-# Across the knuckles: without them the palm is a fan of five rods and not a palm.
+# With the rods across the knuckles, five rods from the wrist look like a palm.
 _LINKS = (*BONES, *pairwise(BASES))
 _PARENTS, _CHILDREN = (np.array(column) for column in zip(*_LINKS, strict=True))
 
@@ -46,7 +44,7 @@ def add_balls(
     radii: Float[np.ndarray, " k"],
     colors: UInt8[np.ndarray, "k 3"],
 ) -> Any:
-    """Adds balls to a scene, which are drawn as one mesh; their node."""
+    """Adds balls to a scene, as one node."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
     return scene.add_batched_meshes_simple(
         name,
@@ -61,12 +59,12 @@ def add_balls(
 
 
 class HumanView:
-    """Draws the human landmarks of one frame; a frame costs at most five messages.
+    """Human hand of balls and rods; a frame costs at most five messages.
 
     Args:
-        scene: where to draw.
+        scene: the viser scene.
         tips: (F,) landmarks of the fingertips that drive the robot, thumb first.
-        root: name of the parent node, which places the whole hand.
+        root: name of the parent node.
     """
 
     def __init__(self, scene: viser.SceneApi, tips: Sequence[int], root: str) -> None:
@@ -100,19 +98,14 @@ class HumanView:
         )
 
     def draw(self, landmarks: Float[np.ndarray, "21 3"], pinched: Bool[np.ndarray, " G"]) -> None:
-        """Show one frame.
-
-        Args:
-            landmarks: (21, 3) [m]; NaN where there is none.
-            pinched: (F-1,) which fingers pinch with the thumb; their tips are lit up and grow.
-        """
+        """Shows landmarks [m], NaN for missing ones, with the pinching tips larger and lit."""
         present = np.isfinite(landmarks).all(axis=-1)
         points = np.where(present[:, None], landmarks, 0.0)
         lit = lit_tips(pinched)
         radii, colors = self._radii.copy(), self._colors.copy()
         radii[self._tips[lit]], colors[self._tips[lit]] = _PINCHED, HIGHLIGHT
         self._joints.batched_positions = points
-        # a missing landmark has size zero; unchanged arrays are not sent again
+        # viser does not send unchanged arrays again
         self._joints.batched_scales = np.where(present, radii, 0.0)
         self._joints.batched_colors = linear(colors)
 
@@ -126,7 +119,7 @@ class HumanView:
 
 
 def lit_tips(pinched: Bool[np.ndarray, " G"]) -> Bool[np.ndarray, " F"]:
-    """(F,) which fingertips take part in a pinch: the pinching fingers, and then the thumb."""
+    """(F,) True for fingertips in a pinch; the thumb's is if any other one is."""
     return np.concatenate([[pinched.any()], pinched])
 
 
@@ -136,14 +129,8 @@ def keyvector_colors(fingers: int, pinched: Bool[np.ndarray, " G"]) -> UInt8[np.
     return np.repeat(linear(colors)[:, None], 2, axis=1)
 
 
-def thumb_lines(tips: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "G 2 3"]:
-    """(F-1, 2, 3) from the thumb's tip to each other; to one that is missing, of no length."""
-    lines = np.stack([np.broadcast_to(tips[0], tips[1:].shape), tips[1:]], axis=1)
-    return np.where(np.isfinite(lines).all(axis=(1, 2), keepdims=True), lines, 0.0)
-
-
 def _turn_z(direction: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
-    """(N, 4) quaternions (wxyz) that turn +z to each direction; any for a zero vector."""
+    """(N, 4) quaternions (wxyz) that turn +z to each direction."""
     turns = np.empty((len(direction), 4))
     for turn, vector in zip(turns, direction, strict=True):
         mujoco.mju_quatZ2Vec(turn, vector)
@@ -155,8 +142,7 @@ _LINE: Final = 0.0022  # thickness of a keyvector [m]
 _TARGET, _TARGET_LINE = 0.0028, 0.0012  # radius of a target, thickness of its line [m]
 TRANSLUCENT: Final = 0.45
 """Opacity of a hand that overlaps another."""
-_WITHIN: Final = 0.985  # size of a second hand, which is seen where it leaves the first
-_UNTURNED: Final = np.array([[1.0, 0.0, 0.0, 0.0]])
+_WITHIN: Final = 0.985  # size of a second hand, which hides in the first one in the same pose
 
 
 def add_body(
@@ -177,20 +163,21 @@ def add_body(
         color: sRGB, 0 to 255.
         opacity: 0 to 1; None for solid.
         scale: scale of the surface and of its positions.
+        size: scale of the surface alone.
         flat: shade each face by itself.
     """
     return scene.add_batched_meshes_simple(
         name,
         mesh.vertices,
         mesh.faces,
-        batched_wxyzs=_UNTURNED,
+        batched_wxyzs=np.array([[1.0, 0.0, 0.0, 0.0]]),
         batched_positions=np.zeros((1, 3)),
         batched_scales=np.array([size]),
         batched_colors=linear(np.array([color], np.uint8)),
         lod="off",
         opacity=opacity,
         flat_shading=flat,
-        side="double",  # users' meshes are not always wound outward
+        side="double",  # some users' meshes have faces that are wound inward
         scale=scale,
     )
 
@@ -201,11 +188,10 @@ def put(
     wxyz: Float[np.ndarray, "4"],
     pose: Float[np.ndarray, "7"] | None = None,
 ) -> None:
-    """Moves a node of ``add_body``; what has not moved is not sent again.
+    """Moves a node of ``add_body`` to a position [m] and quaternion.
 
     Args:
-        position: [m].
-        pose: position and quaternion of the frame that these are in; None for the node's parent.
+        pose: pose of their frame in the node's parent; None if they are in the parent's frame.
     """
     if pose is not None:
         at, turn = np.empty(3), np.empty(4)
@@ -215,19 +201,18 @@ def put(
 
 
 class BodyNodes:
-    """Draws the bodies of a model where its joints put them.
+    """Nodes of the bodies of a model.
 
     Args:
-        scene: where to draw.
-        model: the robot hand.
+        scene: the viser scene.
+        model: the robot.
         meshes: body -> its surface.
         owner: (nbody,) finger of each body, -1 for the palm.
         root: name of the parent node.
-        color: colour of all bodies; as its fingers are if left out.
+        color: colour of all bodies; None for the colours of the fingers.
         opacity: 0 to 1; None for solid.
         scale: scale of the whole model.
-        size: scale of each body about its own origin: a little less hides it in one that stands
-            alike.
+        size: scale of each body about its own origin.
     """
 
     def __init__(
@@ -260,22 +245,17 @@ class BodyNodes:
             for body, mesh in meshes.items()
         }
 
-    def place(self, qpos: Float[np.ndarray, " nq"]) -> None:
-        """Places the bodies without drawing them."""
-        self.data.qpos[:] = qpos
-        mujoco.mj_kinematics(self._model, self.data)
-
     def draw(
         self, qpos: Float[np.ndarray, " nq"], pose: Float[np.ndarray, "7"] | None = None
     ) -> None:
-        """Shows a pose of the joints; ``pose`` is that of the model's world, see ``put``."""
-        self.place(qpos)
+        """Shows joint positions; ``pose`` is that of the model's world, see ``put``."""
+        self._place(qpos)
         for body, node in self.nodes.items():
             put(node, self.data.xpos[body].copy(), self.data.xquat[body].copy(), pose)
 
     def corners(self, qpos: Float[np.ndarray, " nq"]) -> Float[np.ndarray, "N 3"]:
         """(N, 3) corners of the bodies' boxes, in the model's world frame [m]."""
-        self.place(qpos)
+        self._place(qpos)
         return np.concatenate(
             [
                 mesh.bounding_box.vertices @ self.data.xmat[body].reshape(3, 3).T
@@ -284,26 +264,25 @@ class BodyNodes:
             ]
         )
 
-    def set_opacity(self, opacity: float | None) -> None:
-        """Make the hand see-through, or solid with None."""
+    def show(self, visible: bool, opacity: float | None) -> None:
+        """Shows or hides the bodies; opacity None is solid."""
         for node in self.nodes.values():
-            node.opacity = opacity
+            node.visible, node.opacity = visible, opacity
 
-    def set_visible(self, visible: bool) -> None:
-        """Show or hide it."""
-        for node in self.nodes.values():
-            node.visible = visible
+    def _place(self, qpos: Float[np.ndarray, " nq"]) -> None:
+        self.data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self.data)
 
 
 class RobotBodies:
-    """A robot hand in its palm frame, and a second, see-through one that is seen where it differs.
+    """A robot hand in its palm frame, and a translucent second one, visible where it differs.
 
     Args:
-        scene: where to draw.
-        hand: the robot hand, in the order of whose joints poses come.
-        view: the same hand on the model to draw, with the same joints by name, in any order.
+        scene: the viser scene.
+        hand: the robot hand, which has the order of the joints.
+        view: the same hand on the model to draw, with the same joint names in any order.
         root: name of the parent node, in the palm frame.
-        meshes: body -> its surface; those of ``view`` if left out.
+        meshes: body -> its surface.
         second: draw the second hand.
     """
 
@@ -313,12 +292,10 @@ class RobotBodies:
         hand: Hand,
         view: HandView,
         root: str,
-        *,
-        meshes: Mapping[int, trimesh.Trimesh] | None = None,
-        second: bool = False,
+        meshes: Mapping[int, trimesh.Trimesh],
+        second: bool,
     ) -> None:
         drawn = self._drawn = view.hand
-        meshes = view.meshes if meshes is None else meshes
         owner, model = view.finger_of_body, drawn.model
         self._rest = drawn.full_configuration(drawn.neutral)
         self._order = [drawn.joint_names.index(name) for name in hand.joint_names]
@@ -343,41 +320,40 @@ class RobotBodies:
     def draw(
         self, every: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"] | None = None
     ) -> None:
-        """Show a pose of the hand's joints [rad], and that of the second hand; by default the same,
-        where it is not seen."""
+        """Shows joint positions [rad]; ``other`` are those of the second hand, if they differ."""
         self.first.draw(self._qpos(every), self._pose)
         if self._second is not None:
             self._second.draw(self._qpos(every if other is None else other), self._pose)
 
-    def show(self, visible: bool, second: bool = True) -> None:
-        """Show or hide it, and the second hand with it."""
-        self.first.set_visible(visible)
+    def show(self, visible: bool, second: bool, opacity: float | None) -> None:
+        """Shows or hides the hands."""
+        self.first.show(visible, opacity)
         if self._second is not None:
-            self._second.set_visible(visible and second)
+            self._second.show(visible and second, TRANSLUCENT)
 
     def corners(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, "N 3"]:
-        """(N, 3) corners of the bodies' boxes in a pose, in the palm frame [m]."""
+        """(N, 3) corners of the bodies' boxes, in the palm frame [m]."""
         matrix = np.empty(9)
         mujoco.mju_quat2Mat(matrix, self._pose[3:])
         corners = self.first.corners(self._qpos(every))
         return np.asarray(corners @ matrix.reshape(3, 3).T + self._pose[:3])
 
     def _qpos(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, " nq"]:
-        """Joint positions of the drawn model; what it has besides the hand's joints rests."""
+        """Positions of the drawn model, whose further joints rest."""
         positions = self._rest.copy()
         positions[self._order] = every
         return self._drawn.qpos(positions)
 
 
 class RobotLooks:
-    """A robot hand in one of its looks: the maker's meshes, where there are some, or simple shapes.
+    """A robot hand with a switch between the maker's meshes and simple shapes.
 
     Args:
-        scene: where to draw.
-        hand: the robot hand, in the order of whose joints poses come.
+        scene: the viser scene.
+        hand: the robot hand, which has the order of the joints.
         views: the hand on the models to draw, simple shapes last; see ``RobotBodies``.
         root: name of the nodes, in the palm frame.
-        distal: unit vector along the forearm, which is cut off below the wrist; None leaves it.
+        distal: unit vector along the forearm, to cut it off below the wrist; None keeps it.
         second: draw the second hand.
 
     Attributes:
@@ -395,7 +371,7 @@ class RobotLooks:
         distal: Float[np.ndarray, "3"] | None = None,
         second: bool = False,
     ) -> None:
-        self._bodies = functools.partial(RobotBodies, scene, hand, second=second)
+        self._scene, self._hand, self._second = scene, hand, second
         self._root, self._distal = root, distal
         self.visible = self.meshes = self.second = True
         self.opacity: float | None = None
@@ -406,33 +382,34 @@ class RobotLooks:
 
     @property
     def shown(self) -> RobotBodies:
-        """The look that is drawn."""
+        """The current look."""
         return self._looks[0 if self.meshes else -1]
 
     def add(self, view: HandView) -> None:
-        """Add a look, which goes before those that are there."""
-        meshes = None if self._distal is None else view.without_forearm(FOREARM, self._distal)
-        self._looks.insert(0, self._bodies(view, f"{self._root}_{len(self._looks)}", meshes=meshes))
+        """Adds a look before the others."""
+        name, distal = f"{self._root}_{len(self._looks)}", self._distal
+        meshes = view.meshes if distal is None else view.without_forearm(FOREARM, distal)
+        look = RobotBodies(self._scene, self._hand, view, name, meshes, self._second)
+        self._looks.insert(0, look)
         self.show()
 
     def draw(
         self, every: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"] | None = None
     ) -> None:
-        """Show a pose of the hand's joints [rad], and that of the second hand."""
+        """Shows joint positions [rad]; see ``RobotBodies``."""
         self._pose = every, other
         self.shown.draw(every, other)
 
     def show(self, **choices: Any) -> None:
-        """Set attributes, and show what they say."""
+        """Sets attributes and shows the hand accordingly."""
         vars(self).update(choices)
         self.shown.draw(*self._pose)
         for look in self._looks:
-            look.show(self.visible and look is self.shown, self.second)
-            look.first.set_opacity(self.opacity)
+            look.show(self.visible and look is self.shown, self.second, self.opacity)
 
 
 def _palm_to_model(hand: Hand) -> Float[np.ndarray, "7"]:
-    """Pose of the model's world in the palm frame; fingers hang from the palm, it does not move."""
+    """Pose of the model's world in the palm frame, which does not depend on the joints."""
     data = mujoco.MjData(hand.model)
     data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
     mujoco.mj_kinematics(hand.model, data)
@@ -441,37 +418,8 @@ def _palm_to_model(hand: Hand) -> Float[np.ndarray, "7"]:
     return pose
 
 
-class TipBalls:
-    """Fingertips, which grow and light up where they pinch.
-
-    Args:
-        scene: where to draw.
-        count: number of fingers.
-        name: name of the node.
-    """
-
-    def __init__(self, scene: viser.SceneApi, count: int, name: str) -> None:
-        self._palette = finger_colors(count)
-        radii = np.full(count, _BALL)
-        self.node = add_balls(scene, name, np.zeros((count, 3)), radii, self._palette)
-
-    def draw(self, tips: Float[np.ndarray, "F 3"], pinched: Bool[np.ndarray, " G"]) -> None:
-        """Show tips [m], and which fingers pinch with the thumb."""
-        lit = lit_tips(pinched)
-        self.node.batched_positions = tips
-        self.node.batched_scales = np.where(lit, _BALL_PINCHED, _BALL)
-        colors = np.where(lit[:, None], np.array(HIGHLIGHT), self._palette)
-        self.node.batched_colors = linear(colors)
-
-
 class TargetMarks:
-    """The places that the method wants for the fingertips, each with a line from the robot's tip.
-
-    Args:
-        scene: where to draw.
-        count: number of fingers.
-        name: name of the nodes.
-    """
+    """The method's target of each fingertip, with a line from the robot's tip."""
 
     def __init__(self, scene: viser.SceneApi, count: int, name: str) -> None:
         palette = finger_colors(count)
@@ -483,12 +431,7 @@ class TargetMarks:
         )
 
     def draw(self, targets: Sequence[float] | None, tips: Float[np.ndarray, "F 3"]) -> None:
-        """Show the places.
-
-        Args:
-            targets: 3 F numbers [m]; None for a method that has none.
-            tips: (F, 3) the robot's fingertips [m].
-        """
+        """Shows targets (3 F numbers) [m], None for a method without, and the robot's tips [m]."""
         places = tips if targets is None else np.reshape(targets, (-1, 3))
         size = 0.0 if targets is None else _TARGET
         self._balls.batched_positions = places
@@ -496,24 +439,25 @@ class TargetMarks:
         self._lines.points = np.stack([tips, places], axis=1)
 
     def set_visible(self, visible: bool) -> None:
-        """Show or hide them."""
+        """Shows or hides the targets."""
         self._balls.visible = self._lines.visible = visible
 
 
 class HandRow:
-    """A human hand and robot hands: each with a place, a label, fingertips and keyvectors.
+    """A human hand and robot hands, each with a frame, a label, fingertips and keyvectors.
 
-    The robots' bodies hang from the frames ``ROOT/NAME``.
+    The frames are named ``ROOT/NAME``. Fingertips in a pinch are larger and lit.
 
     Args:
-        scene: where to draw.
+        scene: the viser scene.
         root: name of the parent node; empty for the scene itself.
         human_tips: (F,) landmarks of the fingertips that drive the robots, thumb first.
         words: name -> label; the human hand first, then the robots.
-        label: ``viser.SceneApi.add_label``'s settings of all labels.
+        label: settings of all labels, for ``viser.SceneApi.add_label``.
 
     Attributes:
         roots: name -> frame of a hand.
+        tips: name -> node of a robot's fingertips.
         labels: name -> label.
     """
 
@@ -529,7 +473,11 @@ class HandRow:
         self._human_name, *robots = words
         self.roots = {name: scene.add_frame(f"{root}/{name}", show_axes=False) for name in words}
         self.human = HumanView(scene, human_tips, f"{root}/{self._human_name}")
-        self.tips = {name: TipBalls(scene, count, f"{root}/{name}/tips") for name in robots}
+        self._palette, none = finger_colors(count), np.zeros((count, 3))
+        self.tips = {
+            name: add_balls(scene, f"{root}/{name}/tips", none, np.zeros(count), self._palette)
+            for name in robots
+        }
         self.lines = {
             name: scene.add_line_segments(
                 f"{root}/{name}/keyvectors",
@@ -550,23 +498,30 @@ class HandRow:
         robot_tips: Sequence[Float[np.ndarray, "F 3"]],
         pinched: Bool[np.ndarray, " G"],
     ) -> None:
-        """Show the human landmarks, NaN where there is none, and each robot's fingertips [m].
+        """Shows a frame.
 
         Args:
-            landmarks: (21, 3) in the frame of the human hand [m].
+            landmarks: (21, 3) in the frame of the human hand [m]; NaN for missing ones.
             robot_tips: fingertips of each robot, (F, 3) in its frame [m].
-            pinched: (F-1,) which fingers pinch with the thumb.
+            pinched: (F-1,) True for fingers that pinch with the thumb.
         """
         self.human.draw(landmarks, pinched)
+        lit = lit_tips(pinched)
+        shades = linear(np.where(lit[:, None], np.array(HIGHLIGHT), self._palette))
         for balls, tips in zip(self.tips.values(), robot_tips, strict=True):
-            balls.draw(tips, pinched)
+            balls.batched_positions = tips
+            balls.batched_scales = np.where(lit, _BALL_PINCHED, _BALL)
+            balls.batched_colors = shades
         colors = keyvector_colors(len(self._human_tips), pinched)
-        ends = (landmarks[self._human_tips], *robot_tips)
-        for lines, tips in zip(self.lines.values(), ends, strict=True):
-            lines.points = thumb_lines(tips)
+        for lines, tips in zip(
+            self.lines.values(), (landmarks[self._human_tips], *robot_tips), strict=True
+        ):
+            ends = np.stack([np.broadcast_to(tips[0], tips[1:].shape), tips[1:]], axis=1)
+            both = np.isfinite(ends).all(axis=(1, 2), keepdims=True)
+            lines.points = np.where(both, ends, 0.0)
             lines.colors = colors
 
     def set_keyvectors(self, visible: bool) -> None:
-        """Show or hide the thumb-to-tip lines."""
+        """Shows or hides the thumb-to-tip lines."""
         for lines in self.lines.values():
             lines.visible = visible

@@ -1,4 +1,4 @@
-"""Opening and closing a viser server: what every page here does."""
+"""Base of the pages on viser: server, port, scripts, hotkeys, and the end with Ctrl-C."""
 
 from __future__ import annotations
 
@@ -27,36 +27,23 @@ from smooth_operator.web.browser import open_page
 def open_server(host: str, port: int, alive: Callable[[], bool] = lambda: True) -> GuardedServer:
     """A server on the first free port.
 
-    Where other machines can reach it, it wants the token that is in ``page_url``.
+    If other machines can reach it, it asks for the token that is in ``page_url``.
 
     Args:
         port: first port to try; 0 for any free one.
-        alive: answer to ``ALIVE_PATH``; from the server's thread.
+        alive: answer to ``ALIVE_PATH``, called from the server's thread.
 
     Raises:
-        ConfigError: if the address is not one of this machine's, or no port is free.
+        ConfigError: the address is not one of this machine's, or no port is free.
     """
-    server = GuardedServer(host, free_port(host, port), auth_for(host), alive)
-    run_script(server, read_script(__package__, "page.js"))
+    auth = TokenAuth(None if is_local(host) else {"page": secrets.token_urlsafe(24)})
+    server = GuardedServer(host, free_port(host, port), auth, alive)
+    server.front.scripts.append(read_script(__package__, "page.js"))
     return server
 
 
-def close_server(server: viser.ViserServer) -> None:
-    """Closes the port."""
-    server.stop()
-
-
-def run_script(server: GuardedServer, source: str) -> None:
-    """Runs a script in every browser that opens the page from now on.
-
-    Args:
-        server: result of ``open_server``.
-    """
-    server.front.scripts.append(source)
-
-
 def read_script(package: str, name: str) -> str:
-    """A script among the files of a package."""
+    """Text of a file in a package."""
     return resources.files(package).joinpath(name).read_text("utf-8")
 
 
@@ -67,11 +54,7 @@ def name_panel(gui: viser.GuiApi, name: str) -> None:
 
 
 def name_tab(server: GuardedServer, title: str) -> None:
-    """Gives a page its own title in the browser's tab, now or at any time later.
-
-    Args:
-        server: result of ``open_server``.
-    """
+    """Sets the title of the browser's tab, at any time."""
     text = f'<i hidden data-title="{html.escape(title)}"></i>'
     if server.tab is None:
         server.tab = server.gui.add_html(text)
@@ -80,12 +63,11 @@ def name_tab(server: GuardedServer, title: str) -> None:
 
 
 def page_url(host: str, server: GuardedServer) -> str:
-    """Address of a page, its token included.
+    """Address of a page with its token.
 
     Args:
-        host: that it listens on; for all addresses of this machine, the one that leads to its
-            network is named, which works here, too.
-        server: result of ``open_server``.
+        host: address on which it listens; for ``0.0.0.0`` and ``::`` the result has this machine's
+            address on its network.
     """
     if host in ("0.0.0.0", "::"):
         host = next(iter(lan_addresses()), "localhost")
@@ -98,30 +80,25 @@ _SIGNS: Final = re.compile(r"^(?:i(?=mport)|e(?=xport))|[!-/:-@\[-`{-~]")
 
 
 def plain(text: str) -> str:
-    """Any text as Markdown that shows it letter by letter, in one line.
+    """Markdown that shows a text letter by letter, in one line.
 
-    viser compiles Markdown as MDX, which holds HTML, and JavaScript in braces or after ``import``
-    and ``export`` at the beginning of a line. What people write into a file (a name, a source, a
-    note) is none of that, so every sign that could mean something goes in as its number.
+    viser compiles Markdown as MDX, which can hold HTML and JavaScript. A text from a file must run
+    neither, so each sign with a meaning is replaced by its number.
     """
     return _SIGNS.sub(lambda sign: f"&#{ord(sign[0])};", " ".join(text.split()))
 
 
 def add_hotkeys(gui: viser.GuiApi, *hotkeys: tuple[str, Any, Callable[[], None]]) -> None:
-    """Add commands: (name, key as viser calls it, action)."""
-
-    def add(name: str, key: Any, action: Callable[[], None]) -> None:
-        gui.add_command(name, hotkey=key).on_trigger(from_person(lambda _: action()))
-
-    for hotkey in hotkeys:
-        add(*hotkey)
+    """Adds commands: (name, key in viser's notation, action)."""
+    for name, key, action in hotkeys:
+        gui.add_command(name, hotkey=key).on_trigger(from_person(lambda _, do=action: do()))
 
 
-def from_person(action: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-    """Wrap an action as a callback that answers people only.
+def from_person(action: Callable[..., None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+    """Wraps an action as a callback for events of people, which have a client.
 
-    Handles also call back when the program itself writes a value; such events have no client.
-    Coroutines run in order on the server's event loop, plain functions in a pool without order.
+    Handles also call back when the program writes a value. Coroutines run in order on the server's
+    event loop, plain functions in a pool without order.
     """
 
     async def callback(event: Any) -> None:
@@ -131,18 +108,13 @@ def from_person(action: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any,
     return callback
 
 
-def auth_for(host: str) -> TokenAuth:
-    """Asks for a token unless only this machine reaches ``host``."""
-    return TokenAuth(None if is_local(host) else {"page": secrets.token_urlsafe(24)})
-
-
 class PageServer:
-    """Serves a page. Use as a context manager, or call ``start`` and ``stop``.
+    """Serves a page. Use it as a context manager, or call ``start`` and ``stop``.
 
     Args:
-        host: address to listen on. The default is reachable from this machine only; any other
-            wants the token that is in ``url``.
-        port: first port to try; the next free one is taken, see ``url``. 0: any free one.
+        host: address to listen on. By default only this machine reaches it; another address needs
+            the token that is in ``url``.
+        port: first port to try; 0 for any free one.
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8080) -> None:
@@ -153,24 +125,24 @@ class PageServer:
 
     @property
     def title(self) -> str:
-        """Title of the browser's tab. Each page has its own."""
+        """Title of the browser's tab."""
         raise NotImplementedError
 
     def _build(self, server: GuardedServer) -> None:
-        """Puts everything on the page; browsers see it at one time. Each page has its own."""
+        """Puts all elements on the page, in one update of the browsers."""
         raise NotImplementedError
 
     def _begin(self, server: viser.ViserServer) -> None:
         """Called when the page is built."""
 
     def _end(self) -> None:
-        """Called before the port is closed; also where the page was never started."""
+        """Called before the port is closed, also if the page was never started."""
 
     def start(self) -> Self:
-        """Opens the port and shows the page; returns itself. Starting twice does nothing.
+        """Opens the port and shows the page; a second call does nothing.
 
         Raises:
-            ConfigError: if the address is not one of this machine's, or no port is free.
+            ConfigError: the address is not one of this machine's, or no port is free.
         """
         if self._server is not None:
             return self
@@ -188,11 +160,11 @@ class PageServer:
         self._end()
         server, self._server = self._server, None
         if server is not None:
-            close_server(server)
+            server.stop()
         self._ended.set()
 
     def wait(self) -> None:
-        """Blocks until ``stop``, or until the page fails, and then raises what went wrong."""
+        """Blocks until ``stop``, or until the page fails; then raises its error."""
         while not self._ended.wait(0.2):  # bounded: Windows can't interrupt an endless wait
             pass
         if self._error is not None:
@@ -206,20 +178,12 @@ class PageServer:
 
     @property
     def port(self) -> int:
-        """The port that the page is served on.
-
-        Raises:
-            ConfigError: the page is not being served.
-        """
+        """Port of the page; raises ConfigError before ``start``."""
         return int(self._serving().get_port())
 
     @property
     def url(self) -> str:
-        """Address of the page, its token included.
-
-        Raises:
-            ConfigError: the page is not being served.
-        """
+        """Address of the page with its token; raises ConfigError before ``start``."""
         return page_url(self._host, self._serving())
 
     def _serving(self) -> GuardedServer:
@@ -232,17 +196,17 @@ _Page = TypeVar("_Page", bound=PageServer)
 
 
 def serve_page(page: _Page, doing: str, *, open_browser: bool, block: bool) -> _Page:
-    """Prints the address of a page that was started, opens it, and serves it.
+    """Prints the address of a started page, opens it in a browser, and serves it.
 
     Args:
         doing: text before the address in the printed line.
-        open_browser: open the page, where there is a desktop to open it on.
-        block: return only after Ctrl-C; otherwise immediately, and the caller stops the page.
+        open_browser: open the page if there is a desktop.
+        block: wait for Ctrl-C and stop the page; otherwise the caller stops it.
 
     Returns:
-        The page: stopped if ``block``, running otherwise.
+        The page.
     """
-    # standard error: standard output may be a result that a program reads
+    # on standard error, since another program may read standard output
     port = page._wanted_port
     note = "" if port in (0, page.port) else f" (port {port} was taken)"
     print_note(f"{doing} {page.url}{note}{'; Ctrl-C ends' if block else ''}")
@@ -254,7 +218,7 @@ def serve_page(page: _Page, doing: str, *, open_browser: bool, block: bool) -> _
 
 
 def until_interrupted(page: PageServer) -> None:
-    """Serves a page that was started until Ctrl-C, and stops it."""
+    """Serves a started page until Ctrl-C, then stops it."""
     try:
         page.wait()
     except KeyboardInterrupt:
@@ -267,17 +231,10 @@ _TRIES = 100
 
 
 def free_port(host: str, port: int) -> int:
-    """The first free port from ``port`` on.
-
-    viser looks for a free port itself, but takes every failure for "taken": with an address that
-    is not this machine's it would try for ever. So the address is tried out first.
-
-    Args:
-        host: name or address to listen on.
-        port: first candidate, 1..65535; 0 lets the system choose.
+    """The first free port from ``port`` on; 0 lets the system choose.
 
     Raises:
-        ConfigError: if the address is not one of this machine's, or no port is free.
+        ConfigError: the address is not one of this machine's, or no port is free.
     """
     if not 0 <= port <= 65535:
         raise ConfigError(f"port must be in 0..65535, not {port}")
@@ -303,7 +260,7 @@ def free_port(host: str, port: int) -> int:
 
 def _bind(family: socket.AddressFamily, address: str, port: int) -> int:
     with socket.socket(family, socket.SOCK_STREAM) as probe:
-        if os.name == "posix":  # as the server itself will: a port just left is free
+        if os.name == "posix":  # as the server does: a port that was just closed is free
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind((address, port))
         return int(probe.getsockname()[1])

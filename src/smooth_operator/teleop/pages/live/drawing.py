@@ -1,4 +1,4 @@
-"""Scene and panel of the live page on its server, at the pace of the slowest browser."""
+"""Drawing of the live page at the pace of the slowest browser."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from smooth_operator.teleop.pages.live.stop_panel import StopPanel
 
 
-_TEXT_S: Final = 0.25  # between two updates of text, which costs a browser more than poses [s]
-_IDLE_S: Final = 0.5  # while nobody watches
+_TEXT_S: Final = 0.25  # period of the text, which takes a browser longer than poses [s]
+_IDLE_S: Final = 0.5  # period without a browser [s]
 
 
 class LiveDrawing:
     """Scene and panel on a server, drawn by one thread.
 
     Args:
-        server: where to draw.
-        link: to the loop's process.
+        server: server of the page.
+        link: link to the loop's process.
         setup: a ``PageSetup`` as JSON values.
         stop: the emergency stop, which is on the page already.
 
@@ -56,7 +56,7 @@ class LiveDrawing:
         self._wake = threading.Event()
         self._builds = 0
         self._trouble = ""
-        # Not as one update: it takes seconds, and until its end no browser would get the stop.
+        # Not in one update: it takes seconds, in which no browser would get the stop.
         hands = self._hands_of(setup)
         self._scene = self._built(setup, hands)
         self._panel = LivePanel(server, hands, link.do, self._scene, stop, setup["blind"])
@@ -66,7 +66,7 @@ class LiveDrawing:
         self._pace = Pace(self._server)
 
     def _change(self, setup: Mapping[str, Any]) -> None:
-        """Puts the hands of another setup on the page, in the place of those that are there."""
+        """Replaces the hands by those of another setup."""
         hands = self._hands_of(setup)
         with self._server.atomic():
             self._scene.remove()
@@ -85,13 +85,13 @@ class LiveDrawing:
         if not setup["details"]:
             self._server.scene.configure_environment_map(None)
         arm = None if setup["arm"] is None else ArmSettings(**setup["arm"])
-        # A browser keeps the pose of a node that is removed for the next one of its name, so the
-        # names of each scene are new.
+        # A browser keeps the pose of a removed node for the next node with its name, so each scene
+        # has names of its own.
         self._builds += 1
         return LiveScene(self._server, hands, setup["simulated"], arm=arm, root=f"/{self._builds}")
 
     def _see(self, setup: Mapping[str, Any], hands: dict[Side, Hand]) -> None:
-        """Points the cameras at the hands, and begins to read their meshes."""
+        """Points the cameras at the hands, and starts to read their meshes."""
         for client in self._server.get_clients().values():
             self._scene.aiming.greet(client)
         self._hands = hands
@@ -102,7 +102,7 @@ class LiveDrawing:
             ).start()
 
     def run(self) -> None:
-        """Draw until the loop ends."""
+        """Draws until the loop ends."""
         next_text = 0.0
         while True:
             begun = time.monotonic()
@@ -115,39 +115,36 @@ class LiveDrawing:
                 elif watched:
                     self._show_meshes()
                     self._draw(state)
-            except Exception as error:  # the page goes on, since its stop does
-                self._report(f"the page can't draw the run: {type(error).__name__}: {error}")
+            except Exception as error:  # the page must go on because of its stop
+                trouble = f"the page can't draw the run: {type(error).__name__}: {error}"
+                if trouble != self._trouble:
+                    self._trouble = trouble
+                    print_note(f"note: {trouble}")
+                self._panel.show({"trouble": trouble})
             if text:
                 next_text = begun + _TEXT_S
             spent = time.monotonic() - begun
             if watched:
                 self._pace.wait()
-            # At most half of a core, whatever the machine: a slow one draws less often.
+            # Use at most half of a core: a slow machine draws less often.
             rest = max(begun + _FASTEST_S - time.monotonic(), spent) if watched else _IDLE_S
             self._wake.wait(rest)
             self._wake.clear()
 
-    def _report(self, trouble: str) -> None:
-        """Show what went wrong on the page; in the terminal, too, the first time."""
-        if trouble != self._trouble:
-            self._trouble = trouble
-            print_note(f"note: {trouble}")
-        self._panel.show({"trouble": trouble})
-
     def _find_meshes(self, hands: dict[Side, Hand], model: str | None) -> None:
-        """Read the hands' meshes, which takes seconds; the page shows simple shapes until then."""
+        """Reads the hands' meshes for seconds; until then the page shows simple shapes."""
         try:
             there = {side: hand_with_meshes(hand, model) for side, hand in hands.items()}
             views = {side: HandView(hand) for side, hand in there.items() if hand is not None}
             drawn: tuple[dict[Side, HandView], str] = views, ""
         except (SmoothOperatorError, ValueError, IndexError, ArithmeticError) as error:
             drawn = {}, f"drawing simple shapes: {error}"
-        if hands is self._hands:  # not another hand by now
+        if hands is self._hands:  # the page has no other hand since
             self._drawn = drawn
             self._wake.set()
 
     def _show_meshes(self) -> None:
-        """Draw the meshes from now on, when they are read."""
+        """Draws the meshes as soon as they are read."""
         if self._drawn is not None:
             (views, note), self._drawn = self._drawn, None
             with self._server.atomic():
@@ -155,7 +152,7 @@ class LiveDrawing:
                 self._panel.show_meshes(bool(views), note)
 
     def _draw(self, state: dict[str, Any]) -> None:
-        """Send all that has changed, as one update."""
+        """Sends all changes as one update."""
         with self._server.atomic():
             self._panel.show(state, self._pace.delay)
             self._scene.draw(state.get("hands", {}))
@@ -171,21 +168,16 @@ class LiveDrawing:
         self._scene.aiming.forget(client)
 
 
-_FASTEST_S: Final = 1 / 30
-"""Least time between two drawn frames [s]."""
-_RECENT_S: Final = 4.0
-_PATIENCE_S: Final = 2.0
+_FASTEST_S: Final = 1 / 30  # shortest time between two drawn frames [s]
+_RECENT_S: Final = 4.0  # time over which the delay is measured [s]
+_PATIENCE_S: Final = 2.0  # longest wait for one browser [s]
 
 
 class Pace:
     """Waits until the browsers have handled a frame, so that at most one is on its way.
 
-    Browsers handle messages in order, so one that can't keep up answers late. What it has not shown
-    yet would grow without bound otherwise, and a page that is seconds late is dangerous: frames in
-    between are never sent to it.
-
-    Args:
-        server: whose browsers they are.
+    Browsers handle messages in order. Without the wait, a slow one would lag behind more and more,
+    and a page that is seconds late is dangerous.
     """
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -194,12 +186,11 @@ class Pace:
 
     @property
     def delay(self) -> float:
-        """Time that the slowest browser took for a frame, at worst in the last few seconds [s]; the
-        time of one picture varies a lot without a graphics card."""
+        """Longest time of the slowest browser for a frame in the last few seconds [s]."""
         return max((seconds for _, seconds in self._recent), default=0.0)
 
     def wait(self) -> None:
-        """Until all browsers have handled what they were sent; two seconds at most for each."""
+        """Waits for all browsers, two seconds at most for each."""
         clients = list(self._server.get_clients().values())
         slowest = max((_round_trip(client) for client in clients), default=0.0)
         now = time.monotonic()
@@ -209,12 +200,12 @@ class Pace:
 
 
 def _round_trip(client: Any) -> float:
-    """Until a browser has handled all that it was sent before now [s]; 0 if it has left."""
+    """Waits until a browser has handled all messages; returns the time [s], 0 if it has left."""
     start = time.monotonic()
     try:
         client.local_storage.get_item("pace", timeout=_PATIENCE_S)
     except TimeoutError:
         return _PATIENCE_S
-    except RuntimeError:  # it has left, or keeps no such things, and says so
+    except RuntimeError:  # it has left, or has no such storage and answers so
         pass
     return time.monotonic() - start

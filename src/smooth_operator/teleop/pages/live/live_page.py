@@ -1,15 +1,12 @@
-"""The live page as the loop sees it: a process that asks what to show and sends what was clicked.
+"""The live page in the loop's process: starts the page's process, answers it, carries out clicks.
 
-viser, its WebSockets and the kinematics for drawing take a tenth of a core for each hand, in
-Python. In the loop's own process each of those milliseconds may come just when a frame does, and
-the loop would have to wait for the interpreter. So they are elsewhere, at a lower priority: the
-page asks at its own pace over a pipe, one line of JSON each way. A page that hangs or dies harms
-nothing.
+Drawing takes a tenth of a core for each hand, in Python, and in the loop's process it would delay
+commands. So the page is a process of lower priority. It asks for the state at its own pace over a
+pipe, with one line of JSON in each direction. A page that hangs or dies does not affect the loop.
 
-In the loop's process three threads answer it. The first reads the pipe and carries out what must
-not wait: an emergency stop, its release, and the pulse by which the page knows that a stop would be
-carried out. The second reads the state to show, the third does what other controls ask for; an
-error there is shown on the page and never ends the first.
+Three threads answer it. The first reads the pipe and carries out an emergency stop and its release,
+and answers the pulse by which the page knows that a stop works. The second sends the state, the
+third carries out other clicks. The page shows their errors, which never end the first thread.
 """
 
 from __future__ import annotations
@@ -42,53 +39,32 @@ class LoopEnded(Exception):
 
 
 class Link:
-    """One end of the pipe between the page and the loop: a line of JSON for each message.
-
-    Args:
-        incoming: messages of the other end.
-        outgoing: messages to it; from any thread.
-    """
+    """One end of the pipe between page and loop, with a line of JSON for each message."""
 
     def __init__(self, incoming: IO[bytes], outgoing: IO[bytes]) -> None:
         self._in, self._out = incoming, outgoing
         self._writing = threading.Lock()
 
     def receive(self) -> dict[str, Any] | None:
-        """The next message, without lines that are none; None where the other end is gone."""
+        """The next message; skips other lines. None if the other end is gone."""
         with contextlib.suppress(OSError, ValueError):  # ValueError: the file is closed
             while line := self._in.readline():
-                message = _parsed(line)
-                if message is not None:
-                    return message
+                with contextlib.suppress(ValueError, RecursionError):
+                    message = json.loads(line)
+                    if isinstance(message, dict):
+                        return message
         return None
 
     def send(self, message: Mapping[str, Any]) -> None:
-        """Send a message; does nothing where the other end is gone, as ``receive`` reports.
-
-        Raises:
-            TypeError, ValueError: JSON can't hold the message.
-        """
+        """Sends a message, from any thread; does nothing if the other end is gone."""
         line = json.dumps(message).encode() + b"\n"
         with contextlib.suppress(OSError, ValueError), self._writing:
             self._out.write(line)
             self._out.flush()
 
 
-def _parsed(line: bytes) -> dict[str, Any] | None:
-    """A line as a message; None if it is not one."""
-    with contextlib.suppress(ValueError, RecursionError):
-        message = json.loads(line)
-        if isinstance(message, dict):
-            return message
-    return None
-
-
 class LoopLink:
-    """The page's end of the pipe: asks what to show, sends clicks, and feels the loop's pulse.
-
-    Args:
-        link: the pipe, from which nothing else is received from now on.
-    """
+    """The page's end of the pipe: asks for the state, sends clicks, and checks the loop's pulse."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
@@ -100,16 +76,16 @@ class LoopLink:
 
     @property
     def alive(self) -> bool:
-        """True if the loop's process would carry out a stop: it answered within the last 0.5 s."""
-        return time.monotonic() - self._pulse < PULSE_LIMIT_S
+        """True if the loop's process answered within the last 0.5 s, so a stop works."""
+        return time.monotonic() - self._pulse < _PULSE_LIMIT_S
 
     def do(self, name: str, *values: Any) -> None:
-        """Send a click."""
+        """Sends a click."""
         self._link.send({"do": [name, *values]})
 
     def look(self, *, text: bool, scenery: int) -> dict[str, Any]:
-        """The state to show; see ``LiveSession.look``. With ``setup``, another one to build; with
-        ``trouble``, the reason why there is none.
+        """The state; see ``LiveSession.look``. Or ``setup``, another page to build; or ``trouble``,
+        the reason why there is no state.
 
         Raises:
             LoopEnded: the loop is gone.
@@ -135,33 +111,30 @@ class LoopLink:
 
 
 LOADING: Final = "loading the hand and method"
-"""State of a page that has nothing to show yet."""
-PULSE_LIMIT_S: Final = 0.5
-"""Age of the last answer from which on the page says that its stop does not work [s]."""
+"""State of a page without a loop."""
+_PULSE_LIMIT_S: Final = 0.5  # age of the last answer at which the page reports a lost stop [s]
 _PULSE_S: Final = 0.1
 _MODULE: Final = "smooth_operator.teleop.pages.live.process"
-_END_S: Final = 3.0
-"""Time that the page may take to end [s]."""
+_END_S: Final = 3.0  # longest time for the end of the page [s]
 
 
 @dataclass(frozen=True)
 class PageSetup:
-    """Settings of a page before there is anything to show.
+    """Settings of a page.
 
     Attributes:
         hand: name of the robot hand, or the path of its description.
         sides: sides of the hands.
         fingers: robot finger -> human finger that drives it; None for all.
-        host: address to listen on; another than this machine's own wants a token.
+        host: address to listen on; another one than this machine's own needs a token.
         port: first port to try; 0 for any free one.
-        simulated: True if a simulated or measured hand is to be drawn.
+        simulated: draw a simulated or measured hand, too.
         attended: True if the terminal of the run has keys, one of which stops.
-        blind: the operator is not to know the method: nothing shows or changes it.
-        model: MJCF or URDF that is drawn, or ``menagerie``; if None, the hand's meshes that are
-            here.
-        meshes: draw meshes, where there are some; otherwise simple shapes.
-        details: with reflections, which a browser without a graphics card takes long to prepare.
-        arm: that carries the hands; None for none.
+        blind: hide the method from the operator, who can't change it.
+        model: MJCF or URDF to draw, or ``menagerie``; None for the hand's installed meshes.
+        meshes: draw meshes, if there are some; otherwise simple shapes.
+        details: with reflections, which take long without a graphics card.
+        arm: settings of the arm that carries the hands; None for no arm.
     """
 
     hand: str
@@ -179,16 +152,11 @@ class PageSetup:
 
 
 class LivePage:
-    """The process of a page. Use as a context manager, or call ``stop``.
-
-    It starts immediately, and its address is there before there is anything to show.
-
-    Args:
-        setup: hands to show, and the address.
+    """The process of a page, which starts at once. Use it as a context manager, or call ``stop``.
 
     Attributes:
-        setup: as given to it, or to ``change``.
-        trouble: why the page ended by itself; empty as long as it has not.
+        setup: the current settings.
+        trouble: reason why the page ended by itself; empty while it runs.
     """
 
     def __init__(self, setup: PageSetup) -> None:
@@ -197,16 +165,16 @@ class LivePage:
         self._address: Future[str] = Future()
         self._session: LiveSession | None = None
         self._next: PageSetup | None = None
-        self._stop_pending = False  # a stop that was pressed while there was no loop
+        self._stop_pending = False  # True after a stop without a loop
         self._ending = False
         self._looks: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._clicks: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", _MODULE],  # -P: nothing from the working folder
+            [sys.executable, "-P", "-m", _MODULE],  # -P: no modules from the working folder
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            # The page draws in the browser; MuJoCo's import would start a process to look for GLFW,
-            # which writes a traceback to the terminal if the page ends before it.
+            # The import of MuJoCo would start a process to look for GLFW, which prints a traceback
+            # if the page ends before it. The page needs no OpenGL.
             env={**os.environ, "MUJOCO_GL": "disable"},
         )
         assert self._process.stdin is not None
@@ -221,20 +189,20 @@ class LivePage:
 
     @property
     def url(self) -> str:
-        """Address of the page, with its token; waits until the port is open.
+        """Address of the page with its token; waits until the port is open.
 
         Raises:
-            ConfigError: the page can't be served there.
+            ConfigError: the page can't be served at the address.
         """
         return self._address.result()
 
     def serve(self, session: LiveSession) -> str:
-        """Show a loop, in the place of the one before; returns the page's address.
+        """Shows a loop instead of the last one; returns the page's address.
 
-        A stop that was pressed before stops it.
+        An earlier stop without a loop stops this loop.
 
         Raises:
-            ConfigError: the page can't be served there.
+            ConfigError: the page can't be served at the address.
         """
         url, self._session = self.url, session
         if self._stop_pending:
@@ -242,7 +210,7 @@ class LivePage:
         return url
 
     def change(self, setup: PageSetup) -> None:
-        """Show another setup at the same address; nothing moves on it until ``serve``."""
+        """Shows another setup at the same address; nothing moves until ``serve``."""
         session, self._session = self._session, None
         self.setup = self._next = setup
         if session is not None:
@@ -250,11 +218,11 @@ class LivePage:
             session.close()
 
     def stop(self) -> None:
-        """End the page; safe to call twice."""
+        """Ends the page; safe to call twice."""
         self._ending = True
         with contextlib.suppress(OSError):
             self._out.close()
-        self._process.terminate()  # it has nothing to lose, and may be busy with its browsers
+        self._process.terminate()  # it has no state to save, and may be busy with its browsers
         try:
             self._process.wait(_END_S)
         except subprocess.TimeoutExpired:
@@ -273,7 +241,7 @@ class LivePage:
         self.stop()
 
     def _read(self) -> None:
-        """Read the page's messages until it ends."""
+        """Reads the page's messages until it ends."""
         failed = ""
         while (message := self._link.receive()) is not None:
             failed = str(message.get("failed", failed))
@@ -291,13 +259,13 @@ class LivePage:
             _note(self.trouble)
 
     def _take(self, message: Mapping[str, Any]) -> None:
-        """Carry out a stop at once, and hand the rest on to the other threads."""
+        """Carries out a stop or release, and passes other messages to the other threads."""
         if "pulse" in message:
             self._link.send(message)
         elif "look" in message:
             self._looks.put(message["look"])
         elif message.get("do") in (["stop"], ["release"]):
-            # Both here, in the order in which they came: a release must not end a later stop.
+            # Both in this thread keep their order: a release must not end a later stop.
             self._carry_out(*message["do"])
         elif "do" in message:
             self._clicks.put(message["do"])
@@ -311,29 +279,29 @@ class LivePage:
             session.do(name)
 
     def _show(self) -> None:
-        """Answer the page what to show, until it ends."""
+        """Sends the state to the page until it ends."""
         last = ""
-        while (asked := self._looks.get()) is not None:
+        while (request := self._looks.get()) is not None:
             try:
-                self._link.send(self._look(asked))
-            except Exception as error:  # whatever it is, the page says it and asks again
+                self._link.send(self._look(request))
+            except Exception as error:  # the page shows any error and asks again
                 trouble = f"the page can't show the run: {_words(error)}"
                 if trouble != last:
                     _note(trouble)
                 last = trouble
                 self._link.send({"trouble": trouble})
 
-    def _look(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+    def _look(self, request: Mapping[str, Any]) -> dict[str, Any]:
         setup, self._next = self._next, None
         if setup is not None:
             return {"setup": asdict(setup)}
         session = self._session
         if session is None:
             return {"hands": {}, "notice": LOADING, "stopped": self._stop_pending}
-        return session.look(**asked)
+        return session.look(**request)
 
     def _click(self) -> None:
-        """Do what was clicked, until the page ends."""
+        """Carries out clicks until the page ends."""
         while (click := self._clicks.get()) is not None:
             try:
                 if (session := self._session) is not None:
@@ -347,6 +315,6 @@ def _words(error: Exception) -> str:
 
 
 def _note(text: str) -> None:
-    """Print a note; a terminal that is gone ends no thread."""
+    """Prints a note, even if the terminal is gone."""
     with contextlib.suppress(OSError, ValueError):
         print_note(f"note: {text}")

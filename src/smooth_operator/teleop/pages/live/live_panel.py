@@ -1,4 +1,4 @@
-"""Panel of the live page: controls, and the state that the loop sends."""
+"""Panel of the live page: controls and the state of the loop."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from smooth_operator.types import Side
 
 
 class LivePanel:
-    """Builds the controls and shows what the loop sends.
+    """Controls and texts beside the scene.
 
     Args:
-        server: where to build.
+        server: server of the page.
         hands: side -> robot hand.
-        do: sends the loop's process an action's name and values.
-        scene: whose switches stand in the panel.
-        stop: the emergency stop, which stands above.
-        blind: the operator is not to know the method: nothing shows or changes it.
+        do: sends an action's name and values to the loop's process.
+        scene: the scene, for its switches.
+        stop: the emergency stop above the panel.
+        blind: hide the method from the operator, who can't change it.
     """
 
     def __init__(
@@ -44,12 +44,10 @@ class LivePanel:
         self._do, self._scene, self._stop = do, scene, stop
         self._blind = blind
         self._stopped = self._paused = self._released = False
-        self._hands = hands
         self._take: Mapping[str, Any] = {}
         self._quality: Sequence[TakeQuality] | str = ""
-        gui = server.gui
-        self._gui = gui
-        self._name_hand()
+        gui = self._gui = server.gui
+        self._set_hands(hands)
         self._build_main(gui)
         panel = gui.add_panel()
         with panel.add_tab("Timing"):
@@ -62,9 +60,9 @@ class LivePanel:
         panel.dock_below(gui.main_panel)
 
     def change_hands(self, hands: Mapping[Side, Hand], scene: LiveScene) -> None:
-        """Show other hands; tab and switches stay as they are."""
-        self._hands, self._scene = hands, scene
-        self._name_hand()
+        """Shows other hands; tab and switches remain."""
+        self._scene = scene
+        self._set_hands(hands)
         self.show_meshes(False, "")
         scene.set_overlay(self._overlay.value)
         scene.set_keyvectors(self._vectors.value)
@@ -73,20 +71,15 @@ class LivePanel:
             scene.set_own(self._own.value)
             scene.set_simulated(self._simulated.value)
 
-    def _name_hand(self) -> None:
-        hand = next(iter(self._hands.values()))
+    def _set_hands(self, hands: Mapping[Side, Hand]) -> None:
+        self._hands, hand = hands, next(iter(hands.values()))
         self._fingers, self._hand_name = hand.fingers, hand.name
         name_panel(self._gui, hand.name)
 
     def show(self, state: Mapping[str, Any], delay: float = 0.0) -> None:
-        """Show what the loop sends.
-
-        Args:
-            state: answer of ``LoopLink.look``.
-            delay: delay of the slowest browser [s].
-        """
+        """Shows the state of ``LoopLink.look``, and the delay of the slowest browser [s]."""
         if "trouble" in state:
-            # the words of an error may name a method
+            # an error may name a method
             trouble = "some parts can't be shown" if self._blind else state["trouble"]
             self._show_notice(live_texts.notice("", f"{trouble}; the stop button still works"))
             return
@@ -111,8 +104,6 @@ class LivePanel:
             self._slow.visible = bool(self._slow.content)
         if "controls" in state:
             self._show_controls(state["controls"])
-
-    # -- building -----------------------------------------------------------------------------
 
     def _build_main(self, gui: viser.GuiApi) -> None:
         do = self._do
@@ -149,7 +140,7 @@ class LivePanel:
             "Hand", (self._hand_name,), visible=False, hint="the run restarts with this hand"
         )
         self._hand.on_update(from_person(lambda event: do("hand", event.target.value)))
-        # until the loop says what it runs
+        # the loop sends the choices later
         self._method = gui.add_dropdown("Method", (DEFAULT_METHOD,))
         self._preset = gui.add_dropdown("Preset", ("default",))
         self._method.on_update(from_person(lambda event: do("method", event.target.value)))
@@ -158,33 +149,25 @@ class LivePanel:
         )
 
     def _build_view(self, gui: viser.GuiApi) -> None:
-        self._overlay = overlay = gui.add_checkbox("Overlay", False, hint="human inside robot")
-        self._vectors = vectors = gui.add_checkbox(
-            "Keyvectors", True, hint="thumb tip to fingertips"
-        )
-        overlay.on_update(from_person(lambda event: self._scene.set_overlay(event.target.value)))
-        vectors.on_update(from_person(lambda event: self._scene.set_keyvectors(event.target.value)))
-        self._meshes_box = gui.add_checkbox(
-            "Meshes", True, hint="the vendor's meshes, or simple shapes", visible=False
-        )
-        self._meshes_box.on_update(
-            from_person(lambda event: self._scene.set_meshes(event.target.value))
-        )
+        def switch(name: str, initial: bool, setter: str, hint: str, visible: bool = True) -> Any:
+            """A checkbox that calls a method of the current scene."""
+            box = gui.add_checkbox(name, initial, hint=hint, visible=visible)
+            box.on_update(
+                from_person(lambda event: getattr(self._scene, setter)(event.target.value))
+            )
+            return box
+
+        self._overlay = switch("Overlay", False, "set_overlay", "human inside robot")
+        self._vectors = switch("Keyvectors", True, "set_keyvectors", "thumb tip to fingertips")
+        hint = "the vendor's meshes, or simple shapes"
+        self._meshes_box = switch("Meshes", True, "set_meshes", hint, visible=False)
         if self._scene.simulated:
-            self._own = own = gui.add_checkbox("Own hand at a task", False, hint="as tracked")
-            own.on_update(from_person(lambda event: self._scene.set_own(event.target.value)))
-            self._simulated = simulated = gui.add_checkbox(
-                "Simulated hand", True, hint="transparent, at its measured pose"
-            )
-            simulated.on_update(
-                from_person(lambda event: self._scene.set_simulated(event.target.value))
-            )
+            self._own = switch("Own hand at a task", False, "set_own", "as tracked")
+            hint = "transparent, at its measured pose"
+            self._simulated = switch("Simulated hand", True, "set_simulated", hint)
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
         view.on_click(from_person(lambda event: self._scene.aiming.aim(event.client)))
-
         self._meshes_note = gui.add_markdown("", visible=False)
-
-    # -- showing ------------------------------------------------------------------------------
 
     def _toggle_pause(self) -> None:
         """Pauses or resumes; does nothing in an emergency stop, which only a release ends."""
@@ -192,7 +175,7 @@ class LivePanel:
             self._do("resume" if self._paused else "pause")
 
     def show_meshes(self, there: bool, note: str) -> None:
-        """Show whether the hand's meshes can be drawn, and if not, why."""
+        """Shows the switch of the meshes, and the reason if there are none."""
         self._meshes_box.visible = there
         self._meshes_note.content = plain(note)
         self._meshes_note.visible = bool(note)
@@ -217,7 +200,7 @@ class LivePanel:
         self._notice.content, self._notice.visible = notice, bool(notice)
 
     def _show_take(self, take: Mapping[str, Any]) -> None:
-        """The take that is recorded or the last one, and what can be done about it."""
+        """Shows the current or the last take with its controls."""
         self._record.label = "End take (R)" if take["recording"] else "Record (R)"
         self._record.color = "red" if take["recording"] else "gray"
         if take["last"] != self._take.get("last"):
@@ -232,10 +215,16 @@ class LivePanel:
             handle.visible = take["open"]
 
     def _measure(self, files: Sequence[str]) -> None:
-        """Measure a take, for seconds; in this process, which does not slow the loop down."""
+        """Measures a take for seconds, in the page's process, which does not delay the loop."""
+
+        def hand_of(file: str) -> Hand:
+            """The hand of a file, by its name if there are two."""
+            own = [hand for side, hand in self._hands.items() if f".{side}." in Path(file).name]
+            return (own or list(self._hands.values()))[0]
+
         try:
             quality: Sequence[TakeQuality] | str = [
-                take_quality(Path(file), _hand_of(file, self._hands)) for file in files
+                take_quality(Path(file), hand_of(file)) for file in files
             ]
         except SmoothOperatorError as error:
             quality = f"its quality can't be measured: {error}"
@@ -243,14 +232,8 @@ class LivePanel:
             self._quality = quality
 
 
-def _hand_of(file: str, hands: Mapping[Side, Hand]) -> Hand:
-    """The hand that a file of a take is of, by its name where there are two."""
-    own = [hand for side, hand in hands.items() if f".{side}." in Path(file).name]
-    return (own or list(hands.values()))[0]
-
-
 def _choose(dropdown: Any, options: list[str], value: str) -> None:
-    """Set a dropdown's options and its choice; a file that stands for a preset is one more."""
+    """Sets a dropdown's options and value; the value may be a file, which is one more option."""
     options = options if value in options else [*options, value]
     if tuple(dropdown.options) != tuple(options):
         dropdown.options = tuple(options)

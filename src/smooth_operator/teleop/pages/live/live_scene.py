@@ -1,4 +1,4 @@
-"""Both sides' hands on the page: human, robot at its command, simulated robot, task and arms."""
+"""Hands of both sides on the live page: human, robot command, simulated robot, task and arms."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import trimesh
 import viser
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from smooth_operator import poses
 from smooth_operator.errors import SmoothOperatorError
@@ -55,9 +55,10 @@ from smooth_operator.teleop.pages.scene import (
 from smooth_operator.teleop.sources.webcam.camera import opencv
 from smooth_operator.types import Side
 
-_SCALE: Final = 0.32  # of the room, next to hands in their own size
-_AZIMUTH, _ELEVATION = np.radians(-58.0), np.radians(22.0)  # of the viewer, as seen from the arms
-_ROOM: Final = ((-0.25, 0.9), (0.35, 0.35), (0.0, 1.0))  # x; y outside the bases; z, in the picture
+_SCALE: Final = 0.32  # scale of the room; the hands beside it have their own size
+_AZIMUTH, _ELEVATION = np.radians(-58.0), np.radians(22.0)  # direction from the arms to the viewer
+_ROOM: Final = ((-0.25, 0.9), (0.35, 0.35), (0.0, 1.0))
+"""Part of the room in the picture [m]: range of x, margins in y outside the bases, range of z."""
 _TABLE: Final = (1.6, 0.1)  # size of the table and of its cells [m]
 _GRID: Final[Rgb] = (100, 110, 124)
 _GHOST: Final = 0.35  # opacity of the measured arm
@@ -65,17 +66,20 @@ _AXES: Final = (0.12, 0.006)  # length and thickness of the target's axes [m]
 
 
 class ArmRoom:
-    """Draws arms with hands in a room, smaller than life.
+    """Arms with hands in a room, on a smaller scale.
 
-    Solid is what is commanded; where an arm is measured, a translucent one shows it. Three axes
-    show where the wrist of the hand is to be.
+    The solid arm is at its command, a translucent one at the measured positions, if there are some.
+    Three axes show the target of the wrist.
 
     Args:
-        scene: where to draw.
+        scene: the viser scene.
         hands: side -> robot hand.
         settings: settings of the arms.
         measured: True if the arms are measured.
         root: name of the parent node.
+
+    Attributes:
+        arms: side -> arm.
     """
 
     def __init__(
@@ -123,7 +127,7 @@ class ArmRoom:
                 position=_SCALE * np.array([0.35, 0.0, settings.table]),
             )
         self._label = scene.add_label(f"{root}/room/label", settings.name, anchor="center-center")
-        self._arms = {
+        self.arms = {
             side: _ArmView(scene, f"{root}/room/{side}", carried, measured)
             for side, carried in placed.items()
         }
@@ -133,43 +137,13 @@ class ArmRoom:
         """Width, height and depth of the picture [m]."""
         return np.asarray(self._high - self._low)
 
-    def put(self, middle: Float[np.ndarray, "3"], view: Float[np.ndarray, "3 3"]) -> None:
-        """Place the picture.
-
-        Args:
-            middle: right, up and toward the viewer [m].
-            view: rows right, up and toward, in the page's own frame.
-        """
+    def put(self, middle: Float[np.ndarray, "3"]) -> None:
+        """Places the picture; its middle is given right, up and toward the viewer [m]."""
         offset = middle - (self._low + self._high) / 2
-        pose = pose_of(rigid(view.T @ self._rows, offset @ view))
+        pose = pose_of(rigid(_VIEW.T @ self._rows, offset @ _VIEW))
         self._root.position, self._root.wxyz = pose[:3], pose[3:]
         below = np.array([(self._low[0] + self._high[0]) / 2, self._low[1] - 0.012, 0.0])
         self._label.position = below @ self._rows
-
-    def draw(self, side: Side, state: Mapping[str, Any]) -> None:
-        """Show an arm with its hand; see ``LiveSession.look``."""
-        if state.get("arm") is not None:
-            self._arms[side].draw(state["arm"], np.array(state["positions"], float))
-
-    def show_scenery(self, side: Side, parts: Sequence[Mapping[str, Any]]) -> None:
-        """Draw what the hand works on; see ``Scenery``."""
-        self._arms[side].scenery.show(parts)
-
-    def draw_scenery(
-        self, side: Side, pose: Sequence[float] | None, fixture: Sequence[float] | None
-    ) -> Float[np.ndarray, "7"] | None:
-        """Show where the object is.
-
-        Args:
-            pose: pose of the object in the palm frame of the task's own fixture.
-            fixture: pose of that frame in the arm's base.
-
-        Returns:
-            pose of that frame in the palm frame as it is now; None where there is no scene.
-        """
-        arm = self._arms[side]
-        arm.scenery.draw(pose)
-        return None if fixture is None else arm.place_scenery(np.array(fixture, float))
 
 
 class _ArmView:
@@ -232,22 +206,23 @@ class _ArmView:
             put(self._target, np.array(target[:3]), np.array(target[3:]))
 
     def place_scenery(self, fixture: Float[np.ndarray, "7"]) -> Float[np.ndarray, "7"]:
+        """Places the task at a pose in the arm's base; returns its pose in the palm frame."""
         self.scenery.place(fixture)
         return poses.relative(pose_of(self._palm), fixture)
 
 
-_SPACE: Final = 1.5  # of an object's size is kept in the picture
-_STANDS: Final = 0.7  # opacity of what stands, behind which an object may fall
-_ROUND: Final = 24  # edges of what is round: it is small on the page
+_SPACE: Final = 1.5  # space around an object in the picture, as a multiple of its size
+_STANDS: Final = 0.7  # opacity of fixed shapes, which may hide a fallen object
+_ROUND: Final = 24  # edges of round shapes, which are small on the page
 
 
 class SceneryNodes:
-    """Draws the shapes around one robot hand, in its palm frame.
+    """Shapes of a task around one robot hand, in its palm frame.
 
     Args:
-        scene: where to draw.
+        scene: the viser scene.
         root: name of the node of the palm frame.
-        scale: scale of everything.
+        scale: scale of all shapes.
     """
 
     def __init__(self, scene: viser.SceneApi, root: str, scale: float = 1.0) -> None:
@@ -263,22 +238,18 @@ class SceneryNodes:
         return bool(self._parts)
 
     def bounds(self, pose: Sequence[float]) -> Float[np.ndarray, "c 3"]:
-        """(c, 3) points around the object and where it goes next, in the palm frame [m].
-
-        Args:
-            pose: position and quaternion of the object.
-        """
+        """(c, 3) points around the object at a pose, in the palm frame [m]."""
         turn = np.array(pose[3:], float)
         corners: np.ndarray = poses.rotate(turn, _SPACE * self._corners) + np.array(pose[:3])
         return corners
 
     def show(self, parts: Sequence[Mapping[str, Any]]) -> None:
-        """Draw these shapes in the place of those before; see ``Scenery``."""
+        """Replaces the shapes; see ``Scenery``."""
         for node, _, _ in self._parts:
             node.remove()
         self._parts = []
         self._corners = np.zeros((0, 3))
-        self._count += 1  # a browser may still have the old nodes: names are not used twice
+        self._count += 1  # a browser may still have the old nodes, so each name is used once
         for number, part in enumerate(parts):
             mesh, moves = _mesh(part["kind"], part["size"]), bool(part["moves"])
             if moves:
@@ -299,19 +270,19 @@ class SceneryNodes:
         self._put()
 
     def draw(self, pose: Sequence[float] | None) -> None:
-        """Places the object: position [m] and quaternion; None leaves it."""
+        """Places the object at a pose; None leaves it."""
         if pose is not None:
             self._object = np.array(pose, float)
             self._put()
 
     def hide_object(self, hidden: bool) -> None:
-        """True if there is no object now."""
+        """Shows or hides the object."""
         for node, _, moves in self._parts:
             if moves:
                 node.visible = not hidden
 
     def place(self, pose: Float[np.ndarray, "7"]) -> None:
-        """Places the scene's frame in that of the node's parent: position [m] and quaternion."""
+        """Places the frame of the shapes in that of the node's parent."""
         self._fixture = pose
         self._put()
 
@@ -335,9 +306,9 @@ def _mesh(kind: str, size: Sequence[float]) -> trimesh.Trimesh:
     return mesh
 
 
-_LABEL: Final = 0.016  # from there to the label [m]
-_LEGEND: Final = 84.0  # height of what lies over the canvas's lower edge [px]
-_TRIAL: Final = 120.0  # height of what a trial's state takes above [px]
+_LABEL: Final = 0.016  # distance of a label from the end of the forearm [m]
+_LEGEND: Final = 84.0  # height of the legend over the canvas's lower edge [px]
+_TRIAL: Final = 120.0  # height of a trial's state at the upper edge [px]
 _FONT: Final = 1.25  # size of the labels
 _FLOOR: Final = 1.6  # width and depth of the floor [m]
 _CELLS: Final[Rgb] = (82, 90, 102)
@@ -346,18 +317,15 @@ _VIEW: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rows: right, up
 
 
 class LiveScene:
-    """Builds the nodes once, then shows what the loop sends.
-
-    Every palm is turned so that one looks at it with the fingers up.
+    """All nodes of the live page. Palms face the viewer with the fingers up.
 
     Args:
-        server: where to draw.
+        server: the viser server.
         hands: side -> robot hand.
         simulated: True if there is a simulated hand.
-        drawn: side -> the same hand on a model with meshes, with the same joints by name, in any
-            order; see ``on_model``. It can be added later.
-        arm: settings of the arms that carry the hands; None for none.
-        root: name of the node of the whole scene, which no earlier scene on the server had.
+        drawn: side -> the same hand on a model with meshes; see ``add_meshes``.
+        arm: settings of the arms that carry the hands; None for no arm.
+        root: name of the scene's node, which no earlier scene on the server had.
     """
 
     def __init__(
@@ -372,22 +340,21 @@ class LiveScene:
         self.simulated = simulated
         self._root = server.scene.add_frame(root, show_axes=False)
         self.scenery_number = 0
-        self._own = False  # the operator's own hand is shown at a task, too
-        sides: tuple[Side, ...] = ("left", "right")
-        order = [side for side in sides if side in hands]
+        self._own = False  # True to show the operator's own hand during a task
         self._sides = {
             side: _SideView(server.scene, hands[side], simulated, f"{root}/{side}")
-            for side in order
+            for side in sorted(hands)  # left before right
         }
-        for side, hand in (drawn or {}).items():
-            self._sides[side].robot.add(HandView(hand))
+        self.add_meshes({side: HandView(hand) for side, hand in (drawn or {}).items()})
         self._room = None if arm is None else ArmRoom(server.scene, hands, arm, simulated, root)
         self._server = server
-        # viser encodes pictures by OpenCV where it can be imported; an import of its own that fails
-        # would leave a folder on the module path that ends processes which are started later.
+        # viser encodes pictures by OpenCV. If its own import of OpenCV fails, it leaves a folder on
+        # the module path that breaks later processes; this import cleans up.
         with contextlib.suppress(SmoothOperatorError):
             opencv()
-        server.scene.set_background_image(background(), format="png")
+        # a grey that is lighter above, so that dark bodies and the finger colours stand out
+        grey = np.linspace((72, 80, 92), (44, 49, 57), 64).round().astype(np.uint8)
+        server.scene.set_background_image(np.repeat(grey[:, None], 2, axis=1), format="png")
         self._floor = server.scene.add_grid(
             f"{root}/floor",
             _FLOOR,
@@ -404,18 +371,18 @@ class LiveScene:
         self.aiming = Aiming(server, _VIEW, centre, half, _LEGEND)
 
     def remove(self) -> None:
-        """Take the scene off the page."""
+        """Removes the scene from the page."""
         self._root.remove()
         for client in self._server.get_clients().values():
             self.aiming.forget(client)
 
     def _arrange(self) -> tuple[Float[np.ndarray, "3"], tuple[float, float]]:
-        """Give each hand its place; where the picture's middle is, and half its size [m]."""
+        """Places the hands; returns the middle of the picture and half its size [m]."""
         low = np.min([view.low for view in self._sides.values()], axis=0)
         high = np.max([view.high for view in self._sides.values()], axis=0)
         size = high - low
-        # One hand: human next to robot. Two: each human above its robot.
-        # At a task: the robots alone, large.
+        # One hand: human next to robot. Two hands: each human above its robot.
+        # During a task: the robots alone, large.
         alone = self.has_task and not self._own
         columns, rows = (2, 1) if len(self._sides) == 1 else (len(self._sides), 2)
         if alone:
@@ -436,11 +403,11 @@ class LiveScene:
         spread = (columns - 1) * (size[0] + GAP), (rows - 1) * (size[1] + 2 * GAP)
         middle = (low + high + np.array([*spread, 0.0])) / 2
         if self.has_task:
-            middle[2] = high[2]  # what is nearest, which looks largest, is to fit in, too
+            middle[2] = high[2]  # so that the nearest parts fit in, too
         half = (float(size[0] + spread[0]) / 2, float(size[1] + spread[1]) / 2)
         if self._room is not None:  # to the right of the hands
             wide, high_, _ = self._room.size
-            self._room.put(middle + np.array([half[0] + GAP + wide / 2, 0.0, 0.0]), _VIEW)
+            self._room.put(middle + np.array([half[0] + GAP + wide / 2, 0.0, 0.0]))
             middle = middle + np.array([(GAP + wide) / 2, 0.0, 0.0])
             half = (half[0] + (GAP + wide) / 2, max(half[1], high_ / 2 + _LABEL))
         ground = np.array([middle[0], middle[1] - half[1] - _LABEL, (low[2] + high[2]) / 2])
@@ -448,7 +415,7 @@ class LiveScene:
         return middle @ _VIEW, half
 
     def _aim(self) -> None:
-        """Give the hands their places again, and have every browser look at them."""
+        """Places the hands again and aims all cameras at them."""
         self.aiming.centre, self.aiming.half = self._arrange()
         self.aiming.above = _TRIAL if self.has_task else 0.0
         for client in self._server.get_clients().values():
@@ -460,21 +427,23 @@ class LiveScene:
         return any(view.scenery.there for view in self._sides.values())
 
     def draw(self, hands: Mapping[Side, Mapping[str, Any]]) -> None:
-        """Show the hands; see ``LiveSession.look``."""
+        """Shows the hands; see ``LiveSession.look``."""
         for side, view in self._sides.items():
             if side in hands:
-                view.draw(hands[side])
-                if self._room is not None:
-                    self._room.draw(side, hands[side])
+                state = hands[side]
+                view.draw(state)
+                if self._room is not None and state.get("arm") is not None:
+                    positions = np.array(state["positions"], float)
+                    self._room.arms[side].draw(state["arm"], positions)
 
     def draw_scenery(self, scenery: Mapping[str, Any]) -> None:
-        """Show what the hands work on; see ``Scenery``."""
+        """Shows the task of each hand; see ``Scenery``."""
         self.scenery_number = scenery["number"]
         if "parts" in scenery:
             for side, view in self._sides.items():
                 view.scenery.show(scenery["parts"].get(side, ()))
                 if self._room is not None:
-                    self._room.show_scenery(side, scenery["parts"].get(side, ()))
+                    self._room.arms[side].scenery.show(scenery["parts"].get(side, ()))
                 view.face(scenery["views"].get(side), scenery["poses"].get(side))
             # A task and the arms' room have a floor of their own, at another tilt.
             self._floor.visible = not self.has_task and self._room is None
@@ -484,38 +453,39 @@ class LiveScene:
             view.scenery.draw(pose)
             view.scenery.hide_object(side in scenery.get("away", ()))
             if self._room is not None:
-                there = self._room.draw_scenery(side, pose, fixture)
-                if there is not None:  # what stands in the room goes past a hand that moves
-                    view.scenery.place(there)
+                arm = self._room.arms[side]
+                arm.scenery.draw(pose)
+                if fixture is not None:  # the task stays in the room while the hand moves
+                    view.scenery.place(arm.place_scenery(np.array(fixture, float)))
 
     def set_overlay(self, overlay: bool) -> None:
-        """Each human hand inside its robot, or side by side."""
+        """Puts each human hand inside its robot, or side by side."""
         for view in self._sides.values():
             view.set_overlay(overlay)
 
     def set_own(self, visible: bool) -> None:
-        """Show or hide the operator's own hand while the robot works on a task."""
+        """Shows or hides the operator's own hand during a task."""
         self._own = visible
         self._aim()
 
     def set_keyvectors(self, visible: bool) -> None:
-        """Show or hide the thumb-to-tip lines, and the places of the fingertips."""
+        """Shows or hides the thumb-to-tip lines and the targets of the fingertips."""
         for view in self._sides.values():
             view.row.set_keyvectors(visible)
             view.targets.set_visible(visible)
 
     def set_simulated(self, visible: bool) -> None:
-        """Show or hide the simulated hand in the robot's place."""
+        """Shows or hides the simulated hand in the robot's place."""
         for view in self._sides.values():
             view.robot.show(second=visible)
 
     def add_meshes(self, views: Mapping[Side, HandView]) -> None:
-        """Draw robots on models with meshes from now on; the simple shapes stay for a switch."""
+        """Draws robots with meshes from now on; a switch still shows the simple shapes."""
         for side, view in views.items():
             self._sides[side].robot.add(view)
 
     def set_meshes(self, visible: bool) -> None:
-        """Draw the meshes, where there are some, or simple shapes."""
+        """Draws the meshes, if there are some, or simple shapes."""
         for view in self._sides.values():
             view.robot.show(meshes=visible)
 
@@ -551,18 +521,18 @@ class _SideView:
         self._with_human = self.row.roots["human"].visible = visible
 
     def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
-        """Places of the two when they don't overlap: right and up [m]."""
+        """Sets the places side by side: right and up [m]."""
         here, there = (np.array([*place, 0.0]) @ _VIEW for place in (human, robot))
         self._places = (here, there)
         self.set_overlay(self._overlaid)
 
     def _poses(self, state: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
-        """Joint positions of the solid hand, and of the one that is seen where it differs."""
+        """Joint positions of the solid hand, and of the second one, visible where it differs."""
         every = np.asarray(state["positions"], float)
         if not self._with_simulated or state.get("simulated") is None:
             return every, None
         other = np.asarray(state["simulated"], float)
-        # with a task, the hand that touches the object is the one to look at
+        # during a task, the solid hand is the one that touches the object
         return (other, every) if self.scenery.there else (every, other)
 
     def draw(self, state: Mapping[str, Any]) -> None:
@@ -582,28 +552,29 @@ class _SideView:
         self.robot.show(opacity=TRANSLUCENT if overlay else None)
 
     def _aligned(self, state: Mapping[str, Any]) -> Float[np.ndarray, "21 3"]:
-        """The human hand in the palm frame, as the method sees it; NaN where there is none."""
+        """The human hand in the palm frame, as the method sees it; NaN for missing landmarks."""
+        unknown = np.full((21, 3), np.nan)
         if state.get("human") is None:
-            return np.full((21, 3), np.nan)
+            return unknown
         landmarks = np.asarray(state["human"], float).reshape(21, 3)
         missing = ~np.isfinite(landmarks).all(axis=-1)
         if missing[list(self._hand.align_indices)].any():
-            return np.full((21, 3), np.nan)
+            return unknown
         safe = np.where(missing[:, None], reference_landmarks(self._hand), landmarks)
-        config = AlignmentConfig(state.get("scale"))
-        fit = palm_alignment(safe, self._hand, config)
+        fit = palm_alignment(safe, self._hand, AlignmentConfig(state.get("scale")))
         if not fit.condition >= MIN_CONDITION:
-            return np.full((21, 3), np.nan)
+            return unknown
         return np.where(missing[:, None], np.nan, fit.apply(safe))
 
     def face(
         self, axes: Sequence[Sequence[float]] | None, object_pose: Sequence[float] | None
     ) -> None:
-        """Turn the hands: as one looks at a scene, or at a palm with the fingers up.
+        """Turns the hands toward the viewer.
 
         Args:
-            axes: (3, 3) rows right, up and toward the viewer in the palm frame; None for the palm.
-            object_pose: pose of what the hand works on, which is to be in the picture, too.
+            axes: (3, 3) rows right, up and toward the viewer in the palm frame; None for a view of
+                the palm with the fingers up.
+            object_pose: pose of the task's object, for which the picture has room, too.
         """
         rows = self._axes if axes is None else np.asarray(axes, float)
         turn, wxyz = _VIEW.T @ rows, np.empty(4)
@@ -620,19 +591,9 @@ class _SideView:
             label.position = end
 
     def _hull(self) -> Float[np.ndarray, "p 3"]:
-        """(p, 3) points that hands of either kind stay within, in the palm frame [m]."""
+        """(p, 3) points around human and robot hand, in the palm frame [m]."""
         hand = self._hand
         neutral, straight = hand.neutral, np.clip(0.0, *hand.limits.T)
         points = [hand.landmark_positions(np.stack([neutral, straight])).reshape(-1, 3)]
         bodies = [self.robot.shown.corners(hand.full_configuration(q)) for q in (neutral, straight)]
         return np.concatenate([*points, *bodies])
-
-
-_SKY: Final[Rgb] = (72, 80, 92)
-_GROUND: Final[Rgb] = (44, 49, 57)
-
-
-def background() -> UInt8[np.ndarray, "h w 3"]:
-    """A grey that is lighter above: dark bodies and the finger colours stand out on it."""
-    shade = np.linspace(_SKY, _GROUND, 64).round().astype(np.uint8)
-    return np.repeat(shade[:, None], 2, axis=1)

@@ -1,4 +1,4 @@
-"""Connects a running loop to its page: state as JSON, actions of the controls, takes."""
+"""State of a running loop for its page as JSON, actions of the page's controls, and takes."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from smooth_operator.landmarks import BASES, WRIST
 from smooth_operator.planning import RetargetRequest
 from smooth_operator.poses import is_valid
 from smooth_operator.retargeting.presets import live_presets
-from smooth_operator.simulation.arms.arm import Matrix, inverse, pose_of, rigid
+from smooth_operator.simulation.arms.arm import inverse, pose_of, rigid
 from smooth_operator.simulation.live import LiveSimulation
-from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
+from smooth_operator.simulation.scenes import Scene, ScenePart
 from smooth_operator.simulation.scenes.scene import Mount
 from smooth_operator.teleop.control.method_switcher import MethodSwitcher
 from smooth_operator.teleop.runtime.loop import TeleopLoop
@@ -34,35 +34,32 @@ from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.terminal import print_note
 from smooth_operator.types import Side
 
-STARTING: Final = "starting"
-"""State of a page whose loop has not begun yet."""
 _NAME: Final = re.compile(r"[\w.-]{1,80}")
 
 
 @dataclass(frozen=True)
 class _Take(RecordSink):
-    """A recording that holds the configuration of when it began, and not of when the run did."""
+    """A recording with the configuration at its start, which may differ from that of the run."""
 
     configuration: Callable[[], Mapping[str, Any]] = dict
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Create the files."""
+        """Creates the files."""
         super().open(hands, {**config, **self.configuration()})
 
 
 class Takes:
-    """Begins and ends recordings, which may take a while: ``toggle`` does not wait.
-
-    A take that has ended lies whole in its numbered file, and stays there if nothing is decided.
+    """Starts and ends recordings. An ended take is whole in its numbered file, which remains if the
+    operator decides nothing.
 
     Args:
         sinks: sinks of the running loop.
-        folder: where the takes go.
-        configuration: settings that were changed since the run began, for the log.
+        folder: folder of the takes.
+        configuration: settings that have changed since the start of the run, for the log.
 
     Attributes:
-        error: why the last action failed; empty if it did not.
-        kept: takes of this run that were not discarded.
+        error: reason why the last action failed; empty if it did not.
+        kept: number of takes of this run that were not discarded.
     """
 
     def __init__(
@@ -78,35 +75,30 @@ class Takes:
         self._take: _Take | None = None
         self._begun = 0.0
         self._last: tuple[Path, ...] = ()
-        self._open = False  # whether the last take is still to be named, kept or discarded
+        self._open = False  # True until the last take is named, kept or discarded
         self._working = threading.Lock()
 
-    @property
-    def recording(self) -> str:
-        """The files that are being written, or nothing."""
-        take = self._take
-        return "" if take is None else ", ".join(path.name for path in take.paths)
-
     def state(self) -> dict[str, Any]:
-        """State for the page, as JSON values: the take that runs, the last one, their number."""
+        """State for the page, as JSON values."""
+        take = self._take
         return {
-            "recording": self.recording,
-            "seconds": time.monotonic() - self._begun if self._take is not None else 0.0,
-            "kept": self.kept - self._open,  # the last one is not decided yet
+            "recording": "" if take is None else ", ".join(path.name for path in take.paths),
+            "seconds": 0.0 if take is None else time.monotonic() - self._begun,
+            "kept": self.kept - self._open,
             "last": [str(path) for path in self._last],
             "open": self._open,
         }
 
     def toggle(self) -> None:
-        """Begin a take, or end the one that runs; does not wait."""
+        """Starts or ends a take; does not wait."""
         threading.Thread(target=self._toggle, name="take", daemon=True).start()
 
     def keep(self, name: str = "") -> None:
-        """Keep the last take, under a name if there is one.
+        """Keeps the last take and renames it if there is a name.
 
         Raises:
-            ConfigError: there is no take, or the name can't be a file's.
-            OutputError: a file has that name.
+            ConfigError: there is no take, or the name is not possible for a file.
+            OutputError: the file can't be renamed.
         """
         with self._working:
             name = re.sub(r"\s+", "_", name.strip()).removesuffix(SUFFIX)
@@ -115,10 +107,10 @@ class Takes:
             self._decided()
 
     def discard(self) -> None:
-        """Delete the last take.
+        """Deletes the last take.
 
         Raises:
-            ConfigError: there is none, or it is decided already.
+            ConfigError: there is no take to decide.
             OutputError: its file can't be deleted.
         """
         with self._working:
@@ -138,7 +130,7 @@ class Takes:
         return self._last
 
     def _rename(self, name: str) -> None:
-        """Rename the files of the last take; of both hands, all or none."""
+        """Renames all files of the last take, or none."""
         if not _NAME.fullmatch(name) or name.startswith("."):
             raise ConfigError(
                 f"a take can't be called {name!r}: use only letters, digits, '-', '_' and '.'"
@@ -153,7 +145,7 @@ class Takes:
             )
         taken = [file.name for file in named.values() if file.exists()]
         if taken:
-            raise ConfigError(f"there is already a take {taken[0]} already: choose another name")
+            raise ConfigError(f"there is already a take {taken[0]}: choose another name")
         for file, new in named.items():
             try:
                 file.rename(new)
@@ -180,31 +172,27 @@ class Takes:
                 self._take = take
 
 
-_SEEN_S: Final = 1.0
-"""A hand that was not tracked for so long is no longer drawn [s]."""
+_SEEN_S: Final = 1.0  # time without tracking after which the human hand disappears [s]
 _EVENTS: Final = 6
-_RATE_S: Final = 0.9
-_FRAME_RATE_S: Final = 2.0
-"""Over how long commands, and the tracker's frames, are counted [s]; a tracker may be slow."""
+_RATE_S, _FRAME_RATE_S = 0.9, 2.0  # windows of the rates of commands and of the tracker [s]
 _TELLING: Final = ("solve", "total")
-"""Stages that take so long that one knows the method by them."""
+"""Stages whose time would reveal the method."""
 
 
 class LiveSession:
-    """State and actions of a loop for a page. Its methods are for the page's thread, but for
-    ``watch``, which is for the loop's.
+    """State and actions of a loop for a page. Its methods are for the page's thread, except
+    ``watch``, which is for the loop's thread.
 
     Args:
         loop: the running loop.
         request: settings of the run.
-        sinks: those that it was begun with; of a simulated hand among them the state is shown, and
-            what it works on.
-        folder: where recordings go.
-        switcher: builds methods; a new one if left out.
-        trial: state of a task's trial to show; None for nothing.
-        blind: nothing on the page shows which method drives the hands, and none can be chosen.
-        change_hand: has the run begin again with the hand of this name; None where it can't.
-        other_hands: names of the hands that it can begin again with.
+        sinks: sinks at the start of the run; a simulated hand among them is shown with its task.
+        folder: folder of the recordings.
+        switcher: builder of methods; None for a new one.
+        trial: returns the state of a task's trial, or None.
+        blind: hide the method from the operator, who can't change it.
+        change_hand: restarts the run with the hand of a name; None if that is not possible.
+        other_hands: names for ``change_hand``.
     """
 
     def __init__(
@@ -234,7 +222,7 @@ class LiveSession:
         self._commands = {side: RateMeter(_RATE_S) for side in loop.pipelines}
         self._frames = {side: RateMeter(_FRAME_RATE_S) for side in loop.pipelines}
         self._message = ""
-        self._actions: dict[str, Callable[..., None]] = {
+        self._actions: dict[str, Callable[..., object]] = {
             "stop": self._stop,
             "release": self._release,
             "pause": loop.controls.pause,
@@ -248,24 +236,27 @@ class LiveSession:
             self._change_hand = change_hand
             self._actions["hand"] = self._go_on_with
         if not blind:
-            self._actions["method"] = self._choose
+            self._actions["method"] = self.switcher.choose
         self._begun: dict[str, float] = {}
-        self._stopping = False  # the loop has not carried out the last stop yet
+        self._stopping = False  # True until the loop carries out the last stop
         self._next_hand = ""
 
     def watch(self, tick: Tick) -> None:
-        """Take note of a tick; called by the loop after its sinks."""
+        """Takes the state of a tick; the loop calls it after its sinks."""
         self._ticks[tick.side] = tick
         if tick.mode is Mode.STOPPED:
             self._stopping = False
         arrival = self.loop.pipelines[tick.side].latest
-        if arrival is not None and arrival is not self._arrivals.get(tick.side):
+        if arrival is not None:
             self._arrivals[tick.side] = arrival
-        if tick.events:
-            self._note(tick)
+        for words in tick.events:
+            line = f"{tick.side}: {words}" if len(self.loop.pipelines) > 1 else words
+            if self._events and self._events[-1][1] == line:
+                self._events.pop()  # a repeated event has its newest time
+            self._events.append((tick.time, line))
 
     def do(self, name: str, *values: Any) -> None:
-        """Do what a control asks for; what can't be done becomes a message on the page."""
+        """Carries out an action of a control; an error becomes a message on the page."""
         try:
             if name not in self._actions:
                 raise ConfigError(f"the page asks for {name!r}, which is unknown")
@@ -275,7 +266,7 @@ class LiveSession:
             self._message = str(error)
         except TypeError:
             self._message = f"the page asks for {name!r} with wrong values"
-        except Exception as error:  # the page must go on, since its stop does
+        except Exception as error:  # the page must go on because of its stop
             words = f"{name}: {type(error).__name__}: {error}"
             self._message = self._masked(
                 words, f"{name} failed; the experimenter's page shows the reason"
@@ -284,17 +275,17 @@ class LiveSession:
 
     @property
     def stopped(self) -> bool:
-        """True if an emergency stop holds a hand, or will at the loop's next command."""
+        """True if an emergency stop holds a hand, now or from the loop's next command on."""
         return self._stopping or any(p.supervisor.stopped for p in self.loop.pipelines.values())
 
     def look(self, *, text: bool, scenery: int = 0) -> dict[str, Any]:
-        """The state to show now, as JSON values.
+        """The state for the page, as JSON values.
 
         Args:
-            text: with figures and controls, not the hands alone.
-            scenery: the number of the task's scene whose shapes the page has.
+            text: include figures and controls.
+            scenery: number of the task's scene whose shapes the page has.
         """
-        if self._next_hand:  # its source and sinks end now, which is no failure
+        if self._next_hand:  # source and sinks end now, which is not a failure
             return {
                 "hands": {},
                 "notice": f"changing to {self._next_hand}",
@@ -308,8 +299,8 @@ class LiveSession:
             shown["trial"] = dict(trial)
         if self._scenery is not None:
             shown["scenery"] = self._scenery.look(tuple(self.loop.pipelines), scenery)
-        if not self._ticks:  # it has not begun yet, and neither have its source and sinks
-            shown["notice"] = STARTING
+        if not self._ticks:  # nor have source and sinks started
+            shown["notice"] = "starting"
         elif text:
             shown["status"] = self._status(now)
         if text:
@@ -317,7 +308,7 @@ class LiveSession:
         return shown
 
     def close(self) -> None:
-        """End what runs in the background."""
+        """Ends the background work."""
         self.switcher.close()
 
     def _configuration(self) -> Mapping[str, Any]:
@@ -345,7 +336,6 @@ class LiveSession:
             if arrival is None or age is None or age > _SEEN_S
             else _numbers(_trusted(arrival).ravel()),
             "age_s": age,
-            # a method without latches has None, and so has one that is not to be known
             "latched": None if self.blind else pipeline.latched,
             "targets": None
             if self.blind or (targets := pipeline.fingertip_targets) is None
@@ -357,7 +347,7 @@ class LiveSession:
         }
 
     def _measured(self, side: Side) -> np.ndarray | None:
-        """(n,) where a hand is, real or simulated [rad]; the one at a task before the other."""
+        """(n,) positions of a real or simulated hand [rad], preferably that of a task."""
         simulation = self._simulation
         if simulation is not None and simulation.task_now != "none":
             simulated = simulation.state(side)
@@ -415,14 +405,14 @@ class LiveSession:
         return controls
 
     def _elapsed(self, what: str, going_on: bool, now: float) -> float | None:
-        """Time since something was first looked at [s]; None if it has ended."""
+        """Time since the first look at a running activity [s]; None if it has ended."""
         if not going_on:
             self._begun.pop(what, None)
             return None
         return now - self._begun.setdefault(what, now)
 
     def _masked(self, words: str, blind: str) -> str:
-        """A text that may name a method, or its substitute on a blind page."""
+        """A text that may name a method, replaced by ``blind`` on a blind page."""
         return blind if words and self.blind else words
 
     def _go_on_with(self, hand: str) -> None:
@@ -437,19 +427,9 @@ class LiveSession:
         self._stopping = False
         self.loop.controls.release()
 
-    def _choose(self, method: str, preset: str | None = None) -> None:
-        self.switcher.choose(method, preset)
-
-    def _note(self, tick: Tick) -> None:
-        for words in tick.events:
-            line = f"{tick.side}: {words}" if len(self.loop.pipelines) > 1 else words
-            if self._events and self._events[-1][1] == line:
-                self._events.pop()  # the same again: the newest time counts
-            self._events.append((tick.time, line))
-
 
 def _arm(arm: ArmCommand, wrist: WristCommand | None) -> dict[str, Any]:
-    """Joints of an arm, commanded and measured, and where the wrist is to be, in its base."""
+    """Commanded and measured joints of an arm, and the target of the wrist in its base."""
     return {
         "positions": _numbers(arm.positions),
         "measured": None if arm.measured is None else _numbers(arm.measured),
@@ -461,7 +441,7 @@ def _arm(arm: ArmCommand, wrist: WristCommand | None) -> dict[str, Any]:
 
 
 def _wrist(arrival: Arrival, tick: Tick, released: bool) -> dict[str, Any] | None:
-    """The state of a wrist; None with a tracker that has none."""
+    """State of a wrist; None if the tracker has no wrist."""
     pose, command = arrival.frame.T_world_wrist, tick.wrist
     if pose is None or command is None:
         return None
@@ -473,8 +453,7 @@ def _wrist(arrival: Arrival, tick: Tick, released: bool) -> dict[str, Any] | Non
 
 
 def _gaps_mm(pipeline: HandPipeline, arrival: Arrival) -> dict[str, float] | None:
-    """Distance at which the tracker shows each finger where it touches the thumb [mm]; None while
-    no gap is known."""
+    """Finger -> its distance from the thumb at a touch, as tracked [mm]; None if unknown."""
     landmarks = arrival.frame.landmarks
     palm = 1e3 * float(np.linalg.norm(landmarks[BASES[2]] - landmarks[WRIST]))
     gaps = {name: round(gap * palm, 1) for name, gap in pipeline.pinch_gaps.items()}
@@ -482,7 +461,7 @@ def _gaps_mm(pipeline: HandPipeline, arrival: Arrival) -> dict[str, float] | Non
 
 
 def _trusted(arrival: Arrival) -> np.ndarray:
-    """(21, 3) landmarks in the tracker's frame [m]; NaN where the tracker has nothing to trust."""
+    """(21, 3) landmarks in the tracker's frame [m]; NaN if not valid."""
     frame = arrival.frame
     assert frame.valid is not None  # filled in on construction
     return np.where(frame.valid[:, None], frame.landmarks, np.nan)
@@ -493,13 +472,10 @@ def _numbers(*arrays: np.ndarray) -> list[float]:
 
 
 class RateMeter:
-    """Measures the rate of a count over a window of time.
-
-    Args:
-        window: least time over which it is measured [s].
+    """Rate of a count over a window of at least ``window`` seconds.
 
     Attributes:
-        rate: rate of the last whole window [Hz]; None before there is one.
+        rate: rate of the last whole window [Hz]; None before its end.
     """
 
     def __init__(self, window: float) -> None:
@@ -508,12 +484,7 @@ class RateMeter:
         self._start: tuple[int, float] | None = None
 
     def count(self, number: int, time: float) -> None:
-        """Take note of the count.
-
-        Args:
-            number: number of entries so far.
-            time: time of the count, by a clock that never goes back [s].
-        """
+        """Takes the count at a time of a monotonic clock [s]."""
         if self._start is None:
             self._start = number, time
         elif time - self._start[1] >= self._window:
@@ -522,27 +493,22 @@ class RateMeter:
 
 
 class Scenery:
-    """Looks at a simulation, as JSON has it; poses are in the palm frame, where pages draw hands.
-
-    Args:
-        simulation: with a task or without, which may change.
-    """
+    """State of a simulation, with or without a task, as JSON values in the palm frame."""
 
     def __init__(self, simulation: LiveSimulation) -> None:
         self._simulation = simulation
 
     def look(self, sides: Sequence[Side], shown_number: int) -> dict[str, Any]:
-        """The scenery to draw.
+        """The scenes of the tasks.
 
         Args:
-            shown_number: the number of the scenes whose shapes the page has.
+            shown_number: number of the scenes whose shapes the page has.
 
         Returns:
-            ``number`` of the scenes; ``poses``: side -> position [m] and quaternion (w x y z) of
-            the object; ``away``: sides where there is none now; ``fixtures``: side -> that of the
-            frame that they are in, in the base of an arm that carries the hand; ``parts``: side ->
-            shapes, if others than the known ones are
-            there, and ``views``: side -> rows right, up, toward of who looks at the scene.
+            ``number`` of the scenes; ``poses``: side -> position [m] and quaternion (wxyz) of the
+            object; ``away``: sides without an object now; ``fixtures``: side -> pose of the palm
+            frame in the base of an arm that carries the hand; for a new number also ``parts``: side
+            -> shapes, and ``views``: side -> rows right, up and toward the viewer.
         """
         simulation, number = self._simulation, self._simulation.world_number
         shown: dict[str, Any] = {"number": number, "poses": {}, "away": [], "fixtures": {}}
@@ -551,31 +517,25 @@ class Scenery:
             for side, mount in mounts.items():
                 state = simulation.scene_state(side)
                 if state is not None:
-                    shown["poses"][side] = _pose(mount, state)
+                    pose = mount.in_palm(state.position, state.quaternion)
+                    shown["poses"][side] = _numbers(*pose)
                     if state.away:
                         shown["away"].append(side)
                 if (base := simulation.arm_base(side)) is not None:
-                    shown["fixtures"][side] = _fixture(mount, base)
+                    position, turn = mount.palm
+                    fixture = pose_of(inverse(base) @ rigid(turn, position))
+                    shown["fixtures"][side] = _numbers(fixture)
             if number != shown_number:
                 shown["parts"] = {
                     side: [_part(mount, part) for part in simulation.parts_of(side)]
                     for side, mount in mounts.items()
                 }
                 shown["views"] = {side: _view(simulation.scene_of(side), side) for side in sides}
-        except SinkError:  # no task, or the scene is just being changed
+        except SinkError:  # no task, or the scene is changing
             shown["poses"] = {}
             if number != shown_number:
                 shown["parts"], shown["views"] = {}, {}
         return shown
-
-
-def _pose(mount: Mount, state: SceneState) -> list[float]:
-    return _numbers(*mount.in_palm(state.position, state.quaternion))
-
-
-def _fixture(mount: Mount, base: Matrix) -> list[float]:
-    position, turn = mount.palm
-    return _numbers(pose_of(inverse(base) @ rigid(turn, position)))
 
 
 def _part(mount: Mount, part: ScenePart) -> dict[str, Any]:

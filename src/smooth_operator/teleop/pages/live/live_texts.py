@@ -1,7 +1,4 @@
-"""Texts of the live page as HTML: modes, figures, health, the trial of a task.
-
-The template ``live_texts.html.j2`` has a macro for each, which escapes what it inserts.
-"""
+"""Texts of the live page as HTML, by the macros of ``live_texts.html.j2``, which escape values."""
 
 from __future__ import annotations
 
@@ -15,10 +12,8 @@ from smooth_operator.errors import counted
 from smooth_operator.teleop.pages.hand_view import HIGHLIGHT, PALM, SIMULATED, css, finger_colors
 
 _SLOW_S: Final = 0.25
-_SHORTEST_S: Final = 0.05
-"""Shortest time of a hold that is a fault of a take [s]."""
-_GO_S: Final = 1.5
-"""Time for which "Go" stays after the start [s]."""
+_SHORTEST_S: Final = 0.05  # shortest hold that counts as a fault of a take [s]
+_GO_S: Final = 1.5  # time of "Go" after the start of a trial [s]
 
 
 @cache
@@ -32,51 +27,42 @@ def _macros() -> Any:
 
 
 def modes(hands: Mapping[str, Mapping[str, Any]], notice: str = "") -> str:
-    """Mode of each hand; latched fingers where the method has latches.
-
-    Args:
-        hands: ``hands`` of ``LiveSession.look``.
-        notice: what is going on while there are no hands.
-    """
+    """Mode of each hand of ``LiveSession.look``; without hands, the notice."""
     return str(_macros().modes(hands, notice))
 
 
 def summary(status: Mapping[str, Any]) -> str:
-    """The tracker's rate, the commands' rate, the latency, and how the source is."""
+    """Rates of the tracker and of the commands, latency, and state of the source."""
     frames, commands = _rates(status["frame_rates"]), _rates(status["rates"])
     return str(_macros().summary(status, frames, commands))
 
 
 def timing(status: Mapping[str, Any]) -> str:
-    """Every stage, counts of what went wrong, sinks, and the last events."""
+    """Stages, counts of errors, sinks, and the last events."""
     refused: Counter[str] = Counter()
     for reasons in status["refused"].values():
         refused.update(reasons)
-    # The total last: it is the sum, but for what is before the arrival.
+    # The total comes last: it is the sum of the stages after the arrival.
     stages = sorted(status["stages"].items(), key=lambda item: item[0] == "total")
     return str(_macros().timing(status, stages, refused))
 
 
 def slow(delay: float) -> str:
-    """A warning that the browser draws slowly; empty where it keeps up.
-
-    Args:
-        delay: delay of the browser [s].
-    """
+    """Warning about a browser with a large delay [s]; otherwise empty."""
     return "" if delay < _SLOW_S else str(_macros().slow(delay))
 
 
 def notice(building: str, message: str) -> str:
-    """Work under way, and the last error; empty without either."""
+    """Current work and the last error; empty without both."""
     return str(_macros().notice(building, message)) if building or message else ""
 
 
 def take(state: Mapping[str, Any], quality: Sequence[Any] | str) -> str:
-    """The take that is recorded, or the last one with its quality; empty before the first.
+    """The current take, or the last one with its quality; empty before the first.
 
     Args:
         state: result of ``Takes.state``.
-        quality: ``TakeQuality`` of each file of the last take, or why there is none.
+        quality: ``TakeQuality`` of each file of the last take, or the reason why it is unknown.
     """
     if not (state["recording"] or state["last"]):
         return ""
@@ -102,12 +88,12 @@ def _facts(quality: Any) -> list[tuple[bool, str]]:
 
 
 def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
-    """Legend of the picture: the hands, and the colours of the fingers.
+    """Legend of the picture.
 
     Args:
         fingers: fingers of the robot hand, thumb first.
-        simulated: True if a simulated robot is drawn.
-        task: True if it works on a task, and then it is the solid one.
+        simulated: True if there is a simulated robot.
+        task: True if it works on a task and is therefore the solid one.
     """
     solid, other = "robot command", "simulated or measured robot, if it differs"
     if task:
@@ -125,7 +111,7 @@ def legend(fingers: Sequence[str], simulated: bool, task: bool) -> str:
 
 
 def _rates(rates: Mapping[str, float | None]) -> str:
-    """Rates of the hands, the slow ones with a decimal."""
+    """Rates of the hands; those below 10 Hz have a decimal."""
     words = [
         "–" if r is None else f"{r:.0f}" if r >= 10 or r == 0 else f"{r:.1f}"
         for r in rates.values()
@@ -134,11 +120,7 @@ def _rates(rates: Mapping[str, float | None]) -> str:
 
 
 def trial(state: Mapping[str, Any] | None) -> str:
-    """Task, number, clock and sign of a trial, as HTML; empty without a task.
-
-    Args:
-        state: result of ``TaskTrials.shown``.
-    """
+    """Task, number, clock and sign of a trial of ``TaskTrials.shown``; empty without a task."""
     return "" if state is None else str(_macros().trial(state, *_phase(state)))
 
 

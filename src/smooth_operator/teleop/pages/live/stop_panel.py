@@ -1,6 +1,6 @@
 """Emergency stop of the live page: buttons, keys, and a warning when it does not work.
 
-It needs viser alone, so it is on the page before the hand is read.
+It only needs viser, so it is on the page before the hand is read.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from smooth_operator.teleop.pages.viser_server import (
     add_hotkeys,
     from_person,
     read_script,
-    run_script,
 )
 
 _STOP: Final = "EMERGENCY STOP\nSpace, Esc or X"
@@ -26,11 +25,11 @@ _NO_KEYS: Final = "Stop in the terminal of the run: Ctrl-C."
 
 
 class StopPanel:
-    """Builds buttons and keys on a page, above everything that comes later.
+    """Buttons and keys above all later elements of a page.
 
     Args:
-        server: where to build.
-        do: sends the loop's process ``stop`` or ``release``.
+        server: server of the page.
+        do: sends ``stop`` or ``release`` to the loop's process.
         attended: True if the terminal of the run has keys.
     """
 
@@ -48,7 +47,7 @@ class StopPanel:
         gui.add_html(f'<style>{style}</style><span id="live-elsewhere" hidden>{elsewhere}</span>')
         self._stop.on_click(from_person(lambda _: self._press("stop")))
         self._release.on_click(from_person(lambda _: self._press("release")))
-        # Space and Esc come as X, from the script of the page.
+        # ``stop_keys.js`` sends Space and Esc as X.
         add_hotkeys(
             gui,
             ("Emergency stop", "X", lambda: self._press("stop")),
@@ -56,10 +55,10 @@ class StopPanel:
         )
         for name in ("stop_keys.js", "connection.js"):
             script = read_script(__package__, name)
-            run_script(server, script.replace("ALIVE_PATH", ALIVE_PATH))
+            server.front.scripts.append(script.replace("ALIVE_PATH", ALIVE_PATH))
 
     def show(self, stopped: bool) -> None:
-        """Show whether an emergency stop holds the robot, as the loop says."""
+        """Shows the state of the loop: True if an emergency stop holds the robot."""
         self._alone = False
         self._show(stopped)
 
@@ -71,5 +70,5 @@ class StopPanel:
 
     def _press(self, name: str) -> None:
         self._do(name)
-        if self._alone:  # nothing else shows yet that it was pressed
+        if self._alone:  # the loop does not show the state yet
             self._show(name == "stop")
