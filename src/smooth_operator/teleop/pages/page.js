@@ -1,5 +1,4 @@
-// What every 3D page needs besides its library: title and icon of the tab, names for a screen reader,
-// and a view without notices.
+// Additions to viser on each 3D page: title and icon of the tab, names for a screen reader, no notices.
 (() => {
   // Five fingers in their colours.
   const ICON =
@@ -19,8 +18,7 @@
 
   const ICONS = { adjustments: "Settings of the page", "list-search": "All commands" };
 
-  // The library writes the label beside a slider, its number field or a text field, and leaves the
-  // control itself without a name.
+  // viser writes a label beside a control, which itself has no name.
   const name = (control, words) => {
     if (control.getAttribute("aria-label") !== words) control.setAttribute("aria-label", words);
   };
@@ -45,7 +43,7 @@
   setInterval(() => {
     nameTab();
     nameControls();
-    // The live page says in its panel that the browser is slow, and this lies over the hands.
+    // This notice covers the hands. The panel of the live page reports a slow browser.
     for (const notice of document.querySelectorAll(".mantine-Notification-root"))
       if (notice.textContent.includes("Software WebGL"))
         notice.querySelector("button")?.click();

@@ -1,7 +1,7 @@
-// Space plays and pauses, as in every other player, except where a person types.
+// Space plays and pauses, except in a text field.
 //
-// The page's library takes Space for a click on the control that has the focus, so it is caught before
-// and passed on as the hotkey K.
+// viser takes Space for a click on the control that has the focus, so this script catches the key first
+// and sends the hotkey K instead.
 (() => {
   const caught = (event) => {
     if (event.key !== " " || !event.isTrusted) return;
@@ -15,5 +15,5 @@
     );
   };
   window.addEventListener("keydown", caught, true);
-  window.addEventListener("keyup", caught, true); // Firefox clicks a button when Space comes up
+  window.addEventListener("keyup", caught, true); // Firefox clicks a button on the release of Space
 })();

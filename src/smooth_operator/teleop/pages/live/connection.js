@@ -1,8 +1,8 @@
-// Warns over the scene, in red, when the page's emergency stop would not reach the loop.
+// Covers the scene with a red warning while the emergency stop does not reach the loop.
 //
-// A worker asks, since a browser without a graphics card keeps the page itself busy for seconds.
+// A worker asks, since without a graphics card the page itself may be busy for seconds.
 (() => {
-  const LIMIT_MS = 500; // without an answer
+  const LIMIT_MS = 500; // longest time without an answer
   const ask = (path, limit) => {
     let answered = performance.now(), lost = false;
     setInterval(async () => {

@@ -1,7 +1,7 @@
-// Keys and tab of the live page. Space, Esc and X always stop, whatever has the focus; nothing else does.
+// Keys and tab of the live page. Only Space, Esc and X stop, whatever control has the focus.
 //
-// The page's library ignores its hotkeys in text fields and buttons take Space for a click, so the
-// stop keys are caught before either, and passed on as the hotkey X from the document itself.
+// viser ignores hotkeys in text fields, and buttons take Space for a click. So this script catches the
+// stop keys first and sends the hotkey X from the document itself.
 (() => {
   const stops = (event) =>
     event.key === " " ||
@@ -17,19 +17,19 @@
 
   const caught = (event) => {
     if (!event.isTrusted || !stops(event)) return;
-    // In a text field the character is typed as well; elsewhere nothing else may come of the key.
+    // A text field also gets the character; elsewhere the key has no other effect.
     if (event.key !== "Escape" && !types(event.target)) event.preventDefault();
     if (event.key !== "Escape") event.stopPropagation();
     if (event.type !== "keydown" || event.repeat) return;
-    if (event.key === "Escape") document.activeElement?.blur(); // out of text fields, for U and P
+    if (event.key === "Escape") document.activeElement?.blur(); // so that U and P are hotkeys again
     document.documentElement.dispatchEvent(
       new KeyboardEvent("keydown", { key: "x", code: "KeyX", bubbles: true }),
     );
   };
   window.addEventListener("keydown", caught, true);
-  window.addEventListener("keyup", caught, true); // Firefox clicks a button when Space comes up
+  window.addEventListener("keyup", caught, true); // Firefox clicks a button on the release of Space
 
-  // A button that was clicked would take the next Space or Enter for another click.
+  // A button with the focus would take the next Space or Enter for another click.
   window.addEventListener("click", (event) => {
     const button = event.target instanceof Element && event.target.closest("button");
     if (button) setTimeout(() => button.blur());

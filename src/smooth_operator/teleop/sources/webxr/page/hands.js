@@ -1,4 +1,4 @@
-// Reading the hands of an XR frame into the message that packet.py documents.
+// Hands of an XR frame as the message that read_packet of link.py reads.
 
 const FINGERS = ['index', 'middle', 'ring', 'pinky'];
 const BONES = ['metacarpal', 'phalanx-proximal', 'phalanx-intermediate', 'phalanx-distal', 'tip'];
@@ -15,24 +15,24 @@ const VALUES = 8; // x, y, z, quaternion x, y, z, w, radius
 const HAND = JOINTS.length * VALUES;
 const MAGIC = 0x31485258; // "XRH1", little-endian
 
-/** Reuses its buffers: what it returns holds until the next moment. */
+/** Reuses its buffers: a message is valid until the next call of read. */
 export class Hands {
   constructor() {
     this.buffer = new ArrayBuffer(HEADER + 2 * HAND * 4);
     this.header = new DataView(this.buffer);
     this.values = new Float32Array(this.buffer, HEADER);
     this.number = 0;
-    /** Joints of each hand in this moment, as [x, y, z, ..., radius] x 25, or null. */
+    /** Joints of each hand in this frame, as [x, y, z, ..., radius] x 25, or null. */
     this.left = null;
     this.right = null;
   }
 
   /**
-   * Take in a moment.
+   * Read the hands of a frame.
    * @param {XRFrame} frame
    * @param {XRReferenceSpace} space
    * @param {number} stamp seconds
-   * @param {boolean} floor whether the space has its origin on the floor
+   * @param {boolean} floor true if the space has its origin on the floor
    * @returns {Uint8Array} the message
    */
   read(frame, space, stamp, floor) {
@@ -59,7 +59,7 @@ export class Hands {
   }
 }
 
-/** Write the joints of a hand; says whether any of them is there. */
+/** Write the joints of a hand; true if any of them is tracked. */
 function fill(values, frame, hand, space) {
   let any = false;
   JOINTS.forEach((name, joint) => {
@@ -72,14 +72,7 @@ function fill(values, frame, hand, space) {
     }
     any = true;
     const { position: p, orientation: q } = pose.transform;
-    values[at] = p.x;
-    values[at + 1] = p.y;
-    values[at + 2] = p.z;
-    values[at + 3] = q.x;
-    values[at + 4] = q.y;
-    values[at + 5] = q.z;
-    values[at + 6] = q.w;
-    values[at + 7] = pose.radius ?? NaN;
+    values.set([p.x, p.y, p.z, q.x, q.y, q.z, q.w, pose.radius ?? NaN], at);
   });
   return any;
 }

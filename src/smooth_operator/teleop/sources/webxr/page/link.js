@@ -1,27 +1,27 @@
-// The WebSocket: pairing, pings, the clocks' offset, and coming back after a loss. See link.py.
+// WebSocket of the page: pairing, pings, offset of the clocks, and a new try after a loss; see link.py.
 
 const PROTOCOL = 1;
-const PING_EVERY = 200; // ms; a stop from elsewhere is shown so much later
-const SILENCE = 4000; // ms without an answer: the link is dead
-const ROUNDS = 50; // pings that the offset is chosen from
+const PING_EVERY = 200; // ms; also the delay of a stop that was pressed elsewhere
+const UNANSWERED = 20; // pings without an answer, after which the link is lost
+const PATIENCE = 4000; // ms for a connection
+const ROUNDS = 50; // last pings, of which the fastest gives the offset
 const BACKOFF = [250, 500, 1000, 2000, 4000]; // ms
-const FINAL = new Set([4400, 4401, 4409, 4429]); // closed on purpose: coming back would not help
+const FINAL = new Set([4400, 4401, 4409, 4429]); // codes after which a new try is useless
 
-/** Events: "change" whenever something about it is new. */
+/** Events: "change" after each change of its state. */
 export class Link extends EventTarget {
   constructor() {
     super();
     /** "idle", "connecting", "linked", "lost" or "refused". */
     this.state = 'idle';
-    /** Why it was refused: {code, reason}. */
+    /** Reason of a refusal: {code, reason}. */
     this.refusal = null;
     this.everOpened = false;
-    this.roundTrip = null; // s, fastest of the last rounds
-    this.offset = null; // s, clock over there minus clock here
+    this.offset = null; // s, clock of the host minus clock of the page
     this.lastTrip = null; // s
     this.arrived = null; // Hz
-    this.mode = ''; // of the loop over there
-    this.stopping = false; // a stop was pressed here and is not confirmed yet
+    this.mode = ''; // of the loop
+    this.stopping = false; // true from a stop on this page until the loop confirms it
     this.tracking = false;
     this.skipped = 0;
     this.sent = [];
@@ -46,17 +46,16 @@ export class Link extends EventTarget {
     this.rounds = [];
     socket.onopen = () => {
       this.everOpened = true;
-      this.heard = performance.now();
       socket.send(JSON.stringify({ type: 'hello', protocol: PROTOCOL, code: this.code }));
     };
     socket.onmessage = (event) => this.hear(JSON.parse(event.data));
     socket.onclose = (event) => {
       if (this.socket === socket) this.end(event);
     };
-    this.guard = setTimeout(() => this.state === 'connecting' && socket.close(), SILENCE);
+    this.guard = setTimeout(() => this.state === 'connecting' && socket.close(), PATIENCE);
   }
 
-  /** Leave without a word to the listeners. */
+  /** Close without an event. */
   close() {
     clearTimeout(this.guard);
     clearTimeout(this.again);
@@ -66,31 +65,28 @@ export class Link extends EventTarget {
     if (socket) socket.close();
   }
 
-  hear(said) {
-    this.heard = performance.now();
-    if (said.type === 'welcome') {
+  hear(message) {
+    this.unanswered = 0;
+    if (message.type === 'welcome') {
       this.tries = 0;
-      this.session = said.session;
       this.become('linked');
       this.pinging = setInterval(() => this.ping(), PING_EVERY);
       this.ping();
-    } else if (said.type === 'pong') {
+    } else if (message.type === 'pong') {
       const now = performance.now() / 1000;
-      const trip = now - said.at;
-      this.rounds.push({ trip, offset: said.host - (said.at + now) / 2 });
+      const trip = now - message.at;
+      this.rounds.push({ trip, offset: message.host - (message.at + now) / 2 });
       if (this.rounds.length > ROUNDS) this.rounds.shift();
-      const best = this.rounds.reduce((a, b) => (a.trip < b.trip ? a : b));
-      this.roundTrip = best.trip;
-      this.offset = best.offset;
+      this.offset = this.rounds.reduce((a, b) => (a.trip < b.trip ? a : b)).offset;
       this.lastTrip = trip;
-      this.arrived = said.rate;
-      this.mode = said.mode;
+      this.arrived = message.rate;
+      this.mode = message.mode;
       if (this.mode === 'stopped') this.stopping = false;
       this.dispatchEvent(new Event('change'));
     }
   }
 
-  /** Emergency stop: sent now, and with each ping until it is confirmed, also after a loss. */
+  /** Emergency stop: sent now and with each ping until the loop confirms it, also after a loss. */
   stop() {
     this.stopping = true;
     if (this.state === 'linked') this.socket.send(JSON.stringify({ type: 'stop' }));
@@ -98,7 +94,9 @@ export class Link extends EventTarget {
   }
 
   ping() {
-    if (performance.now() - this.heard > SILENCE) {
+    // Pings are counted, since their time proves nothing: a headset that was busy for seconds runs
+    // this timer before it reads the answers that have come meanwhile.
+    if (this.unanswered++ >= UNANSWERED) {
       this.end({ code: 0, reason: '' });
       return;
     }
@@ -114,7 +112,7 @@ export class Link extends EventTarget {
 
   end({ code, reason }) {
     this.close();
-    this.roundTrip = this.lastTrip = this.offset = this.arrived = null;
+    this.lastTrip = this.offset = this.arrived = null;
     this.mode = '';
     if (FINAL.has(code)) {
       this.refusal = { code, reason };
@@ -126,7 +124,7 @@ export class Link extends EventTarget {
     this.become('lost');
   }
 
-  /** Send a moment, unless the one before is still on its way: the newest one wins. */
+  /** Send a moment, unless the last one is still on its way. */
   send(message) {
     if (this.state !== 'linked') return;
     if (this.socket.bufferedAmount > message.byteLength) {

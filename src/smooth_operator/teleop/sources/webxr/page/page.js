@@ -1,4 +1,4 @@
-// The page itself: what is pressed, and what is shown.
+// Controls and texts of the page.
 
 import { Link } from './link.js';
 import { loopState, supportedModes, Tracking, Trouble } from './tracking.js';
@@ -8,7 +8,7 @@ const part = (id) => document.getElementById(id);
 const link = new Link();
 const tracking = new Tracking(link);
 let modes = [];
-let trouble = ''; // of the headset; that of the link follows from its state
+let trouble = ''; // of the headset; linkTrouble has that of the link
 
 const STATES = {
   idle: ['not paired', 'idle'],
@@ -29,17 +29,17 @@ function linkTrouble() {
     return REFUSALS[link.refusal.code] ?? `The program refused this page: ${link.refusal.reason}. Reload the page.`;
   }
   if (link.state === 'lost' && !link.everOpened && link.tries > 1) {
-    return 'The page is here, but the link is not let through. On a Vision Pro the certificate must be installed and trusted first: see below.';
+    return 'The browser blocks the link. On a Vision Pro, first install and trust the certificate: see below.';
   }
   if (link.state === 'lost' && link.tries > 3) {
-    return 'No link. Is smooth-operator still running, and are both on the same network? Trying on.';
+    return 'No link. Check that smooth-operator is running and that both are on the same network. The page tries again.';
   }
   return '';
 }
 
 function show() {
-  const [held, headline, remedy] = (link.state === 'linked' && loopState(link)) || [];
-  const [words, kind] = held ? [headline, held === 'bad' ? 'bad' : 'idle'] : STATES[link.state];
+  const [level, headline, remedy] = (link.state === 'linked' && loopState(link)) || [];
+  const [words, kind] = level ? [headline, level === 'bad' ? 'bad' : 'idle'] : STATES[link.state];
   document.body.dataset.mode = link.state === 'linked' ? link.mode : '';
   part('stop').disabled = link.state !== 'linked';
   part('state').textContent = words;
@@ -48,10 +48,10 @@ function show() {
   const running = tracking.session !== null;
   part('start').disabled = !running && (!modes.length || link.state !== 'linked');
   part('start').textContent = running ? 'End tracking' : 'Start';
-  part('hint').textContent = held
+  part('hint').textContent = level
     ? `${headline}: ${remedy}.`
     : running
-    ? 'Your hands are on their way. The robot holds when you end tracking.'
+    ? 'The page sends your hands. The robot holds when you end tracking.'
     : link.state === 'linked' ? 'Put the controllers down, then press Start.' : 'Pair first.';
   part('mode').hidden = running || modes.length < 2;
   part('rate').textContent = running ? link.rate : '–';
@@ -63,9 +63,9 @@ function show() {
     part(side).textContent = !running ? '–' : seen ? 'seen' : 'not seen';
     part(side).dataset.kind = !running ? 'idle' : seen ? 'good' : 'bad';
   }
-  const said = [trouble, linkTrouble()].filter(Boolean).join(' ');
-  if (part('trouble').textContent !== said) part('trouble').textContent = said;
-  part('trouble').hidden = !said;
+  const text = [trouble, linkTrouble()].filter(Boolean).join(' ');
+  if (part('trouble').textContent !== text) part('trouble').textContent = text;
+  part('trouble').hidden = !text;
 }
 
 part('pairing').addEventListener('submit', (event) => {
@@ -93,12 +93,12 @@ tracking.addEventListener('end', show);
 setInterval(show, SHOW_EVERY);
 addEventListener('pagehide', () => link.close());
 
-// A code in the address (https://...#123456) stays in the browser: it is never sent as an address.
-const given = decodeURIComponent(location.hash.slice(1));
-if (given) {
+// A code in the address (https://...#123456): a browser does not send this part to the server.
+const code = decodeURIComponent(location.hash.slice(1));
+if (code) {
   history.replaceState(null, '', location.pathname);
-  part('code').value = given;
-  link.pair(given);
+  part('code').value = code;
+  link.pair(code);
 }
 
 try {

@@ -1,4 +1,4 @@
-// What is seen inside the headset: the joints as dots, a board with the state, and the stop button.
+// Picture inside the headset: the joints as dots, a board with the state, and the stop button.
 
 import { FINGER_COLORS } from './colors.js';
 import { RADIUS } from './stop_button.js';
@@ -54,10 +54,10 @@ export class Scene {
   }
 
   /**
-   * Draw a moment for each eye.
+   * Draw a frame for each eye.
    * @param {XRWebGLLayer} layer
    * @param {XRViewerPose?} viewer
-   * @param {Float32Array[]} hands those that are seen
+   * @param {Float32Array[]} hands the visible ones
    * @param {Float32Array} button pose of the stop button
    * @param {{dark: boolean, good: boolean, board: () => {kind: string, lines: string[]}}} look
    */
@@ -103,7 +103,7 @@ export class Scene {
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }
 
-  /** Joints as points; grey while the link is down. */
+  /** Load the joints as points, grey without a link. */
   load(hands, good) {
     let count = 0;
     for (const hand of hands) {
@@ -124,7 +124,7 @@ export class Scene {
     return count;
   }
 
-  /** The board, four times a second. */
+  /** Write the board, four times a second. */
   write(board) {
     const now = performance.now();
     if (now - this.written < BOARD_EVERY) return;
@@ -159,7 +159,7 @@ function picture(gl, width, height, paint = () => {}) {
   return [ink, texture];
 }
 
-/** A red disc on which STOP stands, 256 pixels wide. */
+/** Paint a red disc with the word STOP, 256 pixels wide. */
 function paintButton(ink) {
   ink.fillStyle = '#e02020';
   ink.beginPath();
@@ -173,7 +173,7 @@ function paintButton(ink) {
   ink.fillText('touch', 128, 186);
 }
 
-/** The pose of what hangs at a place in front of the head: both column-major matrices. */
+/** Pose of an object at a place in front of the head; both are column-major matrices. */
 function ahead(head, [x, y, z]) {
   const pose = Float32Array.from(head);
   for (let row = 0; row < 3; row++) {
@@ -193,14 +193,14 @@ function feed(gl, what, buffer, attributes, stride) {
 }
 
 function program(gl, vertex, fragment) {
-  const made = gl.createProgram();
+  const linked = gl.createProgram();
   for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
     const shader = gl.createShader(kind);
     gl.shaderSource(shader, text);
     gl.compileShader(shader);
-    gl.attachShader(made, shader);
+    gl.attachShader(linked, shader);
   }
-  gl.linkProgram(made);
-  if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(made));
-  return made;
+  gl.linkProgram(linked);
+  if (!gl.getProgramParameter(linked, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(linked));
+  return linked;
 }

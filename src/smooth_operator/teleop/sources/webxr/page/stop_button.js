@@ -1,12 +1,12 @@
 // The emergency stop in the immersive view: a red disc straight ahead, above the eyes.
 //
-// It keeps its height when the head bends down and turns with the head, so a hand finds it blind.
-// Where it hangs the hands do not work: they are below the eyes.
+// It turns with the head but keeps its height when the head bends down, so a hand finds it without a
+// look. Working hands do not touch it, since they are below the eyes.
 
 const UP = 0.12; // m above the eyes
 const AHEAD = 0.4; // m
 export const RADIUS = 0.06; // m
-const HOLD = 0.15; // s that a fingertip must stay in it
+const HOLD = 0.15; // s for which a fingertip must stay in it
 const INDEX_TIP = 9; // WebXR's number of the joint
 const VALUES = 8;
 
@@ -14,8 +14,8 @@ export class StopButton {
   /** @param {() => void} press */
   constructor(press) {
     this.press = press;
-    this.since = null; // when a fingertip came in
-    this.pressed = false; // and has stayed since it was pressed
+    this.since = null; // time at which a fingertip came in
+    this.pressed = false; // true while a fingertip stays in it after a press
     this.centre = [0, 0, 0];
     /** Its pose for drawing: a column-major matrix, facing the head. */
     this.matrix = new Float32Array(16);
@@ -24,13 +24,13 @@ export class StopButton {
   /**
    * Move it with the head, and press it if a fingertip is in it.
    * @param {XRRigidTransform} head
-   * @param {Float32Array[]} hands those that are seen
+   * @param {Float32Array[]} hands the visible ones
    * @param {number} now seconds
    */
   update(head, hands, now) {
     const m = head.matrix;
     const length = Math.hypot(m[8], m[10]);
-    if (length > 0.05) { // the head looks straight up or down otherwise
+    if (length > 0.05) { // otherwise the head looks straight up or down
       this.back = [m[8] / length, m[10] / length];
     }
     const [x, z] = this.back ?? [0, 1];

@@ -1,4 +1,4 @@
-// The immersive session: asked for, run frame by frame, ended.
+// The immersive session: start, frames, end.
 
 import { Hands } from './hands.js';
 import { Scene } from './scene.js';
@@ -6,16 +6,16 @@ import { StopButton } from './stop_button.js';
 
 const MODES = ['immersive-ar', 'immersive-vr'];
 
-/** Trouble that a person can do something about. */
+/** An error that a person can mend. */
 export class Trouble extends Error {}
 
-/** The kinds of session that this browser has, the room around first. */
+/** The kinds of session of this browser, that with the room around first. */
 export async function supportedModes() {
   if (!window.isSecureContext) {
-    throw new Trouble('This page is not secure, so the browser keeps WebXR from it. Its address must begin with https://.');
+    throw new Trouble('The browser allows WebXR on secure pages only. Open this page with https://.');
   }
   if (!navigator.xr) {
-    throw new Trouble("This browser has no WebXR. Open the page in the headset's own browser: Meta Quest Browser, Safari on Vision Pro, PICO Browser. On a Vision Pro see that WebXR is on under Settings › Apps › Safari › Advanced › Feature Flags.");
+    throw new Trouble("This browser has no WebXR. Open the page in the headset's own browser: Meta Quest Browser, Safari on Vision Pro, PICO Browser. On a Vision Pro, switch WebXR on under Settings › Apps › Safari › Advanced › Feature Flags.");
   }
   const there = await Promise.all(
     MODES.map((mode) => navigator.xr.isSessionSupported(mode).catch(() => false)),
@@ -39,7 +39,7 @@ export class Tracking extends EventTarget {
     this.lastSeen = 0;
   }
 
-  /** Start; must be called from a click. */
+  /** Start; browsers allow it in a click only. */
   async start(mode) {
     let session;
     try {
@@ -48,11 +48,11 @@ export class Tracking extends EventTarget {
         optionalFeatures: ['local-floor'],
       });
     } catch (error) {
-      throw new Trouble(`The headset gave no hands (${error.message || error.name}). Turn hand tracking on in its settings, allow it when the browser asks, and press Start again.`);
+      throw new Trouble(`The headset does not track hands (${error.message || error.name}). Turn hand tracking on in its settings, allow it when the browser asks, and press Start again.`);
     }
     try {
       const gl = document.createElement('canvas').getContext('webgl2', { xrCompatible: true, alpha: true });
-      if (!gl) throw new Trouble('The browser gave no WebGL 2, which an immersive session needs.');
+      if (!gl) throw new Trouble('This browser has no WebGL 2, which an immersive session needs.');
       await gl.makeXRCompatible();
       this.scene = new Scene(gl);
       this.button = new StopButton(() => this.link.stop());
@@ -60,7 +60,7 @@ export class Tracking extends EventTarget {
       session.updateRenderState({ baseLayer: this.layer });
       this.floor = true;
       this.space = await session.requestReferenceSpace('local-floor').catch(() => {
-        this.floor = false; // the headset does not know where the floor is
+        this.floor = false; // the headset does not know the floor
         return session.requestReferenceSpace('local');
       });
     } catch (error) {
@@ -89,7 +89,7 @@ export class Tracking extends EventTarget {
   }
 
   step(frame) {
-    // Hands first: drawing must not make them late.
+    // Hands first: drawing must not delay them.
     const message = this.hands.read(frame, this.space, performance.now() / 1000, this.floor);
     this.link.send(message);
     const seen = [this.hands.left, this.hands.right].filter(Boolean);
@@ -103,7 +103,7 @@ export class Tracking extends EventTarget {
     });
   }
 
-  /** What the board says, and its kind. */
+  /** Kind and lines of the board. */
   board() {
     const { link } = this;
     if (link.state !== 'linked') {
@@ -120,7 +120,7 @@ export class Tracking extends EventTarget {
   }
 }
 
-/** [kind, headline, what to do] where the loop keeps the robot still on purpose, else null. */
+/** [kind, headline, remedy] while the loop holds the robot on purpose, else null. */
 export function loopState(link) {
   if (link.mode === 'stopped') return ['bad', 'STOPPED', 'press U at the computer to release'];
   if (link.stopping) return ['bad', 'Stopping …', 'not confirmed yet'];
