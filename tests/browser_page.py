@@ -1,4 +1,4 @@
-"""A page in a headless browser: opened so that its complaints are heard, and looked at."""
+"""A page in a headless browser: its errors are collected, and its picture can be compared."""
 
 import io
 import time
@@ -6,12 +6,17 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from live_time import PATIENCE_S
 
 
 def new_page(chromium: Any, width: int = 800, height: int = 600) -> tuple[Any, list[str]]:
-    """A page, and what it has complained about so far."""
-    page = chromium.new_page(viewport={"width": width, "height": height})
-    page.set_default_timeout(120_000)  # software rendering on a busy machine
+    """A page, and a list of its errors so far.
+
+    A software renderer takes a quarter of the time for half of the resolution.
+    """
+    size = {"width": width, "height": height}
+    page = chromium.new_page(viewport=size, device_scale_factor=0.5)
+    page.set_default_timeout(1e3 * PATIENCE_S)
     problems: list[str] = []
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
@@ -20,14 +25,14 @@ def new_page(chromium: Any, width: int = 800, height: int = 600) -> tuple[Any, l
 
 def nameless(page: Any) -> list[str]:
     """The visible controls that have no name for a screen reader."""
-    found: list[str] = page.evaluate(
+    controls: list[str] = page.evaluate(
         """() => [...document.querySelectorAll(
              "button, select, textarea, input:not([type=hidden]), [role=slider]")]
            .filter((it) => it.checkVisibility() && !(it.ariaLabel || it.innerText?.trim() ||
              it.labels?.length || it.getAttribute("aria-labelledby")))
            .map((it) => it.outerHTML.slice(0, 200))"""
     )
-    return found
+    return controls
 
 
 def picture(page: Any, width: int, height: int) -> np.ndarray:
@@ -35,7 +40,8 @@ def picture(page: Any, width: int, height: int) -> np.ndarray:
     from PIL import Image
 
     clip = {"x": 0, "y": 0, "width": width, "height": height}
-    return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB"), float)
+    shot = Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB")
+    return np.asarray(shot.resize((width, height), Image.Resampling.NEAREST), float)
 
 
 def settled(
@@ -43,11 +49,12 @@ def settled(
     width: int,
     height: int,
     shows: Callable[[np.ndarray], object] = lambda _: True,
-    seconds: float = 45.0,
+    seconds: float = PATIENCE_S,
 ) -> np.ndarray:
-    """The picture once two in a row are alike, something is on it, and it shows what it should.
+    """The picture once two in a row are alike, it is not black, and it shows the expected content.
 
-    Two alike may both be from before a change: on a busy machine the browser draws seconds late.
+    Two alike may both be from before a change, since a busy browser draws seconds late: a test
+    must not take a picture for the last one only because it has settled.
     """
     end = time.monotonic() + seconds
     last = picture(page, width, height)
