@@ -1,7 +1,6 @@
-"""Parts that a user names on the command line, with their settings: ``replay:glove.npz,speed=2``.
+"""Sources and sinks by name, with settings as text: ``replay:glove.npz,speed=2``.
 
-Sources and sinks are frozen dataclasses of settings in separate modules; a registry maps names to
-them.
+They are frozen dataclasses of settings in separate modules; a registry maps names to them.
 """
 
 from __future__ import annotations
@@ -197,7 +196,7 @@ SOURCES: Final = Registry(
         "zmq": Entry(f"{_SOURCES}.programs:ZmqSource", "landmarks over ZeroMQ (zmq extra)"),
         "ros2": Entry(
             "smooth_operator.teleop.ros2.source:Ros2Source",
-            "hand poses from ROS 2 topics, without a ROS 2 installation (ros2 extra)",
+            "hand poses from ROS 2 topics; needs no ROS 2 installation (ros2 extra)",
         ),
         "udp": Entry(f"{_SOURCES}.programs:UdpSource", "landmarks over UDP: udp:PORT"),
     },
@@ -240,7 +239,7 @@ def _takes_hands(source: object) -> bool:
 
 
 def _word_for(path: Path) -> str | None:
-    """Returns the source that reads a file, judged by the file name."""
+    """Name of the source that reads a file, by the file's name; None if there is none."""
     from smooth_operator.formats.registry import recording_suffixes
     from smooth_operator.teleop.sources.webcam.camera import is_video
 
@@ -262,7 +261,7 @@ SINKS: Final = Registry(
         "zmq": Entry(f"{_SINKS}.zmq_sink:ZmqSink", "commands over ZeroMQ (zmq extra)"),
         "ros2": Entry(
             "smooth_operator.teleop.ros2.sink:Ros2Sink",
-            "ROS 2 topics, without a ROS 2 installation (ros2 extra)",
+            "ROS 2 topics; needs no ROS 2 installation (ros2 extra)",
         ),
         "record": Entry(f"{_SINKS}.record:RecordSink", "an MCAP log: record:FILE"),
         "rerun": Entry(

@@ -38,12 +38,12 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
     """A node that retargets the 26 OpenXR joints of one hand to a robot hand.
 
     When the hand is lost, or a joint that the method needs is not valid, the joints keep their
-    last positions and ``hand_valid`` is 0. When it comes back they go over to it within the limits,
-    without a jump. Before the first frame they are those of the neutral pose.
+    last positions and ``hand_valid`` is 0. When the hand comes back, the joints move to it within
+    the limits, without a jump. Before the first frame they are in the neutral pose.
 
-    Of a step's context it uses the real time (stamp of the frame, limits), ``reset`` (the method
-    forgets; the joints go on from where they are) and the execution state: while it is ``paused``
-    or ``stopped`` the joints hold.
+    From a step's context the node uses the real time (stamp of the frame, limits), ``reset`` (the
+    method forgets; the joints go on from their positions) and the execution state: while it is
+    ``paused`` or ``stopped`` the joints hold.
 
     Inputs:
         ``hand_right`` or ``hand_left``: ``HandInput``, optional.
@@ -53,20 +53,20 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
         ``hand_valid``: 1 if the joints answer this step's frame, else 0.
         ``wrist_pose``: (7,) float32 x y z [m], quaternion x y z w, of the wrist frame in the z-up
             world (``docs/reference/conventions.md``); the last valid one, absent before it.
-        ``wrist_valid``: 1 if it is this step's, else 0.
+        ``wrist_valid``: 1 if the pose is of this step, else 0.
 
     Args:
         hand: name of the robot hand, the path of a spec file, a description or a loaded hand.
-        side: ``right`` or ``left``; None for that of the hand, ``right`` for a name.
+        side: ``right`` or ``left``; None for the side of the hand, ``right`` for a name.
         name: name of the node; None for ``smooth_hand_right`` or ``smooth_hand_left``.
         method: retargeting method.
         preset: preset of the method; None for its default.
-        joints: ``all``, or the ``actuated`` ones alone, without those that follow others.
+        joints: ``all``, or only the ``actuated`` ones, without coupled joints.
         world: axes of the input: ``openxr`` (y up) as ``HandsSource`` has it; ``z_up`` after a
             ``HandTransform`` into a z-up base.
         limits: limits of the joints; None for the defaults.
-        safety: what happens on loss; None for the defaults, with the last command held for ever.
-        compile: do it now; otherwise at the first frame or with ``warm_up``.
+        safety: behaviour on loss; None for the defaults, which hold the last command.
+        compile: True to compile now, False at the first frame or with ``warm_up``.
 
     Attributes:
         retargeter: method and hand.
@@ -74,7 +74,7 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
 
     Raises:
         UnknownNameError: there is no such hand, method or preset.
-        ConfigError: a setting is none of those that there are.
+        ConfigError: a setting has an unknown value.
     """
 
     def __init__(
@@ -113,11 +113,7 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
         super().__init__(f"smooth_hand_{self._side}" if name is None else name)
 
     def warm_up(self) -> float:
-        """Compile, without touching what the node remembers.
-
-        Returns:
-            seconds it took.
-        """
+        """Compile, without a change of the node's state; returns the time [s]."""
         return self.retargeter.warm_up()
 
     def input_spec(self) -> dict[str, Any]:
@@ -171,7 +167,7 @@ class SmoothHandRetargeter(interface.BaseRetargeter):
             self._pipeline.switch(self.retargeter)
 
     def _read(self, value: Any) -> tuple[HandFrame, Float[np.ndarray, "7"] | None]:
-        """A frame, and the wrist in our world where it is valid."""
+        """A frame, and the wrist in the z-up world if it is valid."""
         index = tensor_types.HandInputIndex
         points = np.from_dlpack(value[index.JOINT_POSITIONS]).astype(np.float64)
         valid = np.from_dlpack(value[index.JOINT_VALID]).astype(bool)

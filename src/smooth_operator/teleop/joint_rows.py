@@ -12,12 +12,12 @@ class JointRow:
     """A joint, for a table or a slider.
 
     Attributes:
-        name: in the model.
+        name: name in the model.
         low: lower limit [rad, or m for a slide].
-        high: upper limit; of an actuated joint such that the joints that follow it keep theirs.
+        high: upper limit. That of an actuated joint keeps its coupled joints within theirs.
         neutral: position in the neutral pose.
-        actuated: whether it is commanded.
-        follows: joint that a coupled joint follows: ``1.06 index_1 - 0.05``.
+        actuated: True if the joint is commanded.
+        follows: coupling of a joint that follows another: ``1.06 index_1 - 0.05``.
     """
 
     name: str

@@ -227,8 +227,7 @@ class _Run:
         """End this loop, and let the next one drive another hand by the same method."""
         if name not in self.other_hands:
             raise ConfigError(
-                f"this run can't go on with the hand {name!r}; expected one of "
-                f"{', '.join(self.other_hands) or 'no other hand'}"
+                f"this run can't go on with the hand {name!r}; choose one that its page offers"
             )
         used = switcher.used
         request = replace(

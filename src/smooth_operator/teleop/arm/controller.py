@@ -166,8 +166,8 @@ def _close_pairs(
 ) -> Int[np.ndarray, "p 2"]:
     """Pairs of geoms that can come near each other within the joints' limits.
 
-    Pairs that touch at rest, and pairs of links that share a joint, are excluded. The base and the
-    links that only rotate above it always touch the table.
+    Excludes pairs that touch at rest, pairs of links that share a joint, and the table with the
+    base and the links that only rotate above it.
     """
     joints = len(arm.links)
     levels = {0: 0, model.body(BASE).id: 0, model.body(FLANGE).id: joints} | {
@@ -190,10 +190,10 @@ def _close_pairs(
     first, second = np.triu_indices(model.ngeom, 1)
     apart, plane = np.abs(level[first] - level[second]), planes[first] | planes[second]
     meet = (least[first, second] < 2 * config.parts) & ~touching[first, second] & ~plane
-    # what is on one link, or on the next, is shaped not to collide; a wrist's three axes meet
+    # One link and the next are shaped not to collide; the three axes of a wrist meet.
     meet &= (apart >= 2) & ~((level[first] >= joints - 2) & (level[second] >= joints - 2))
-    # The maker's joint limits keep links apart that are two joints from each other; where the
-    # capsules, which are fatter, overlap by little, that is no collision.
+    # The joint limits keep links apart that are two joints from each other. Their capsules are
+    # fatter, so a small overlap is no collision.
     hand = model.geom_bodyid == model.body(FLANGE).id
     meet &= (apart != 2) | hand[second] | (least[first, second] <= -_FATTER)
     pairs = [np.stack([first[meet], second[meet]], axis=1)]
@@ -213,10 +213,7 @@ def _arm_model(
     wall: float | None,
     config: ClearanceConfig,
 ) -> mujoco.MjModel:
-    """Model of an arm with the site ``_WRIST``, its hand's capsules, a table and a wall.
-
-    The hand's capsules are the last geoms of the model, since the flange is its last body.
-    """
+    """Model of an arm with the site ``_WRIST``, table and wall; the hand's capsules come last."""
     spec = arm_spec(arm)
     flange = spec.body(FLANGE)
     pose = pose_of(mount.flange_to_wrist)
@@ -239,7 +236,7 @@ def _arm_model(
         geom.contype = geom.conaffinity = 1
         geom.margin = 2 * config.parts
     model = spec.compile()
-    model.geom_sameframe[model.ngeom - len(capsules) :] = 0  # they move in the flange's frame
+    model.geom_sameframe[model.ngeom - len(capsules) :] = 0  # capsules move in the flange's frame
     return model
 
 
@@ -256,8 +253,7 @@ def _add_plane(
 
 
 def _quaternions(axes: Float[np.ndarray, "c 3"]) -> Float[np.ndarray, "c 4"]:
-    """Rotations of the z axis onto unit vectors (w x y z). The vector opposite to z has no unique
-    rotation."""
+    """Rotations of the z axis onto unit vectors (w x y z)."""
     x, y, z = axes.T
     turns = np.stack([1.0 + z, -y, x, np.zeros_like(x)], axis=1)
     lengths = np.linalg.norm(turns, axis=1, keepdims=True)
@@ -389,7 +385,10 @@ class ArmController:
         self.limiter = self._limiter(nominal)
         self._before: Matrix | None = None
         self._twist = np.zeros(6)
-        self.home = self._go_home(matrix_of(_home(arm)) if home is None else home)
+        if home is None:  # fingers forward and down, the back of the hand up
+            half = arm.pitch / 2.0
+            home = matrix_of(np.array([*arm.home, np.cos(half), 0.0, np.sin(half), 0.0]))
+        self.home = self._go_home(home)
 
     @property
     def q(self) -> Float[np.ndarray, " n"]:
@@ -459,10 +458,7 @@ class ArmController:
         now = self._wrist()
         apart = (float("nan"), float("nan"))
         if goal is not None:
-            apart = (
-                float(np.linalg.norm(goal[:3, 3] - now[:3, 3])),
-                angle_between(now, goal),
-            )
+            apart = float(np.linalg.norm(goal[:3, 3] - now[:3, 3])), angle_between(now, goal)
         return ArmCommand(
             self.arm.name,
             self.arm.joint_names,
@@ -475,8 +471,7 @@ class ArmController:
         )
 
     def _solve(self, goal: Matrix, dt: float) -> tuple[Float[np.ndarray, " n"] | None, str]:
-        """Joint velocities [rad/s] (None without a solution), and the reason if a limit was
-        active."""
+        """Joint velocities [rad/s], and ``braking`` if there is no solution."""
         middles, axes = self._capsules.at(self._hand)
         self.model.geom_pos[self._hand_geoms] = middles
         self.model.geom_quat[self._hand_geoms] = _quaternions(axes)
@@ -509,8 +504,8 @@ class ArmController:
     def _governed(self, now: Matrix, goal: Matrix, dt: float) -> Float[np.ndarray, "6"]:
         """Motion of this step: translation [m] and rotation vector [rad], in the base frame.
 
-        It is the target's own motion plus a part of the distance to the target that still allows
-        the wrist to stop there.
+        It is the target's own motion, plus a part of the distance to the target after which the
+        wrist can still stop there.
         """
         config = self.config
         if self._before is not None:
@@ -581,12 +576,6 @@ class _Box(mink.Limit):
         return mink.limits.Constraint(G=self._rows, h=np.concatenate([self.high, -self.low]) * dt)
 
 
-def _home(arm: ArmSpec) -> Float[np.ndarray, "7"]:
-    """The arm's own home pose: fingers forward and down, the back of the hand up."""
-    half = arm.pitch / 2.0
-    return np.array([*arm.home, np.cos(half), 0.0, np.sin(half), 0.0])
-
-
 def _target(pose: Float[np.ndarray, "7"] | None) -> Matrix | None:
     if pose is None or not np.isfinite(pose).all() or np.linalg.norm(pose[3:]) < 1e-6:
         return None
@@ -598,7 +587,7 @@ def _approach(
 ) -> np.ndarray:
     """A step [m or rad] that follows a moving target and stops at a resting one."""
     distance = float(np.linalg.norm(error))
-    # the step itself, and braking after it, must not overshoot a resting target
+    # The step and the braking after it must not overshoot a resting target.
     late = acceleration * dt
     closing = min(np.sqrt(late**2 + 2.0 * acceleration * distance) - late, distance / dt)
     velocity = moving + (error * (closing / distance) if distance > 1e-12 else 0.0)

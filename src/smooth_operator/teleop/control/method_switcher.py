@@ -30,7 +30,7 @@ class DriverSpec:
         preset: name of its preset, never empty.
         base: configuration of the preset.
         configs: side -> configuration.
-        operators: side -> what is known of the operator.
+        operators: side -> profile of the operator, or None.
     """
 
     method: str
@@ -47,9 +47,8 @@ class DriverSpec:
 class MethodSwitcher:
     """Builds retargeters on a separate thread; the robot holds while a method is compiled.
 
-    A method that was compiled earlier in this process (by ``compile_first`` of ``teleoperate``, or
-    an earlier switch) takes over without a hold. A request replaces a pending one: only the newest
-    takes effect.
+    A method that this process has compiled earlier takes over without a hold. A request replaces a
+    pending one: only the newest takes effect.
 
     Args:
         loop: the loop.
@@ -96,12 +95,12 @@ class MethodSwitcher:
             return self._want(self._settled(method, preset))
 
     def operate(self, operators: Mapping[Side, OperatorProfile | None]) -> Future[DriverSpec]:
-        """Request the use of what is known of operators; see ``choose``.
+        """Request other profiles of operators; see ``choose``.
 
-        Other hands keep their operator.
+        Hands that are not named keep theirs.
 
         Raises:
-            ConfigError: a file is of a hand that is not driven.
+            ConfigError: the run has no hand of a side.
         """
         for side in operators:
             if side not in self._hands:
@@ -119,7 +118,7 @@ class MethodSwitcher:
         """Stop, without waiting for a running build."""
         with self._changed:
             self._ending = True
-            self._settle(ConfigError("the run has ended"))
+            _complete(self._request, ConfigError("the run has ended"))
             self._changed.notify_all()
 
     def _settled(self, method: str, preset: str | None) -> DriverSpec:
@@ -133,15 +132,12 @@ class MethodSwitcher:
         return DriverSpec(method, preset, base, configs, dict(self.operators))
 
     def _want(self, spec: DriverSpec) -> Future[DriverSpec]:
-        self._settle(ConfigError("another method was requested before this one was ready"))
+        replaced = ConfigError("another method was requested before this one was ready")
+        _complete(self._request, replaced)
         self._request = Future()
         self.target, self.error = spec, ""
         self._changed.notify_all()
         return self._request
-
-    def _settle(self, outcome: DriverSpec | Exception) -> None:
-        """Complete the future of the request, unless it is done."""
-        _tell(self._request, outcome)
 
     def _run(self) -> None:
         while True:
@@ -153,9 +149,10 @@ class MethodSwitcher:
                 self.building = f"compiling {spec.method} {spec.preset}"
             try:
                 built = self._build(spec, used)
-            except Exception as error:  # after any error the old method stays in use
+            except Exception as error:  # the old method stays in use
                 expected = isinstance(error, SmoothOperatorError)
-                self._fail(spec, error if expected else ConfigError(_words(error)))
+                words = f"{type(error).__name__}: {error}"
+                self._fail(spec, error if expected else ConfigError(words))
             else:
                 self._hand_over(spec, built)
 
@@ -186,7 +183,7 @@ class MethodSwitcher:
             if hand.side in built:
                 hand.switch(built[hand.side], spec.driver(hand.side))
             else:
-                hand.go_on()  # where an earlier request had it hold
+                hand.go_on()  # an earlier request may have made it hold
 
         with self._changed:
             self.building = ""
@@ -194,8 +191,8 @@ class MethodSwitcher:
                 return
             self.used, request = spec, self._request
             self._loop.controls.change(switch)
-            # behind it in the queue: when this is done, that is
-            self._loop.controls.change(lambda hand: _tell(request, spec))
+            # Changes are carried out in order, so the request is complete after the switch.
+            self._loop.controls.change(lambda hand: _complete(request, spec))
 
     def _fail(self, spec: DriverSpec, error: Exception) -> None:
         with self._changed:
@@ -203,15 +200,11 @@ class MethodSwitcher:
             if spec is self.target:
                 self.target, self.error = self.used, str(error)
                 self._loop.controls.change(lambda hand: hand.go_on())
-                self._settle(error)
+                _complete(self._request, error)
 
 
-def _words(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"
-
-
-def _tell(request: Future[DriverSpec], outcome: DriverSpec | Exception) -> None:
-    with contextlib.suppress(InvalidStateError):  # it is settled already
+def _complete(request: Future[DriverSpec], outcome: DriverSpec | Exception) -> None:
+    with contextlib.suppress(InvalidStateError):  # it is complete already
         if isinstance(outcome, DriverSpec):
             request.set_result(outcome)
         else:

@@ -4,44 +4,42 @@ A message is a command, or a JSON object with ``do``: ``stop``, ``release``, ``p
 ``quit``, ``status`` and
 
     {"do": "method", "method": "dexpilot", "preset": "published"}
-        another method; compiled while the old one goes on, and answered when the hands go over to
-        it: {"ok": true, "method": "dexpilot", "preset": "published"}. Without a preset its default.
+        Switches to another method, with its default preset if none is named. The old method goes on
+        while it is compiled. The answer comes when it drives the hands:
+        {"ok": true, "method": "dexpilot", "preset": "published"}.
     {"do": "calibration", "path": "operator.json"}
-        an operator's calibration, of the hand of its side; without a path none for all hands:
+        Uses an operator's calibration for the hand of its side; without a path, no calibration:
         {"ok": true, "method": ..., "preset": ..., "side": "right", "hand": "mimic_p050"}.
     {"do": "rate", "rate": 30}
-        commands a second from now on, until the run ends: {"ok": true, "rate": 30.0}.
+        Sets the commands per second: {"ok": true, "rate": 30.0}.
     {"do": "wrist", "engage": false}
-        releases the clutch of the wrist while the fingers go on; true takes it: {"ok": true,
-        "engage": false}.
+        Releases the clutch of the wrist while the fingers go on; true engages it:
+        {"ok": true, "engage": false}.
     {"do": "task", "task": "card"}
-        the scene of a task, by its name or the paper's (A, B, C); without a task the hand alone:
-        {"ok": true, "task": "card", "title": ..., "instruction": ..., "time_limit_s": 60.0}. With
-        "object": false there is no object until a trial begins, as for free movement.
+        Loads the scene of a task, by its name or that of the paper (A, B, C); without a task, the
+        hand alone: {"ok": true, "task": "card", "title": ..., "instruction": ...,
+        "time_limit_s": 60.0}. With "object": false the object appears when a trial begins.
     {"do": "trial"}
-        how the trial stands. With "begin": true a trial begins, with the object at its start, and
-        "about": {...} is put into its record; "when_clear": true has its clock begin when the hand
-        has left the object alone for half a second ("phase" is waiting until then), and
-        "limit_s": 45 is its time limit in place of the task's. With "finish": true it ends, the
-        operator can do no more; with "cancel": true it is forgotten, and with "mark": "undone" or
-        "void" the record of one that has ended, with these entries "about" it, is marked so.
-        With "pause": true the hand, its scene and the clock of the trial stand still, and go on
-        with "resume": true. "side" says which one, if there are two:
+        Reports the trial. "begin": true begins one, with the object at its start and the entries
+        "about": {...} in its record. With "when_clear": true its clock starts when the hand has
+        been clear of the object for half a second ("phase" is waiting until then). "limit_s": 45
+        replaces the task's time limit. "finish": true ends the trial. "cancel": true discards it;
+        with "mark": "undone" or "void" it marks the record of an ended trial with these entries
+        "about". "pause": true stops hand, scene and clock, and "resume": true continues. "side"
+        chooses one of two hands:
         {"ok": true, "task": "card", "phase": "running", "elapsed_s": 3.2, "score": 0.0,
          "line": "not-done", "text": ..., "reason": "on the table", "time_s": null, "ended": null,
-         "resets": 0, "number": 1, "placed": true, "paused": false, "pauses": 0, "side": "right"};
-        "phase" is ready, running or
-        done, and only of a trial that is done are score, line and time_s final.
+         "resets": 0, "number": 1, "placed": true, "paused": false, "pauses": 0, "side": "right"}.
+        "phase" is ready, running or done; score, line and time_s are final only when it is done.
     {"do": "reset"}
-        the one reset of a trial that runs; where none does the object is just put back. The answer
-        is that of "trial".
+        Uses the one reset of a running trial; without a trial, just puts the object back. Answers
+        as "trial".
 
-"status" answers "method", "preset", "rate" (as it was asked for), "sides", "hand", "blind",
-"building" (what is being compiled), "compiling" (sides whose robot holds until their method is
-compiled), "source" {"label", "state", "detail"}, "sinks", "operators" {side: where the
-calibration is from}, "simulation" (whether there is one that can have a task),
-"task" and "trial" (None without one), "object" (whether it is there) and the loop's own "modes" and
-"rate_hz".
+"status" answers "method", "preset", "rate" (as requested), "sides", "hand", "blind", "building"
+(the method that is being compiled), "compiling" (sides whose robot holds until their method is
+compiled), "source" {"label", "state", "detail"}, "sinks", "operators" {side: origin of the
+calibration}, "simulation" (true if there is one that can have a task), "task" and "trial" (null
+without one), "object" (true if it is there) and the loop's "modes" and "rate_hz".
 """
 
 from __future__ import annotations
@@ -75,7 +73,7 @@ RpcHandler: TypeAlias = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 """Carries out a command: takes the fields of the message and returns those of the answer; its
 ``SmoothOperatorError`` becomes the answer."""
 Reply: TypeAlias = Callable[[bytes], None]
-"""Takes an answer, from any thread."""
+"""Sends an answer; may be called from any thread."""
 
 _PATIENCE_S: Final = 0.5
 """Longest time that an answer waits for the loop to carry out a command [s]."""
@@ -114,7 +112,7 @@ class _Switched:
 
 
 class RpcServer:
-    """Carries out the commands in messages. For one thread; replies may come from others.
+    """Carries out the commands in messages. For one thread; replies may come from other threads.
 
     A stop is carried out on receipt, before all waiting messages. A release that waits while a stop
     comes is refused, since it was meant for an earlier stop.
@@ -188,7 +186,7 @@ class RpcServer:
             message = self._waiting.popleft()
             try:
                 self._do(message)
-            except Exception as error:  # whatever it was, the next message may be a stop
+            except Exception as error:  # the next message may be a stop
                 message.reply(_encoded(_failed(message.command, error)))
         self._confirm(time.monotonic())
 
@@ -211,7 +209,7 @@ class RpcServer:
             self._loop.controls.quit()
             message.reply(_encoded(self._modes()))
         elif message.command == "status":
-            # Without the loop's own thread, which would have to send a command for it.
+            # Not through the loop's thread, which would have to send a command for it.
             silent = self._loop.silent_s > max(_PATIENCE_S, 3 * self._loop.config.period)
             message.reply(_encoded(_SILENT if silent else self._whole_status()))
         elif len(self._under_way) >= _MOST_RUNNING:
@@ -245,7 +243,7 @@ class RpcServer:
             return _encoded({"ok": True, **self._handlers[message.command](message.fields)})
         except SmoothOperatorError as error:
             return _encoded({"ok": False, "error": str(error)})
-        except Exception as error:  # a command that goes wrong must not leave its caller waiting
+        except Exception as error:  # the caller must get an answer
             return _encoded(_failed(message.command, error))
         finally:
             self._under_way.remove(message.command)
@@ -275,9 +273,9 @@ _TURN_MS: Final = 20
 _SOON_MS: Final = 1  # while an answer waits for the loop
 _LARGEST: Final = 1 << 16  # [bytes]
 _FRAMES: Final = 8
-"""Most parts of a message: an address for each relay, an empty one, the command."""
+"""Largest number of parts of a message: an address for each relay, an empty part, the command."""
 _BATCH: Final = 256
-"""Messages that are received before the next one is carried out."""
+"""Number of messages that are received before the next one is carried out."""
 _END_S: Final = 2.0
 
 
@@ -338,7 +336,7 @@ def remote(
                     hear()
                     server.turn()
                     send_all()
-                except Exception as error:  # nothing that is sent may end the listening
+                except Exception as error:  # no message may end the listening
                     print_note(f"note: {address}: {type(error).__name__}: {error}")
             server.finish()
             send_all()
@@ -368,7 +366,7 @@ def check_address(address: str) -> None:
 
 
 def _listening(address: str) -> tuple[Any, Any]:
-    """A ZeroMQ context and its socket, which listens."""
+    """A ZeroMQ context with a socket that listens on an address."""
     try:
         import zmq
     except ImportError:

@@ -20,7 +20,7 @@ from smooth_operator.reporter import Reporter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
 STOP_KEYS: Final = (" ", "\x1b", "x", "X")
-"""Each always stops, whatever the robot does; no other key does."""
+"""Keys of the emergency stop, in every mode of the robot."""
 WORDS: Final = (
     "space, Esc or x: EMERGENCY STOP   u: release it   p: pause / resume   c: wrist   q: end"
 )
@@ -145,8 +145,7 @@ def _nothing() -> None:
 
 @contextlib.contextmanager
 def _reader() -> Iterator[Callable[[float], str | None]]:
-    """A function that waits a while for keys; the terminal hands them over one by one. None where
-    it was closed."""
+    """Yields a function that waits some seconds for keys; None means a closed terminal."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -157,7 +156,7 @@ def _reader() -> Iterator[Callable[[float], str | None]]:
                     key = msvcrt.getwch()
                     if key not in ("\x00", "\xe0"):
                         return key
-                    msvcrt.getwch()  # of an arrow, whose second character is no key
+                    msvcrt.getwch()  # the second character of an arrow
                 time.sleep(0.01)
             return ""
 
@@ -180,7 +179,7 @@ def _reader() -> Iterator[Callable[[float], str | None]]:
             except OSError:
                 return None
             if not data:
-                return None  # read again at a closed terminal, it would return immediately
+                return None  # the terminal is closed
             pressed = data.decode(errors="ignore")
             before_escape, escape, _ = pressed.partition("\x1b")
             return before_escape + escape
@@ -195,9 +194,9 @@ def _reader() -> Iterator[Callable[[float], str | None]]:
 
 _POLL_S: Final = 0.005
 _BEAT_S: Final = 0.3
-_BEATS: Final = 1000
-"""Datagrams that are read in one go; a button sends fewer in 5 ms."""
 """Time for which a heartbeat counts [s]."""
+_BEATS: Final = 1000
+"""Largest number of datagrams in one reading; a button sends fewer in 5 ms."""
 
 FORMS: Final = "file:PATH, serial:PORT or udp:PORT"
 
@@ -235,7 +234,7 @@ class StopInput:
         """True if the stop is pressed, or can't be read."""
         try:
             return not self._released()
-        except Exception:  # of a file or adapter that is gone
+        except Exception:  # the file or adapter is gone
             return True
 
     def close(self) -> None:
@@ -331,6 +330,6 @@ def _udp(text: str) -> tuple[Callable[[], bool], Callable[[], object]]:
                 return not pressed and time.monotonic() - beat[0] < _BEAT_S
             beat[0] = time.monotonic() if good else -1e9
             pressed |= not good
-        return False  # in a flood of datagrams a press would not be seen in time
+        return False  # a flood of datagrams could hide a press
 
     return released, receiver.close

@@ -30,7 +30,7 @@ class TaskTrials:
         attended: True if a person may begin trials with the keys. If neither is True, the first
             trial begins with the run.
         about: returns the current method and settings, for the records.
-        record: takes the events of trials, for the record of the run.
+        record: called with the events of trials, for the record of the run.
 
     Attributes:
         runner: runner of the trials, once everything is open; None without a simulation.
@@ -61,9 +61,9 @@ class TaskTrials:
         if self._task is None:
             return {}
         return {
-            "g": lambda: self._tried("go"),
-            "r": lambda: self._tried("reset"),
-            "d": lambda: self._tried("finish"),
+            "g": lambda: self._act("go"),
+            "r": lambda: self._act("reset"),
+            "d": lambda: self._act("finish"),
         }
 
     @property
@@ -72,7 +72,7 @@ class TaskTrials:
         return "   g: go   r: reset the object   d: done" if self.keys else ""
 
     def begin(self) -> None:
-        """Prints the task of the open simulation; starts a trial if no key or message can."""
+        """Show the task of the open simulation; start a trial if no key or message can."""
         simulation = simulated_hands(self._sinks)
         if simulation is None or (self._task is None and not self._controlled):
             return
@@ -86,7 +86,7 @@ class TaskTrials:
         task = self.runner.task.task
         self._reporter.note(f"{task.title}: {task.instruction}", matters=True)
         if not self._controlled and not self._attended:
-            self._tried("go")
+            self._act("go")
 
     def end(self) -> None:
         """End the trials."""
@@ -132,11 +132,11 @@ class TaskTrials:
             "trials": {side: [asdict(o) for o in results] for side, results in outcomes.items()},
         }
 
-    def _tried(self, word: str) -> None:
+    def _act(self, method: str) -> None:
         if self.runner is None:
             return
         try:
-            getattr(self.runner, word)()
+            getattr(self.runner, method)()
         except SmoothOperatorError as error:
             self._reporter.note(str(error), matters=True)
 
@@ -150,10 +150,10 @@ class TaskTrials:
 
 
 def with_task(sinks: Sequence[str], task: str | None) -> tuple[str, ...]:
-    """The sinks of a run, the simulation with its task among them.
+    """The sinks of a run, with the simulation of its task.
 
     Raises:
-        ConfigError: a simulation of another task is requested, too.
+        ConfigError: there already is a simulation among the sinks.
     """
     if task is None:
         return tuple(sinks)

@@ -74,7 +74,7 @@ class LogWriter:
         compression: compression of each chunk.
         chunk_bytes: size of a chunk before compression, which bounds the memory.
         flush_seconds: longest time that a message waits for the disk while others come [s].
-        keypoints: computes the robot's landmarks, which Foxglove draws; None draws none.
+        keypoints: computes the robot's landmarks for Foxglove; None for no robot.
 
     Raises:
         OutputError: no folder, no permission, no space, or the file exists. After an error in
@@ -107,7 +107,7 @@ class LogWriter:
             )
         self.path = Path(path)
         self.commands_flushed = 0
-        self._whole_bytes = 0  # the file up to the last chunk that was written
+        self._whole_bytes = 0  # size of the file up to the last complete chunk
         self._chunk_bytes = chunk_bytes
         self._flush_seconds = flush_seconds
         self._waiting_since: float | None = None
@@ -120,7 +120,7 @@ class LogWriter:
         self._foxglove = FoxgloveMessages(keypoints)
         self._log_time = 0
         self._stream: IO[bytes] | None = None
-        self._writer: Any = None  # once the file is open
+        self._writer: Any = None
         self._pending = 0  # bytes of the messages that are in no chunk yet
         self._channels: dict[str, int] = {}
         self._classes = {topic: message_class(name) for topic, name in SCHEMAS.items()}
@@ -128,7 +128,7 @@ class LogWriter:
             self._stream = open_locked(self.path, overwrite)
             self._writer = mcap_writer.Writer(
                 self._stream,
-                chunk_size=sys.maxsize,  # chunks end in _end_chunk alone
+                chunk_size=sys.maxsize,  # only _end_chunk ends chunks
                 compression=mcap_writer.CompressionType[compression.upper()],
             )
             self._writer.start("", "smooth-operator")
@@ -136,7 +136,7 @@ class LogWriter:
             for topic in SCHEMAS:
                 if topic not in LIVE:
                     self._channel(topic)
-            self._end_chunk()  # a log that is killed now is an empty log, not an empty file
+            self._end_chunk()  # so that a process that is killed now leaves an empty log
 
     def write_hand(self, frame: HandFrame, stamp: float | None = None) -> None:
         """Append a hand frame.
@@ -145,8 +145,8 @@ class LogWriter:
             stamp: stamp in the log [s]; None for that of the frame.
 
         Raises:
-            RecordingError: the frame has no stamp, or one that is not finite or not after the last
-                one, or it is of the other hand.
+            RecordingError: the frame is of the other hand, or its stamp is missing, not finite or
+                not after the last one.
             OutputError: as for the class.
         """
         stamp = frame.time if stamp is None else stamp
@@ -179,18 +179,18 @@ class LogWriter:
         wrist: WristCommand | None = None,
         arm: ArmCommand | None = None,
     ) -> None:
-        """Append a command and how long it took.
+        """Append a command and its timing.
 
         Args:
             latency_ms: time from landmarks to command [ms].
             stages: name of a stage -> its part of that time [ms].
-            loop: state of the live loop, if one sent the command.
-            wrist: command of the wrist with it, if any.
-            arm: command of the arm that carries the hand, if any.
+            loop: state of the live loop, if any.
+            wrist: command to the wrist, if any.
+            arm: command to the arm that carries the hand, if any.
 
         Raises:
-            RecordingError: the joints differ from those of the previous command, their number from
-                that of the positions, or the stamp is not finite.
+            RecordingError: the joints differ from those of the previous command, there is not one
+                position for each joint, or the stamp is not finite.
             OutputError: as for the class.
         """
         positions = np.asarray(command.joint_positions, np.float64)
@@ -211,7 +211,7 @@ class LogWriter:
             raise RecordingError(
                 f"{self.path}: the timestamp of a command must be finite, not {stamp}"
             )
-        # The command last, so that in a log that is cut off it never lacks its timing and status.
+        # The command comes last, so that it has its timing and status even in a truncated log.
         new = self._classes
         status = Status(status)
         messages = [
@@ -247,8 +247,7 @@ class LogWriter:
     def write_config(self, config: Mapping[str, Any]) -> None:
         """Append the resolved configuration, once.
 
-        It gets the time of the first frame, since viewers draw the time line from the first message
-        on.
+        It gets the time of the first frame, at which the time line of viewers begins.
 
         Raises:
             ConfigError: it was written already, or has no JSON form.
@@ -274,7 +273,7 @@ class LogWriter:
         self._metadata(ORIGIN, origin)
 
     def write_method(self, stamp: float, method: str, preset: str, config: Any) -> None:
-        """Append the method that drives the hand from now on, as a metadata record.
+        """Append the next method of the hand, as a metadata record.
 
         Args:
             stamp: stamp of its first command [s].
@@ -314,7 +313,7 @@ class LogWriter:
         if self._stream is None:
             return
         with self._writing():
-            self._add_config()  # where no frame ever came
+            self._add_config()  # if there was no frame
             self._end_chunk()
             self._writer.finish()
             self._stream.flush()
@@ -331,7 +330,7 @@ class LogWriter:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        # An error on the way out must not hide the one that led here.
+        # An error in closing must not hide the error of the block.
         with contextlib.suppress(OutputError) if error else contextlib.nullcontext():
             self.close()
 
@@ -362,7 +361,7 @@ class LogWriter:
         command = sequence[COMMAND]
         for topic, data in messages:
             channel = self._channels.get(topic) or self._channel(topic)
-            # The status and the like of a command have its number, by which the reader joins them.
+            # The reader joins a command and its status, timing, ... by their number.
             number = command if topic in OF_COMMANDS else sequence[topic]
             self._writer.add_message(channel, at, data, at, number)
             self._pending += _HEAD_BYTES + len(data)
@@ -387,7 +386,7 @@ class LogWriter:
         self._whole_bytes = self._stream.tell()
 
     def _channel(self, topic: str) -> int:
-        """Registers a topic; its channel."""
+        """Register a topic, and return its channel."""
         name = SCHEMAS.get(topic) or FOXGLOVE[topic]
         if name not in self._schemas:
             data = schema_data(name)
@@ -400,7 +399,7 @@ class LogWriter:
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """Turn what the operating system says into an OutputError, and give the file up."""
+        """Turn an error of the operating system into an OutputError, and close the file."""
         self._check_open()
         try:
             yield
@@ -417,12 +416,12 @@ class LogWriter:
     def _failed(self, error: OSError) -> OutputError:
         stream, self._stream = self._stream, None
         if stream is not None:
-            _close_at(stream, self._whole_bytes)  # without the chunk that is written in part
+            _close_at(stream, self._whole_bytes)
         return output_error(self.path, error)
 
 
 def _nanoseconds(stamp: float) -> int:
-    """A stamp as MCAP has it: whole, and none before zero; the message keeps it exactly."""
+    """Time for MCAP: whole nanoseconds, not before zero. The message has the exact stamp."""
     return min(round(min(max(stamp * 1e9, 0.0), float(_MAX_LOG_TIME))), _MAX_LOG_TIME)
 
 
@@ -438,10 +437,7 @@ def _timing(new: Any, stamp: float, latency_ms: float | None, stages: Mapping[st
 
 
 def _message(kind: Any, stamp: float, values: object, **other: Any) -> Any:
-    """A message whose fields are the attributes of an object, and others by name.
-
-    Arrays become rows of numbers; a field without a value is left out.
-    """
+    """Message with the attributes of an object, or ``other`` values; arrays become flat lists."""
     fields: dict[str, Any] = {}
     for name in _names(kind):
         value = other[name] if name in other else getattr(values, name, None)
@@ -456,7 +452,7 @@ def _names(kind: Any) -> tuple[str, ...]:
 
 
 def _close_at(stream: IO[bytes], size: int) -> None:
-    """Close a file that can't be written any more, as far as it goes, and cut it to a size."""
+    """Close a file after an error, and truncate it to a size."""
     with contextlib.suppress(OSError):
         file = os.dup(stream.fileno())
         try:

@@ -32,8 +32,8 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
     """Reads a log.
 
     Raises:
-        RecordingError: as ``read_log``; the log holds neither frames
-            nor commands; stamps of frames that do not increase; a side or rate that contradicts it.
+        RecordingError: as ``read_log``; the log contains neither frames nor commands, its stamps do
+            not increase, or ``side`` or ``rate`` contradicts it.
     """
     log = read_log(path)
     name = log.origin.get("name") or path.stem
@@ -127,7 +127,7 @@ def _arm(track: ArmTrack | None, row: int) -> ArmCommand | None:
         track.name,
         track.joint_names,
         track.positions[row],
-        np.full(len(track.joint_names), np.nan),  # not kept: it follows from the positions
+        np.full(len(track.joint_names), np.nan),  # velocities follow from the positions
         track.poses[row],
         measured=None if np.isnan(measured).all() else measured,
     )
@@ -153,7 +153,7 @@ def _states(states: StateTrajectory, recording: HandRecording | None) -> tuple[H
 
 
 def log_losses(episode: Episode) -> list[str]:
-    """Values of an episode that a log can't hold: infinite ones become unknown."""
+    """Values of an episode that a log can't store: infinities become NaN."""
     parts: list[tuple[str, np.ndarray | None]] = []
     if episode.recording is not None:
         recording = episode.recording
@@ -176,7 +176,7 @@ def is_own_log(path: Path) -> bool:
         topics = log_topics(path)
         if topics:
             return bool(topics.keys() & SCHEMAS.keys()) and topics.keys() <= {*SCHEMAS, *FOXGLOVE}
-        return read_log(path) is not None  # which refuses a log of another program
+        return read_log(path) is not None  # refuses a log of another program
     except (RecordingError, OSError):
         return False
 

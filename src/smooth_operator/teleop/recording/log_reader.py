@@ -50,7 +50,7 @@ from smooth_operator.teleop.recording.messages import (
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 _MOST_BYTES: Final = 1 << 20
-"""Longest message that is read, the configuration left out; a usual one has 1 kB."""
+"""Size limit of a message, except for the configuration. A usual message has 1 kB."""
 _MOST_STAGES: Final = 64  # each takes a number for every command
 _MOST_ARM_JOINTS: Final = 64
 _FLOAT_BYTES: Final = 8
@@ -70,12 +70,12 @@ _DAMAGE: Final = (
 
 
 class DamagedError(Exception):
-    """The bytes end, or make no sense, from here on."""
+    """The following bytes are missing or damaged."""
 
 
 @dataclass(frozen=True, eq=False)
 class MethodUse:
-    """The method that drove a hand from some time on.
+    """A method that drove a hand, from a time on.
 
     Attributes:
         stamp: stamp of its first command [s].
@@ -98,7 +98,7 @@ class Log:
         recording: the hand frames, or None if there are none.
         commands: the commands with their latencies and status, or None.
         config: the resolved configuration, or None.
-        truncated: True if the end is missing or damaged; the content is that before it.
+        truncated: True if the end is missing or damaged; the content is the part before it.
         stages_ms: (T,) time of each stage of the loop [ms] by name, one value per command, NaN
             for a command without the stage.
         origin: origin of the log: ``name``, ``task``, ``meta`` (JSON).
@@ -136,11 +136,11 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         path: the log.
 
     Returns:
-        its content; units are not checked here (``read_recording`` does).
+        its content. ``read_recording`` also checks the units.
 
     Raises:
-        RecordingError: no such file, not an MCAP log, one of another program or version, or
-            messages that can't be understood.
+        RecordingError: the file does not exist or is no MCAP log, is of another program or version,
+            or has invalid messages.
     """
     path = Path(path)
     if file_kind(path) != "log":
@@ -161,7 +161,7 @@ def read_log(path: str | os.PathLike[str]) -> Log:
         states = _read_states(tables[STATE])
         methods = tuple(_method(one.metadata) for one in metadata if one.name == METHOD)
     except RecordingError:
-        raise  # it is a ValueError too, but has its own message
+        raise  # a ValueError with its own message
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise _not_ours(path, error) from error
     origin: dict[str, str] = next(
@@ -175,10 +175,10 @@ def read_log(path: str | os.PathLike[str]) -> Log:
 def read_log_recording(
     path: Path, rate: float | None, side: Side | None, layout: str | None = None
 ) -> HandRecording:
-    """The hand frames of a log, which has stamps, a side and its own order of landmarks.
+    """The hand frames of a log.
 
     Raises:
-        RecordingError: as ``read_log``; no frames in it; another side than ``side``.
+        RecordingError: as ``read_log``; there are no frames, or their side is not ``side``.
     """
     log = read_log(path)
     if log.recording is None:
@@ -216,17 +216,14 @@ def log_topics(path: Path) -> Mapping[str, int] | None:
 
 
 class _WholeReads:
-    """A stream that gives all the bytes that are asked for, or EOFError.
-
-    The library takes a record that was cut in its middle for a whole one.
-    """
+    """A stream that returns all requested bytes or raises EOFError, as the library does not."""
 
     def __init__(self, stream: IO[bytes], size: int) -> None:
         self._stream, self._size = stream, size
         self.seek, self.seekable = stream.seek, stream.seekable
 
     def read(self, count: int) -> bytes:
-        if self._stream.tell() + count > self._size:  # a damaged length can't ask for the memory
+        if self._stream.tell() + count > self._size:  # a damaged length must not allocate memory
             raise EOFError
         return self._stream.read(count)
 
@@ -269,7 +266,7 @@ def _unpacked(chunk: mcap_records.Chunk, path: Path) -> bytes:
     if chunk.compression == "zstd":
         data = zstandard.decompress(chunk.data, max_output_size=size)
     elif chunk.compression == "lz4":
-        # One byte more than it should be: if that comes, the chunk is larger than it says.
+        # One byte more than stated, so that a larger chunk is detected.
         data = lz4_frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
     elif not chunk.compression:
         data = chunk.data
@@ -284,7 +281,7 @@ def _unpacked(chunk: mcap_records.Chunk, path: Path) -> bytes:
 
 
 def _read_tables(path: Path) -> tuple[dict[str, _Table], list[Any], bool]:
-    """The messages by topic, the metadata, and whether the end of the file is missing."""
+    """Messages by topic, metadata, and True if the end of the file is missing."""
     tables = {topic: _Table(topic) for topic in SCHEMAS}
     channels: dict[int, _Table] = {}
     foreign: set[str] = set()
@@ -355,12 +352,7 @@ def _not_ours(path: Path, error: Exception) -> RecordingError:
 
 
 class _Table:
-    """The messages of a topic.
-
-    Attributes:
-        numbers: sequence numbers of the messages.
-        messages: the messages.
-    """
+    """The messages of a topic, and their sequence numbers."""
 
     def __init__(self, topic: str) -> None:
         self._topic = topic
@@ -372,7 +364,7 @@ class _Table:
         return len(self.messages)
 
     def add(self, record: Any, path: Path) -> None:
-        """Take a message."""
+        """Add a message."""
         topic, size = self._topic, len(record.data)
         if size > _MOST_BYTES and topic != CONFIG:
             wrong = f"a message on {topic} has {size} bytes, more than {_MOST_BYTES}"
@@ -385,11 +377,11 @@ class _Table:
         self.numbers.append(record.sequence)
 
     def column(self, name: str) -> list[Any]:
-        """The values of a field; of a repeated one a list or tuple for each message."""
+        """The values of a field; lists for a repeated field."""
         return [getattr(message, name) for message in self.messages]
 
     def floats(self, name: str) -> Float[np.ndarray, " T"]:
-        """The values of a field that is a number; what is not finite is NaN."""
+        """The values of a numeric field; NaN for values that are not finite."""
         return _finite(np.array(self.column(name), np.float64))
 
     def stamps(self) -> Float[np.ndarray, " T"]:
@@ -400,11 +392,7 @@ class _Table:
         return stamps
 
     def matrix(self, name: str, *shape: int) -> Float[np.ndarray, "T ..."]:
-        """The values of a field that is a list of numbers; what is not finite is NaN.
-
-        Args:
-            shape: shape of each message's numbers; rows of messages that have none are NaN.
-        """
+        """The values of a field that is an array of this shape, or empty; NaN if not finite."""
         rows, size = self.column(name), math.prod(shape)
         for row in rows:
             if len(row) not in (0, size):
@@ -416,17 +404,17 @@ class _Table:
         return _finite(values).reshape(len(rows), *shape)
 
     def optional(self, name: str, *shape: int) -> Float[np.ndarray, "T ..."] | None:
-        """The same; None where no message has any."""
+        """As ``matrix``; None if the field is empty in all messages."""
         return self.matrix(name, *shape) if any(map(len, self.column(name))) else None
 
     def present(self, name: str, *shape: int) -> Float[np.ndarray, "T ..."]:
-        """The same, of a list that each message must have."""
+        """As ``matrix``, of a field that must not be empty."""
         if all(shape) and not all(map(len, self.column(name))):
             raise ValueError(f"a message has no {name}")
         return self.matrix(name, *shape)
 
     def same(self, name: str, what: str) -> Any:
-        """The value of a field that all messages have alike."""
+        """The value of a field that must be equal in all messages."""
         values = self.column(name)
         other = next((value for value in values if value != values[0]), None)
         if other is not None:
@@ -434,7 +422,7 @@ class _Table:
         return values[0] if isinstance(values[0], str) else tuple(values[0])
 
     def places(self, commands: Sequence[int]) -> Int[np.ndarray, " C"]:
-        """The row that belongs to each command: the last one of its number, -1 for none."""
+        """Row of each command: the last row with its number, or -1."""
         rows = {number: row for row, number in enumerate(self.numbers)}
         return np.array([rows.get(number, -1) for number in commands], np.int64)
 
@@ -444,12 +432,7 @@ def _brief(value: Any) -> str:
 
 
 def _spread(values: np.ndarray, places: Int[np.ndarray, " C"], absent: Any) -> np.ndarray:
-    """Rows of a table for each command.
-
-    Args:
-        places: the row of each command; see ``_Table.places``.
-        absent: value for a command that has none.
-    """
+    """Row of a table for each command, by ``_Table.places``; ``absent`` without one."""
     spread = np.full((len(places), *values.shape[1:]), absent, values.dtype)
     there = places >= 0
     spread[there] = values[places[there]]
@@ -465,7 +448,7 @@ def _finite(values: np.ndarray) -> np.ndarray:
 
 
 def _read_hands(table: _Table, path: Path, truncated: bool) -> HandRecording | None:
-    """The hand frames; None where there is none."""
+    """The hand frames; None without any."""
     if not table:
         return None
     side, _ = check_side(set(table.column("side")), None, str(path))
@@ -486,8 +469,7 @@ def _read_hands(table: _Table, path: Path, truncated: bool) -> HandRecording | N
 
 
 def _world_wrists(table: _Table) -> dict[str, Any]:
-    """A recording has one world: frames whose wrist is in another than the first one's have
-    none."""
+    """Wrists in the world of the first one; NaN for wrists in another world."""
     rows = table.optional("wrist", 7)
     if rows is None:
         return {}
@@ -537,11 +519,7 @@ def _read_commands(
 
 
 def _read_wrist_track(commands: Sequence[int], table: _Table) -> WristTrack | None:
-    """The commanded wrist at each command; None where there is no message.
-
-    Args:
-        table: table of the topic ``/wrist``.
-    """
+    """The commanded wrist at each command; None without any message."""
     if not table:
         return None
     places = table.places(commands)
@@ -554,7 +532,7 @@ def _read_wrist_track(commands: Sequence[int], table: _Table) -> WristTrack | No
 
 
 def _read_arm_track(commands: Sequence[int], table: _Table) -> ArmTrack | None:
-    """The commands of the arm at each command of the hand; None where there is no message."""
+    """The commands of the arm at each command of the hand; None without any message."""
     if not table:
         return None
     name = table.same("name", "the arm")
@@ -572,13 +550,13 @@ def _read_arm_track(commands: Sequence[int], table: _Table) -> ArmTrack | None:
 
 
 def _read_states(table: _Table) -> StateTrajectory | None:
-    """The measured joints; None where there is no message."""
+    """The measured joints; None without any message."""
     if not table:
         return None
     names = table.same("names", "the list of measured joints")
     actuators = table.same("actuators", "the list of actuators")
     sizes = [_FLOAT_BYTES * len(row) for row in table.column("touch")]
-    # One long row must not be made of many short messages.
+    # Many short messages and a long one must not make a large array.
     if len(sizes) * max(sizes) > FREE_BYTES + ARRAYS_RATIO * sum(sizes):
         raise ValueError("few of the measured states have touch, and too much of it")
     return StateTrajectory(
@@ -592,11 +570,7 @@ def _read_states(table: _Table) -> StateTrajectory | None:
 
 
 def _read_loop_track(commands: Sequence[int], table: _Table) -> LoopTrack | None:
-    """Put together what the messages of ``/loop`` hold.
-
-    Returns:
-        None where there is no message: the log is not of a live loop.
-    """
+    """States of the loop; None without any message, in a log that is not of a live loop."""
     if not table:
         return None
     places = table.places(commands)

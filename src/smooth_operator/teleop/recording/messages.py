@@ -1,11 +1,11 @@
 """Messages of a log as Protocol Buffers: the project's own, and Foxglove's for its 3D panel.
 
-The types stand in ``proto/*.proto``, their descriptors in ``proto/messages.binpb``. A number that
-is not known is NaN, a list or text that is not known is empty; lists of points are flat. Foxglove's
-messages are written in addition to the project's own, at a bounded rate, and never read.
+The types are in ``proto/*.proto``, their descriptors in ``proto/messages.binpb``. Unknown numbers
+are NaN, unknown lists and texts are empty, and lists of points are flat. Foxglove's messages are
+written in addition to the project's own, at a bounded rate, and never read.
 
 Raises:
-    MissingExtraError: on import, where a library of the extra ``teleop`` is missing.
+    MissingExtraError: on import, if a library of the extra ``teleop`` is missing.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ except ModuleNotFoundError as error:
 __all__ = ["lz4_frame", "mcap_reader", "mcap_records", "mcap_stream", "mcap_writer"]
 
 VERSION: Final = "3"
-"""Version of the messages, in the metadata of every channel; raised when a reader must change."""
+"""Version of the messages, in the metadata of every channel. A change that readers must know raises
+it."""
 
 HAND: Final = "/hand"
 COMMAND: Final = "/command"
@@ -58,9 +59,9 @@ LOOP: Final = "/loop"
 STATE: Final = "/state"
 """Only in logs of a live loop whose hand is measured."""
 ARM: Final = "/arm"
-"""Only where an arm carries the robot hand."""
+"""Only if an arm carries the robot hand."""
 WRIST: Final = "/wrist"
-"""Only where the wrist of the robot hand was commanded, too."""
+"""Only if the wrist of the robot hand was commanded."""
 CONFIG: Final = "/config"
 
 HAND_SCENE: Final = "/foxglove/hand"
@@ -69,20 +70,20 @@ JOINTS: Final = "/foxglove/joints"
 FRAMES: Final = "/foxglove/frames"
 HUMAN_WRIST: Final = "/foxglove/human_wrist"
 WRIST_TARGET: Final = "/foxglove/wrist_target"
-"""The wrist of the operator in the tracker's world, that of the robot hand in the robot's base."""
+"""Wrist of the operator in the tracker's world, and of the robot hand in the robot's base."""
 
 ORIGIN: Final = "smooth_operator.origin"
 """Name of the metadata record of the log's origin: ``name``, ``task``, ``meta``."""
 
 METHOD: Final = "smooth_operator.method"
-"""Name of the metadata records of the method from some time on: ``stamp`` of its first command,
-``method``, ``preset``, ``config`` (JSON)."""
+"""Name of the metadata record of each method: ``stamp`` of its first command, ``method``,
+``preset``, ``config`` (JSON)."""
 
 LIVE: Final = (ARM, LOOP, STATE, WRIST)
 """Topics that only the logs of a live loop have."""
 
 OF_COMMANDS: Final = frozenset((TIMING, STATUS, LOOP, WRIST, ARM))
-"""Topics with one message for a command at most, of the same number."""
+"""Topics with at most one message for each command, with its sequence number."""
 
 SCHEMAS: Final = {
     topic: f"smooth_operator.{topic[1:].capitalize()}"
@@ -98,12 +99,12 @@ FOXGLOVE: Final = {
     HUMAN_WRIST: "foxglove.PoseInFrame",
     WRIST_TARGET: "foxglove.PoseInFrame",
 }
-"""The same for the topics that Foxglove draws. Nothing reads them back."""
+"""Topic that Foxglove draws -> full name of its messages. Nothing reads them back."""
 
 _FILES: Final = FileDescriptorSet.FromString(
     files("smooth_operator.teleop.recording").joinpath("proto/messages.binpb").read_bytes()
 )
-_POOL: Final = DescriptorPool()  # not the common one, where another package may have Foxglove's
+_POOL: Final = DescriptorPool()  # another package may have Foxglove's types in the common pool
 for _file in _FILES.file:
     _POOL.AddSerializedFile(_file.SerializeToString())
 
@@ -115,29 +116,28 @@ def message_class(name: str) -> Any:
 
 
 def schema_data(name: str) -> bytes:
-    """The file that defines a message and those that it needs: a ``FileDescriptorSet``."""
+    """Definition of a message and of those that it contains: a ``FileDescriptorSet``."""
     by_name = {file.name: file for file in _FILES.file}
     needed = [by_name[message_class(name).DESCRIPTOR.file.name]]
-    for file in needed:  # which grows
+    for file in needed:  # the list grows
         needed += [by_name[other] for other in file.dependency]
     return bytes(FileDescriptorSet(file=reversed(needed)).SerializeToString(deterministic=True))
 
 
 @dataclass(frozen=True)
 class LoopState:
-    """The loop at one command.
+    """State of the loop at one command.
 
     Attributes:
         number: number of the tick, counted from 0.
-        mode: what the loop did, as ``tracking`` or ``holding``.
-        time: when the command was ready, by the loop's clock [s].
-        received: when the frame that it answers came in, by the loop's clock [s]; None where the
-            command answers none.
-        tracker_stamp: stamp of that frame by the tracker's own clock [s].
-        session: which start of the tracker it belongs to.
-        tracking_loss: loss of the frame; NaN where none is answered.
-        scale: robot size over human size; NaN where none is answered.
-        events: what happened, a sentence each.
+        mode: mode of the loop, such as ``tracking`` or ``holding``.
+        time: time of the command, by the loop's clock [s].
+        received: time of arrival of the answered frame, by the loop's clock [s]; None without one.
+        tracker_stamp: stamp of the answered frame, by the tracker's clock [s]; None without one.
+        session: number of the tracker's start; None without a frame.
+        tracking_loss: loss of the answered frame; NaN without one.
+        scale: robot size over human size; NaN without a frame.
+        events: events of the tick, one sentence each.
     """
 
     number: int
@@ -153,17 +153,17 @@ class LoopState:
 
 @dataclass(frozen=True, eq=False)
 class LoopTrack:
-    """The loop over all commands of a log; T is their number.
+    """States of the loop at the T commands of a log.
 
     Attributes:
-        numbers: (T,) numbers of the ticks; -1 where the log does not say.
-        modes: (T,) what the loop did; empty where the log does not say.
-        times: (T,) when each command was ready, by the loop's clock [s].
-        received: (T,) when the frame that it answers came in [s]; NaN where it answers none.
-        tracker_stamps: (T,) the frame's stamp by the tracker's own clock [s], or NaN.
-        tracking_loss: (T,) loss of the frame, or NaN.
+        numbers: (T,) numbers of the ticks; -1 if unknown.
+        modes: (T,) modes of the loop; empty if unknown.
+        times: (T,) times of the commands, by the loop's clock [s].
+        received: (T,) times of arrival of the answered frames [s]; NaN without one.
+        tracker_stamps: (T,) stamps of the frames by the tracker's clock [s], or NaN.
+        tracking_loss: (T,) losses of the frames, or NaN.
         scale: (T,) robot size over human size, or NaN.
-        events: index of a command -> what happened at it.
+        events: index of a command -> its events.
     """
 
     numbers: Int[np.ndarray, " T"]
@@ -177,23 +177,22 @@ class LoopTrack:
 
     @property
     def answers(self) -> Bool[np.ndarray, " T"]:
-        """(T,) true where the command answers a frame."""
+        """(T,) True for a command that answers a frame."""
         return np.asarray(np.isfinite(self.received))
 
 
 RATE_HZ: Final = 30.0
-"""Most messages a second on each of the topics; a viewer needs no more."""
+"""Maximum rate of messages on each topic [Hz]; a viewer needs no more."""
 
 ROBOT_FRAME: Final = "robot"
-"""The robot's palm; the root."""
+"""Root frame: the robot's palm."""
 TRACKER_FRAME: Final = "tracker"
-"""The frame of the landmarks. Its place is arbitrary: the first wrist lies 0.25 m from the robot's
-palm."""
-_OFFSET: Final = np.array([0.25, 0.0, 0.0])  # of the first wrist from the robot's palm [m]
+"""Frame of the landmarks, placed so that the first wrist is 0.25 m from the robot's palm."""
+_OFFSET: Final = np.array([0.25, 0.0, 0.0])  # first wrist in the robot's palm frame [m]
 
 Keypoints: TypeAlias = Callable[[Float[np.ndarray, "k n"]], Float[np.ndarray, "k 21 3"]]
-"""Joint positions [rad] to the robot's landmarks in its palm's frame [m]; NaN for those that it has
-not, which are the same at all positions."""
+"""Joint positions [rad] to the robot's landmarks in its palm frame [m]; NaN for landmarks that the
+robot does not have, the same at all positions."""
 
 _PERIOD_NS: Final = round(1e9 / RATE_HZ)
 _LOOKS: Final = {
@@ -217,7 +216,7 @@ class Message(NamedTuple):
 class FoxgloveMessages:
     """Foxglove's messages of one hand and one robot, at most ``RATE_HZ`` a second.
 
-    They are collected, and the skeletons of many frames and commands are made in one call.
+    It collects frames and commands, and computes their skeletons in one call.
 
     Args:
         keypoints: computes the robot's landmarks from its joint positions; None draws no robot.
@@ -229,7 +228,7 @@ class FoxgloveMessages:
         self._transform: Any = None  # from the robot's frame to the tracker's
         self._joints: Any = None
         self._messages: list[Message] = []
-        self._hands: list[tuple[int, np.ndarray, bytes]] = []  # times, landmarks, whether valid
+        self._hands: list[tuple[int, np.ndarray, bytes]] = []  # times, landmarks, valid masks
         self._robot: list[tuple[int, np.ndarray]] = []  # times and joint positions
         self._scenes: dict[tuple[str, bytes], _Scene] = {}
 
@@ -286,7 +285,7 @@ class FoxgloveMessages:
     def take(self) -> list[Message]:
         """The messages since the last call, by topic in order of time."""
         hands, self._hands = self._hands, []
-        robot, self._robot = self._robot, []  # first, so that an error comes once
+        robot, self._robot = self._robot, []  # first, so that an error is raised once
         for valid, group in groupby(hands, lambda hand: hand[2]):
             times, points, _ = zip(*group, strict=True)
             self._messages += self._scene(HAND_SCENE, valid).messages(times, np.array(points))
@@ -318,17 +317,14 @@ class FoxgloveMessages:
         due = self._due.get(topic, at)
         if due - _PERIOD_NS <= at < due:
             return False
-        # Kept up with on average; but stamps may leave a gap, or go back.
+        # Keeps the mean rate, although stamps may have gaps or go back.
         late = min(max(at - due, 0), _PERIOD_NS // 2) if at >= due else 0
         self._due[topic] = at - late + _PERIOD_NS
         return True
 
 
 class _Scene:
-    """A skeleton as lines, one for each bone whose two ends are known.
-
-    The message is made once, and filled with the points and the time of each frame.
-    """
+    """A skeleton with a line for each bone with two valid ends; its message is reused."""
 
     def __init__(self, topic: str, valid: bytes) -> None:
         self._topic = topic
@@ -352,8 +348,8 @@ class _Scene:
     def messages(
         self, times: Sequence[int], landmarks: Float[np.ndarray, "k 21 3"]
     ) -> Iterator[Message]:
-        """The skeleton at some times [ns]."""
-        rows = landmarks[:, self._valid].astype(np.float32)  # enough to draw, and packed better
+        """Messages of the skeleton at some times [ns]."""
+        rows = landmarks[:, self._valid].astype(np.float32)  # exact enough, and compresses better
         for at, row in zip(times, rows.tolist(), strict=True):
             _set_time(self._timestamp, at)
             for point, (x, y, z) in zip(self._points, row, strict=True):
@@ -384,10 +380,7 @@ def _pose(pose: Float[np.ndarray, "7"]) -> dict[str, dict[str, float]]:
 
 
 def landmark_keypoints(hand: Hand) -> Keypoints:
-    """Positions of a hand's landmarks, by MuJoCo: one pose takes some 10 us.
-
-    ``hand.tree`` gives the same, and is made for thousands of poses in one call.
-    """
+    """Function from joint positions to landmarks, which takes 10 us by MuJoCo."""
     model, data = hand.model, mujoco.MjData(hand.model)
     points = {
         LANDMARKS.index(name): point
@@ -399,7 +392,7 @@ def landmark_keypoints(hand: Hand) -> Keypoints:
     bodies = np.array([palm, *(body for body, _ in points.values())])
     local = np.array([np.zeros(3), *(place for _, place in points.values())])
 
-    position, xpos, xmat = data.qpos, data.xpos, data.xmat  # views, which stay
+    position, xpos, xmat = data.qpos, data.xpos, data.xmat  # views
 
     def keypoints(q: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k 21 3"]:
         places = np.empty((len(q), len(bodies), 3))
@@ -412,7 +405,7 @@ def landmark_keypoints(hand: Hand) -> Keypoints:
         matrices = turns.reshape(*turns.shape[:2], 3, 3)
         places += (matrices @ local[:, :, None])[..., 0]
         landmarks = np.full((len(q), len(LANDMARKS), 3), math.nan)
-        # in the palm's frame, whose body comes first
+        # In the frame of the palm, which is the first body.
         landmarks[:, columns] = (places[:, 1:] - places[:, :1]) @ matrices[:, 0]
         return landmarks
 

@@ -20,23 +20,24 @@ from smooth_operator.teleop.sinks.tick import Mode
 from smooth_operator.types import Status
 
 _POSES: Final = 500
-"""Poses of a take whose self-collision is looked at, evenly spread: more would take seconds."""
+"""Number of poses of a take that are checked for self-collision; more would take seconds."""
 
 
 @dataclass(frozen=True)
 class TakeQuality:
-    """What tells a good take from a bad one.
+    """Figures by which to keep or discard a take.
 
     Attributes:
         seconds: length [s].
-        frames: frames of the tracker that were answered.
-        lost_s: time in which the tracker gave no frame that could be used [s].
-        paused_s: time in which the operator had paused the robot [s].
+        frames: number of answered frames.
+        lost_s: time without usable frames [s].
+        paused_s: time in which the operator paused the robot [s].
         stopped_s: time in an emergency stop [s].
-        unused: frames that the method could not use.
-        jumps: frames in which a fingertip of the robot jumped (``posture.jumps_per_1000``).
-        collision: share of poses with links over 2 mm inside each other; None where the hand has no
-            shapes to measure it by.
+        unused: number of frames that the method could not use.
+        jumps: number of frames in which a fingertip of the robot jumped
+            (``posture.jumps_per_1000``).
+        collision: share of poses in which links overlap by over 2 mm; None if the hand has no
+            collision shapes.
         depth_mm: deepest overlap [mm]; None with ``collision``.
     """
 
@@ -55,10 +56,10 @@ def take_quality(path: Path, hand: Hand) -> TakeQuality:
     """Quality of the recording of one hand.
 
     Args:
-        hand: the robot hand that it is of.
+        hand: the recorded robot hand.
 
     Raises:
-        RecordingError: it can't be read, holds no commands, or those of another hand.
+        RecordingError: the file can't be read, or has no commands of this hand.
     """
     log = read_log(path)
     if log.commands is None or log.loop is None or not len(log.commands):

@@ -75,8 +75,8 @@ def joint_message(
     if kind == "array":
         return Float64MultiArray(data=positions)
     if kind == "trajectory":
-        # No stamp: it begins when it comes, by the controller's clock. No velocity: some
-        # controllers refuse a last point that moves.
+        # Without a stamp it begins on arrival, by the controller's clock. Some controllers refuse a
+        # last point with a velocity.
         time = time_of(round(duration * 1e9))
         point = JointTrajectoryPoint(positions, time_from_start=Duration(time.sec, time.nanosec))
         return JointTrajectory(Header(), list(names), [point])
@@ -85,13 +85,13 @@ def joint_message(
 
 @dataclass(frozen=True)
 class Layout:
-    """Joints of a hand as a driver takes them.
+    """Names, order and unit of the joints in a driver.
 
     Attributes:
-        names: (k,) names of the joints, or actuators, in their order.
+        names: (k,) names of the joints or actuators, in the order of the driver.
         values: (n,) positions of the hand's joints [rad] -> k commands.
-        rates: (n,) velocities of the hand's joints [rad/s] -> k velocities, or none: drivers with a
-            unit of their own use ``velocity`` for another quantity.
+        rates: (n,) velocities of the hand's joints [rad/s] -> k velocities. Empty for drivers with
+            their own unit, which use ``velocity`` for another quantity.
     """
 
     names: tuple[str, ...]
@@ -100,14 +100,14 @@ class Layout:
 
 
 def table_layout(hand: Hand, table: str) -> Layout:
-    """The layout of a table for a hand, whose actuators keep within their ends.
+    """Layout of a table for a hand, with commands within the actuators' ends.
 
     Args:
-        table: a file, ``{side}`` in its name stands for the side; or the name of a table.
+        table: a file, with ``{side}`` for the side; or the name of a table.
 
     Raises:
-        ConfigError: there is no such table, it is of the other side, or it can't be read.
-        UnknownNameError: the hand has no joint of a name in it.
+        ConfigError: there is no such table, it is for the other side, or it can't be read.
+        UnknownNameError: the hand does not have a joint of the table.
     """
     side = hand.spec.side
     read = read_table(find_table(table.replace("{side}", side), "ros2", side))
@@ -126,14 +126,14 @@ def table_layout(hand: Hand, table: str) -> Layout:
 
 
 def joint_layout(hand: Hand, joints: str, prefix: str = "") -> Layout:
-    """The layout for a hand.
+    """Layout of joints of a hand.
 
     Args:
-        joints: ``all``, ``actuated`` (those without couplings to another), or names with ``*`` for
-            any letters, separated by blanks, in the order in which they are sent.
+        joints: ``all``, ``actuated`` (joints that are not coupled to another), or names in the
+            order of the message, separated by blanks, with ``*`` for any letters.
 
     Raises:
-        UnknownNameError: the hand has no joint of a name.
+        UnknownNameError: the hand has no joint of that name.
     """
     if joints in ("all", "actuated"):
         indices = hand.actuated if joints == "actuated" else tuple(range(len(hand.joint_names)))
@@ -170,26 +170,24 @@ class Ros2Sink(ThreadedSink):
     """Publishes commands on ROS 2 topics.
 
     ``std_msgs/String`` on ``<topic>_mode`` has the mode of the loop at each change: ``tracking``,
-    ``holding``, ..., ``stalled`` without commands, ``ended``. A driver stops its robot at these two
-    modes, or when a topic falls silent. All messages of one command have one stamp, the time of
-    publishing.
+    ``holding``, ..., ``stalled`` (no commands), ``ended``. A driver stops its robot in these two
+    modes, or without messages. All messages of a command have the time of publishing as stamp.
 
     Attributes:
-        topic: topic of the commands; ``{hand}`` and ``{side}`` stand for the hand's.
+        topic: topic of the commands, with ``{hand}`` and ``{side}`` for name and side of the hand.
         message: ``joint_state``, ``trajectory`` (one point, to be reached after ``duration``) or
             ``array`` (numbers alone, in the order of the joints).
-        joints: ``all``, ``actuated``, or names of joints separated by blanks, in their order, with
+        joints: ``all``, ``actuated``, or names of joints in their order, separated by blanks, with
             ``*`` for any letters. Default: all in a ``joint_state``, else the actuated ones, since
             controllers refuse joints that they do not have.
-        table: a table of actuators, as real hands have them: names, order, and a map from angle to
-            command for each; ``{side}`` stands for the side. In place of ``joints`` and
-            ``prefix``.
+        table: a table of actuators, as of a real hand, with ``{side}`` for the side: names, order,
+            and a map from angle to command for each. It replaces ``joints`` and ``prefix``.
         prefix: prefix of each joint's name.
         rate: largest rate of commands [Hz]; 0 for the rate of the loop.
-        duration: time from start of the point of a ``trajectory`` [s].
+        duration: time from the start of a ``trajectory`` to its point [s].
         wrist: topic of the wrist's target, ``geometry_msgs/PoseStamped``, if the run has one;
             ``none`` for no topic.
-        human_wrist: topic of the operator's wrist, as tracked; ``none`` for no topic.
+        human_wrist: topic of the operator's tracked wrist; ``none`` for no topic.
         arm: topic of the joints of the arm that carries the hand, if the run has one; ``none``
             for no topic.
         arm_message: message of the arm; as ``message``.
@@ -197,11 +195,10 @@ class Ros2Sink(ThreadedSink):
             measures them; ``none`` for no topic.
         base: name of the frame of the target; default: the one in the command.
         domain: ROS domain, 0 to 232; default: ``ROS_DOMAIN_ID``.
-        network: ``localhost`` or ``subnet``; default: what ROS 2's variables say,
-            else localhost.
+        network: ``localhost`` or ``subnet``; default: by the variables of ROS 2, else localhost.
 
     Raises:
-        ConfigError: a setting is outside its range, or a name is none that ROS 2 takes.
+        ConfigError: a setting is out of its range, or a name is not valid in ROS 2.
     """
 
     topic: str = "/{hand}/{side}/joint_commands"
@@ -283,7 +280,7 @@ class Ros2Sink(ThreadedSink):
 
 
 class _Publisher:
-    """The open publishers; only the sink's own thread touches them."""
+    """The open publishers; only the sink's own thread uses them."""
 
     def __init__(
         self,
@@ -296,27 +293,23 @@ class _Publisher:
         self._modes: dict[Side, str] = {}
         self._due: dict[Side, float] = {}
         self._states: dict[Side, HandState] = {}
+        optional: dict[str, type[Message]] = {
+            "wrist": PoseStamped,
+            "human_wrist": PoseStamped,
+            "arm": KINDS[sink.arm_message],
+            "measured": JointState,
+        }
         self._publish: dict[Side, dict[str, Callable[[Any], None]]] = {
             side: {
                 "topic": transport.publisher(KINDS[sink.message], each["topic"]),
                 "mode": transport.publisher(String, f"{each['topic']}_mode"),
                 **{
                     name: transport.publisher(kind, each[name])
-                    for name, kind in self._kinds().items()
+                    for name, kind in optional.items()
                     if name in each
                 },
             }
             for side, each in topics.items()
-        }
-
-    def _kinds(self) -> dict[str, type[Message]]:
-        """Messages of the topics that may be left out."""
-        arm = KINDS[self._sink.arm_message]
-        return {
-            "wrist": PoseStamped,
-            "human_wrist": PoseStamped,
-            "arm": arm,
-            "measured": JointState,
         }
 
     def deliver(self, tick: Tick) -> None:
@@ -332,7 +325,7 @@ class _Publisher:
         self._wrists(tick, stamp)
 
     def stalled(self, seconds: float) -> None:
-        """Publish that no commands come."""
+        """Publish that there are no commands."""
         for side in self._publish:
             self._say(side, "stalled")
 
@@ -351,7 +344,7 @@ class _Publisher:
         return joint_message(sink.message, stamp, layout.names, values, rates, sink.duration)
 
     def _arm(self, tick: Tick, stamp: Message) -> None:
-        """Publish the arm's command, where there is one."""
+        """Publish the command of the arm, if any."""
         publish = self._publish[tick.side].get("arm")
         if tick.arm is not None and publish:
             positions, rates = tick.arm.positions.tolist(), tick.arm.velocity.tolist()
@@ -359,7 +352,7 @@ class _Publisher:
             publish(joint_message(sink.arm_message, stamp, names, positions, rates, sink.duration))
 
     def _state(self, tick: Tick, stamp: Message) -> None:
-        """Publish the measured joints, where they are new; by the time of the measurement."""
+        """Publish new measured joints, with the time of the measurement."""
         publish, state = self._publish[tick.side].get("measured"), tick.state
         if state is None or publish is None or state is self._states.get(tick.side):
             return
@@ -373,7 +366,7 @@ class _Publisher:
         publish(JointState(header, names, state.positions[measured].tolist(), sent))
 
     def _wrists(self, tick: Tick, stamp: Message) -> None:
-        """Publish the wrist's target and the operator's wrist, as far as there are."""
+        """Publish the target of the wrist, and the operator's wrist, if any."""
         poses = []
         if tick.wrist is not None:
             poses.append(("wrist", self._sink.base or tick.wrist.world, tick.wrist.pose))
@@ -392,7 +385,7 @@ class _Publisher:
         if tick.time < due:
             return False
         period = 1.0 / self._sink.rate
-        on_time = tick.time - due < period  # then late ticks do not lower the mean rate
+        on_time = tick.time - due < period  # so that late ticks do not lower the mean rate
         self._due[tick.side] = period + (due if on_time else tick.time)
         return True
 

@@ -102,7 +102,7 @@ class HandPoseReader:
             return ()
         side_of = self._topics[topic]
         if isinstance(message, PoseArray):
-            if not message.poses:  # the hand is not seen
+            if not message.poses:  # no hand is visible
                 return ()
             reading = self._pose_array(message, side_of, received)
             return (replace(reading, frame=self._with_wrist(reading, message.header, received)),)
@@ -117,7 +117,7 @@ class HandPoseReader:
     def _pose_array(self, message: Message, side: Side | None, received: float) -> Reading:
         assert side is not None  # the source has a topic for each hand
         rows = pose_rows(message.poses)
-        turned = not np.allclose(rows[:, 3:], (1.0, 0.0, 0.0, 0.0))  # all of them: none is known
+        turned = not np.allclose(rows[:, 3:], (1.0, 0.0, 0.0, 0.0))  # else none is known
         stamp = seconds_of(message.header.stamp)
         frame = hand_frame(
             rows[:, :3],
@@ -180,8 +180,7 @@ class Ros2Source(StreamSource):
     """Source of hands from ROS 2 topics, of reliable and best-effort publishers.
 
     Attributes:
-        topic: topic of the hands, or several, separated by blanks; ``{side}`` stands for right and
-            left.
+        topic: topics of the hands, separated by blanks, with ``{side}`` for right and left.
         side: hands to use. ``both`` needs ``{side}`` in the topic, or messages with the side
             (``json``, ``manus_glove``).
         message: ``pose_array``: ``geometry_msgs/PoseArray`` of 21, 25 or 26 poses; ``json``:
@@ -195,11 +194,10 @@ class Ros2Source(StreamSource):
         right_glove: id of the right MANUS glove, for messages without a side.
         left_glove: id of the left one.
         domain: ROS domain, 0 to 232; default: ``ROS_DOMAIN_ID``.
-        network: ``localhost`` or ``subnet``; default: what ROS 2's variables say,
-            else localhost.
+        network: ``localhost`` or ``subnet``; default: by the variables of ROS 2, else localhost.
 
     Raises:
-        ConfigError: a setting is outside its range, or a name is none that ROS 2 takes.
+        ConfigError: a setting is out of its range, or a name is not valid in ROS 2.
         UnknownNameError: there is no such layout.
     """
 
@@ -261,7 +259,7 @@ class Ros2Source(StreamSource):
         return Endpoint("the source 'ros2'", SourceError, self.domain, self.network)
 
     def _topics(self) -> dict[str, Side | None]:
-        """Topic -> side of its hands, None if messages have it."""
+        """Topic -> side of its hands; None if the messages contain it."""
         topics: dict[str, Side | None] = {}
         names = self.topic.split() or [self.topic]
         for name in names:

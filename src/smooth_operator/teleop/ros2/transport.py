@@ -39,9 +39,9 @@ Received: TypeAlias = tuple[str, Message | RecordingError]
 """A topic, and a message on it or the error of reading it."""
 
 LARGEST_DOMAIN: Final = 232
-"""Domains above need ports above 65535."""
+"""Largest domain; a larger one would need ports above 65535."""
 DEPTH: Final = 10
-"""Number of messages that are kept for a slow subscriber, as in ROS 2 by default."""
+"""Number of messages that wait for a slow subscriber, as in ROS 2 by default."""
 MANY: Final = 256
 """Largest number of messages per call, so that a flood can't keep a source from stopping."""
 
@@ -53,8 +53,8 @@ _CONFIG: Final = """<CycloneDDS><Domain id="any"><General>{general}</General><Di
 <ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
 <Peers><Peer address="127.0.0.1"/></Peers></Discovery><Internal><MaxSampleSize>128 kB
 </MaxSampleSize></Internal></Domain></CycloneDDS>"""
-# The loopback interface alone. Programs find each other by unicast to the first ports of the
-# domain, as those of ROS 2 do with localhost only.
+# Only the loopback interface: programs find each other by unicast to the first ports of the domain,
+# as in ROS 2.
 _GENERAL: Final[dict[Reach, str]] = {
     "localhost": '<Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>',
     "subnet": "",
@@ -93,15 +93,15 @@ class Transport:
         self.label = f"CycloneDDS, domain {number}, {_WHOM[reach]}"
 
     def publisher(self, kind: type[M], topic: str) -> Callable[[M], None]:
-        """A function that publishes messages: reliable, volatile, the last ``DEPTH`` are kept."""
-        # Never waits for a slow subscriber: what is kept beyond ``DEPTH`` is overwritten.
+        """Function that publishes messages: reliable, volatile, the last ``DEPTH`` wait."""
+        # It never waits for a slow subscriber: older messages are overwritten.
         qos = _qos(Policy.Reliability.Reliable(duration(milliseconds=100)), DEPTH)
         writer = DataWriter(self._participant, self._topic(kind, topic), qos=qos)
         publish: Callable[[M], None] = writer.write
         return publish
 
     def subscribe(self, kind: type[Message], topic: str, depth: int) -> None:
-        """Receives the messages of a topic from now on, best effort: from any publisher."""
+        """Receive the messages of a topic from now on, best effort, from any publisher."""
         qos = _qos(Policy.Reliability.BestEffort, depth)
         reader = DataReader(self._participant, self._topic(kind, topic), qos=qos)
         condition = ReadCondition(reader, ViewState.Any | SampleState.Any | InstanceState.Any)
@@ -109,10 +109,10 @@ class Transport:
         self._readers.append((topic, kind, reader, condition))
 
     def receive(self, timeout: float) -> list[Received]:
-        """Waits up to ``timeout`` [s] for messages, and takes all that are here.
+        """Wait up to ``timeout`` [s] for messages, and return all of them.
 
         Raises:
-            SinkError, SourceError: the library gave up.
+            SinkError, SourceError: the library failed.
         """
         received: list[Received] = []
         try:
@@ -128,7 +128,7 @@ class Transport:
         return received
 
     def now(self) -> Message:
-        """The ``Time`` that headers carry, by this machine's clock."""
+        """The current ``Time`` for headers, by this machine's clock."""
         return time_of(time.time_ns())
 
     def close(self) -> None:
@@ -159,19 +159,19 @@ def reach_of(endpoint: Endpoint) -> Reach:
             f"not {discovery!r}; or set network=localhost or network=subnet"
         )
     if not discovery and os.environ.get("ROS_LOCALHOST_ONLY") == "0":
-        return "subnet"  # said, not left out
+        return "subnet"
     return reaches[discovery]
 
 
 def _take(
     reader: DataReader[Any], condition: ReadCondition, kind: type[Message]
 ) -> list[Message | RecordingError] | None:
-    """The next message of a reader, none for a publisher's end; None when all are read."""
+    """The next message of a reader, empty at a publisher's end; None when all are read."""
     try:
-        samples = reader.take(1, condition)  # of several, one that is broken would lose all
+        samples = reader.take(1, condition)  # one invalid message would lose all of a batch
     except DDSException:
         raise
-    except Exception as error:  # the bytes of a publisher: anything may be in them
+    except Exception as error:  # a publisher may send any bytes
         return [RecordingError(f"a message of another type than {type_name(kind)}: {error}")]
     if not samples:
         return None
@@ -195,7 +195,7 @@ def _refused(number: int, error: Exception) -> str:
 
 
 class _Domains:
-    """Domains that this process is in; the settings of one hold for all of its participants."""
+    """Domains of this process; all participants of a domain share its settings."""
 
     _lock = threading.Lock()
     _joined: dict[int, tuple[Reach, Any, int]] = {}  # noqa: RUF012  (guarded by the lock)
@@ -230,13 +230,13 @@ class Endpoint:
     """Settings of a transport.
 
     Attributes:
-        feature: name of the user in messages of errors: ``the ros2 sink``.
+        feature: name of the part for errors, such as ``the ros2 sink``.
         error: class of its errors.
         domain: ROS domain; None for ``ROS_DOMAIN_ID``, or 0.
-        network: its reach; None for that of the variables of the environment.
+        network: reach of the participant; None for that of the environment's variables.
 
     Raises:
-        ConfigError: a setting is outside its range.
+        ConfigError: a setting is out of its range.
     """
 
     feature: str
@@ -273,7 +273,7 @@ def topic_name(template: str, feature: str, **words: str) -> str:
         words: word -> its text.
 
     Raises:
-        ConfigError: the result can't be the name of a topic.
+        ConfigError: the result is not a valid name of a topic.
     """
     try:
         topic = template.format(**{k: re.sub(r"\W+|__+", "_", word) for k, word in words.items()})

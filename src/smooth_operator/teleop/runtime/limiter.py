@@ -143,8 +143,7 @@ class JointLimiter:
     def _room(
         self, dt: float
     ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """Largest speeds in the negative and positive direction, and largest change of velocity, in
-        a step."""
+        """Largest speeds in both directions, and largest change of velocity, in a step."""
         a = self._acceleration
         top = self._velocity * min(1.0, MAX_STEP_S / dt)
         down = np.minimum(stoppable_speed(self.q - self._low, dt, a), top)
@@ -220,7 +219,7 @@ def stoppable_speed(
 
 _STILL: Final = np.zeros(3)
 _AXIS_SHARE: Final = 1 / math.sqrt(3.0)
-"""Fraction of the acceleration for each axis, so that all three can brake at the same time."""
+"""Share of the acceleration for each axis, so that all three can brake at the same time."""
 
 
 class PoseLimiter:
@@ -308,8 +307,7 @@ class PoseLimiter:
         dt: float,
         share: float,
     ) -> Float[np.ndarray, "7"]:
-        """Take a step with the velocities within the limits that are closest to the requested
-        ones."""
+        """Take a step with the allowed velocities that are closest to the requested ones."""
         config, place = self.config, self.pose[:3]
         low, high = np.minimum(config.low, place), np.maximum(config.high, place)
         shorter = min(dt, (self._last_dt + dt) / 2)
@@ -341,12 +339,7 @@ class PoseLimiter:
 def _towards(
     way: Float[np.ndarray, "3"], going: Float[np.ndarray, "3"], dt: float, acceleration: float
 ) -> Float[np.ndarray, "3"]:
-    """Velocity that follows a target and closes the remaining distance to it.
-
-    Args:
-        way: vector to the position of the target after the step.
-        dt: length of the step [s].
-    """
+    """Velocity that follows a target and closes the distance ``way`` to its place after a step."""
     behind = way - going * dt
     left = float(np.sqrt(behind @ behind))
     if left < 1e-12:
@@ -363,19 +356,13 @@ def _nearest(
     down: Float[np.ndarray, "3"] | float = math.inf,
     up: Float[np.ndarray, "3"] | float = math.inf,
 ) -> Float[np.ndarray, "3"]:
-    """Returns the velocity within the limits that is closest to the requested one.
+    """Allowed velocity that is closest to the requested one.
 
+    ``top`` limits the speed, ``change`` its change, ``down`` and ``up`` the speed along each axis.
     The velocities that the workspace and the speed limit allow are convex sets, so the segment
     between two allowed velocities is allowed. The path leads from the last velocity, braked as far
     as the workspace requires, to its projection within the speed limit, and on to the requested
     velocity. It ends where the acceleration limit is reached.
-
-    Args:
-        target: requested velocity.
-        top: largest speed; it may be lower than the last one.
-        change: largest length of the change.
-        down: largest speed against each axis.
-        up: largest speed along each axis.
     """
     braked = np.clip(before, -down, up)
     slow = _cut(braked, top)
@@ -390,8 +377,7 @@ def _reach(
     end: Float[np.ndarray, "3"],
     change: float,
 ) -> Float[np.ndarray, "3"]:
-    """Point on the segment from ``start`` to ``end`` that is as far as possible from ``start``, but
-    at most ``change``."""
+    """Last point of the segment from ``start`` to ``end`` within ``change`` of ``before``."""
     must, way = start - before, end - start
     left, length = change * change - float(must @ must), float(way @ way)
     if left <= 0:
@@ -446,8 +432,8 @@ class RateLimiter:
 
     def __init__(self, period: float) -> None:
         self.period = period
-        self._last = -math.inf  # when the latest command left
-        self._turn = -math.inf  # when the next one does, at an even pace
+        self._last = -math.inf  # time of the last command
+        self._turn = -math.inf  # time of the next command at an even pace
 
     def begin(self, now: float) -> None:
         """Start the schedule: a command may be sent now."""

@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 class TeleopLoop:
     """Drives robot hands from a source until stopped.
 
-    A frame is answered on arrival, so that nothing is added to its age. Without frames, commands
+    The loop answers a frame on arrival, which adds nothing to its age. Without frames, commands
     leave at the loop's pace and hold or ease by the policies. The commands of a hand never exceed
     the rate (``RateLimiter``), except for the first one of an emergency stop.
 
-    An emergency stop does not wait for a method: while one holds the loop up, because it compiles
-    or takes long, another thread commands the stop.
+    An emergency stop does not wait for a method: while a method compiles or takes long, another
+    thread commands the stop.
 
     Args:
         pipelines: side -> pipeline of the hand.
@@ -74,11 +74,11 @@ class TeleopLoop:
             pipeline.clutch.measured = functools.partial(self._measured_wrist, side)
         self._beat = self.mailbox.clock()
         self._rate_limiters = {side: RateLimiter(config.period) for side in self.pipelines}
-        self._changed_sides: set[Side] = set()  # hands that something was changed of
+        self._changed_sides: set[Side] = set()  # hands with a change since their last command
         self._stopped: set[Side] = set()  # hands whose emergency stop the sinks don't know yet
-        self._turn = threading.Lock()  # held to command, by a thread that is not the loop's
-        self._held_up = False  # True while the loop's thread leaves the commands alone
-        self._stand_ins = 0  # commands of the other thread
+        self._turn = threading.Lock()  # held by the stop's thread while it commands
+        self._held_up = False  # True while the loop's thread makes no commands
+        self._stand_ins = 0  # number of commands of the stop's thread
 
     def run(
         self,
@@ -102,7 +102,7 @@ class TeleopLoop:
         try:
             self.source.start(self.mailbox)
             try:
-                # Before `started`, which gives real-time priority to the threads that there are.
+                # Before `started`, which gives real-time priority to existing threads.
                 with self._stops_at_once():
                     started()
                     with self._watchdog():
@@ -134,7 +134,7 @@ class TeleopLoop:
         return self.mailbox.clock() - self._beat
 
     def _mode(self) -> str:
-        """Mode of all hands in a word, for the operator: the one that moves least."""
+        """One mode of all hands, for the operator: the one that moves least."""
         hands = [pipeline.supervisor for pipeline in self.pipelines.values()]
         for mode, is_so in (
             (Mode.STOPPED.value, [hand.stopped for hand in hands]),
@@ -156,8 +156,7 @@ class TeleopLoop:
             if duration is not None and now - start >= duration:
                 return
             if self.source.health().state == "ended":
-                # Only a recording ends so, after the policies for silence; a source that failed
-                # is silent.
+                # Only a recording ends so, after the policies for silence.
                 ended = now if ended is None else ended
                 if now - ended > self.config.safety.lost_s:
                     return
@@ -175,7 +174,7 @@ class TeleopLoop:
         until = min(
             at if at > now else self._due(side, now) for side, at in zip(sides, opens, strict=True)
         )
-        # where nothing may leave yet no frame need wake the loop: the newest is looked at then
+        # A frame need not wake the loop before a command may leave.
         self.mailbox.sleep(until - now, count if min(opens) <= now else None)
 
     def _change(self) -> None:
@@ -245,7 +244,7 @@ class TeleopLoop:
 
     @contextlib.contextmanager
     def _away(self) -> Iterator[None]:
-        """Time in which the loop's thread may be held up, and touches no command."""
+        """Marks a time in which the loop's thread may take long, and makes no commands."""
         self._held_up = True
         try:
             yield
@@ -255,7 +254,7 @@ class TeleopLoop:
 
     @contextlib.contextmanager
     def _stops_at_once(self) -> Iterator[None]:
-        """A thread that commands an emergency stop while the loop's thread is held up."""
+        """Runs a thread that commands an emergency stop while the loop's thread is held up."""
         done = threading.Event()
 
         def stand_in() -> None:
@@ -283,7 +282,7 @@ class TeleopLoop:
 
     @contextlib.contextmanager
     def _watchdog(self) -> Iterator[None]:
-        """A thread that notifies the sinks when the loop has fallen silent."""
+        """Runs a thread that tells the sinks when the loop makes no commands."""
         done = threading.Event()
         self._beat = self.mailbox.clock()
 
@@ -299,7 +298,7 @@ class TeleopLoop:
 
 @contextlib.contextmanager
 def _thread(work: Callable[[], None], name: str, end: Callable[[], None]) -> Iterator[None]:
-    """A thread that works inside the block; ``end`` makes it return."""
+    """Runs a thread during the block; ``end`` makes it return."""
     thread = threading.Thread(target=work, name=name, daemon=True)
     thread.start()
     try:
@@ -356,19 +355,19 @@ class Controls:
         self.change(lambda hand: hand.supervisor.resume())
 
     def follow(self, on: bool) -> None:
-        """Engage or release the clutch of the wrist; fingers go on in any case."""
+        """Engage or release the clutch of the wrist; the fingers go on."""
         self.change(lambda hand: hand.clutch.follow(on))
 
     def stop(self) -> None:
         """Emergency stop: the robot stands until a later ``release``."""
         self._stops += 1
         stop = Stop()
-        self._pending.appendleft(stop)  # before whatever else is waiting
+        self._pending.appendleft(stop)  # before all pending changes
         self.stops.put(stop)
         self._mailbox.wake()
 
     def release(self) -> None:
-        """End an emergency stop, but not one that comes before the release takes effect."""
+        """End an emergency stop, unless another one comes before the release takes effect."""
         stops = self._stops
 
         def release(hand: HandPipeline) -> None:
@@ -395,7 +394,7 @@ class Controls:
 
     @property
     def waiting(self) -> bool:
-        """True if there is something to do."""
+        """True if a change is pending."""
         return bool(self._pending) or self.quitting
 
     def drain(self) -> list[Change]:

@@ -13,17 +13,17 @@ from smooth_operator.landmarks import FINGERS, TIPS
 from smooth_operator.types import HandFrame
 
 MOST: Final = 2
-"""Fingertips that may be missing; a tracker that has lost more has lost the hand."""
+"""Largest number of missing fingertips; with more, the tracker has lost the hand."""
 
 COUPLING: Final = 0.6
-"""Bend of a finger's last joint over that of the joint before it, as they move together.
+"""Ratio of the bend of a finger's last joint to that of the joint before it.
 
 Over 2 s without the fingertip it is 1 to 11 mm off on average in ten recordings of seven trackers,
 the thumb's up to 17 mm; without the coupling 5 to 16 mm, the thumb's up to 14 mm.
 """
 
 _LAST_BONE: Final = 0.9
-"""Length of a finger's last bone over that of the one before it, as long as it was not seen."""
+"""Ratio of the length of a finger's last bone to that of the bone before it, until it is seen."""
 
 _STRAIGHT: Final = 0.05
 """Sine of a bend below which it has no axis."""
@@ -32,8 +32,8 @@ _STRAIGHT: Final = 0.05
 class MissingTips:
     """Fills in one or two missing fingertips, so that the other fingers go on.
 
-    The last bone keeps the length that was last seen, and its bend follows that of the joint before
-    it (``COUPLING``), from the bend that was last seen.
+    The last bone keeps its last measured length. Its bend starts at the last measured one and
+    follows the joint before it (``COUPLING``).
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class MissingTips:
     def fill(self, frame: HandFrame) -> tuple[HandFrame, tuple[str, ...]]:
         """The frame with its missing fingertips, and the fingers whose tips were filled in.
 
-        A frame that lacks any other landmark, or more than ``MOST`` fingertips, stays as it is.
+        Leaves a frame unchanged that lacks another landmark, or more than ``MOST`` fingertips.
         """
         valid = frame.valid
         assert valid is not None  # filled in by HandFrame

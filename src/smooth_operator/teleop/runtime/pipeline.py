@@ -49,8 +49,8 @@ _MIDDLE: Final = BASES[2]
 def implausible(frame: HandFrame) -> str | None:
     """Reason why a frame can't be a human hand, by its size and time; None if it can.
 
-    Missing landmarks are not judged, since not every method needs them. The reasons are few and
-    without figures, so that frames can be counted by reason.
+    Ignores missing landmarks, since not every method needs them. There are few reasons, without
+    figures, so that frames can be counted by reason.
     """
     if frame.stamp is not None and not abs(frame.stamp) < LATEST_STAMP_S:
         return "a timestamp that is not a time in seconds"
@@ -80,7 +80,7 @@ class SessionCheck:
         self._check = HandCheck(side)
 
     def doubt(self, arrival: Arrival) -> Doubt | None:
-        """The doubt about the frames up to this one; None if there is none."""
+        """Doubt about the frames up to this one, or None."""
         if arrival.session != self._session:
             self._session, self._check = arrival.session, HandCheck(self._side)
         frame = arrival.frame
@@ -149,7 +149,7 @@ class Supervisor:
         self.compiling = self._held = True
 
     def restart_blend(self, now: float | None) -> None:
-        """Begin a blend, since the origin of the commands changes."""
+        """Begin a blend to other commands."""
         if now is not None and self.mode.moves:
             self._blend_start, self._blend_length = now, self.config.blend_s
 
@@ -301,8 +301,8 @@ class HandPipeline:
         self.clutch = Clutch(config)
         self.side: Side = retargeter.hand.spec.side
         self._clock = clock
-        self._target = self.limiter.q  # what the operator asked for last
-        self._from = self.limiter.q  # where a blend began
+        self._target = self.limiter.q  # last target from the operator
+        self._from = self.limiter.q  # start of a blend
         self._delay = TrackerDelay()
         self._session = SessionCheck(self.side)
         self._tips = MissingTips()
@@ -362,7 +362,8 @@ class HandPipeline:
     def latched(self) -> tuple[str, ...] | None:
         """Fingers that the method has latched to the thumb; None for a method without latches.
 
-        Safe from any thread."""
+        Safe from any thread.
+        """
         driven = self._driven
         latched = driven.retargeter.method.latched(driven.state.method)
         if latched is None:
@@ -372,15 +373,19 @@ class HandPipeline:
 
     @property
     def pinch_gaps(self) -> dict[str, float]:
-        """Gaps that the tracker leaves where thumb and finger touch, as far as they are known:
-        finger -> gap [palm lengths]. Safe from any thread."""
+        """Finger -> gap that the tracker shows while it touches the thumb [palm lengths].
+
+        Safe from any thread.
+        """
         driven = self._driven
         return driven.retargeter.pinch_gaps(driven.state)
 
     @property
     def fingertip_targets(self) -> np.ndarray | None:
-        """(F, 3) places of the fingertips that the last frame asks for, in the palm frame [m]; None
-        where there are none. Safe from any thread."""
+        """(F, 3) targets of the fingertips of the last frame in the palm frame [m], or None.
+
+        Safe from any thread.
+        """
         driven = self._driven
         return driven.retargeter.fingertip_targets(driven.state)
 
@@ -395,8 +400,8 @@ class HandPipeline:
         return self.command(now, None if arrival is None else self.solve(arrival))
 
     def admit(self, now: float, arrival: Arrival) -> Arrival | None:
-        """The frame if the method is to answer it; None if it is refused, or moves no robot."""
-        self.supervisor.update(now)  # what the operator switched since the last step
+        """The frame if the method must answer it; None if it is refused, or moves no robot."""
+        self.supervisor.update(now)  # for switches since the last step
         why = implausible(arrival.frame)
         if why is None:
             self._delay.see(arrival)
@@ -451,7 +456,7 @@ class HandPipeline:
         if not all(
             np.isfinite(x).all() for x in (q, self.limiter.velocity, self.clutch.limiter.pose)
         ):
-            # Nothing is known to lead here: it is the last check before a robot.
+            # No known fault leads here: it is the last check before a robot.
             self.limiter.put(before[0])
             self.clutch.limiter.put(before[1])
             q = self.limiter.q
@@ -499,12 +504,12 @@ class HandPipeline:
             wrist,
             arm=arm,
         )
-        # Times of commands, not of the frames that they answer: solving occasionally takes longer.
+        # Time of the command, not of the answered frame: solving may take long.
         self._last, self._number = guarded, self._number + 1
         return tick
 
     def _take(self, answer: Answer, now: float) -> None:
-        """Make an answer the target, if it is one."""
+        """Make a usable answer the target."""
         result = answer.result
         if result.status != Status.OK:
             self.note(f"frame not used: {result.status.reason}")

@@ -1,9 +1,9 @@
 """Real-time priority of the loop, if the system allows it.
 
-On a busy machine, for example with a browser that draws without a graphics card, a thread that
-wakes waits some milliseconds for a fair scheduler, which is the loop's whole budget. Linux has
-real-time scheduling for this; it needs a right (root, ``CAP_SYS_NICE``, or an ``rtprio`` line in
-``limits.conf``).
+On a busy machine, for example with a browser that draws without a graphics card, a fair scheduler
+lets a thread wait some milliseconds after it wakes, which is the loop's whole budget. Linux has
+real-time scheduling for this. It needs a right: root, ``CAP_SYS_NICE``, or an ``rtprio`` line in
+``limits.conf``.
 """
 
 from __future__ import annotations
@@ -19,14 +19,13 @@ from typing import Final, Literal, TypeAlias
 
 Priority: TypeAlias = Literal["real-time", "normal"]
 
-# Low among real-time priorities: threads of the kernel have 50. All threads of the process need
-# one: a thread that is preempted while it holds the GIL, or runs a part of the retargeter's
-# program, makes the loop wait.
+# Low real-time priorities: threads of the kernel have 50. All threads of the process need one: the
+# loop waits for a preempted thread that holds the GIL or runs a part of the retargeter's program.
 _LOOP: Final = 3
 _PYTHON: Final = 2
-"""Sources, sinks, and other holders of the interpreter."""
+"""Priority of Python threads, such as those of sources and sinks."""
 _NATIVE: Final = 1
-"""Those of libraries, which compile, too, if another method is asked for while the loop runs."""
+"""Priority of the threads of libraries, which may also compile another method."""
 _SWITCH_S: Final = 5e-4
 """Time that another thread may keep the interpreter before the loop gets it [s]."""
 
@@ -38,7 +37,7 @@ def low_jitter() -> Iterator[None]:
     Existing objects are excluded from garbage collection inside the block: a compiled model has
     very many objects, which each collection would visit.
     """
-    # nor at the end of the process, when it would delay the end by seconds after Ctrl-C
+    # Also at exit, where a collection would delay the end by seconds.
     atexit.unregister(gc.freeze)
     atexit.register(gc.freeze)
     turn = sys.getswitchinterval()

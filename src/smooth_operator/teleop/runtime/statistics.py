@@ -59,7 +59,7 @@ class _Track:
 
     def newest(self) -> tuple[np.ndarray, np.ndarray]:
         """Times and positions in order."""
-        times = self._times.copy()  # the loop may write on: what is in the copy counts, no count
+        times = self._times.copy()  # the loop may write on, so only finite times count
         order = np.argsort(times)[: np.count_nonzero(np.isfinite(times))]
         return times[order], self._positions[order]
 
@@ -118,16 +118,16 @@ class MotionDelay:
         before = np.arange(-lags, len(grid)) * _GRID_S + begin
         complete = np.isfinite(measured).all(axis=0)
         moved = _velocities(grid, measured_at, measured[:, complete])
-        asked_for = _velocities(before, sent_at, commanded[:, complete])
-        moving = (moved.std(axis=0) > _MOVES) & (asked_for.std(axis=0) > _MOVES)
+        sent = _velocities(before, sent_at, commanded[:, complete])
+        moving = (moved.std(axis=0) > _MOVES) & (sent.std(axis=0) > _MOVES)
         if not moving.any():
             return None
-        moved, asked_for = moved[:, moving], asked_for[:, moving]
-        moved, asked_for = moved - moved.mean(axis=0), asked_for - asked_for.mean(axis=0)
+        moved, sent = moved[:, moving], sent[:, moving]
+        moved, sent = moved - moved.mean(axis=0), sent - sent.mean(axis=0)
         count = len(moved)
         scores = np.empty(lags + 1)
         for lag in range(lags + 1):
-            part = asked_for[lags - lag : lags - lag + count]
+            part = sent[lags - lag : lags - lag + count]
             scores[lag] = (part * moved).sum() / np.sqrt((part**2).sum() * (moved**2).sum())
         best = int(scores.argmax())
         if scores[best] < _TRUSTED:
@@ -316,11 +316,11 @@ def percentiles(values: Any) -> dict[str, float]:
 
 
 ADDED: Final = ("receive", "solve", "limit", "send")
-"""Stages between the arrival of a frame and its command at the sinks; ``tracker`` lies before."""
+"""Stages from the arrival of a frame to its command at the sinks, without ``tracker``."""
 
 
 def added_latency(log: Log) -> Float[np.ndarray, " F"]:
-    """Frame received to command sent, of each command that answers a frame [ms]."""
+    """Time from frame to command, for each command that answers a frame [ms]."""
     stages = [log.stages_ms[name] for name in ADDED if name in log.stages_ms]
     if not stages:
         return np.empty(0)
@@ -343,7 +343,7 @@ def log_timing(log: Log) -> dict[str, Any]:
         "method_ms": percentiles(log.commands.latency_ms),
         "stages_ms": {name: percentiles(values) for name, values in log.stages_ms.items()},
     }
-    if log.loop is None:  # of `demo` or `convert`: no loop, no pace
+    if log.loop is None:  # a log of `demo` or `convert`
         return figures
     gaps = np.diff(log.loop.times)
     length = float(log.loop.times[-1] - log.loop.times[0])

@@ -30,8 +30,7 @@ class RecordSink(Sink):
 
     One file for each hand: ``NAME.mcap``, or ``NAME.right.mcap`` and ``NAME.left.mcap`` for two.
     The file is complete up to the last flush, also after a crash. Its stamps are by the loop's
-    clock, so that commands between two frames have their place; the tracker's own stamp of each
-    frame is recorded, too.
+    clock, also for commands without a frame. The tracker's stamp of each frame is recorded, too.
 
     After a failure, the recording continues in a new file and leaves earlier ones unchanged.
 
@@ -52,9 +51,7 @@ class RecordSink(Sink):
     buffer: int = 4000
 
     observes: ClassVar[bool] = True
-    """It moves nothing, and gets its ticks after the sinks that do."""
 
-    # what changes, in addition to the frozen settings
     _recorder: Recorder | None = field(default=None, init=False, repr=False, compare=False)
     _history: tuple[Path, ...] = field(default=(), init=False, repr=False, compare=False)
     _lost: int = field(default=0, init=False, repr=False, compare=False)
@@ -86,8 +83,7 @@ class RecordSink(Sink):
         return f"{ticks} not recorded: the disk was too slow or failed"
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Refuse a file that stands there, or a folder that can't be made; see
-        ``SinkRunner.check``."""
+        """Refuse an existing file, or a folder that can't be created; see ``Sink``."""
         for file in take_paths(self.path, list(hands), overwrite=self.overwrite).values():
             if not os.access(file.parent, os.W_OK):
                 why = errno.EACCES if file.parent.is_dir() else errno.ENOENT
@@ -117,7 +113,7 @@ class RecordSink(Sink):
         """Put a tick into the buffer.
 
         Raises:
-            OutputError: the disk is full or gone; once.
+            OutputError: the disk is full or gone; raised once.
         """
         if self._recorder is None:
             raise SinkError(f"{self.label}: it is not open")
@@ -129,10 +125,10 @@ class RecordSink(Sink):
             self._recorder.silence(seconds)
 
     def close(self) -> None:
-        """Write what is pending, and end the files.
+        """Write pending ticks, and end the files.
 
         Raises:
-            OutputError: they could not be ended; what was flushed stays readable.
+            OutputError: the files could not be ended; flushed parts stay readable.
         """
         recorder = self._recorder
         if recorder is None:
@@ -142,7 +138,7 @@ class RecordSink(Sink):
             recorder.close()
         finally:
             self._set("_lost", self._lost + recorder.dropped)
-            for path in recorder.empty:  # broke off before anything was in it
+            for path in recorder.empty:
                 with contextlib.suppress(OSError):
                     path.unlink()
             self._set("_history", tuple(p for p in self._history if p not in recorder.empty))
@@ -153,14 +149,13 @@ class RecordSink(Sink):
 
 _CHUNK_BYTES: Final = 256 * 1024
 _PERIOD_S: Final = 0.5
-"""Longest interval at which ticks are written [s]; a thread that wakes for each takes time from the
-loop."""
+"""Longest interval at which ticks are written [s]. Waking for each tick would delay the loop."""
 _AT_ONCE: Final = 200
-"""Ticks that are written before that time is over."""
+"""Number of ticks that are written before the interval is over."""
 _TURN: Final = 4
-"""Ticks that are encoded before the loop gets the interpreter, should it wait: 0.6 ms."""
+"""Number of ticks that are encoded before the loop may get the interpreter: 0.6 ms."""
 _END_S: Final = 20.0
-"""Longest end of a recording: a buffer to write, two files to close [s]."""
+"""Longest time to end a recording: write a buffer, close two files [s]."""
 
 
 class Recorder:
@@ -168,19 +163,19 @@ class Recorder:
 
     Args:
         files: side -> file.
-        hands: side -> robot hand, to be drawn.
+        hands: side -> robot hand, for the drawing.
         config: the resolved configuration, for every file.
-        overwrite: replace files that stand there.
-        flush_s: how long a tick may wait for the disk [s].
-        buffer: ticks that may wait.
+        overwrite: True to replace existing files.
+        flush_s: longest time that a tick waits for the disk [s].
+        buffer: largest number of waiting ticks.
 
     Attributes:
-        dropped: ticks that were taken, or found no room, and are not in the files; while the
-            recorder runs those that still wait count as recorded.
-        empty: files in which nothing is, because the disk failed before.
+        dropped: number of ticks that are missing in the files. While the recorder runs, waiting
+            ticks count as recorded.
+        empty: files without any command, because the disk failed earlier.
 
     Raises:
-        OutputError: a file can't be created; then none is left behind.
+        OutputError: a file can't be created; no file is left behind.
     """
 
     def __init__(
@@ -199,9 +194,9 @@ class Recorder:
         self._lot = max(1, min(_AT_ONCE, buffer // 2))
         self._waiting: deque[Tick] = deque()
         self._events: list[str] = []
-        self._buffered = 0  # ticks that went into the buffer
+        self._buffered = 0  # number of ticks put into the buffer
         self._failed = False
-        self._missed = 0  # since the last tick that found room
+        self._missed = 0  # number of dropped ticks since the last buffered one
         self._stalled = 0.0
         self._error: Exception | None = None
         self._ending = False
@@ -222,10 +217,10 @@ class Recorder:
         self._thread.start()
 
     def put(self, tick: Tick) -> None:
-        """Have a tick written.
+        """Put a tick into the buffer.
 
         Raises:
-            OutputError: the disk failed; said once, and from then on ticks are only counted.
+            OutputError: the disk failed; raised once, then ticks are only counted.
         """
         with self._change:
             error, self._error = self._error, None
@@ -249,16 +244,16 @@ class Recorder:
                 self._change.notify_all()
 
     def silence(self, seconds: float) -> None:
-        """Note that no command came for so long [s]."""
+        """Store a time without commands [s]."""
         with self._change:
             self._stalled = seconds
 
     def close(self) -> None:
-        """Write all that waits, and end the files.
+        """Write waiting ticks, and end the files.
 
         Raises:
             OutputError: the disk failed.
-            SinkError: the disk takes too long; the thread goes on as long as the process lives.
+            SinkError: the disk takes too long; the thread goes on.
         """
         with self._change:
             self._ending = True
@@ -276,16 +271,16 @@ class Recorder:
     def _run(self) -> None:
         try:
             self._write()
-        except Exception as error:  # of the disk, or a tick that no log can hold
+        except Exception as error:  # of the disk, or of a tick that no log can hold
             logs = list(self._logs.values())
             with self._change:
-                self._failed = True  # takes no more
-            for each in logs:  # save what can be saved
+                self._failed = True
+            for each in logs:
                 with contextlib.suppress(OutputError):
                     each.log.close()
             self.empty += [each.log.path for each in logs if not each.log.commands_flushed]
             with self._change:
-                # those that wait, those that were being written, those in a chunk that was lost
+                # waiting ticks, and those in a chunk that was lost
                 self.dropped += self._buffered - sum(each.log.commands_flushed for each in logs)
                 self._waiting.clear()
                 self._error = error
@@ -322,7 +317,7 @@ class _HandLog:
     def __init__(
         self, path: Path, hand: Hand, config: Mapping[str, Any], *, overwrite: bool
     ) -> None:
-        # Flushed from outside, for both hands together and also where nothing comes any more.
+        # The recorder flushes both hands together, also when no ticks come any more.
         self.log = LogWriter(
             path,
             overwrite=overwrite,
@@ -353,7 +348,6 @@ class _HandLog:
         arrival = tick.arrival
         self.log.write_command(
             JointCommand(tick.command.joint_positions, tick.command.joint_names, stamp),
-            # Where no frame is answered none was bad; what the loop did then is its mode.
             Status.OK if tick.status is None else tick.status,
             float("nan") if arrival is None else (tick.time - arrival.received) * 1e3,
             tick.stages,
@@ -374,7 +368,7 @@ class _HandLog:
         self._pending = True
 
     def flush(self) -> None:
-        """Bring what is pending to the disk, where it outlives a power cut as well."""
+        """Write pending messages to the disk, where they survive a power cut."""
         if self._pending:
             self.log.flush(sync=True)
             self._pending = False

@@ -20,7 +20,7 @@ from smooth_operator.teleop.sinks.tick import Tick
 from smooth_operator.types import Side
 
 _CLOSING_S: Final = 2.0
-"""Time that closing waits for a viewer to take what is left [s]."""
+"""Time that closing waits for a viewer to take pending messages [s]."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class RerunSink(ThreadedSink):
     Entities, for each side: ``SIDE/human`` and ``SIDE/robot``, skeletons of the human's landmarks
     from its wrist and of the commanded hand's in its palm frame [m]; ``SIDE/command`` and
     ``SIDE/measured``, joint positions [rad]; ``SIDE/events``. The timeline ``loop`` is the loop's
-    clock. The newest tick of a hand counts where Rerun is slow.
+    clock. If Rerun is slow, only the newest tick of each hand is shown.
 
     Attributes:
-        to: address of a viewer, or NAME.rrd, a file.
+        to: address of a viewer, or a file NAME.rrd.
 
     Raises:
         ConfigError: ``to`` is neither.
@@ -52,11 +52,11 @@ class RerunSink(ThreadedSink):
 
     @property
     def label(self) -> str:
-        """``rerun`` and where it goes."""
+        """``rerun`` and its viewer or file."""
         return f"rerun {self.to}"
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """See whether Rerun is there; a viewer may be started later."""
+        """Check that Rerun is installed; a viewer may be started later."""
         del hands
         _rerun()
 
@@ -110,10 +110,10 @@ class _Stream:
         self._stream.disconnect()
 
     def _skeleton(self, path: str, points: Float[np.ndarray, "21 3"]) -> None:
-        """Landmarks and the bones between those that are known."""
-        known = np.isfinite(points).all(axis=1)
-        bones = [points[[a, b]] for a, b in BONES if known[a] and known[b]]
-        self._stream.log(f"{path}/landmarks", self._rerun.Points3D(points[known], radii=0.004))
+        """Log finite landmarks and the bones between them."""
+        finite = np.isfinite(points).all(axis=1)
+        bones = [points[[a, b]] for a, b in BONES if finite[a] and finite[b]]
+        self._stream.log(f"{path}/landmarks", self._rerun.Points3D(points[finite], radii=0.004))
         self._stream.log(f"{path}/bones", self._rerun.LineStrips3D(bones, radii=0.002))
 
 

@@ -34,7 +34,7 @@ class Simulation(Sink):
     Attributes:
         rate: steps of the physics per second [Hz].
         bandwidth: bandwidth of the servos [Hz]. A higher one follows faster and pushes harder.
-        gravity: pull along -z of the model's world, wherever that points in it.
+        gravity: True for gravity along -z of the model's world.
         task: task of each hand; it switches gravity on.
 
     Raises:
@@ -71,7 +71,7 @@ class Simulation(Sink):
 
     @property
     def note(self) -> str:
-        """Faults of the physics, if there were any."""
+        """Faults of the physics; empty without any."""
         return "; ".join(self._events)
 
     @property
@@ -86,9 +86,8 @@ class Simulation(Sink):
 
     @property
     def world_number(self) -> int:
-        """Changes with every scene that is built, and is 0 while there is none."""
-        world = self._world
-        return 0 if world is None else world.number
+        """Number of the scene, new for every scene; 0 without one."""
+        return 0 if self._world is None else self._world.number
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Build the models and start; see ``Sink``."""
@@ -103,12 +102,12 @@ class Simulation(Sink):
         A watcher of the previous scene gets no more states.
 
         Args:
-            task: as ``task``.
+            task: a task as in the setting ``task``.
 
         Raises:
             UnknownNameError: there is no such task.
-            HandModelError: a hand's size does not allow it; then nothing changes.
-            SinkError: the simulation is closed, or was meanwhile.
+            HandModelError: the task does not fit the size of a hand; nothing changes.
+            SinkError: the simulation is closed, or was closed meanwhile.
         """
         before = self._world
         if before is None:
@@ -149,8 +148,9 @@ class Simulation(Sink):
         return None if world is None else world.states.get(side)
 
     def snapshot(self, side: Side) -> tuple[HandPhysics, Float[np.ndarray, " q"]] | None:
-        """A hand's physics, whose state belongs to another thread, and the newest (q,) positions of
-        its model; safe from any thread. None while there is no such hand."""
+        """Physics of a hand, whose state belongs to another thread, and its newest (q,) positions.
+
+        Safe from any thread. None without such a hand."""
         world = self._world
         if world is None or side not in world.physics:
             return None
@@ -188,11 +188,11 @@ class Simulation(Sink):
         return self._scene(side).scene
 
     def hand_of(self, side: Side) -> Hand:
-        """The hand that works there; raises as ``scene_of``."""
+        """The hand in a scene; raises as ``scene_of``."""
         return self._scene(side).hand
 
     def parts_of(self, side: Side) -> list[ScenePart]:
-        """Shapes of platform and object, to draw; raises as ``scene_of``."""
+        """Shapes of platform and object for drawing; raises as ``scene_of``."""
         return self._scene(side).parts()
 
     def scene_state(self, side: Side) -> SceneState | None:
@@ -229,7 +229,7 @@ class Simulation(Sink):
             return self._scene(side).starts + 1
 
     def put_away(self, side: Side) -> None:
-        """Take the object out, from the next step on; raises as ``scene_of``."""
+        """Remove the object, from the next step on; raises as ``scene_of``."""
         world = self._open_world(side)
         with world.changed:
             world.there[side] = False
@@ -255,7 +255,7 @@ class Simulation(Sink):
         object.__setattr__(self, name, value)
 
     def _open_world(self, side: Side) -> World:
-        self._scene(side)  # which refuses a hand without one
+        self._scene(side)  # raises without a scene
         assert self._world is not None
         return self._world
 
@@ -282,10 +282,10 @@ _WAKE_S: Final = 0.004
 """Interval at which the thread wakes for several steps [s]; waking costs more than a step."""
 
 _SLICE_S: Final = 0.01
-"""Longest that the physics goes on without a look at commands, and at what happened [s]."""
+"""Longest time of physics between two readings of the commands [s]."""
 
 _BEHIND_S: Final = 0.1
-"""Time that is given up, rather than made up for, when the machine is too slow [s]."""
+"""Largest time that the physics catches up with after a delay of the machine [s]."""
 
 _Target = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " a"] | None]
 """Joint positions of a hand and of its arm [rad]."""
@@ -298,14 +298,14 @@ class World:
 
     Args:
         physics: physics of each hand.
-        events: takes faults of the physics.
+        events: list to which faults of the physics are added.
         carried: arms that carry hands.
 
     Attributes:
-        watchers: side -> watcher of the scene's states; written with ``changed``, as are the next.
-        there: side -> True to put the object back with the next step, False to take it away.
+        watchers: side -> watcher of the scene's states.
+        there: side -> True to put the object back with the next step, False to remove it.
         frozen: sides whose hand and scene stand still.
-        changed: lock of what other threads write.
+        changed: lock of the attributes that other threads write.
     """
 
     def __init__(
@@ -358,7 +358,7 @@ class World:
         """Let the hands hold their positions."""
         with self.changed:
             for side in self.physics:
-                self._targets[side] = None  # stands for: where it is
+                self._targets[side] = None  # the position of the hand at that time
 
     def end(self) -> None:
         """Stop."""
@@ -376,11 +376,11 @@ class World:
                     self._take(held)
                     self._step(min(due, _SLICE_S), now)
                     due -= _SLICE_S
-        except Exception as error:  # reaches the loop with its next command
+        except Exception as error:  # raised with the next command
             self._error = error
 
     def _take(self, held: set[Side]) -> None:
-        """The newest commands; ``held`` are the hands that hold their positions."""
+        """Apply the newest commands; ``held`` has the hands that hold their positions."""
         with self.changed:
             targets, self._targets = self._targets, {}
         for side, target in targets.items():
@@ -415,7 +415,7 @@ class World:
                 self._show(side, physics)
 
     def _show(self, side: Side, physics: ScenePhysics) -> None:
-        """The scene's new state, to whom it concerns; resets that were asked for."""
+        """Carry out requested resets, and hand the new state of a scene to its watcher."""
         with self.changed:
             watcher = self.watchers.get(side)
             there = self.there.pop(side, None)
@@ -427,6 +427,6 @@ class World:
 
 
 def _measured(side: Side, physics: HandPhysics, now: float) -> HandState:
-    """The state as encoders in the joints measure it."""
+    """State of a hand, as joint encoders measure it."""
     hand = physics.hand
     return HandState(side, hand.name, now, hand.joint_names, physics.positions)

@@ -32,13 +32,13 @@ class Sink(ABC):
     """Destination of commands: a robot, a simulation, a file, a bus.
 
     Subclasses are dataclasses of settings. The loop calls ``send`` from one thread and must not
-    wait: a sink that may have to wait leaves the newest command to its own thread. A sink that
-    raises is closed and opened again later, and does not stop the others.
+    wait, so a sink that may wait leaves the newest command to its own thread. A sink that raises is
+    closed and opened again later, and does not stop the others.
     """
 
     observes: ClassVar[bool] = False
     """True for a sink that moves nothing, such as a log or a table. It gets its ticks after the
-    others, with their time among the stages."""
+    other sinks, with the time of sending among the stages."""
 
     @property
     @abstractmethod
@@ -62,22 +62,22 @@ class Sink(ABC):
 
     @property
     def measures(self) -> bool:
-        """True if ``state`` returns measurements while the sink is open; so for a simulation."""
+        """True if ``state`` returns measurements while the sink is open. True for a simulation."""
         return self.simulation is not None
 
     def state(self, side: Side) -> HandState | None:
         """The last measured state of a hand; safe from any thread.
 
-        None, as by default, if it measures nothing, is not open, or has no such hand.
+        None (the default) if the sink measures nothing, is not open, or has no such hand.
         """
         del side
         return None
 
     def measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
-        """The last measured pose of the wrist of a hand, by the arm that it moves.
+        """The last pose of the wrist of a hand, measured by its arm.
 
         In the frame of the robot's base: x y z [m], unit quaternion w x y z. Called on the loop's
-        thread, so it must be quick. None, as by default, if it moves no arm or is not open.
+        thread, so it must be quick. None (the default) if the sink moves no arm or is not open.
         """
         del side
         return None
@@ -85,8 +85,8 @@ class Sink(ABC):
     def measured_arm(self, side: Side) -> Float[np.ndarray, " n"] | None:
         """The last measured joint positions of the arm of a hand [rad].
 
-        In the order of ``ArmCommand.joint_names``; safe from any thread. None, as by default, if it
-        moves no arm or is not open.
+        In the order of ``ArmCommand.joint_names``; safe from any thread. None (the default) if the
+        sink moves no arm or is not open.
         """
         del side
         return None
@@ -99,9 +99,7 @@ class Sink(ABC):
         del arms
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Check that the sink can be opened, before anything slow is done.
-
-        It leaves nothing open. By default checks nothing.
+        """Check that the sink can be opened, and leave nothing open. By default checks nothing.
 
         Raises:
             SmoothOperatorError: as ``open``.
@@ -114,7 +112,7 @@ class Sink(ABC):
 
         Args:
             hands: side -> robot hand.
-            config: the resolved configuration of the run, JSON-serialisable, for sinks that keep
+            config: the resolved configuration of the run, JSON-serialisable, for sinks that store
                 it.
 
         Raises:
@@ -128,7 +126,7 @@ class Sink(ABC):
         """Hand over a command, in well under a millisecond.
 
         Raises:
-            SinkError: the far side is gone.
+            SinkError: the receiver is gone.
             OutputError: the disk is full.
         """
 
@@ -154,7 +152,7 @@ _PATIENCE: Final = 3.0
 
 
 class Link(Protocol):
-    """An open connection to the far side; all methods are called on the sink's own thread."""
+    """An open connection to a receiver; all methods are called on the sink's own thread."""
 
     def deliver(self, tick: Tick) -> None:
         """Send a command."""
@@ -169,29 +167,23 @@ class Link(Protocol):
 class ThreadedSink(Sink):
     """A sink that hands the newest command of each hand to a link, on its own thread.
 
-    A command that the link has not yet taken is overwritten by the next one: there is no queue.
-    Subclasses are frozen dataclasses of settings.
+    The next command overwrites one that the link has not yet taken: there is no queue. Subclasses
+    are frozen dataclasses of settings.
     """
-
-    @property
-    @abstractmethod
-    def label(self) -> str:
-        """Name for a person, in a few words."""
 
     @abstractmethod
     def connect(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> Link:
-        """Open the connection; its errors reach the caller of ``open``."""
+        """Open the connection. Its errors reach the caller of ``open``."""
 
     def check(self, hands: Mapping[Side, Hand]) -> None:
-        """Open the way to the far side and close it again; see
-        ``SinkRunner.check``."""
+        """Open the connection and close it again; see ``Sink``."""
         self.connect(hands, {}).close()
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
         """Open the sink; see ``Sink``."""
         if self._sender() is not None:
             raise SinkError(f"{self.label}: it is already open")
-        # The settings are frozen, the state of an open sink is not.
+        # Only the settings are frozen.
         object.__setattr__(self, "_now", _Sender(self.connect(hands, config), self.label))
 
     def send(self, tick: Tick) -> None:
@@ -263,7 +255,7 @@ class _Sender:
         try:
             while self._pass_on():
                 pass
-        except Exception as error:  # reaches the loop with its next command
+        except Exception as error:  # raised with the next command
             with self._change:
                 self._error = error
         finally:
@@ -319,7 +311,7 @@ class SinkHealth:
 class SinkRunner:
     """Several sinks as one.
 
-    ``send`` is for one thread, the loop's; all else may be called from any.
+    Only the loop's thread calls ``send``; everything else is safe from any thread.
 
     Args:
         sinks: the sinks; ``open`` opens them.
@@ -340,7 +332,7 @@ class SinkRunner:
             raise ConfigError(f"retry_s must be positive, not {retry_s}")
         self.retry_s = retry_s
         self._clock = clock
-        self._entries = tuple(self._entry(sink) for sink in sinks)
+        self._entries = tuple(_Entry(sink, retry_s, clock) for sink in sinks)
         self._gone: list[_Entry] = []
         self._opened: tuple[Mapping[Side, Hand], Mapping[str, Any]] | None = None
         self._changed = threading.Condition()
@@ -377,14 +369,11 @@ class SinkRunner:
         self._mender.start()
 
     def send(self, tick: Tick) -> None:
-        """Hand a tick to every open sink that acts; never raises what a sink raises."""
+        """Hand a tick to every open sink that moves something; errors of sinks are only stored."""
         self._hand_over(tick, observing=False)
 
     def observe(self, tick: Tick) -> None:
-        """Hand a tick to the observing sinks (``Sink.observes``), after the others.
-
-        They get the tick with the time of sending among its stages.
-        """
+        """Hand a tick, with the time of sending, to the observing sinks (``Sink.observes``)."""
         self._hand_over(tick, observing=True)
 
     def _hand_over(self, tick: Tick, observing: bool) -> None:
@@ -397,7 +386,7 @@ class SinkRunner:
                 entry.missed += 1
 
     def state(self, side: Side) -> HandState | None:
-        """The last measured state of a hand: of a real one, else of a simulated one."""
+        """The last measured state of a hand, preferably of a real one."""
         first: HandState | None = None
         for entry in self._entries:
             if entry.state == "open" and (measured := entry.sink.state(side)) is not None:
@@ -433,7 +422,7 @@ class SinkRunner:
         Raises:
             SmoothOperatorError: as ``Sink.open``; the sink is not added.
         """
-        entry = self._entry(sink)
+        entry = _Entry(sink, self.retry_s, self._clock)
         if self._opened is not None:
             entry.open(*self._opened)
         with self._changed:
@@ -467,11 +456,8 @@ class SinkRunner:
         """Health of the removed sinks and of the others, for the end of a run."""
         return [entry.health() for entry in (*self._gone, *self._entries)]
 
-    def _entry(self, sink: Sink) -> _Entry:
-        return _Entry(sink, self.retry_s, self._clock)
-
     def _mend(self) -> None:
-        """Close what failed, and open it again when its time has come."""
+        """Close sinks that failed, and open them again after a time."""
         step = min(0.05, self.retry_s / 4)
         while True:
             with self._changed:
@@ -499,29 +485,25 @@ class _Entry:
         self._moving = threading.Lock()  # one closing or opening at a time
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Open it; errors reach the caller."""
+        """Open the sink; errors reach the caller."""
         try:
             self.sink.open(hands, config)
         except SmoothOperatorError:
             raise
-        except OSError as error:  # of a sink that does not word its errors itself
+        except OSError as error:
             raise SinkError(f"{self.sink.label} can't be opened: {error}") from error
         with self._change:
             self.state, self._closed = "open", False
 
     def call(self, action: Callable[[Sink], None]) -> bool:
-        """Call an action with the sink if it is open.
-
-        Returns:
-            True if the action was called and did not raise.
-        """
+        """Call an action with the sink if it is open; True if it was called and did not raise."""
         with self._change:
             if self.state != "open":
                 return False
             self._inside += 1
         try:
             action(self.sink)
-        except Exception as error:  # anything: the loop and the other sinks go on
+        except Exception as error:  # the loop and the other sinks go on
             self._fail(error)
             return False
         finally:
@@ -531,13 +513,13 @@ class _Entry:
         return True
 
     def end(self) -> None:
-        """Close it for good; an error in closing is kept."""
+        """Close the sink for good; stores an error in closing."""
         with self._change:
             self.state = "closed"
         self._shut()
 
     def mend(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Close what has failed, and open it again if it is time."""
+        """Close a sink that failed, and open it again if it is time."""
         if not self._has_failed():
             return
         self._shut()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 _KEPT: Final = 1000
-"""Ticks over which latency and rate are taken."""
+"""Number of ticks for latency and rate."""
 _BAR: Final = 24
 _PLAIN_S: Final = 1.0
 _COLOURS: Final = {Mode.TRACKING: "green", Mode.BLENDING: "cyan", Mode.STOPPED: "bold red"}
@@ -33,7 +33,7 @@ class TableSink(Sink):
     """A table on standard error, updated a few times a second; plain lines without a screen.
 
     Attributes:
-        rate: how often it is drawn [Hz].
+        rate: rate of drawing [Hz].
 
     Raises:
         ConfigError: the rate is out of its range.
@@ -41,7 +41,6 @@ class TableSink(Sink):
 
     rate: float = 5.0
     observes: ClassVar[bool] = True
-    """It moves nothing, and gets its ticks after the sinks that do."""
 
     _thread: _Drawing | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -61,16 +60,15 @@ class TableSink(Sink):
         panels = {side: HandPanel(side, hand) for side, hand in hands.items()}
         drawing = _Drawing(panels, open_console(stderr=True), self.rate)
         object.__setattr__(self, "_thread", drawing)
-        drawing.start()
 
     def send(self, tick: Tick) -> None:
-        """Take note of a tick."""
+        """Store a tick."""
         if self._thread is None:
             raise SinkError("table: it is not open")
         self._thread.panels[tick.side].see(tick)
 
     def stalled(self, seconds: float) -> None:
-        """Show that no command comes."""
+        """Show a time without commands."""
         if self._thread is not None:
             for panel in self._thread.panels.values():
                 panel.silence = seconds
@@ -96,14 +94,14 @@ class HandPanel:
         self._latencies: deque[float] = deque(maxlen=_KEPT)
 
     def see(self, tick: Tick) -> None:
-        """Take note of a tick."""
+        """Store a tick."""
         self._tick, self.silence = tick, 0.0
         self._times.append(tick.time)
         if tick.arrival is not None:
             self._latencies.append((tick.time - tick.arrival.received) * 1e3)
 
     def line(self) -> str:
-        """All in one line, without the joints."""
+        """Mode, rate and latency in one line."""
         tick = self._tick
         if tick is None:
             return f"{self.title}: no command yet"
@@ -154,9 +152,6 @@ class _Drawing:
         self._period = 1.0 / rate
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="table", daemon=True)
-
-    def start(self) -> None:
-        """Begin."""
         self._thread.start()
 
     def end(self) -> None:
@@ -188,7 +183,7 @@ class _Drawing:
 
 
 def _bar(value: float, low: float, high: float) -> Text:
-    """A position within its limits, empty at the lower one."""
+    """Bar of a position within its limits, empty at the lower one."""
     from rich.text import Text
 
     if not (np.isfinite([value, low, high]).all() and high > low):

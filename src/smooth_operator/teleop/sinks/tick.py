@@ -40,11 +40,11 @@ class Mode(enum.Enum):
     BLENDING = "blending"
     """The operator returns or takes over: the robot moves to them smoothly."""
     HOLDING = "holding"
-    """The tracker is late, or its frames are no use: the last command is held."""
+    """The tracker is late, or its frames are unusable: the robot holds the last command."""
     EASING = "easing"
     """The tracker is lost: the robot goes to its safe pose, and stays there."""
     PAUSED = "paused"
-    """The operator released the clutch: the last command is held."""
+    """The operator released the clutch: the robot holds the last command."""
     STOPPED = "stopped"
     """Emergency stop: the robot brakes and stands until it is released by hand."""
 
@@ -61,8 +61,8 @@ class WristCommand:
     Attributes:
         pose: (7,) pose of the robot hand's wrist frame in ``world``: x y z [m], unit quaternion
             w x y z; within all limits, and held while not engaged.
-        engaged: True while the operator's wrist moves it.
-        valid: True if the frame that it answers had a valid wrist.
+        engaged: True while the operator's wrist moves the robot's.
+        valid: True if the answered frame had a valid wrist.
         world: name of the frame of ``pose``, the base of the robot.
     """
 
@@ -112,20 +112,20 @@ class Tick:
     Attributes:
         side: side of the hand.
         hand: name of the robot hand.
-        command: joint positions within all limits. Its stamp is that of the frame that it answers,
-            by the tracker's clock, or the time of the tick without a frame.
-        velocity: (n,) velocity of all joints [rad/s], for drivers that feed it forward.
+        command: joint positions within all limits. Its stamp is that of the answered frame, by the
+            tracker's clock, or the time of the tick without a frame.
+        velocity: (n,) velocity of all joints [rad/s], for feedforward in drivers.
         mode: mode of the loop.
         time: time of the command, by the loop's clock [s]; the limits hold from one such time to
             the next.
         number: number of the tick, counted from 0 for each hand.
-        status: status of the frame that it answers; None without a frame.
-        arrival: that frame.
+        status: status of the answered frame; None without a frame.
+        arrival: the answered frame.
         stages: name of a stage -> its time [ms], in order; empty without a frame.
         tracking_loss: loss of the frame; NaN without a frame.
         scale: robot size over human size in the frame; NaN without a frame.
         events: events of this tick, one sentence each, such as a change of mode or refused frames.
-        driver: method of the hand, if the loop knows it; the same object until it changes.
+        driver: method of the hand, if known; the same object until it changes.
         state: last measured state of the hand, if a sink measures it; the same object until there
             is a newer one.
         wrist: target of the hand's wrist, with the same stamp; None if the loop moves fingers only.
@@ -157,16 +157,16 @@ class HandState:
     """Measured state of a robot hand, real or simulated.
 
     Attributes:
-        side: which hand.
+        side: side of the hand.
         hand: name of the robot hand.
         stamp: time of the measurement, by the loop's clock [s].
         names: (n,) joint names, in the model's own order, coupled ones included.
-        positions: (n,) measured joint positions [rad]; NaN where the hand measures none.
+        positions: (n,) measured joint positions [rad]; NaN for a joint without a measurement.
         velocities: (n,) measured joint velocities [rad/s], or None.
-        actuators: (a,) names of the actuators; empty where there are none of their own.
-        currents: (a,) current of the actuators, or force, in the driver's unit; NaN where unknown;
+        actuators: (a,) names of the actuators; empty if they have no names.
+        currents: (a,) current of the actuators, or force, in the driver's unit; NaN if unknown;
             None if the hand measures none.
-        temperatures: (a,) of the actuators [degrees Celsius], or None.
+        temperatures: (a,) temperatures of the actuators [degrees Celsius], or None.
         touch: (k,) touch or force sensors, in the driver's unit and order, or None.
     """
 
@@ -183,27 +183,26 @@ class HandState:
 
     @property
     def time(self) -> float:
-        """The stamp; the name that simulations use."""
+        """The stamp, under its name in simulations."""
         return self.stamp
 
 
 _STEP: Final = 2e-6
-"""Least distance of stamps that would be the same or go back [s]."""
+"""Smallest difference of consecutive stamps [s]."""
 
 _FORGET: Final = 0.9995
-"""Share of the latest lateness that is remembered from one frame to the next."""
+"""Factor by which the stored delay decays from one frame to the next."""
 
 
 class StampMap:
     """Stamps for the log of one hand: by the loop's clock, and strictly increasing.
 
-    A frame is stamped by its tracker, whose clock restarts with every start; a command that
-    answers no frame has the loop's own time. Each start of the tracker is shifted by one constant,
-    reception minus stamp of its first frame, so that differences of stamps within it are the
-    tracker's own. A jump of the stamps counts as a start
-    (``JUMP_S``), so that one bad stamp moves no others. Commands
-    without a frame are put earlier by as much as the last frames came late, so that they do not
-    get a later stamp than the next frame.
+    Frames have stamps of the tracker's clock, which restarts with every start of the tracker.
+    Commands without a frame have the loop's time. The stamps of each start are shifted by one
+    constant, reception minus stamp of the first frame, so that their differences are those of the
+    tracker. A jump of the stamps (``JUMP_S``) counts as a start, so that one bad stamp shifts no
+    others. Commands without a frame are stamped earlier by the delay of the last frames, so that
+    their stamps are not later than that of the next frame.
     """
 
     def __init__(self) -> None:
@@ -212,7 +211,7 @@ class StampMap:
         self._last = -math.inf
 
     def __call__(self, tick: Tick) -> tuple[float, HandFrame | None]:
-        """The stamp of a tick's command, and the frame that is to have the same."""
+        """Stamp of a tick's command, and the frame with the same stamp."""
         arrival = tick.arrival
         stamp = math.nan if arrival is None else arrival.stamp
         if arrival is None or not math.isfinite(stamp):

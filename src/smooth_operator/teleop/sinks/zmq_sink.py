@@ -117,7 +117,7 @@ def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
 
 
 def arm_message(arm: ArmCommand) -> dict[str, Any]:
-    """The arm's part of a command, with the arm's measured positions if there are any."""
+    """Part of a command for the arm, with its measured positions if there are any."""
     message: dict[str, Any] = {
         "name": arm.name,
         "names": list(arm.joint_names),
@@ -132,8 +132,8 @@ def arm_message(arm: ArmCommand) -> dict[str, Any]:
 
 
 def state_message(state: HandState) -> dict[str, Any]:
-    """A measured state as the far side gets it; ``topic`` is first, so that it can be filtered for
-    and is not taken for a command."""
+    """Message of a measured state. ``topic`` comes first, so that subscribers can filter for it and
+    do not take it for a command."""
     message: dict[str, Any] = {
         "topic": "/state",
         "side": state.side,
@@ -155,7 +155,7 @@ def state_message(state: HandState) -> dict[str, Any]:
 
 
 def encode(message: Mapping[str, Any]) -> bytes:
-    """JSON without blanks; it has no word for NaN and gets none."""
+    """JSON without blanks. Refuses NaN, which JSON does not have."""
     return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
 
 
@@ -166,7 +166,7 @@ def _finite(values: list[float]) -> list[float]:
 
 
 class _Publisher:
-    """The open socket; only the sink's own thread touches it."""
+    """The open socket; only the sink's own thread uses it."""
 
     def __init__(
         self, context: Any, socket: Any, hands: Mapping[Side, str], valid_for_s: float
@@ -184,7 +184,7 @@ class _Publisher:
             self._socket.send(encode(state_message(state)))
 
     def stalled(self, seconds: float) -> None:
-        """Publish, for each hand, that no command comes."""
+        """Publish, for each hand, that there are no commands."""
         self._tell("stalled", seconds=seconds)
 
     def close(self) -> None:
