@@ -1,9 +1,17 @@
 """Random robot hands whose names say nothing, with what is true of each, as URDF or MJCF text."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
+import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from smooth_operator.hand_discovery.discover import discover
+from smooth_operator.hand_discovery.landmarks import Discovery
+from smooth_operator.hands.loading import load_model
 
 Vector = np.ndarray
 
@@ -299,3 +307,66 @@ def _along(end: Vector) -> Rotation:
 
 def _text(values: Vector) -> str:
     return " ".join(repr(float(v)) for v in values)
+
+
+def claw() -> tuple[Part, ...]:
+    """A gripper of two fingers on slides."""
+    end, parts = np.array([0.0, 0.0, 0.05]), [Part("hand", None, np.zeros(3))]
+    parts[0] = replace(parts[0], end=end)
+    for name, sign in (("lf", 1.0), ("rf", -1.0)):
+        axis, at = np.array([0.0, sign, 0.0]), np.array([0, 0.01 * sign, 0.06])
+        parts.append(
+            Part(name, "hand", at, axis=axis, joint=name, limits=(0.0, 0.04), slide=True, end=end)
+        )
+    return tuple(parts)
+
+
+def ring_of_fingers(radius: float, length: float = 0.05, closed: float = 0.9) -> tuple[Part, ...]:
+    """Three equal fingers in a ring that close on its middle."""
+    parts = [Part("base", None, np.zeros(3))]
+    up = np.array([0.0, 0.0, length])
+    for k in range(3):
+        out = np.array([np.cos(2.1 * k), np.sin(2.1 * k), 0.0])
+        axis = np.array([-out[1], out[0], 0.0])
+        for name, parent, at in ((f"a{k}", "base", radius * out), (f"b{k}", f"a{k}", up)):
+            parts.append(
+                Part(name, parent, at, axis=axis, joint=f"j{name}", end=up, limits=(-1.3, closed))
+            )
+    return tuple(parts)
+
+
+def written(folder: Path, text: str, name: str = "model.urdf") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def found_in(folder: Path, text: str, name: str = "model.urdf", **options: Any) -> Discovery:
+    """What is found in the text of a model."""
+    return discover(written(folder, text, name), **options)
+
+
+def sure(found: Discovery, subject: str) -> float:
+    return next(f.confidence for f in found.findings if f.subject == subject)
+
+
+def because(found: Discovery, subject: str) -> str:
+    return " ".join(next(f.evidence for f in found.findings if f.subject == subject))
+
+
+def tip_errors(found: Discovery, truth: Sequence[tuple[str, Any]]) -> Vector:
+    """Distances of the tips found from the true ones, thumb first [m]."""
+    model = load_model(found.spec.model).model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+
+    def world(body: str, offset: Any) -> Vector:
+        at = data.body(body)
+        return at.xpos + at.xmat.reshape(3, 3) @ np.asarray(offset, float)
+
+    return np.array(
+        [
+            np.linalg.norm(world(f.tip_body, f.tip_offset) - world(body, offset))
+            for f, (body, offset) in zip(found.fingers, truth, strict=True)
+        ]
+    )

@@ -2,32 +2,20 @@
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from discovery_hands import Part, make_hand, urdf
+from discovery_hands import Part, because, claw, found_in, make_hand, ring_of_fingers, urdf
 from real_hands import REAL
 
 from smooth_operator.hand_discovery.checks import Samples
 from smooth_operator.hand_discovery.discover import discover
 from smooth_operator.hand_discovery.joints import check_palm
-from smooth_operator.hand_discovery.landmarks import Discovery
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.penetration import neutral_overlaps
 from smooth_operator.hands.registry import load_hand
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
-
-
-def found_in(folder: Path, parts: tuple[Part, ...]) -> Discovery:
-    path = folder / "model.urdf"
-    path.write_text(urdf(parts), encoding="utf-8")
-    return discover(path)
-
-
-def because(found: Discovery, subject: str) -> str:
-    return " ".join(next(f.evidence for f in found.findings if f.subject == subject))
 
 
 def base_travel(hand: Hand) -> np.ndarray:
@@ -53,7 +41,7 @@ def with_moving_knuckle(shift: float) -> tuple[tuple[Part, ...], str]:
 
 def test_a_knuckle_that_a_joint_moves_stays_where_it_rests(tmp_path, monkeypatch):
     parts, knuckle = with_moving_knuckle(0.02)
-    found = found_in(tmp_path, parts)
+    found = found_in(tmp_path, urdf(parts))
     assert found.spec.fingers[-1].base.body == "palm"
     assert all(finger.base.body != "palm" for finger in found.spec.fingers[:-1])
     # the arc of 0.6 rad about a joint that is 20 mm below and somewhat beside
@@ -63,7 +51,7 @@ def test_a_knuckle_that_a_joint_moves_stays_where_it_rests(tmp_path, monkeypatch
     # left on its link it swings, but at rest it is at the same place
     module = sys.modules["smooth_operator.hand_discovery.discover"]
     monkeypatch.setattr(module, "fix_bases", lambda s, palm, fingers, reach, at: (fingers, {}))
-    loose = found_in(tmp_path, parts)
+    loose = found_in(tmp_path, urdf(parts))
     assert loose.spec.fingers[-1].base.body == knuckle
     moving = load_hand_spec(loose.spec)
     assert base_travel(moving)[-1] > 5e-3
@@ -73,28 +61,14 @@ def test_a_knuckle_that_a_joint_moves_stays_where_it_rests(tmp_path, monkeypatch
 
 
 def test_a_knuckle_that_no_joint_moves_stays_on_its_link(tmp_path):
-    found = found_in(tmp_path, make_hand(3, turned=False).parts)
+    found = found_in(tmp_path, urdf(make_hand(3, turned=False).parts))
     assert all(finger.base.body != "palm" for finger in found.spec.fingers)
     assert "no joint moves them" in because(found, "bases")
     assert base_travel(load_hand_spec(found.spec)).max() < 1e-4
 
 
 def test_a_base_on_a_slide_stays_too(tmp_path):
-    claw = [Part("hand", None, np.zeros(3), end=np.array([0.0, 0.0, 0.05]))]
-    for name, sign in (("a", 1.0), ("b", -1.0)):
-        claw.append(
-            Part(
-                name,
-                "hand",
-                np.array([0, 0.01 * sign, 0.06]),
-                slide=True,
-                joint=name,
-                axis=np.array([0.0, sign, 0.0]),
-                limits=(0.0, 0.04),
-                end=np.array([0.0, 0.0, 0.05]),
-            )
-        )
-    found = found_in(tmp_path, tuple(claw))
+    found = found_in(tmp_path, urdf(claw()))
     assert base_travel(load_hand_spec(found.spec)).max() < 1e-6
     assert "thumb, index, by up to 4" in because(found, "bases")
 
@@ -138,11 +112,11 @@ def test_a_palm_frame_at_the_thumb_is_no_wrist(tmp_path):
         elif p.parent == "palm":
             p = replace(p, position=p.position - start)
         parts.append(p)
-    found = found_in(tmp_path, tuple(parts))
+    found = found_in(tmp_path, urdf(tuple(parts)))
     assert found.spec.palm == "palm"
     np.testing.assert_allclose(found.spec.wrist.offset, -start, atol=1e-6)
     assert "'mount', on which the palm is mounted" in because(found, "wrist")
-    plain = found_in(tmp_path, hand.parts)
+    plain = found_in(tmp_path, urdf(hand.parts))
     assert plain.spec.wrist.offset == (0.0, 0.0, 0.0)
     assert "origin of the palm" in because(plain, "wrist")
 
@@ -157,24 +131,10 @@ def test_the_wrist_of_a_palm_that_is_the_thumbs_base(shared, side):
     assert next(f.confidence for f in found.findings if f.subject == "wrist") < 0.8
 
 
-def ring_of_fingers(radius: float) -> tuple[Part, ...]:
-    """Three fingers in a ring that close on its middle."""
-    parts = [Part("base", None, np.zeros(3))]
-    up = np.array([0.0, 0.0, 0.05])
-    for k in range(3):
-        out = np.array([np.cos(2.1 * k), np.sin(2.1 * k), 0.0])
-        axis = np.array([-out[1], out[0], 0.0])
-        for name, parent, at in ((f"a{k}", "base", radius * out), (f"b{k}", f"a{k}", up)):
-            parts.append(
-                Part(name, parent, at, axis=axis, joint=f"j{name}", end=up, limits=(-1.3, 0.9))
-            )
-    return tuple(parts)
-
-
 def test_fingers_that_would_rest_in_each_other_are_opened(tmp_path):
-    wide = found_in(tmp_path, ring_of_fingers(0.06))
+    wide = found_in(tmp_path, urdf(ring_of_fingers(0.06)))
     assert "inside" not in because(wide, "neutral")
-    found = found_in(tmp_path, ring_of_fingers(0.025))
+    found = found_in(tmp_path, urdf(ring_of_fingers(0.025)))
     assert "inside each other" in because(found, "neutral")
     bent = replace(found.spec, neutral=wide.spec.neutral)
     before, after = (

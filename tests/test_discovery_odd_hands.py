@@ -1,49 +1,18 @@
 """Hands of quite other designs are read right as well, or with honest doubt."""
 
 from dataclasses import replace
-from pathlib import Path
 
-import mujoco
 import numpy as np
 import odd_hands
 import pytest
-from discovery_hands import Model, Part, make_hand, mjcf, urdf
+from discovery_hands import Model, Part, found_in, make_hand, mjcf, sure, tip_errors, urdf
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.discover import discover
 from smooth_operator.hand_discovery.landmarks import SURE, UNSURE, Discovery, Overrules
 from smooth_operator.hands.hand import load_hand_spec
-from smooth_operator.hands.loading import load_model
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
-
-
-def found_in(folder: Path, text: str, name: str = "model.urdf", **options: str) -> Discovery:
-    path = folder / name
-    path.write_text(text, encoding="utf-8")
-    return discover(path, **options)
-
-
-def sure(found: Discovery, subject: str) -> float:
-    return next(f.confidence for f in found.findings if f.subject == subject)
-
-
-def tip_errors(found: Discovery, model: Model) -> np.ndarray:
-    """Distances of the tips found from the true ones, thumb first [m]."""
-    compiled = load_model(found.spec.model).model
-    data = mujoco.MjData(compiled)
-    mujoco.mj_kinematics(compiled, data)
-
-    def world(body: str, offset: np.ndarray) -> np.ndarray:
-        at = data.body(body)
-        return np.asarray(at.xpos + at.xmat.reshape(3, 3) @ offset)
-
-    return np.array(
-        [
-            np.linalg.norm(world(f.tip_body, np.array(f.tip_offset)) - world(body, offset))
-            for f, (body, offset) in zip(found.fingers, model.truth.tips, strict=True)
-        ]
-    )
 
 
 def check(found: Discovery, model: Model) -> None:
@@ -51,7 +20,7 @@ def check(found: Discovery, model: Model) -> None:
     assert found.spec.palm == model.truth.palm
     assert found.spec.side == model.truth.side
     assert [f.tip_body for f in found.fingers] == [body for body, _ in model.truth.tips]
-    assert tip_errors(found, model).max() < 3e-3
+    assert tip_errors(found, model.truth.tips).max() < 3e-3
     hand = load_hand_spec(found.spec)
     moved = {j for f in found.fingers for j in f.joints}
     assert moved <= set(hand.joint_names)
@@ -88,7 +57,7 @@ def test_fingers_spread_around_a_palm_have_no_clear_side(tmp_path, seed):
     assert sure(found, "thumb") > UNSURE
     assert sure(found, "side") < UNSURE
     assert sure(found, "order") < SURE
-    assert tip_errors(found, model)[0] < 3e-3
+    assert tip_errors(found, model.truth.tips)[0] < 3e-3
     spread = next(c.coupling for c in found.coupled if c.coupling.joint == "two0_j")
     assert (spread.follows, spread.multiplier) == ("one0_j", 1.0)
     assert len(load_hand_spec(found.spec).actuated) == 4  # spread, and a bend each

@@ -114,6 +114,14 @@ REFUSED: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
         r"rotate without limits \(.*need limits in the file",
         (),
     ),
+    "one joint without limits": (
+        "h.urdf",
+        TEXT.replace(f'lower="{LOW}" upper="{HIGH}"', "").replace(
+            f'name="{JOINT.joint}" type="revolute"', f'name="{JOINT.joint}" type="continuous"'
+        ),
+        r"no limits.*<limit",
+        (),
+    ),
     "equal limits": (
         "h.urdf",
         re.sub(r'upper="1.6"', 'upper="-0.1"', TEXT),
@@ -162,6 +170,12 @@ REFUSED: dict[str, tuple[str, str, str, tuple[str, ...]]] = {
     "a mobile robot": ("h.xml", ROVER, r"4 that rotate without limits \(wheels\?", ()),
     "an arm": ("h.xml", ARM_ONLY, r"no fingers found: .*name the palm with --palm", ()),
     "no joints": ("h.urdf", '<robot name="r"><link name="a"/></robot>', r"no joints", ()),
+    "a coupling to nothing in URDF": (
+        "h.urdf",
+        TEXT.replace("</joint>", '<mimic joint="ghost"/></joint>', 1),
+        r"no joint 'ghost'",
+        (),
+    ),
     "a coupling to nothing": (
         "h.xml",
         XML.replace(
