@@ -29,26 +29,6 @@ from smooth_operator.retargeting.targets import KeyvectorLayout
 from smooth_operator.synthetic.gestures import RELAXED
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, mirror, pose_hand
 
-NAMES = (
-    "ability_hand",
-    "allegro_hand",
-    "brainco_revo2",
-    "inspire_hand",
-    "leap_hand",
-    "linker_l10",
-    "linker_l20",
-    "mimic_p050",
-    "orca_v2",
-    "schunk_svh",
-    "shadow_dexee",
-    "shadow_hand",
-    "sharpa_wave",
-    "tesollo_dg5f",
-    "unitree_dex3",
-    "unitree_dex5",
-    "wuji_hand",
-)
-HANDS = [(name, side) for name in NAMES for side in ("right", "left")]
 FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
     "ability_hand": (5, 6, 10),
     "allegro_hand": (4, 16, 16),
@@ -68,6 +48,8 @@ FOUND = {  # fingers, joints commanded, all joints: facts of the real hands
     "unitree_dex5": (5, 16, 20),
     "wuji_hand": (5, 20, 20),
 }
+NAMES = tuple(FOUND)
+HANDS = [(name, side) for name in NAMES for side in ("right", "left")]
 MIRRORED = ("linker_l10", "mimic_p050", "orca_v2", "shadow_dexee", "wuji_hand")
 ALIKE = {  # hands with a file for each side; how far their landmarks are from mirror images [mm]
     "brainco_revo2": 2.0,

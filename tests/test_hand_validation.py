@@ -56,25 +56,7 @@ MIRROR_IMAGES = ("linker_l10", "sharpa_wave", "tesollo_dg5f", "unitree_dex3", "u
 """Their left hands are exact mirror images of the right ones: ``test_hand_registry.py``."""
 SIDES = [
     (name, side)
-    for name in (
-        "ability_hand",
-        "allegro_hand",
-        "brainco_revo2",
-        "inspire_hand",
-        "leap_hand",
-        "linker_l10",
-        "linker_l20",
-        "mimic_p050",
-        "orca_v2",
-        "schunk_svh",
-        "shadow_dexee",
-        "shadow_hand",
-        "sharpa_wave",
-        "tesollo_dg5f",
-        "unitree_dex3",
-        "unitree_dex5",
-        "wuji_hand",
-    )
+    for name in hand_names()
     for side in ("right", "left")
     if side == "right" or name not in MIRROR_IMAGES
 ]
@@ -461,8 +443,6 @@ def test_a_method_that_has_no_model_is_no_failure():
 
 
 def test_the_exit_status_says_how_it_went(tmp_path, capfd):
-    file = tmp_path / "mine.toml"
-    write_hand_spec(replace(ALLEGRO, side="left", model=ALLEGRO.model.absolute()), file)
     wrong = tmp_path / "wrong.toml"
     write_hand_spec(WRONG["tip on the palm"][1](tmp_path), wrong)
     assert main(["hands", "check", str(wrong)]) == 1

@@ -4,13 +4,13 @@ import logging
 import os
 import re
 import shutil
-import struct
 import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 from discovery_hands import make_hand, urdf
 from fuzzing import ReaderProcess
 
@@ -28,31 +28,13 @@ from smooth_operator.hands.stand_ins import stand_in_note, stand_ins
 from smooth_operator.planning import make_request
 from smooth_operator.teleop.pages.hand_picture import save_hand_picture
 
-FACES = [
-    (0, 1, 3),
-    (0, 3, 2),
-    (4, 6, 7),
-    (4, 7, 5),
-    (0, 4, 5),
-    (0, 5, 1),
-    (2, 3, 7),
-    (2, 7, 6),
-    (0, 2, 6),
-    (0, 6, 4),
-    (1, 5, 7),
-    (1, 7, 3),
-]
 JOINT = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>'
 
 
 def write_box(path: Path, size: float = 0.01) -> None:
     """A cube as binary STL."""
-    corners = size * (np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) - 0.5)
-    out = bytes(80) + struct.pack("<I", len(FACES))
-    for face in FACES:
-        out += struct.pack("<12fH", 0, 0, 0, *corners[list(face)].ravel(), 0)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(out)
+    trimesh.creation.box((size, size, size)).export(path)
 
 
 def ros_package(folder: Path, mesh: str, *, side: str = "right", scale: str = "") -> Path:

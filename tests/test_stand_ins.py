@@ -151,5 +151,3 @@ def test_it_is_said_where_a_hand_is_added(shared, tmp_path, monkeypatch, capfd):
     assert "could not be read; estimated capsules along their bones replace them" in said
     added = load_hand("bare_leap", "right")  # with the map of the built-in hand's thumb
     assert added.spec.joint_map == load_hand("leap_hand").spec.joint_map
-    recording = tmp_path / "r.npz"
-    assert main(["sample", str(recording), "--duration", "1"]) in (0, 2)

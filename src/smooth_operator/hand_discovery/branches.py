@@ -1,6 +1,6 @@
 """Search for a hand in a model: chains that branch from its palm, and the fingertips at their ends.
 
-A fingertip is a site or tip link where there is one, else the far end of the last link's shape."""
+A fingertip is a site or a tip link. Without one, it is the far end of the last link's shape."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hand_discovery.skeleton import Placement, Skeleton, says_tip
 from smooth_operator.hands.spec import Point
 
-_LENGTHS: Final = (0.012, 0.36)  # [m] of a finger; the longest of robot hands measure 0.2
-_POINT: Final = 1e-6  # [m]: shorter, it is no length at all
-_SPREAD: Final = 3.0  # between finger bases, in finger lengths; a palm is smaller, two arms are not
-_UNLIKE: Final = 6.0  # longest over shortest finger
-_SHARED: Final = 2  # joints of the palm itself that two fingers may have in common
-_STRAY: Final = 0.4  # of the median length, below which a single joint is no finger (a switch)
-_BESIDE: Final = 0.08  # of the length, between the planes in which two parallel fingers bend
-_REACHES: Final = 0.5  # of the length, from the end of a bar to the finger that it moves
-_FINGER_SIZE: Final = 0.5  # of the median length, from which a chain of two joints may be a finger
+_LENGTHS: Final = (0.012, 0.36)  # length of a finger [m]; the longest of robot hands measure 0.2
+_POINT: Final = 1e-6  # length below which the links of a chain lie at one point [m]
+_SPREAD: Final = 3.0  # largest distance of finger bases in finger lengths; two arms have more
+_UNLIKE: Final = 6.0  # largest ratio of the longest to the shortest finger
+_SHARED: Final = 2  # largest number of joints in the palm that two fingers share
+_STRAY: Final = 0.4  # length over the median below which a single joint is no finger but a switch
+_BESIDE: Final = 0.08  # distance between the planes of two parallel fingers, over their length
+_REACHES: Final = 0.5  # largest distance from a bar's end to its finger, over the finger's length
+_FINGER_SIZE: Final = 0.5  # length over the median from which two joints may be a finger
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class Chain:
     """A chain of links that may be a finger.
 
     Attributes:
-        palm: body that it branches from.
+        palm: body from which it branches.
         last: its last moving body.
-        bodies: from below the palm to the last.
-        joints: between palm and last body.
-        shared: number of them, from the palm on, that move another finger as well.
-        length: from first own joint over the others to the far end [m].
-        base: (3,) first own joint, in the world in the reference pose [m].
+        bodies: its bodies, from below the palm to the last.
+        joints: joints between palm and last body.
+        shared: number of joints, counted from the palm, that also move another finger.
+        length: length from its first own joint along the others to the far end [m].
+        base: (3,) position of its first own joint in the world, in the reference pose [m].
     """
 
     palm: int
@@ -57,7 +57,7 @@ class Chain:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A chain that was not taken for a finger.
+    """A chain that does not count as a finger.
 
     Attributes:
         last: its last moving body.
@@ -72,7 +72,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class HandTree:
-    """A palm and its fingers, in no order; ``left_out`` are chains that are none."""
+    """A palm with its fingers in any order, and the chains that are no fingers (``left_out``)."""
 
     palm: int
     chains: tuple[Chain, ...]
@@ -84,7 +84,7 @@ class Branches:
 
     Args:
         skeleton: the model.
-        fingers: bodies or joints of chains that are fingers, whatever they look like.
+        fingers: bodies or joints of chains that the user declares as fingers.
     """
 
     def __init__(self, skeleton: Skeleton, fingers: tuple[str, ...] = ()) -> None:
@@ -92,11 +92,11 @@ class Branches:
         self._fingers = fingers
         self._rest = skeleton.place(skeleton.reference)
         self.reasons: list[str] = []
-        """Why a branching body was not taken for a palm."""
+        """Reasons why branching bodies are no palms."""
 
     @cached_property
     def leaves(self) -> tuple[int, ...]:
-        """Last moving bodies: nothing that moves hangs from them."""
+        """Last moving bodies of all chains."""
         model = self._skeleton.model
         moving = [b for b in range(1, model.nbody) if model.body_jntnum[b]]
         above = {int(model.body_weldid[model.body_parentid[b]]) for b in moving}
@@ -106,7 +106,7 @@ class Branches:
         """All hands of the model.
 
         Raises:
-            HandModelError: if there is none; says what was found instead.
+            HandModelError: there is no hand.
         """
         hands = self._below(self.leaves)
         if not hands:
@@ -121,11 +121,11 @@ class Branches:
         return tuple(hands)
 
     def at(self, palm: str) -> HandTree:
-        """The hand of a palm that is given. Of more than five chains, those of the given fingers.
+        """The hand with a given palm. If it has more than five chains, only declared fingers count.
 
         Raises:
-            UnknownNameError: no such body.
-            HandModelError: fewer than two fingers hang from it, or more than five.
+            UnknownNameError: there is no such body.
+            HandModelError: fewer than two or more than five fingers branch from it.
         """
         model = self._skeleton.model
         names = [str(model.body(b).name) for b in range(model.nbody)]
@@ -146,15 +146,13 @@ class Branches:
         return hand
 
     def _below(self, leaves: tuple[int, ...]) -> list[HandTree]:
-        """Hands among these leaves, the one that takes most of them first."""
+        """Hands among these leaves, the one with most of them first."""
         if len(leaves) < 2:
             return []
         paths = [(0, *self._skeleton.path(leaf)) for leaf in leaves]
         depth = 0
         while all(len(p) > depth + 1 for p in paths) and len({p[depth] for p in paths}) == 1:
             depth += 1
-        if len({p[depth] for p in paths}) == 1:  # cannot be: two leaves part somewhere
-            return []
         palm = paths[0][depth - 1]
         hand = self._hand(palm, leaves)
         fault = self._fault(hand)
@@ -166,7 +164,7 @@ class Branches:
         hands = [found for group in groups.values() for found in self._below(tuple(group))]
         beside = [self._beside(found, hand, hands) for found in hands]
         if not hands or any(len(b) >= len(h.chains) for b, h in zip(beside, hands, strict=True)):
-            # A hand beside as many chains is a piece of one finger of a hand with too many.
+            # A hand with as many chains beside it is a piece of a finger of a hand with too many.
             self.reasons.append(f"from {self._skeleton.body_name(palm)!r} branch {fault}")
             return []
         return [
@@ -175,9 +173,9 @@ class Branches:
         ]
 
     def _inner(self, hand: HandTree) -> list[HandTree]:
-        """The hand, or where its fingers branch further down (behind a wrist), the one there.
+        """The hand, or the one further down if its fingers branch there, behind a wrist.
 
-        A chain that was left out here may be a finger of the inner palm, so it is judged again.
+        A chain that was left out may be a finger of the inner palm, so it is judged again.
         """
         paths = [self._skeleton.path(chain.last) for chain in hand.chains]
         inner = next((b for b in reversed(paths[0]) if all(b in p for p in paths)), 0)
@@ -270,10 +268,7 @@ class Branches:
         return HandTree(palm, tuple(branch), tuple(left_out))
 
     def _is_bar(self, chain: Chain, finger: Chain) -> bool:
-        """True if a chain is a bar of a finger's linkage, not a finger of its own.
-
-        The chains' lengths are without a wrist.
-        """
+        """True if a chain is a bar of a finger's linkage; their lengths are without a wrist."""
         shared = _common(chain, finger)
         mine, theirs = chain.joints[shared:], finger.joints[shared:]
         bar = self._chain(chain.palm, chain.last, shared)
@@ -292,7 +287,7 @@ class Branches:
         return parallel or min(len(mine), len(theirs)) < 2
 
     def _moved_by(self, bar: Chain, finger: Chain) -> bool:
-        """True if nothing drives a chain but the finger, or the joint that drives the finger."""
+        """True if only the finger, or the joint that drives the finger, drives a chain."""
         skeleton, own = self._skeleton, bar.own
         if all(skeleton.leaders.get(j, (j,))[0] not in own for j in own):
             return len(own) < len(finger.own)
@@ -388,13 +383,13 @@ class Branches:
 
 
 def far_point(skeleton: Skeleton, at: Placement, leaf: int, start: np.ndarray) -> np.ndarray:
-    """Finds the frame, site or point of shape that is farthest from a last link's joint."""
+    """Finds the frame, site or point of a shape that is farthest from the last link's joint."""
     rigid = skeleton.rigid(leaf)
     points = [at.bodies[list(rigid)], at.sites[np.isin(skeleton.model.site_bodyid, rigid)]]
     points += [at.world(b, cloud) for b in rigid for cloud in skeleton.clouds.get(b, ())]
     together = np.concatenate(points)
     distance = np.linalg.norm(together - start, axis=1)
-    # not quite the farthest of many: a shape may have stray points
+    # Of many points not quite the farthest, since a shape may have stray points.
     nth = len(distance) - 1 - len(distance) // 100
     far: np.ndarray = together[np.argsort(distance)[nth]]
     return far
@@ -416,15 +411,15 @@ def _common(a: Chain, b: Chain) -> int:
     return count
 
 
-_NAMED: Final = 0.3  # how far along the last link a frame called tip must be, of its length
-_UNNAMED: Final = 0.65  # and a frame that is not called so
-_WEIGHS: Final = 1e-5  # [kg]: less is what loading gives to links without inertia
-_AGREE: Final = 0.012  # [m] between a frame and the end of the shape, for both to mean the tip
+_NAMED: Final = 0.3  # least place along the last link of a frame whose name denotes a tip
+_UNNAMED: Final = 0.65  # least place along the last link of another frame
+_WEIGHS: Final = 1e-5  # least mass of a link with an own inertia [kg]; the loader adds less
+_AGREE: Final = 0.012  # largest distance of a frame from the shape's end if both are the tip [m]
 
 
 @dataclass(frozen=True)
 class Tip:
-    """A fingertip: where, how sure, why."""
+    """A fingertip with its confidence and the evidence."""
 
     point: Point
     confidence: float
@@ -433,10 +428,10 @@ class Tip:
 
 
 def find_tip(skeleton: Skeleton, chain: Chain, at: Placement) -> Tip:
-    """The fingertip of a chain.
+    """Finds the fingertip of a chain.
 
-    Frames fixed to the last link (sites and links without joints) are taken if they lie well along
-    it; a frame at its joint, as the last link's own origin is, never is one.
+    A frame on the last link (a site, or a link without joints) is the tip if it lies well along the
+    link. A frame at the joint, such as the last link's own origin, is never the tip.
     """
     rigid = skeleton.rigid(chain.last)
     joint = chain.joints[-1]
@@ -470,7 +465,7 @@ def find_tip(skeleton: Skeleton, chain: Chain, at: Placement) -> Tip:
         if np.linalg.norm(world - anchor) > 1e-3
     ]
     if fit:
-        # called a tip, then the farther one, then the site: it says more exactly what is meant
+        # The name comes first, then the distance, then a site, which is more exact than a link.
         kind, name, local, body, world = max(
             fit, key=lambda f: (says_tip(f[1]), round(along(f[4]), 4), f[0] == "site")
         )
@@ -526,7 +521,7 @@ def _outermost(skeleton: Skeleton, rigid: tuple[int, ...], at: Placement, far: n
 
 
 def _extrapolated(skeleton: Skeleton, chain: Chain, at: Placement) -> tuple[np.ndarray, float, str]:
-    """A guess where nothing shows the end: its place, how sure, and from what."""
+    """A guess without a frame or shape at the end: position, confidence and evidence."""
     joint = chain.joints[-1]
     anchor, axis = at.anchors[joint], at.axes[joint]
     step = np.zeros(3)
@@ -559,9 +554,9 @@ def _extrapolated(skeleton: Skeleton, chain: Chain, at: Placement) -> tuple[np.n
     return anchor + 0.5 * out, 0.1, "guessed in line with palm and joint, at half their distance"
 
 
-_NAIL: Final = 0.06  # shift of the very end of a shape, of its thickness, that makes a nail
-_PAD: Final = 0.8  # how far behind a nail's end the pad is, in half thicknesses
-_ELSEWHERE: Final = 0.5  # of the finger's length: a shape farther from the joint is not the link's
+_NAIL: Final = 0.06  # shift of a shape's end that is a nail, over its thickness
+_PAD: Final = 0.8  # distance from a nail's end to the pad, over half the thickness
+_ELSEWHERE: Final = 0.5  # distance of a shape that is not the link's, over the finger's length
 _ROUNDS: Final = 4
 
 
@@ -570,8 +565,8 @@ class End:
     """End of a link, in the world frame.
 
     Attributes:
-        tip: (3,) where its pad ends [m]: the far end, or a little behind a nail.
-        far: (3,) the far end on the middle line [m].
+        tip: (3,) end of its pad [m]: the far end, or a point a little behind a nail.
+        far: (3,) far end on the middle line [m].
         nail: True if the back extends beyond the pad.
     """
 
@@ -586,18 +581,18 @@ def far_end(
     axis: Float[np.ndarray, "3"],
     scale: float,
 ) -> End | None:
-    """The far end of a link on the middle line of its shapes.
+    """Finds the far end of a link on the middle line of its shapes.
 
     The middle line runs through the centres of two sections, one near the joint and one near the
-    end, and is found together with the end by repetition.
+    end. Line and end are computed in turns.
 
     Args:
-        clouds: points on each shape, world [m].
+        clouds: points on each shape in the world [m].
         anchor: a point of the joint's axis [m].
-        scale: length of the rest of the finger [m], to tell what is small and what is far.
+        scale: length of the rest of the finger [m], the unit of small and large distances.
 
     Returns:
-        the end; None if there are no shapes, or they lie about the joint and show no direction.
+        The end; None without shapes, or if they surround the joint and have no direction.
     """
     parts = [part for part in clouds if len(part)]
     if not parts:
@@ -606,7 +601,7 @@ def far_end(
     near = [part for part, gap in zip(parts, gaps, strict=True) if gap < _ELSEWHERE * scale]
     points = np.concatenate(near or parts) - anchor
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    middle = middle - (middle @ axis) * axis  # where along its hinge a link is drawn says nothing
+    middle = middle - (middle @ axis) * axis  # the place along the hinge does not matter
     if np.linalg.norm(middle) < 1e-4:
         return None
     along = middle / np.linalg.norm(middle)
@@ -615,7 +610,7 @@ def far_end(
     for _ in range(_ROUNDS):
         lateral = axis - (axis @ along) * along
         if np.linalg.norm(lateral) < 1e-6:
-            return None  # a link along its own axis: it twists, and has no bending plane
+            return None  # a link along its own axis twists, and has no bending plane
         lateral = lateral / np.linalg.norm(lateral)
         across = np.cross(along, lateral)
         run = points @ along
@@ -647,7 +642,7 @@ def far_end(
 def _section(
     flat: np.ndarray, share: np.ndarray, low: float, high: float
 ) -> tuple[np.ndarray, float] | None:
-    """Centre of a stretch of the link, (2,), and half its thickness; None with too few points."""
+    """(2,) centre and half thickness of a section of the link; None with too few points."""
     inside = flat[(share >= low) & (share <= high)]
     if len(inside) < 6:
         return None
@@ -656,7 +651,7 @@ def _section(
 
 
 def _has_nail(cap: np.ndarray, centre: float, half: float) -> bool:
-    """True if a link is rounded and ends at one side; a straight cut has no nail."""
+    """True if a link is round and its end is at one side; a straight cut has no nail."""
     if len(cap) < 5:
         return False
     shift = abs(float(cap.min() + cap.max()) / 2 - centre)
@@ -664,7 +659,7 @@ def _has_nail(cap: np.ndarray, centre: float, half: float) -> bool:
 
 
 def _top(run: np.ndarray) -> float:
-    """Finds the end of a shape: its last point, without few stray points beyond a gap."""
+    """Position of a shape's last point, without a few stray points beyond a gap."""
     order = np.sort(run)
     few = max(len(order) // 50, 1)
     if len(order) > 100:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Final, Literal, TypeAlias
 
@@ -15,8 +15,8 @@ from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.types import Side
 
 Verdict: TypeAlias = Literal["ok", "warning", "failed", "unjudged", "skipped"]
-"""``unjudged`` and ``skipped`` are neither good nor bad: one has figures to which no bound applies,
-of the other ``measured`` says why nothing was measured."""
+"""Verdict of a check. ``unjudged``: there are figures, but no bound applies to them. ``skipped``:
+nothing was measured, and ``Check.measured`` gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class Check:
     Attributes:
         name: name of the check.
         verdict: verdict of the check.
-        measured: the figures, in words.
+        measured: the measurement as a text.
         advice: advice to the user; empty if all is well.
-        figures: the figures, as plain numbers and strings.
+        figures: the measurement as plain numbers and strings.
     """
 
     name: str
@@ -43,9 +43,9 @@ class HandValidation:
     """Results of all checks on a hand.
 
     Attributes:
-        hand: its name.
+        hand: name of the hand.
         side: side of the hand.
-        checks: in the order of the list.
+        checks: results of the checks, in the order of the checklist.
     """
 
     hand: str
@@ -66,7 +66,7 @@ class HandValidation:
         """A check by its name.
 
         Raises:
-            KeyError: there is none of that name.
+            KeyError: there is no check of that name.
         """
         for check in self.checks:
             if check.name == name:
@@ -74,26 +74,17 @@ class HandValidation:
         raise KeyError(name)
 
     def to_json(self) -> dict[str, Any]:
-        """The whole as one object of plain lists, numbers and strings."""
+        """The results as one object of plain lists, numbers and strings."""
         return {
             "hand": self.hand,
             "side": self.side,
             "ok": self.ok,
-            "checks": [
-                {
-                    "name": check.name,
-                    "verdict": check.verdict,
-                    "measured": check.measured,
-                    "advice": check.advice,
-                    "figures": dict(check.figures),
-                }
-                for check in self.checks
-            ],
+            "checks": [asdict(check) for check in self.checks],
         }
 
 
 def worst(*verdicts: Verdict) -> Verdict:
-    """The worst of several; ok if there is none."""
+    """The worst of several verdicts; ok without one. Only ok, warning and failed count."""
     order: tuple[Verdict, ...] = ("ok", "warning", "failed")
     return max((v for v in verdicts if v in order), key=order.index, default="ok")
 
@@ -103,7 +94,7 @@ _POSES: Final = 800
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """A hand in random poses, uniform within its limits; collisions are not looked at.
+    """A hand in random poses, uniform within its limits. In some of them its parts collide.
 
     Attributes:
         hand: the hand.
@@ -119,7 +110,7 @@ class Samples:
 
     @cached_property
     def landmarks(self) -> Float[np.ndarray, "s k 3"]:
-        """Landmarks in the palm frame [m], as the hand's tree orders them."""
+        """Landmarks in the palm frame [m], in the order of the hand's tree."""
         return self.hand.landmark_positions(self.poses)
 
     @cached_property
@@ -137,7 +128,7 @@ class Samples:
 
 
 def movers(hand: Hand, landmark: str) -> tuple[int, ...]:
-    """The joints, as indices into all joints, that move a landmark, palm to tip."""
+    """Indices of the joints that move a landmark, from the palm to the tip."""
     out: list[int] = []
     joint = hand.tree.keypoints[landmark].joint
     while joint >= 0:

@@ -1,4 +1,4 @@
-"""The whole analysis: file in, description and findings out."""
+"""Analysis of a model file: the description of its hand, with all findings."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from smooth_operator.hands.spec_file import MOST_NAME
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side, as_side
 
-_TURNS: Final = 4 * np.pi  # [rad]: no joint of a finger has such a range
+_TURNS: Final = 4 * np.pi  # range that no joint of a finger has [rad]
 _GENERIC: Final = {
     *("right", "left", "rh", "lh", "r", "l", "hand", "robot", "model", "scene", "description"),
     *("urdf", "mjcf", "xml", "assets", "models", "kinematics", "only"),
@@ -49,7 +49,7 @@ _GENERIC: Final = {
 
 
 class _Analysis:
-    """One palm and what can be said of it."""
+    """Findings about one palm and its chains."""
 
     def __init__(
         self, skeleton: Skeleton, tree: HandTree, side: Side | None, overrules: Overrules
@@ -83,23 +83,23 @@ def discover(
     name: str | None = None,
     overrules: Overrules | None = None,
 ) -> Discovery:
-    """Reads a model and works out how it is a hand.
+    """Reads a model and derives the description of its hand.
 
-    Nothing is keyed to a product: the palm is where chains branch, the thumb is what closes
-    against the others, the side follows from where the fingers point, close and have their thumb.
-    Names count as weak evidence, and are said to.
+    No rule depends on a product: chains branch from the palm, the thumb closes against the other
+    fingers, and the side follows from the directions in which the fingers point and close and from
+    the place of the thumb. Names are weak evidence.
 
     Args:
         path: URDF or MJCF file, with or without its meshes.
-        side: side of the hand; selects one of two in one file.
-        name: name of the description; the file's name if left out.
-        overrules: facts from a person, which replace findings.
+        side: side of the hand; selects one of two hands in a file.
+        name: name of the description. Default: the name of the file.
+        overrules: properties that the user sets; they replace findings.
 
     Returns:
-        the description and every finding with confidence and evidence.
+        The description, and every finding with confidence and evidence.
 
     Raises:
-        HandModelError: the file can't be used, or holds no hand, or two and no side is given.
+        HandModelError: the file can't be used, holds no hand, or holds two and ``side`` is None.
         UnknownNameError: the model lacks a name in ``overrules``.
     """
     path = Path(path)
@@ -259,7 +259,7 @@ def _described(
 
 
 def _ordered(analysis: _Analysis) -> tuple[tuple[int, ...], tuple[str, ...]]:
-    """Chains thumb first, and their human fingers, with what a person named in its place."""
+    """Indices of the chains, thumb first, and their human fingers, as set by the user if so."""
     layout, chosen = analysis.layout, analysis.chosen
     order, names = list(layout.order), list(layout.names)
     free = [n for n in names if n not in chosen.values()]
@@ -273,7 +273,7 @@ def _ordered(analysis: _Analysis) -> tuple[tuple[int, ...], tuple[str, ...]]:
 
 
 def _chosen(skeleton: Skeleton, chains: tuple[Chain, ...], overrules: Overrules) -> dict[int, str]:
-    """Chain -> human finger, where a person said so."""
+    """Index of a chain -> human finger that the user set."""
     pairs = list(overrules.fingers)
     if overrules.thumb is not None:
         pairs = [("thumb", overrules.thumb), *(p for p in pairs if p[0] != "thumb")]
@@ -360,14 +360,14 @@ def _body(skeleton: Skeleton, name: str) -> int:
 
 
 def _align(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Landmarks that fix the palm: as the paper's authors, the outer fingers' bases."""
+    """Landmarks of the alignment: bases of thumb, first and last finger, as in the paper's code."""
     if len(names) == 2:
         return (*names, "wrist")
     return (names[0], names[1], names[-1])
 
 
 def _name(path: Path) -> str:
-    """A name from the file's, or from a folder's above it where the file's says nothing."""
+    """Name of the hand, from the file's name or, if that is generic, from a folder above it."""
     for text in (path.stem, *(folder.name for folder in path.resolve().parents[:3])):
         parts = [w for w in re.split(r"[^A-Za-z0-9]+", text.lower()) if w]
         name_words = [w for w in parts if w not in _GENERIC]
@@ -378,17 +378,17 @@ def _name(path: Path) -> str:
 
 
 _DECLARED: Final = 0.95
-_TENDON: Final = 0.7  # how the joints of a tendon share its travel is not in the file
+_TENDON: Final = 0.7  # the file does not tell how the joints of a tendon share its travel
 _CONTRADICTED: Final = 0.3
 
 
 def find_couplings(
     skeleton: Skeleton, joints: frozenset[int]
 ) -> tuple[tuple[FoundCoupling, ...], Finding]:
-    """The couplings among a hand's joints, and what to say of them all.
+    """Couplings among a hand's joints, and the finding about them.
 
-    A coupling is doubted that would leave its follower no room: in such a file a sign is wrong, and
-    has been turned where that mends it.
+    A coupling that leaves its follower no room has a low confidence: a sign in the file is wrong.
+    The loader has turned it if that gives the follower room.
     """
     names = {skeleton.joint_names[j] for j in joints}
     tendons = _on_tendons(skeleton)
@@ -422,7 +422,7 @@ def find_couplings(
 
 
 def _chain_notes(skeleton: Skeleton, tree: HandTree) -> Iterator[str]:
-    """Notes about chains that are no fingers, and about fingers whose limits say nothing."""
+    """Notes about chains that are no fingers, and about joints that can make a full turn."""
     if tree.left_out:
         yield (
             f"not used: {'; '.join(out.why for out in tree.left_out)}. If one of them is a "
@@ -442,7 +442,7 @@ def _chain_notes(skeleton: Skeleton, tree: HandTree) -> Iterator[str]:
 
 
 def coupling_notes(couplings: tuple[FoundCoupling, ...]) -> tuple[str, ...]:
-    """Warnings: couplings that are not as the file has them."""
+    """Warnings about couplings whose sign differs from the file."""
     return tuple(
         f"joint {c.joint!r} follows {c.follows!r} with the factor {c.multiplier:g}: "
         f"{_turned(c)}. Check it on the hand; if the limits are wrong, correct them in the "
@@ -470,7 +470,7 @@ def _contradicted(skeleton: Skeleton, name: str) -> bool:
 
 
 def _on_tendons(skeleton: Skeleton) -> set[str]:
-    """Joints that a tendon moves, and no equality holds to another."""
+    """Joints that a tendon moves and no equality couples to another joint."""
     model = skeleton.model
     kind, held = mujoco.mjtWrap.mjWRAP_JOINT, mujoco.mjtEq.mjEQ_JOINT
     wrapped = {int(model.wrap_objid[w]) for w in np.flatnonzero(model.wrap_type == int(kind))}
@@ -481,12 +481,7 @@ def _on_tendons(skeleton: Skeleton) -> set[str]:
 def _palm_finding(
     analysis: _Analysis, names: Mapping[int, str], overrules: Overrules, hands: int
 ) -> Finding:
-    """Finding about the palm.
-
-    Args:
-        names: chain -> human finger.
-        hands: number of hands in the file.
-    """
+    """Finding about the palm; ``names`` maps the index of a chain to its human finger."""
     skeleton, tree = analysis.skeleton, analysis.tree
     chains = tree.chains
     palm_why = [f"{len(chains)} chains of joints branch from it"]

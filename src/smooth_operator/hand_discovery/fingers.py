@@ -1,8 +1,8 @@
-"""Checks of fingers: their closing direction, the declared side, and fingertips at their ends.
+"""Checks of fingers: their closing directions, the declared side, and the fingertips.
 
-With fingers pointing along f and closing towards p, a right hand has its thumb, and its index
-finger, on the side of f x p: palm towards you and fingers up, on your right. A left hand is its
-mirror image."""
+If the fingers point along f and close towards p, a right hand has its thumb and index finger on the
+side of f x p: on your right, if you see the palm with the fingers up. A left hand is its mirror
+image."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from jaxtyping import Float
 from smooth_operator.errors import require
 from smooth_operator.hand_discovery.checks import Check, Samples, movers
 from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.penetration import parts_above
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 
-_PARALLEL: Final = 0.8  # cosine of two axes that bend a finger in one plane
+_PARALLEL: Final = 0.8  # least cosine of two axes that bend a finger in one plane
 _STEPS: Final = 9
-_BENDS: Final = 0.05  # of a finger's length: how much more it folds one way than the other
-_AGREE: Final = 0.0  # cosine of a finger's closing direction to that of the others
-_SKEW: Final = 0.4  # cosine below which they close across each other
-_CLEAR: Final = 0.12  # of a finger's length: thumb or index clearly to one side
+_BENDS: Final = 0.05  # least difference of the two ways to fold, over the finger's length
+_AGREE: Final = 0.0  # least cosine of a finger's closing direction to that of the others
+_SKEW: Final = 0.4  # cosine below which a finger closes sideways
+_CLEAR: Final = 0.12  # distance over a finger's length at which a thumb is clearly on one side
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +33,10 @@ class FlexionAxes:
     """Pointing and closing directions of the fingers other than the thumb, palm frame.
 
     Attributes:
-        names: the fingers that fold clearly one way.
-        forward: (f, 3) unit vectors, base to tip, straight.
-        closing: (f, 3) unit vectors at right angles to them, in which the tips go when they fold.
+        names: fingers that fold clearly one way.
+        forward: (f, 3) unit vectors from base to tip of the straight fingers.
+        closing: (f, 3) unit vectors at right angles to ``forward``: motion of the tips when the
+            fingers fold.
         bases: (f, 3) finger bases [m].
         length: median length of a finger [m].
     """
@@ -47,25 +49,25 @@ class FlexionAxes:
 
     @property
     def palmar(self) -> Float[np.ndarray, "3"]:
-        """Direction out of the palm: towards which most fingers close."""
+        """Direction out of the palm: the mean direction in which most fingers close."""
         near = self.closing @ self.closing.T
         most = int(np.argmax((near > _AGREE).sum(axis=1) + near.mean(axis=1)))
         return _unit(self.closing[near[most] > _AGREE].mean(axis=0))
 
     @property
     def lateral(self) -> Float[np.ndarray, "3"]:
-        """Across the palm, to the thumb's side of a right hand."""
+        """Direction across the palm, to the thumb's side of a right hand."""
         return _unit(np.cross(self.forward.mean(axis=0), self.palmar))
 
 
 def find_flexion_axes(samples: Samples, sound: tuple[str, ...]) -> FlexionAxes | None:
-    """Finds each finger's closing direction: the turn of its flexion joints that folds it.
+    """Finds the closing direction of each finger: that of the flexion that folds it.
 
     Args:
-        sound: fingers whose tips can be relied upon.
+        sound: fingers with a sound tip.
 
     Returns:
-        the axes of the fingers that fold clearly one way; None if none does.
+        The axes; None if no finger folds clearly one way.
     """
     hand = samples.hand
     names, forward, closing, bases, lengths = [], [], [], [], []
@@ -98,12 +100,7 @@ def find_flexion_axes(samples: Samples, sound: tuple[str, ...]) -> FlexionAxes |
 
 
 class _Bend:
-    """One finger about its flexion axis, the one of its last hinge; all else at neutral.
-
-    Args:
-        hand: the hand.
-        finger: its index.
-    """
+    """One finger that turns about the axis of its last hinge; all other joints stay at neutral."""
 
     def __init__(self, hand: Hand, finger: int) -> None:
         self.hand = hand
@@ -127,7 +124,7 @@ class _Bend:
                     self._drives[int(k)] = self._drives.get(int(k), 0.0) + along * weights[k]
 
     def ends(self, q: np.ndarray) -> Float[np.ndarray, "2 *batch 3"]:
-        """Base and tip in a pose, or in many, palm frame [m]."""
+        """Base and tip in one or more poses, palm frame [m]."""
         points = self.hand.landmark_positions(q)
         return np.stack([points[..., end, :] for end in self._ends])
 
@@ -139,14 +136,14 @@ class _Bend:
                 low, high = self.hand.limits[k].tolist()
                 trials = np.repeat(best[None], _STEPS + 1, axis=0)
                 trials[1:, k] = np.linspace(low, high, _STEPS)
-                # as it is, unless another is better by more than rounding
+                # Keep the pose unless another is better by more than rounding.
                 reach = self._reach(trials)
                 reach[0] += 1e-6
                 best = trials[int(np.argmax(reach))]
         return best
 
     def folded(self, straight: np.ndarray, sense: int) -> float:
-        """Distance of base and tip with all flexion joints turned that way to their limits [m]."""
+        """Distance of base and tip with all flexion joints at their limits in a direction [m]."""
         q = straight.copy()
         for k, turn in self._drives.items():
             q[k] = self.hand.limits[k, int(turn * sense > 0)]
@@ -230,17 +227,17 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return out
 
 
-_OFF: Final = 0.04  # a tip this far from its link's shapes is none of that link [m]
-_BESIDE: Final = 0.01  # further than a fingertip is thick: some models leave out its pad [m]
-_INSIDE: Final = 2e-3  # a tip this deep in another part is not free [m]
-_LONG: Final = 1.7  # last phalanx over the longest other; built-in hands: 1.3
+_OFF: Final = 0.04  # distance from its link's shapes at which a tip is wrong [m]
+_BESIDE: Final = 0.01  # largest usual distance, a fingertip's thickness; some models lack a pad [m]
+_INSIDE: Final = 2e-3  # depth in another part at which a tip is wrong [m]
+_LONG: Final = 1.7  # largest last phalanx over the longest other one; built-in hands: 1.3
 
 
 def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
     """Checks that each tip moves, belongs to one finger, and is near its link and in no other part.
 
     Returns:
-        the check, and the fingers whose tips can be relied upon.
+        The check, and the fingers with a sound tip.
     """
     faults: dict[str, str] = {}
     distant: dict[str, float] = {}
@@ -291,9 +288,9 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
 
 
 def _place(hand: Hand, finger: str) -> dict[str, float]:
-    """``own``: distance to the tip's own link; ``other``: to the nearest other part [m].
+    """Distances of a tip [m]: ``own`` to its own link, ``other`` to the nearest other part.
 
-    Links beyond the tip are not looked at: another check reports joints that move them in vain.
+    Links beyond the tip do not count; ``check_motion`` reports the joints that move them.
     """
     spec = hand.spec.fingers[hand.fingers.index(finger)]
     body = hand.model.body(spec.tip.body).id
@@ -301,22 +298,13 @@ def _place(hand: Hand, finger: str) -> dict[str, float]:
     distances = part_distances(hand, body, np.asarray(point.offset))
     part = int(hand.model.body_weldid[body])
     own = distances.pop(part, None)
-    distances = {k: d for k, d in distances.items() if part not in _above(hand, k)}
+    distances = {k: d for k, d in distances.items() if part not in parts_above(hand.model, k)}
     out = {} if own is None else {"own": own}
     return out | ({"other": min(distances.values())} if distances else {})
 
 
-def _above(hand: Hand, part: int) -> set[int]:
-    """The parts that a part hangs from."""
-    above: set[int] = set()
-    while part:
-        part = int(hand.model.body_weldid[hand.model.body_parentid[part]])
-        above.add(part)
-    return above
-
-
 def _stretch(hand: Hand, finger: str) -> float:
-    """Last phalanx over the longest of the others, between the finger's own joints."""
+    """Length of the last phalanx over the longest of the others."""
     names = [LANDMARKS[BASES[FINGERS.index(finger)] + i] for i in range(4)]
     at = dict(zip(hand.tree.names, hand.landmark_positions(hand.neutral), strict=True))
     points = np.array([at[name] for name in names if name in at])
@@ -328,14 +316,14 @@ _G: Final = mujoco.mjtGeom
 
 
 def part_distances(hand: Hand, body: int, point: Float[np.ndarray, "3"]) -> dict[int, float]:
-    """Signed distances of a point that is fixed to a body, in the hand's neutral pose.
+    """Signed distances from a point on a body to the parts of the hand, in the neutral pose.
 
     Args:
-        point: (3,) in the body's frame [m].
+        point: (3,) position in the body's frame [m].
 
     Returns:
-        part (a body; those fixed to each other are one, named after the first) -> distance to the
-        nearest of its shapes [m], negative inside; parts without shapes are left out.
+        Part -> distance to the nearest of its shapes [m], negative inside, without parts that have
+        no shapes. A part is the first of bodies without a joint between them (``body_weldid``).
     """
     model, data = hand.model, mujoco.MjData(hand.model)
     data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
@@ -366,7 +354,7 @@ def _distance(model: mujoco.MjModel, geom: int, p: np.ndarray) -> float | None:
     if kind == _G.mjGEOM_BOX:
         return _corner(abs(p) - size)
     if kind == _G.mjGEOM_ELLIPSOID:
-        # exact on the surface, and good enough near it
+        # exact on the surface, approximate near it
         scaled = np.linalg.norm(p / size)
         slope = np.linalg.norm(p / size**2)
         return float(scaled * (scaled - 1) / slope) if slope > 0 else -float(size.min())
@@ -376,7 +364,7 @@ def _distance(model: mujoco.MjModel, geom: int, p: np.ndarray) -> float | None:
 
 
 def _corner(past: np.ndarray) -> float:
-    """Distance to a box, by how far the point is past each pair of faces."""
+    """Signed distance to a box from the distances beyond its pairs of faces."""
     return float(np.linalg.norm(np.maximum(past, 0)) + min(past.max(), 0.0))
 
 
@@ -397,7 +385,7 @@ def _mesh_distance(model: mujoco.MjModel, mesh: int, p: np.ndarray) -> float:
 def _winding(corners: Float[np.ndarray, "n 3 3"]) -> float:
     """Winding number of a mesh around the origin, by its solid angles: 1 inside, 0 outside.
 
-    Small holes, as vendors' meshes have, change it little (van Oosterom and Strackee 1983).
+    Small holes, which vendors' meshes have, change it little (van Oosterom and Strackee 1983).
     """
     a, b, c = np.moveaxis(corners, 1, 0)
     la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))

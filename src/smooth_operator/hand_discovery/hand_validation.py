@@ -1,7 +1,7 @@
 """Validation of a hand description: all checks, and the round trip of poses through every method.
 
-A fault is reported once: checks that rest on one that failed are skipped. In a round trip a pose's
-own landmarks should give the pose back."""
+A fault is reported once: a check that depends on a failed one is skipped. A round trip retargets
+the landmarks of a pose of the hand; the result should be the same pose."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
 from smooth_operator.types import HandFrame, Status
 
-_TOUCH: Final = 1e-3  # deepest overlap of a pose that a real hand could take [m]
-_PINCH: Final = 0.02  # closer than this, targets with pinches mean a pinch and not the pose [m]
-_TRIES: Final = 40  # random poses per wanted one
+_TOUCH: Final = 1e-3  # largest overlap of parts in a pose that a real hand could take [m]
+_PINCH: Final = 0.02  # distance of two tips below which some methods close a pinch [m]
+_TRIES: Final = 40  # largest number of random poses for each requested one
 
 
 def reachable_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "T m"]:
-    """Random poses within the limits that a real hand could take, and that mean no pinch.
+    """Random poses within the limits that a real hand can take and that are not pinches.
 
-    Uniform in every actuated joint. Left out are poses in which parts of the hand lie more than a
-    millimetre inside each other (as far as the model has shapes), and those in which the thumb's
-    tip is within 20 mm of another: there, a method that closes pinches is right to go elsewhere. A
-    hand that has too few such poses gets those that come nearest to it.
+    The poses are uniform in every actuated joint, under two rules. No two parts of the hand overlap
+    by more than a millimetre, as far as the model has shapes. The thumb's tip is at least 20 mm
+    from the other tips, because a method that closes pinches rightly leaves a closer pose. If too
+    few poses keep the rules, those with the smallest violation are added.
 
     Args:
         count: number of poses.
@@ -80,7 +80,7 @@ def reachable_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "T m
 
 
 def _fault(hand: Hand, poses: Float[np.ndarray, "T m"]) -> Float[np.ndarray, " T"]:
-    """(T,) by how much a pose breaks the two rules [m]; 0 where it keeps them."""
+    """(T,) violation of the two rules of ``reachable_poses`` [m]; 0 for a pose that keeps them."""
     every = hand.full_configuration(poses)
     tips = hand.tips(every)
     gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1).min(axis=1)
@@ -92,14 +92,17 @@ def _fault(hand: Hand, poses: Float[np.ndarray, "T m"]) -> Float[np.ndarray, " T
 
 TOUCH_GAP: Final = 0.010
 """Largest gap of two fingertips that can touch [m]: landmarks lie inside the pads."""
-_NEAR: Final = 0.030  # [m]
-_MET: Final = 1e-4  # nearer is not worth looking for [m]
+_NEAR: Final = 0.030  # gap to all fingers above which the thumb has a fault [m]
+_MET: Final = 1e-4  # gap at which the search ends [m]
 _STARTS: Final = 4
 _EVALUATIONS: Final = 60
 
 
 def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
-    """Finds the fingers that the thumb can pinch with, by landmarks; shapes may touch before."""
+    """Finds the fingers with which the thumb can pinch.
+
+    It compares the landmarks of the tips; the surfaces touch earlier.
+    """
     hand = samples.hand
     others = [name for name in hand.fingers if name != "thumb" and name in sound]
     if "thumb" not in sound or not others:
@@ -127,15 +130,14 @@ def check_pinches(samples: Samples, sound: tuple[str, ...]) -> Check:
 def closest_pinch(samples: Samples, finger: str) -> float:
     """Smallest distance of the tips of thumb and finger over all poses within the limits [m].
 
-    Least squares within the limits, from the best of many random poses.
+    Bounded least squares, started from the best of many random poses.
     """
     from scipy.optimize import least_squares
 
     hand, k = samples.hand, samples.hand.fingers.index(finger)
     apart = np.linalg.norm(samples.tips[:, k] - samples.tips[:, 0], axis=1)
     low, high = hand.limits.T
-    inset = 1e-6 * (high - low)  # least_squares begins within the limits
-
+    inset = 1e-6 * (high - low)  # least_squares needs a start between the limits
     nudges = 1e-6 * np.eye(len(low))
 
     def gap(q: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch 3"]:
@@ -148,19 +150,19 @@ def closest_pinch(samples: Samples, finger: str) -> float:
     best = np.inf
     for start in samples.poses[np.argsort(apart)[:_STARTS]]:
         inside = np.clip(start, low + inset, high - inset)
-        found = least_squares(
+        solution = least_squares(
             gap, inside, jacobian, bounds=(low, high), x_scale=high - low, max_nfev=_EVALUATIONS
         )
-        best = min(best, float(np.linalg.norm(found.fun)))
+        best = min(best, float(np.linalg.norm(solution.fun)))
         if best < _MET:
             break
     return best
 
 
 _APPROACH: Final = 20  # frames from the neutral pose to the pose
-_HOLD: Final = 15  # frames in which the human then holds still
-_PERIOD_S: Final = 0.01  # from frame to frame [s]
-_ROUNDING: Final = 1e-9  # of limits in float64 [rad]
+_HOLD: Final = 15  # frames in which the human then holds the pose
+_PERIOD_S: Final = 0.01  # time between two frames [s]
+_ROUNDING: Final = 1e-9  # rounding of limits in float64 [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,12 +170,12 @@ class RoundTrip:
     """Errors of poses after a round trip through their landmarks.
 
     Attributes:
-        tip_error_mm: (poses, F) distance of each fingertip from where the pose has it [mm], thumb
+        tip_error_mm: (poses, F) distance of each fingertip from its place in the pose [mm], thumb
             first.
-        q_true: (poses, n) positions of all joints in the poses that were asked for [rad].
-        q_found: (poses, n) those that came back [rad].
+        q_true: (poses, n) positions of all joints in the poses [rad].
+        q_found: (poses, n) positions of all joints in the answers [rad].
         ok: share of frames with the status OK.
-        limit_violations: frames in which some joint was outside its limits.
+        limit_violations: number of frames in which a joint was outside its limits.
         frozen: share of the frames with a moving human in which no joint moved; None if the human
             never moved.
     """
@@ -192,7 +194,7 @@ class RoundTrip:
 
     @cached_property
     def p95(self) -> float:
-        """95th percentile of the same [mm]."""
+        """95th percentile of the error over all fingertips of all poses [mm]."""
         return float(np.percentile(self.tip_error_mm, 95))
 
 
@@ -203,25 +205,22 @@ def round_trip(
     seed: int,
     track: Callable[[Iterable[int]], Iterable[int]] | None = None,
 ) -> RoundTrip:
-    """Asks a retargeter for poses that its hand can reach, and measures how near it comes.
+    """Retargets poses that the hand can reach, and measures the error of the answers.
 
-    For each of some random poses (``reachable_poses``) the
-    robot's own landmarks play the human: from a fresh state they go from the neutral pose to the
-    pose in 20 frames, since a live hand never teleports, and stay there for 15, so that what trails
-    behind arrives. The last command counts.
+    The human is the robot itself: for each of some random poses (``reachable_poses``), its own
+    landmarks are the input. From a fresh state they move from the neutral pose to the pose in 20
+    frames, since a live hand does not jump, and stay there for 15 frames, so that filters settle.
+    The last command counts.
 
-    What is measured is the method as it is configured. Many methods weigh a pull to the neutral
-    pose against the landmarks, and so end millimetres off a pose that they could reach exactly. To
-    judge a hand, or a solver, take that pull away with ``MethodConfig.without_pull``.
+    The method runs as it is configured. Many methods balance a pull to the neutral pose against the
+    landmarks, and so end millimetres beside a pose that they could reach exactly. To judge a hand
+    or a solver, remove that pull with ``MethodConfig.without_pull``.
 
     Args:
-        retargeter: the method on its hand; its own state is left alone.
+        retargeter: the method on its hand; its own state does not change.
         poses: number of poses.
-        seed: seed of the poses; the retargeter has its own.
+        seed: seed of the poses, apart from that of the retargeter.
         track: wraps the iteration over poses, for a progress bar.
-
-    Returns:
-        errors, and what else went wrong.
 
     Raises:
         ConfigError: poses is less than one.
@@ -261,13 +260,13 @@ def round_trip(
 
 
 MEASURE: Final = "sbr"
-"""The method that the description is judged by: it gets to a pose that the hand can reach."""
+"""Method by which a description is judged: it reaches a pose that the hand can take."""
 GOOD_MM: Final = 3.0
-"""Median error of a reachable round trip that ``MEASURE`` is to keep on any hand [mm]."""
+"""Largest median error of ``MEASURE`` in a round trip of a sound hand [mm]."""
 _BAD_MM: Final = 10.0
-_FROZEN: Final = 0.02  # share of frames
+_FROZEN: Final = 0.02  # largest share of frames without motion
 _FOLLOWS_TIPS: Final = (MEASURE, "keyvector", "hybrid")
-"""Methods whose answer to a reachable pose is that pose; the others aim at something else."""
+"""Methods whose answer to a reachable pose is that pose; the others have another goal."""
 
 
 def check_method(
@@ -278,7 +277,7 @@ def check_method(
     seed: int,
     track: Callable[[Iterable[int]], Iterable[int]] | None = None,
 ) -> Check:
-    """One method's round trip; the pull to the neutral pose is taken away, to judge the hand."""
+    """Runs the round trip of one method without its pull to the neutral pose, to judge the hand."""
     name = f"round trip: {method}"
     try:
         # A published limit of iterations says nothing about the hand.
@@ -336,7 +335,7 @@ def _judge(method: str, trip: RoundTrip) -> tuple[Verdict, str]:
 _TRIP_POSES: Final = 20
 
 Track = Callable[[str, Sequence[int]], Iterable[int]]
-"""What is being done and its steps, to the same steps: for a progress bar."""
+"""Function of a progress bar: takes a label and the steps, and yields the steps."""
 
 
 def check_hand(
@@ -351,19 +350,19 @@ def check_hand(
 ) -> HandValidation:
     """Checks the description of a hand.
 
-    What rests on something that failed is skipped, so that one fault is one failure: with limits in
-    degrees nothing that moves is looked at, and without sound fingertips there is no round trip.
+    A check that depends on a failed one is skipped, so that one fault gives one failure: with
+    limits in degrees nothing that moves is checked, and without sound fingertips there is no round
+    trip.
 
     Args:
         hand: name of a hand, path of a spec file, a description, or a loaded hand.
-        side: side of a hand given by name; a spec file brings its own, and is mirrored if the other
-            is asked for.
-        quick: the round trip goes through two methods only: the one that measures best, and the one
-            that is used where none is named.
+        side: side of the hand. A spec file of the other side is mirrored. Default: the side of the
+            spec file, or right.
+        quick: True for round trips of two methods only: ``MEASURE`` and the default method.
         poses: number of poses of each round trip.
-        methods: that the round trip goes through; all if left out.
+        methods: methods of the round trips. Default: all.
         seed: seed of the round trip's poses.
-        track: for a progress bar.
+        track: function of a progress bar.
 
     Returns:
         the checklist.

@@ -1,7 +1,7 @@
-"""The map from human joint angles to a hand's joints: does it point the thumb where the human's is?
+"""Check of the map from human joint angles to a hand's joints, by the direction of the thumb.
 
-Gains that are measured joint by joint fail on a thumb unlike a human's, as LEAP's: the spec file of
-such a hand has rows of its own ([joint_map], ``smooth_operator.baselines.joint_angle``).
+Gains that are measured joint by joint fail on a thumb unlike a human's, such as LEAP's. The spec
+file of such a hand has its own rows ([joint_map], ``smooth_operator.baselines.joint_angle``).
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ from smooth_operator.landmarks import BASES, LANDMARKS, TIPS
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.synthetic import SyntheticOperator
 
-_SECONDS: Final = 20.0  # of the built-in operator: all that it does
+_SECONDS: Final = 20.0  # length of the operator's motion, which has all its gestures [s]
 _RATE_HZ: Final = 20.0
 _AWAY_DEG: Final = 60.0
-"""Of the built-in hands DEX-EE, whose three fingers stand around its palm, has the most with 49."""
+"""Largest angle of a sound map. Among the built-in hands, DEX-EE has the largest with 49: its three
+fingers stand around its palm."""
 
 
 def mapped_thumb_error(hand: Hand) -> float | None:
-    """Median angle between the thumbs of the built-in operator and of the hand that follows by
-    ``joint_angle`` [deg]; None for a hand without thumb or without such a map."""
+    """Median angle between the thumbs of the built-in operator and of the hand that follows it with
+    ``joint_angle`` [deg]; None for a hand without a thumb or without such a map."""
     base, tip = LANDMARKS[BASES[0]], LANDMARKS[TIPS[0]]
     names = hand.tree.names
     if base not in names or tip not in names:
@@ -47,7 +48,7 @@ def mapped_thumb_error(hand: Hand) -> float | None:
 
 
 def check_joint_map(hand: Hand) -> Check:
-    """Checks that ``joint_angle`` points the robot's thumb about where the human's points."""
+    """Checks that ``joint_angle`` points the robot's thumb roughly as the human's thumb points."""
     away = mapped_thumb_error(hand)
     if away is None:
         return Check("joint map", "skipped", "not checked: there is no joint map for the thumb")

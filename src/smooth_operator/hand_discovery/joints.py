@@ -1,4 +1,4 @@
-"""The joints, the neutral pose and the palm: limits, what each joint moves, sizes."""
+"""Checks of joints, neutral pose and palm: limits, effect of each joint, sizes, overlaps."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ from smooth_operator.metrics.safety import COLLISION_DEPTH
 from smooth_operator.retargeting.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
 from smooth_operator.retargeting.flat_hand import palm_tilt_deg
 
-_TURN: Final = 2 * np.pi  # no finger joint turns further; degrees read as radians do [rad]
-_WIDE: Final = 3.6  # [rad]; LEAP's widest has 3.2
-_NARROW: Final = 0.1  # [rad]; Shadow's narrowest has 0.42
-_LONG: Final = 0.3  # of a slide [m]
-_STILL: Final = 1e-4  # a joint that moves its landmarks by less moves nothing [m]
-_SLIGHT: Final = 2e-3  # [m]
-_POSES: Final = 12  # in which a joint is swept
+_TURN: Final = 2 * np.pi  # largest range of a finger's hinge [rad]; above, these are degrees
+_WIDE: Final = 3.6  # largest usual range [rad]; LEAP has 3.2
+_NARROW: Final = 0.1  # smallest usual range [rad]; Shadow has 0.42
+_LONG: Final = 0.3  # largest range of a slide [m]
+_STILL: Final = 1e-4  # motion below which a joint does not move a landmark [m]
+_SLIGHT: Final = 2e-3  # smallest usual motion of a landmark over a joint's range [m]
+_POSES: Final = 12  # number of poses in which a joint is swept
 _STEPS: Final = 9
-_ROUNDING: Final = 1e-6  # of spec files [rad]
-_TOUCH: Final = 3e-3  # overlap in the neutral pose that shapes drawn too fat explain [m]
+_ROUNDING: Final = 1e-6  # rounding of spec files [rad]
+_TOUCH: Final = 3e-3  # overlap in the neutral pose that shapes of too large a size explain [m]
 _DEEP: Final = 0.01  # overlap that no shape explains [m]
 _CROWDED_PALM: Final = 0.25
-"""Share of random poses in which a finger's link and the palm may overlap: joint limits keep most
-fingers out of the palm, and published models have up to 0.1, the built-in hands 0.17."""
+"""Largest share of random poses in which a finger's link and the palm may overlap. Joint limits
+keep most fingers out of the palm: published models have up to 0.1, the built-in hands 0.17."""
 _CROWDED_FINGERS: Final = 0.5
-"""The same of two fingers: neighbours that spread freely cross often (Tesollo's in 0.44)."""
+"""Largest share for links of two fingers. Neighbours that spread freely cross often (Tesollo's in
+0.44)."""
 
 
 def check_ranges(hand: Hand) -> Check:
-    """Checks the range of each commanded joint: degrees read as radians show here."""
+    """Checks the range of each commanded joint, which shows limits in degrees."""
     ranges = hand.limits[:, 1] - hand.limits[:, 0]
     slides = np.array([_slides(hand, name) for name in hand.actuated_names])
     named = dict(zip(hand.actuated_names, ranges, strict=True))
@@ -75,7 +76,7 @@ def check_ranges(hand: Hand) -> Check:
 
 
 def check_motion(samples: Samples) -> Check:
-    """Checks that each commanded joint moves some landmark, and measures by how much."""
+    """Checks that each commanded joint moves a landmark, and measures the largest motion."""
     hand = samples.hand
     moved: dict[str, float] = {}
     for k, name in enumerate(hand.actuated_names):
@@ -116,8 +117,8 @@ def check_motion(samples: Samples) -> Check:
 def check_neutral(hand: Hand) -> Check:
     """Checks that the neutral pose is within the limits and free of self-collision.
 
-    Values outside the limits are clipped when a hand is loaded, so it is the clipped pose whose
-    parts are looked at.
+    A hand clips values outside the limits when it is loaded, so overlaps are those of the clipped
+    pose.
     """
     spec = hand.spec
     neutral = {k: spec.neutral[k] for k in hand.actuated_names if k in spec.neutral}
@@ -153,7 +154,7 @@ def check_neutral(hand: Hand) -> Check:
 
 def check_shapes(samples: Samples) -> Check:
     """Checks that links have shapes for self-collision, or estimates in their place, and that no
-    two of them are in each other in a large share of random poses."""
+    two of them overlap in a large share of random poses."""
     hand = samples.hand
     links, solid = stand_in_links(hand), int(solid_shapes(hand).sum())
     owner = owners(hand)
@@ -201,7 +202,7 @@ def _unit(slides: np.ndarray) -> str:
 
 
 def _on_fingers(hand: Hand) -> set[str]:
-    """Joints on the way from the palm to a fingertip, and those beyond it on the same finger."""
+    """Joints between the palm and a fingertip, and those beyond it on the same finger."""
     model, palm = hand.model, hand.model.body(hand.spec.palm).id
     fingers: set[int] = set()
     for finger in hand.spec.fingers:
@@ -224,10 +225,10 @@ def _list(names: list[str]) -> str:
     return shown if len(names) <= 4 else f"{shown} and {len(names) - 4} more"
 
 
-_POOR: Final = 0.08  # condition of the palm that noise turns; built-in hands have 0.16 and more
-_MOVES: Final = 2e-3  # of a landmark that aligns: more is seen in the round trip [m]
+_POOR: Final = 0.08  # condition of a palm that noise turns; built-in hands have 0.16 and more
+_MOVES: Final = 2e-3  # motion of an aligned landmark that a round trip shows [m]
 _USUAL: Final = (0.10, 0.40)  # wrist to farthest fingertip [m]; built-in hands: 0.166 to 0.251
-_POSSIBLE: Final = (0.05, 0.80)  # [m]
+_POSSIBLE: Final = (0.05, 0.80)  # wrist to farthest fingertip [m]
 
 
 def check_palm(samples: Samples) -> Check:
@@ -273,7 +274,7 @@ def check_tilt(samples: Samples) -> Check:
 
 
 def check_size(samples: Samples) -> Check:
-    """Checks the size of the hand: millimetres read as metres show here."""
+    """Checks the size of the hand, which shows a model in millimetres."""
     hand = samples.hand
     reach = float(np.linalg.norm(samples.tips - hand.wrist, axis=-1).max())
     figures = {"reach_mm": round(1e3 * reach, 1)}

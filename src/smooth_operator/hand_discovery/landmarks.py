@@ -1,8 +1,8 @@
-"""Findings about a model with confidence and reason; landmarks of fingers, bases and wrist."""
+"""Findings about a model with confidence and evidence; landmarks of fingers, bases and wrist."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -16,21 +16,22 @@ from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
 from smooth_operator.landmarks import FINGERS
 
 SURE: Final = 0.8
-"""A finding of at least this confidence needs no second look."""
+"""Least confidence of a finding that needs no check by the user."""
 UNSURE: Final = 0.5
-"""A finding below this confidence is little better than a guess, and is to be said so."""
+"""Confidence below which a finding is little better than a guess, which the checklist marks."""
+_COUPLING: Final = ("joint", "follows", "multiplier", "offset")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was found.
+    """A property of the hand that was derived from the model.
 
     Attributes:
-        subject: the subject: ``side``, ``palm``, ``thumb``, ``order``, ``tip of index``...
-        value: the finding, as a text for a person.
-        confidence: 0 (a guess) to 1 (the model says so).
-        evidence: the reasons, in words.
-        overrule: option that replaces it, of ``smooth-operator hands add``.
+        subject: the property: ``side``, ``palm``, ``thumb``, ``order``, ``tip of index``...
+        value: its value as a text.
+        confidence: confidence from 0 (a guess) to 1 (stated in the model).
+        evidence: reasons for the value.
+        overrule: option of ``smooth-operator hands add`` that sets another value.
     """
 
     subject: str
@@ -42,14 +43,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class FoundFinger:
-    """A finger as found.
+    """A finger in the model.
 
     Attributes:
         name: the human finger that drives it.
-        tip_body: body that the fingertip is fixed to.
+        tip_body: body to which the fingertip is fixed.
         tip_offset: (3,) fingertip in that body's frame [m].
-        joints: all joints that move the tip, palm to tip, coupled ones included.
-        confidence: the lower one of the name's and the tip's.
+        joints: all joints that move the tip, from palm to tip, including coupled ones.
+        confidence: the lower of the confidences of name and tip.
     """
 
     name: str
@@ -61,7 +62,7 @@ class FoundFinger:
 
 @dataclass(frozen=True)
 class FoundCoupling:
-    """A coupled joint as found, and how sure that is."""
+    """A coupled joint in the model, with its confidence."""
 
     coupling: Coupling
     confidence: float
@@ -69,14 +70,14 @@ class FoundCoupling:
 
 @dataclass(frozen=True)
 class Discovery:
-    """All that was found in a model.
+    """Description of the hand in a model, with all findings.
 
     Attributes:
         spec: the description, ready for ``load_hand_spec``.
-        findings: with confidence and evidence, in the order of a checklist.
-        fingers: thumb first, then from the thumb's side across the palm.
+        findings: findings with confidence and evidence, in the order of the checklist.
+        fingers: fingers, thumb first, then from the thumb's side across the palm.
         coupled: joints of the hand that follow another.
-        notes: other facts for a person, such as missing meshes.
+        notes: other facts for the user, such as missing meshes.
     """
 
     spec: HandSpec
@@ -87,18 +88,18 @@ class Discovery:
 
     @property
     def unsure(self) -> tuple[Finding, ...]:
-        """Findings that a person should look at, least sure first."""
+        """Findings that the user should check, the least certain first."""
         doubtful = [finding for finding in self.findings if finding.confidence < SURE]
         return tuple(sorted(doubtful, key=lambda finding: finding.confidence))
 
     def to_json(self) -> dict[str, Any]:
-        """The whole as one object of plain lists, numbers and strings.
+        """The description and the findings as one object of plain values.
 
         Returns:
             ``side`` and ``palm`` (strings), ``fingers`` (``name``, ``tip_body``, ``tip_offset``
             [m], ``joints``, ``confidence``), ``coupled`` (``joint``, ``follows``, ``multiplier``,
-            ``offset`` [rad], ``confidence``), ``confidence`` (subject -> number, with ``side`` and
-            ``palm``), ``evidence`` (subject -> reasons), and the rest of the description.
+            ``offset`` [rad], ``confidence``), ``confidence`` (subject -> number), ``evidence``
+            (subject -> reasons), and the other entries of the description.
         """
         spec = self.spec
         return {
@@ -106,25 +107,11 @@ class Discovery:
             "model": str(spec.model),
             "side": spec.side,
             "palm": spec.palm,
-            "fingers": [
-                {
-                    "name": finger.name,
-                    "tip_body": finger.tip_body,
-                    "tip_offset": list(finger.tip_offset),
-                    "joints": list(finger.joints),
-                    "confidence": finger.confidence,
-                }
-                for finger in self.fingers
-            ],
+            "fingers": [asdict(finger) for finger in self.fingers],
             "coupled": [
-                {
-                    "joint": coupling.coupling.joint,
-                    "follows": coupling.coupling.follows,
-                    "multiplier": coupling.coupling.multiplier,
-                    "offset": coupling.coupling.offset,
-                    "confidence": coupling.confidence,
-                }
-                for coupling in self.coupled
+                {name: getattr(one.coupling, name) for name in _COUPLING}
+                | {"confidence": one.confidence}
+                for one in self.coupled
             ],
             "wrist": {"body": spec.wrist.body, "offset": list(spec.wrist.offset)},
             "align": list(spec.align),
@@ -138,18 +125,18 @@ class Discovery:
 
 @dataclass(frozen=True)
 class Overrules:
-    """Findings that are given, not found.
+    """Properties of the hand that the user sets.
 
     Attributes:
         palm: body from which the fingers branch.
         thumb: a body or joint of the thumb.
-        fingers: (human finger, a body or joint of the robot finger that it drives) pairs; of a
-            model with more than five fingers only these are used.
-        tips: (human finger, fingertip) pairs.
+        fingers: pairs of a human finger and a body or joint of the robot finger that it drives. If
+            a model has more than five fingers, only these are used.
+        tips: pairs of a human finger and the fingertip.
         wrist: the wrist point.
 
     Raises:
-        HandModelError: if a finger is not a human one, or is named twice.
+        HandModelError: a finger is not a human one, or is named twice.
     """
 
     palm: str | None = None
@@ -172,10 +159,11 @@ class Overrules:
                     )
 
 
-_BESIDE: Final = 0.09  # of a finger's length: a joint this close to the knuckle is part of it
-_APART: Final = 0.06  # of a finger's length, between two landmarks of a finger
-_CLEAR: Final = 0.2  # of a finger's length: a frame this close to a finger's base is that base
-_WRIST: Final = 0.95  # wrist to knuckles, in finger lengths, of a human hand
+# Distances over a finger's length:
+_BESIDE: Final = 0.09  # from the knuckle up to which a joint is part of it
+_APART: Final = 0.06  # least distance between two landmarks of a finger
+_CLEAR: Final = 0.2  # from a finger's base up to which a frame is that base
+_WRIST: Final = 0.95  # from wrist to knuckles of a human hand
 
 
 def finger_points(
@@ -183,15 +171,16 @@ def finger_points(
 ) -> tuple[Point, Point | None, Point | None, Point]:
     """The robot's counterparts of a finger's four human landmarks.
 
-    A joint's origin may lie anywhere on its axis; where it is next to the finger, the landmark is
-    put on the axis level with the tip.
+    A joint's origin may lie anywhere on its axis. If it lies beside the finger, the landmark is the
+    point of the axis that is level with the tip.
 
     Args:
-        is_thumb: a thumb's first landmark is its first joint of all, a finger's is its knuckle.
+        is_thumb: True for a thumb, whose first landmark is its first joint; that of another finger
+            is its knuckle.
     """
     body = int(skeleton.model.body(tip.body).id)
     end = at.world(body, np.array(tip.offset))
-    if not bend.joints:  # slides only: level with the tip, where the finger starts
+    if not bend.joints:  # slides only: the start of the finger, level with the tip
         first = chain.own[0]
         start = at.anchors[first]
         offset = end - start
@@ -217,7 +206,7 @@ def finger_points(
         if np.linalg.norm(place - before) > apart and np.linalg.norm(place - end) > apart:
             points.append((j, place))
     middle = [_point(skeleton, at, j, place) for j, place in points[-2:]]
-    if len(middle) == 1:  # a last link that is rigid stands for two human ones
+    if len(middle) == 1:  # one rigid last link is the counterpart of two human ones
         half = (points[-1][1] + end) / 2
         middle.append(_fixed(skeleton, at, int(skeleton.model.jnt_bodyid[points[-1][0]]), half))
     first_point = _point(skeleton, at, base, where)
@@ -226,11 +215,11 @@ def finger_points(
 
 
 def _level(at: Placement, joint: int, end: np.ndarray, length: float) -> np.ndarray:
-    """A joint's origin; if that is off the finger, the point of its axis level with the tip."""
+    """A joint's origin; if that is beside the finger, the point of its axis level with the tip."""
     anchor: np.ndarray = at.anchors[joint]
     axis = at.axes[joint]
     shift = float((end - anchor) @ axis)
-    # only for a hinge across the finger: one along it, such as a twist, runs towards the tip
+    # Only for a hinge across the finger: the axis of a twist runs towards the tip.
     across = abs(shift) < 0.3 * float(np.linalg.norm(end - anchor))
     if across and 0.03 * length < abs(shift):
         anchor = anchor + shift * axis
@@ -248,10 +237,10 @@ def _fixed(skeleton: Skeleton, at: Placement, body: int, place: np.ndarray) -> P
 def find_wrist(
     skeleton: Skeleton, palm: int, chains: tuple[Chain, ...], layout: Layout, at: Placement
 ) -> tuple[Point, float, tuple[str, ...]]:
-    """The wrist, fixed to the palm: a joint or frame behind the knuckles, else the palm's heel.
+    """Finds the wrist on the palm: a joint or frame behind the knuckles, else the palm's heel.
 
     Returns:
-        the point, its confidence, the reasons.
+        The point, its confidence and the reasons.
     """
     others = [chains[i] for i in layout.order[1:]]
     knuckles = np.mean([c.base for c in others], axis=0)
@@ -300,7 +289,7 @@ def find_wrist(
     return _fixed(skeleton, at, palm, expected), 0.35, (why,)
 
 
-_STILL: Final = 1e-4  # [m]: a base that travels less lies on its joints' axes, but for rounding
+_STILL: Final = 1e-4  # travel up to which a base lies on its joints' axes, up to rounding [m]
 
 
 def fix_bases(
@@ -310,16 +299,16 @@ def fix_bases(
     reach: Reach,
     neutral: Placement,
 ) -> tuple[tuple[FingerSpec, ...], dict[str, float]]:
-    """Puts bases that joints move where they lie in the neutral pose, fixed to the palm.
+    """Fixes bases that joints move to the palm, at their positions in the neutral pose.
 
-    A human's knuckles don't move in the palm, and the alignment goes by them: with a base that
-    swings with its finger, spreading the fingers would turn the whole hand.
+    A human's knuckles don't move in the palm, and the alignment uses them: if a base moved with its
+    finger, spreading the fingers would turn the whole hand.
 
     Args:
-        reach: poses to see in which a base moves.
+        reach: random poses, which show the travel of each base.
 
     Returns:
-        the fingers; and of those whose base was moved, by how much joints move it [m].
+        The fingers; and human finger -> travel of its base [m], for each base that was fixed.
     """
     bodies = [int(skeleton.model.body(finger.base.body).id) for finger in fingers]
     offsets = [np.array(finger.base.offset) for finger in fingers]
@@ -340,10 +329,10 @@ def fix_bases(
 
 
 def bases_finding(moved: dict[str, float]) -> Finding:
-    """Reports what was done about the bases, for the checklist.
+    """Finding about the bases.
 
     Args:
-        moved: human finger -> how far joints would move its base [m].
+        moved: human finger -> travel of its base [m], as from ``fix_bases``.
     """
     why = "no joint moves them"
     if moved:

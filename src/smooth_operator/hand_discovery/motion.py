@@ -1,4 +1,4 @@
-"""Motion of fingers: bending joints, the thumb, directions of the palm, a neutral pose."""
+"""Motion of fingers: the joints that bend them, the thumb, the side, and a neutral pose."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from smooth_operator.hand_discovery.skeleton import Placement, Skeleton
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 
-_PARALLEL: Final = 0.8  # |cosine| of two axes that bend a finger in one plane
+_PARALLEL: Final = 0.8  # least |cosine| of two axes that bend a finger in one plane
 _SAMPLES: Final = 240
 _STEPS: Final = 9
-_NEAR: Final = 0.25  # of a finger's length: tips this close could touch
-_FACING: Final = 0.3  # cosine of pad and direction to the other tip
-_MANY: Final = 0.1  # share of near pairs of poses that makes a full opposition
+_NEAR: Final = 0.25  # distance over a finger's length at which tips could touch
+_FACING: Final = 0.3  # least cosine between a pad's normal and the direction to the other tip
+_MANY: Final = 0.1  # share of facing pairs of poses at which fingers oppose each other fully
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,13 @@ class Bending:
 
     Attributes:
         joints: hinges that bend it, base to tip; empty for a finger that only slides.
-        senses: +1 or -1 for each: the sign of the motion that closes the finger.
-        axis: (3,) unit vector, right-handed about which it closes; world, straightened pose. Of a
-            sliding finger: direction of sliding x finger direction.
-        along: (3,) unit vector, base to tip, straightened.
-        clear: 0..1 how clearly one way is closing and the other opening.
-        straight: (n,) pose of all joints in which this finger is straight.
-        reason: in words.
+        senses: sign of the motion of each hinge that closes the finger, +1 or -1.
+        axis: (3,) unit vector of the right-handed rotation that closes the straight finger, in the
+            world; for a sliding finger, the cross product of ``along`` and the closing motion.
+        along: (3,) unit vector from base to tip of the straight finger.
+        clear: certainty of the closing direction, 0 to 1.
+        straight: (n,) positions of all joints in which this finger is straight.
+        reason: basis of the closing direction, as a text.
     """
 
     joints: tuple[int, ...]
@@ -49,13 +49,13 @@ class Bending:
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Random poses of all fingers, each finger's independent of the others'.
+    """Random poses of all fingers. The pose of one finger is independent of the others.
 
     Attributes:
         poses: (s, n) positions of all joints [rad].
         tips: (s, f, 3) fingertips, world [m].
         pads: (s, f, 3) unit vectors out of the pads.
-        axes: (s, f, 3) unit vectors about which the last links close.
+        axes: (s, f, 3) unit axes about which the last links close.
     """
 
     poses: Float[np.ndarray, "s n"]
@@ -64,22 +64,22 @@ class Reach:
     axes: Float[np.ndarray, "s f 3"]
 
     def facing(self, i: int, j: int, length: float) -> Float[np.ndarray, "s s"]:
-        """Measures how much two fingers close towards each other, pose by pose.
+        """Measures how much two fingers close towards each other, for each pair of poses.
 
         Returns:
-            smaller of the two cosines between pad and direction to the other tip; -1 where the
-            tips are not close, for pose a of finger i and pose b of finger j.
+            (a, b) for pose a of finger i and pose b of finger j, the smaller of the two cosines
+            between a pad's normal and the direction to the other tip; -1 if the tips are not close.
         """
         gaps = self.gaps(i, j)
         ours, theirs = self.tips[:, i], self.tips[:, j]
-        # pad . (other tip - own tip), for all pairs of poses
+        # dot product of the pad's normal and the vector to the other tip, for all pairs of poses
         mine = self.pads[:, i] @ theirs.T - np.einsum("ad,ad->a", self.pads[:, i], ours)[:, None]
         other = ours @ self.pads[:, j].T - np.einsum("bd,bd->b", self.pads[:, j], theirs)
         cosine = np.minimum(mine, other) / np.maximum(gaps, 1e-9)
         return np.where(gaps < _NEAR * length, cosine, -1.0)
 
     def gaps(self, i: int, j: int) -> Float[np.ndarray, "s s"]:
-        """Distances of two tips, pose a of finger i and pose b of finger j [m]."""
+        """(a, b) distances of the tips in pose a of finger i and pose b of finger j [m]."""
         ours, theirs = self.tips[:, i], self.tips[:, j]
         squared = (ours**2).sum(axis=1)[:, None] + (theirs**2).sum(axis=1) - 2 * ours @ theirs.T
         gaps: np.ndarray = np.sqrt(np.maximum(squared, 0.0))
@@ -88,11 +88,11 @@ class Reach:
     def opposition(self, i: int, j: int, length: float) -> float:
         """Scores how well two fingers meet pad to pad, 0 (not at all) to 1.
 
-        Of the pairs of poses whose tips are close, in some each finger closes towards the other:
-        many for a thumb and a finger, next to none for two neighbours, which close side by side.
+        The score is the share of facing pairs among the pairs of poses with close tips. It is large
+        for a thumb and a finger, and almost 0 for two neighbours, which close side by side.
 
         Args:
-            length: length of a finger [m], the unit of near and far.
+            length: length of a finger [m].
         """
         gaps = self.gaps(i, j)
         near = gaps < _NEAR * length
@@ -106,14 +106,14 @@ class Reach:
 def find_bending(
     skeleton: Skeleton, chains: tuple[Chain, ...], tips: tuple[Tip, ...]
 ) -> tuple[Bending, ...]:
-    """Finds the bending of each finger; the others decide where one alone is ambiguous."""
+    """Finds the bending of each finger. The other fingers decide an ambiguous direction."""
     rest = skeleton.place(skeleton.reference)
     ends = np.array([tip.position for tip in tips])
     return tuple(_bending(skeleton, chain, rest, ends, i) for i, chain in enumerate(chains))
 
 
 def tip_in(skeleton: Skeleton, tip: Tip, at: Placement) -> np.ndarray:
-    """A fingertip in some pose, world [m]."""
+    """Position of a fingertip in a pose, in the world [m]."""
     body = int(skeleton.model.body(tip.point.body).id)
     return at.world(body, np.array(tip.point.offset))
 
@@ -131,7 +131,7 @@ def _bending(
     joints = [j for j in hinges if abs(rest.axes[j] @ last) > _PARALLEL]
     along = [int(np.sign(rest.axes[j] @ last)) for j in joints]
 
-    # Folded one way or the other, tip and base come nearer: that way is closing.
+    # The finger closes in the direction in which its tip comes nearer to its base.
     def folded(sense: int) -> float:
         q = skeleton.reference.copy()
         for j, sign in zip(joints, along, strict=True):
@@ -146,7 +146,7 @@ def _bending(
     sense = 1 if plus < minus else -1
     reason = "bending this way brings the tip nearer to the base"
     if len(joints) == 1 or clear < 0.02:
-        # A single hinge: what it has more room for, and what brings the tip to the others.
+        # A single hinge closes in the direction with more range that moves the tip to the others.
         low, high = (
             np.array([skeleton.limits[j] for j in joints]) - skeleton.reference[joints][:, None]
         ).T
@@ -178,7 +178,7 @@ def _bending(
 def _straightened(
     skeleton: Skeleton, chain: Chain, joints: list[int], local: np.ndarray
 ) -> np.ndarray:
-    """The pose in which the tip is farthest from the first joint that bends the finger."""
+    """Pose in which the tip is farthest from the first joint that bends the finger."""
     q = skeleton.reference.copy()
     deciding = [j for j in skeleton.free(tuple(joints[1:])) if skeleton.bounded[j]]
 
@@ -189,7 +189,7 @@ def _straightened(
     for _ in range(2):
         for j in deciding:
             trial = q.copy()
-            best = stretch(q) + 1e-6  # as it is, unless another is better
+            best = stretch(q) + 1e-6  # rounding: an equal pose is not better
             for value in np.linspace(skeleton.limits[j, 0], skeleton.limits[j, 1], _STEPS):
                 trial[j] = value
                 if (length := stretch(trial)) > best:
@@ -200,14 +200,14 @@ def _straightened(
 def _sliding(
     skeleton: Skeleton, chain: Chain, rest: Placement, tip: np.ndarray, centre: np.ndarray
 ) -> Bending:
-    """A finger of slides: it closes towards the others."""
+    """Bending of a finger without hinges, which closes towards the others."""
     slide = rest.axes[chain.own[-1]]
     closing = slide if slide @ (centre - tip) >= 0 else -slide
     reach = tip - rest.anchors[chain.own[0]]
     along = reach - (reach @ closing) * closing
     norm = float(np.linalg.norm(along))
     along = along / norm if norm > 1e-4 else _any_across(closing)
-    axis = np.cross(along, closing)  # about it, the tip of a hinge would move the same way
+    axis = np.cross(along, closing)  # a hinge with this axis would move the tip alike
     return Bending((), (), axis, along, 0.3, skeleton.reference, "slides towards the others")
 
 
@@ -221,7 +221,7 @@ def _any_across(axis: np.ndarray) -> np.ndarray:
 def sample_reach(
     skeleton: Skeleton, chains: tuple[Chain, ...], tips: tuple[Tip, ...], bends: tuple[Bending, ...]
 ) -> Reach:
-    """Random poses within limits, the same for the same model."""
+    """Random poses within limits, equal for equal models."""
     rng = np.random.default_rng(0)
     joints = skeleton.free(tuple(dict.fromkeys(j for c in chains for j in c.joints)))
     joints = tuple(j for j in joints if skeleton.bounded[j])
@@ -254,7 +254,7 @@ def sample_reach(
 
 @dataclass(frozen=True)
 class Thumb:
-    """The thumb's index among the chains, how sure, why."""
+    """Index of the thumb among the chains, with confidence and evidence."""
 
     index: int
     confidence: float
@@ -267,11 +267,11 @@ def find_thumb(
     reach: Reach,
     labels: list[str | None],
 ) -> Thumb:
-    """Finds the thumb by opposition, by the direction in which it closes, by where its base is.
+    """Finds the thumb by its opposition to the others, its closing direction and its base.
 
     Args:
-        reach: places that they can reach together.
-        labels: the human finger that each one's names speak of; weak evidence.
+        reach: random poses of the fingers.
+        labels: human finger in the names of each chain, which is weak evidence; None without one.
     """
     count = len(chains)
     length = float(np.median([chain.length for chain in chains]))
@@ -295,7 +295,7 @@ def find_thumb(
         across = (moving + resting) / 2 if count > 2 else 0.0
         forward = along[others].mean(axis=0)
         behind = float((bases[others].mean(axis=0) - bases[t]) @ forward) / length
-        # a name counts against the others' silence only
+        # A name counts only if it is the only one of its kind.
         named = float(labels[t] == "thumb" and labels.count("thumb") == 1)
         scores[t] = (
             1.2 * opposition + across + 0.5 * float(np.clip(behind, -0.5, 0.6)) + 0.35 * named
@@ -328,11 +328,11 @@ def find_thumb(
 
 
 def _apart(axes: np.ndarray, finger: int) -> tuple[float, float]:
-    """Measures how much one finger's closing direction differs from the others'.
+    """Measures how much one finger's closing direction differs from that of the others.
 
     Returns:
-        1 where all others close about one axis and it about the opposite one, 0 where it closes
-        as they do or they do not agree; and the cosine of its axis and their mean.
+        1 if all others close about one axis and this finger about the opposite one, 0 if it closes
+        like them or they do not agree; and the cosine between its axis and their mean.
     """
     together = np.delete(axes, finger, axis=0).mean(axis=0)
     agree, own = float(np.linalg.norm(together)), float(np.linalg.norm(axes[finger]))
@@ -340,27 +340,28 @@ def _apart(axes: np.ndarray, finger: int) -> tuple[float, float]:
     return agree * (1 - cosine) / 2, cosine
 
 
-_CLEAR: Final = 0.12  # of a finger's length: thumb off the middle of the palm, for a clear side
-_BASE: Final = 0.04  # the same of its base, to the side of its reach; hands have 0.1 to 0.5
+_CLEAR: Final = 0.12  # distance of the thumb from the palm's middle for a clear side, over a finger
+_BASE: Final = 0.04  # least distance of its base to the side of its reach; hands have 0.1 to 0.5
 _UNCLEAR: Final = 0.3  # confidence of a side that is not clear
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The hand's own directions, world frame, and what follows from them.
+    """Directions of a hand in the world, with its side and the order of its fingers.
 
     Attributes:
-        forward: from wrist to fingers.
-        lateral: axis about which the fingers close, right-handed; to the thumb of a right hand.
-        palmar: out of the palm, forward and lateral at right angles to it.
+        forward: direction from wrist to fingers.
+        lateral: axis of the right-handed rotation that closes the fingers; it points to the thumb
+            of a right hand.
+        palmar: direction out of the palm, at right angles to ``forward`` and ``lateral``.
         side: right or left.
-        side_confidence: confidence of the side.
-        side_evidence: in words.
-        order: chain indices, thumb first, then from the thumb's side.
-        order_confidence: confidence of the order.
-        order_evidence: in words.
+        side_confidence: confidence of the side, 0 to 1.
+        side_evidence: reasons for the side.
+        order: indices of the chains, thumb first, then from the thumb's side.
+        order_confidence: confidence of the order, 0 to 1.
+        order_evidence: reasons for the order.
         names: human fingers, in that order.
-        names_confidence: confidence of the names.
+        names_confidence: confidence of the names, 0 to 1.
     """
 
     forward: Float[np.ndarray, "3"]
@@ -385,16 +386,16 @@ def find_layout(
     side_said: Side | None,
     side_given: Side | None,
 ) -> Layout:
-    """Side and order from the directions in which the fingers point and close.
+    """Finds side and order from the directions in which the fingers point and close.
 
-    With fingers pointing along f and closing about w, the palm faces w x f, and a right hand has
-    its thumb on the side of w.
+    If the fingers point along f and close about w, the palm faces w x f, and a right hand has its
+    thumb on the side of w.
 
     Args:
-        reach: places that the fingers can reach.
-        labels: the human finger that each one's names speak of.
-        side_said: the side that names speak of.
-        side_given: the side that a person gave.
+        reach: random poses of the fingers.
+        labels: human finger in the names of each chain; None without one.
+        side_said: side in the names of the model; None without one.
+        side_given: side that the user set; None without one.
     """
     others = [i for i in range(len(chains)) if i != thumb]
     length = float(np.median([chain.length for chain in chains]))
@@ -404,7 +405,7 @@ def find_layout(
     palmar = np.cross(lateral, forward)
 
     bases = np.array([chain.base for chain in chains])
-    middle = reach.tips.mean(axis=0)  # of all that each finger reaches
+    middle = reach.tips.mean(axis=0)
     by_base = float((bases[thumb] - bases[others].mean(axis=0)) @ lateral) / length
     by_reach = float((middle[thumb] - middle[others].mean(axis=0)) @ lateral) / length
     sideways = 0.5 * by_base + 0.5 * by_reach
@@ -446,7 +447,7 @@ def find_layout(
             confidence = max(confidence, 0.95)
         side = side_given
 
-    # An unclear thumb has no clear side: the side of the hand then says where the index is.
+    # If the thumb has no clear side, the side of the hand tells where the index finger is.
     towards = 1.0 if (sideways >= 0 if clear >= 0.3 else side == "right") else -1.0
     place = {i: towards * float((0.7 * bases[i] + 0.3 * middle[i]) @ lateral) for i in others}
     ranked = sorted(others, key=lambda i: place[i], reverse=True)
@@ -461,7 +462,7 @@ def find_layout(
         ordered = min(ordered, 0.4)
         reasons.append("the thumb's end depends on the side, which is not certain")
     if clear < 0.3 and _spoken([labels[i] for i in others]):
-        # what the shape leaves open, names may decide
+        # Names decide what the shape leaves open.
         ranked = sorted(others, key=lambda i: FINGERS.index(labels[i] or ""))
         ordered = 0.6
         reasons[1:] = ["its ends are distinguished by names only (weak evidence)"]
@@ -486,7 +487,10 @@ def find_layout(
 
 
 def _names(labels: list[str | None]) -> tuple[tuple[str, ...], float, list[str]]:
-    """Human fingers for the robot's, in their order; names of the model only if they fit."""
+    """Human fingers of the robot's fingers, with confidence and evidence.
+
+    The names of the model are used only if they fit the order.
+    """
     count = len(labels)
     named = _spoken(labels)
     if named and list(named) == sorted(named, key=FINGERS.index):
@@ -509,10 +513,10 @@ def _unit(vector: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
     return vector / norm if norm > 1e-6 else otherwise
 
 
-_BENT: Final = 0.22  # share of its closing range by which a joint is bent at rest
-_TURNED: Final = 0.7  # how far the thumb is turned to where it pinches
-_BEST: Final = 40  # pairs of poses that show where it pinches
-_DEEP: Final = 3e-3  # fingers farther inside each other than this are opened [m]
+_BENT: Final = 0.22  # share of its closing range by which a joint is bent
+_TURNED: Final = 0.7  # share of the way to its pinches by which the thumb is turned
+_BEST: Final = 40  # number of pairs of poses that count as pinches
+_DEEP: Final = 3e-3  # overlap above which knuckles are opened [m]
 _OPENED: Final = (0.2, 0.4, 0.6)  # shares of the way to an open knuckle that are tried
 
 
@@ -523,17 +527,17 @@ def find_neutral(
     reach: Reach,
     order: tuple[int, ...],
 ) -> tuple[dict[str, float], tuple[str, ...]]:
-    """The pose, within limits.
+    """Finds a neutral pose within the limits.
 
-    Fingers that would be inside each other, as those that stand in a ring may be, are opened at
-    their knuckles.
+    Fingers that would overlap, as in a hand whose fingers stand in a ring, are opened at their
+    knuckles.
 
     Args:
-        order: chains, thumb first, then from its side.
+        order: indices of the chains, thumb first, then from the thumb's side.
 
     Returns:
-        joint name -> position [rad] of the hand's joints that follow no other; and the pose in
-        words.
+        Joint name -> position [rad] of the hand's joints that follow no other; and a description of
+        the pose.
     """
     q = skeleton.reference.copy()
     named: list[int] = []
@@ -546,7 +550,7 @@ def find_neutral(
             if j in bend.joints:
                 closed = high if bend.senses[bend.joints.index(j)] > 0 else low
                 q[j] += _BENT * (closed - q[j])
-            elif not low < q[j] < high:  # away from its limit, where it could move one way only
+            elif not low < q[j] < high:  # at a limit it could move in one direction only
                 q[j] += 0.2 * ((high if q[j] <= low else low) - q[j])
     thumb = order[0]
     turning = [j for j in chains[thumb].own if j in named and j not in bends[thumb].joints]
@@ -570,7 +574,7 @@ def find_neutral(
 def _opened(
     skeleton: Skeleton, chains: tuple[Chain, ...], knuckles: dict[int, int], q: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """The pose with its knuckles opened no farther than needed, and the overlap that is left [m].
+    """The pose with knuckles opened as little as possible, and the overlap that remains [m].
 
     Args:
         knuckles: joint -> sign of the motion that closes its finger.
@@ -590,7 +594,7 @@ def _opened(
 
 
 def _pinching(chains: tuple[Chain, ...], reach: Reach, order: tuple[int, ...]) -> np.ndarray | None:
-    """Mean pose of the thumb where it pinches best with the fingers next to it; None if nowhere."""
+    """Mean pose in the best pinches of the thumb with the next two fingers; None without one."""
     length = float(np.median([chain.length for chain in chains]))
     poses = []
     for finger in order[1:3]:
@@ -606,9 +610,9 @@ def _pinching(chains: tuple[Chain, ...], reach: Reach, order: tuple[int, ...]) -
 def finger_overlap(
     skeleton: Skeleton, chains: tuple[Chain, ...], q: Float[np.ndarray, " n"]
 ) -> float:
-    """Deepest overlap of shapes of two fingers in a pose [m]; 0 if none touch.
+    """Deepest overlap of shapes of two fingers in a pose [m]; 0 if no two touch.
 
-    Meshes count as their convex hulls, and what the model takes out of collision stays out.
+    Meshes count as their convex hulls. Pairs that the model excludes from collision do not count.
 
     Args:
         q: positions of all joints [rad].
@@ -620,11 +624,7 @@ def finger_overlap(
         for body in (b for first in moved for b in skeleton.rigid(first)):
             owner[body] = i
     finger = owner[model.geom_bodyid]
-    data = mujoco.MjData(model)
-    data.qpos[:] = model.qpos0
-    single = np.flatnonzero(skeleton.moves)
-    data.qpos[model.jnt_qposadr[single]] = q[single]
-    mujoco.mj_kinematics(model, data)
+    data = skeleton.posed_data(q)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
     pairs = finger[np.array(data.contact.geom).reshape(-1, 2)]

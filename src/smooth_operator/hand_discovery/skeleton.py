@@ -1,6 +1,6 @@
 """A model as a skeleton that can be posed: joints, limits, couplings, points of shapes, names.
 
-Words in names are weak evidence: generic ones only, no product's."""
+Words in names are weak evidence. Only generic words count, not those of a product."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FINGER_WORDS: Final[dict[str, tuple[str, ...]]] = {
     "ring": ("ring", "rf"),
     "pinky": ("pinky", "little", "lf", "pinkie", "small", "pf"),
 }
-_FULL_TURN: Final = 2 * np.pi - 0.01  # [rad]: files give such limits to joints that nothing drives
+_FULL_TURN: Final = 2 * np.pi - 0.01  # least range of a joint that nothing drives [rad]
 _PARTS: Final = "(j|a|tip|base|hub|knuckle|proximal|middle|medial|distal|metacarpal)"
 _WRIST_WORDS: Final = ("wrist",)
 _SIDE_WORDS: Final[dict[Side, tuple[str, ...]]] = {
@@ -57,14 +57,14 @@ def says_wrist(name: str) -> bool:
 
 
 def fingers_said(chains: Sequence[Iterable[str]]) -> list[str | None]:
-    """The human finger that each chain's names speak of most.
+    """Human finger that the names of each chain mention most.
 
     Args:
-        chains: names of bodies and joints, chain by chain. A word that all chains have tells none
-            from another and does not count: a middle link is not a middle finger.
+        chains: names of bodies and joints of each chain. A word that all chains contain does not
+            count: a middle link is not a middle finger.
 
     Returns:
-        a human finger for each chain; None where nothing is said, or two things equally.
+        A human finger for each chain; None if its names mention none, or two equally often.
     """
     spoken = [{word for name in names for word in words(name)} for names in chains]
     common = set.intersection(*spoken) if len(spoken) > 1 else set()
@@ -91,12 +91,12 @@ def _means(word: str, finger: str, initials: bool) -> bool:
 
 
 def side_said(names: Iterable[str]) -> Side | None:
-    """The side that names speak of; None if none or both."""
+    """Side that names mention; None if they mention no side, or both equally often."""
     votes: dict[Side, int] = {"right": 0, "left": 0}
     for name in names:
         parts = words(name)
         for side, synonyms in _SIDE_WORDS.items():
-            # a letter counts by itself only: r_thumb, but not the L of thumb_L1
+            # A letter counts only between underscores: r_thumb, but not the L of thumb_L1.
             letter = re.search(rf"(^|_){side[0]}(_|$)", name.lower())
             votes[side] += bool(letter) or any(word in synonyms for word in parts)
     if votes["right"] == votes["left"]:
@@ -106,7 +106,7 @@ def side_said(names: Iterable[str]) -> Side | None:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Places of all parts in one pose, in the world frame [m].
+    """Positions of all parts in one pose, in the world frame [m].
 
     Attributes:
         bodies: (nbody, 3) origins.
@@ -123,26 +123,26 @@ class Placement:
     sites: Float[np.ndarray, "s 3"]
 
     def world(self, body: int, points: np.ndarray) -> np.ndarray:
-        """Points of a body's frame, (..., 3), in the world."""
+        """World positions of (..., 3) points in a body's frame."""
         moved: np.ndarray = points @ self.frames[body].T + self.bodies[body]
         return moved
 
     def local(self, body: int, points: np.ndarray) -> np.ndarray:
-        """Points of the world, (..., 3), in a body's frame."""
+        """Positions in a body's frame of (..., 3) points in the world."""
         moved: np.ndarray = (points - self.bodies[body]) @ self.frames[body]
         return moved
 
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """A compiled model, and what its shapes and couplings say.
+    """A compiled model with its couplings and points of its shapes.
 
     Attributes:
         model: the compiled model.
         couplings: joints that follow another.
-        clouds: body -> its shapes, each (p, 3) points on it in the body's frame [m].
-        pinned: joint -> its limits, where the file has the upper equal to the lower; MuJoCo takes
-            it for a joint without limits.
+        clouds: body -> (p, 3) points on each of its shapes, in the body's frame [m].
+        pinned: joint -> position, for joints whose upper and lower limit are equal in the file;
+            MuJoCo treats them as joints without limits.
     """
 
     model: mujoco.MjModel
@@ -164,30 +164,30 @@ class Skeleton:
 
     @cached_property
     def turns(self) -> np.ndarray:
-        """(n,) whether a joint is a hinge."""
+        """(n,) mask of the hinges."""
         return np.asarray(self.model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE))
 
     @cached_property
     def moves(self) -> np.ndarray:
-        """(n,) whether a joint has one degree of freedom, a hinge or slide."""
+        """(n,) mask of the hinges and slides."""
         slides = np.asarray(self.model.jnt_type == int(mujoco.mjtJoint.mjJNT_SLIDE))
         moves: np.ndarray = self.turns | slides
         return moves
 
     @cached_property
     def bounded(self) -> np.ndarray:
-        """(n,) whether a joint has finite limits."""
+        """(n,) mask of the hinges and slides with finite limits."""
         bounded: np.ndarray = self.moves & np.isfinite(self.limits).all(axis=1)
         return bounded
 
     def turns_freely(self, joint: int) -> bool:
-        """True if a joint follows no other and can make a full turn, as pins of a linkage do."""
+        """True if a joint follows no other and can make a full turn, like a pin of a linkage."""
         span = float(np.ptp(self.limits[joint]))
         return span >= _FULL_TURN and joint not in self.leaders
 
     @cached_property
     def leaders(self) -> Mapping[int, tuple[int, float, float]]:
-        """Follower -> (joint that it follows, multiplier, offset), chains of them resolved."""
+        """Follower -> (leader, multiplier, offset), where the leader follows no other joint."""
         index = {name: j for j, name in enumerate(self.joint_names)}
         direct: dict[int, tuple[int, float, float]] = {}
         for c in self.couplings:
@@ -218,35 +218,31 @@ class Skeleton:
 
     @cached_property
     def reference(self) -> Float[np.ndarray, " n"]:
-        """All joints at zero, or where that is out of limits at the nearest one."""
+        """Pose with all joints at zero, or at the nearest limit."""
         low, high = self.limits.T
         return self.coupled(np.clip(np.zeros(len(low)), low, high))
 
     def coupled(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """The pose with followers where their leaders put them, within their limits."""
+        """The pose with each follower at the position that its leader gives, within its limits."""
         out = np.array(q, float)
         for joint, (leader, gain, offset) in self.leaders.items():
             out[joint] = np.clip(gain * q[leader] + offset, *self.limits[joint])
         return out
 
     def posed(self, named: Mapping[str, float]) -> Float[np.ndarray, " n"]:
-        """The reference pose with some joints elsewhere, and those that follow them."""
+        """The reference pose with some joints, and their followers, at other positions."""
         q = self.reference.copy()
         q[[self.joint_names.index(name) for name in named]] = list(named.values())
         return self.coupled(q)
 
     def free(self, joints: tuple[int, ...]) -> tuple[int, ...]:
-        """The joints that decide about these: followers replaced by their leaders, each once."""
+        """The joints that determine these: each follower is replaced by its leader."""
         leaders = [self.leaders[j][0] if j in self.leaders else j for j in joints]
         return tuple(dict.fromkeys(leaders))
 
     def place(self, q: Float[np.ndarray, " n"]) -> Placement:
-        """Poses the model; joints that are no hinge or slide stay where they start."""
-        data = self._data
-        data.qpos[:] = self.model.qpos0
-        single = np.flatnonzero(self.moves)
-        data.qpos[self.model.jnt_qposadr[single]] = q[single]
-        mujoco.mj_kinematics(self.model, data)
+        """Positions of all parts in a pose."""
+        data = self.posed_data(q)
         return Placement(
             data.xpos.copy(),
             data.xmat.reshape(-1, 3, 3).copy(),
@@ -254,6 +250,16 @@ class Skeleton:
             data.xaxis.copy(),
             data.site_xpos.copy(),
         )
+
+    def posed_data(self, q: Float[np.ndarray, " n"]) -> mujoco.MjData:
+        """MuJoCo's kinematics of a pose, valid until the next call. Free and ball joints stay at
+        their start."""
+        data = self._data
+        data.qpos[:] = self.model.qpos0
+        single = np.flatnonzero(self.moves)
+        data.qpos[self.model.jnt_qposadr[single]] = q[single]
+        mujoco.mj_kinematics(self.model, data)
+        return data
 
     @cached_property
     def _data(self) -> mujoco.MjData:
@@ -264,12 +270,12 @@ class Skeleton:
         return str(self.model.body(body).name)
 
     def point(self, body: int, place: np.ndarray) -> Point:
-        """A point of a body's frame [m], for a description; to the micrometre."""
+        """A point in a body's frame [m], rounded to the micrometre for a description."""
         x, y, z = (round(float(c), 6) + 0.0 for c in place)
         return Point(self.body_name(body), (x, y, z))
 
     def path(self, body: int) -> tuple[int, ...]:
-        """Bodies from the world (left out) down to this one."""
+        """Bodies from below the world down to this one."""
         out = []
         while body > 0:
             out.append(body)
@@ -282,7 +288,7 @@ class Skeleton:
         return tuple(range(first, first + int(self.model.body_jntnum[body])))
 
     def rigid(self, body: int) -> tuple[int, ...]:
-        """Bodies that move as one with this one, itself included."""
+        """Bodies that are fixed to this one, itself included."""
         weld = self.model.body_weldid
         return tuple(int(b) for b in np.flatnonzero(weld == weld[body]))
 
@@ -297,11 +303,11 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
         path: URDF or MJCF file.
 
     Returns:
-        the skeleton, and what a person should know about the file, such as meshes that are missing.
+        The skeleton, and notes for the user, such as on missing meshes.
 
     Raises:
-        HandModelError: no such file, broken XML, names given twice, limits reversed, no joints, or
-            what MuJoCo can't compile; each says what to do.
+        HandModelError: there is no such file, it is not well-formed XML, names occur twice, limits
+            are reversed, it has no joints, or MuJoCo can't compile it.
     """
     root = _parse(path)
     _check_names(root, path)
@@ -376,7 +382,7 @@ def _parse(path: Path) -> ElementTree.Element:
 
 def _check_names(root: ElementTree.Element, path: Path) -> None:
     for tag in _UNIQUE.get(root.tag, ()):
-        # of a URDF only the direct children: transmissions name joints again
+        # In a URDF only the direct children count, since transmissions name joints again.
         elements = root.findall(tag) if root.tag == "robot" else root.iter(tag)
         count: dict[str, int] = defaultdict(int)
         for element in elements:
@@ -390,7 +396,7 @@ def _check_names(root: ElementTree.Element, path: Path) -> None:
 
 
 def _check_limits(root: ElementTree.Element, path: Path) -> dict[str, float]:
-    """The joints that can't move, as their limits are equal, and where they are."""
+    """Joints with equal limits, which can't move, and their positions."""
     pinned = {}
     for joint in root.iter("joint"):
         limit = joint.find("limit")
@@ -422,16 +428,16 @@ def _body(model: mujoco.MjModel, name: str) -> int:
     return max(int(body), 0)
 
 
-_RINGS: Final = 13  # along a cylinder or the edge of a box
-_COARSE: Final = 300  # vertices of a mesh
-_ROUND: Final = 400  # points on a sphere: its extent along any direction to half a per cent
+_RINGS: Final = 13  # number of points along a cylinder or the edge of a box
+_COARSE: Final = 300  # number of vertices below which a mesh gets points on its edges
+_ROUND: Final = 400  # number of points on a sphere; its extent is then right to half a per cent
 
 
 def geom_points(model: mujoco.MjModel) -> dict[int, list[Float[np.ndarray, "p 3"]]]:
     """Points on each shape of a compiled model.
 
     Returns:
-        body -> one (p, 3) array a shape, in the body's frame [m]; planes and terrain left out.
+        Body -> a (p, 3) array for each shape, in the body's frame [m], without planes and terrain.
     """
     out: dict[int, list[np.ndarray]] = defaultdict(list)
     rotation = np.empty(9)
@@ -456,13 +462,14 @@ def geom_points(model: mujoco.MjModel) -> dict[int, list[Float[np.ndarray, "p 3"
 def urdf_mesh_points(
     root: ElementTree.Element, files: Mapping[str, Path]
 ) -> tuple[dict[str, list[Float[np.ndarray, "p 3"]]], int]:
-    """Points of the meshes of a URDF that MuJoCo could not load itself.
+    """Points of the meshes of a URDF that MuJoCo could not load.
 
     Args:
-        files: its mesh files, by the names that it has for them.
+        files: mesh files by the names in the URDF.
 
     Returns:
-        link -> one (p, 3) array a mesh, in the link's frame [m]; and how many could not be read.
+        Link -> a (p, 3) array for each mesh, in the link's frame [m]; and the number of meshes that
+        could not be read.
     """
     out: dict[str, list[np.ndarray]] = defaultdict(list)
     missing = 0
@@ -493,13 +500,13 @@ def _vertices(path: Path) -> np.ndarray | None:
     try:
         mesh: Any = trimesh.load(path, force="mesh", process=False)
         vertices = _denser(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces))
-    except Exception:  # a mesh that can't be read counts as missing, whatever its reader says
+    except Exception:  # its readers raise all kinds of errors; an unreadable mesh counts as missing
         return None
     return vertices if len(vertices) and np.isfinite(vertices).all() else None
 
 
 def _denser(vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "p 3"]:
-    """Points along the edges as well, of a mesh so coarse that its corners alone say little."""
+    """Vertices of a mesh, with points along the edges of a coarse one."""
     if len(vertices) >= _COARSE or not len(faces):
         return vertices
     corners = vertices[faces]  # (f, 3, 3)
@@ -520,7 +527,7 @@ def _origin(element: ElementTree.Element | None) -> tuple[np.ndarray, np.ndarray
 
 
 def _primitive(kind: mujoco.mjtGeom, sizes: np.ndarray) -> Float[np.ndarray, "p 3"]:
-    """Points all over the surface, not at its corners alone: sections of it are looked at."""
+    """Points on the whole surface of a shape, which ``far_end`` cuts into sections."""
     size = np.asarray(sizes, np.float64)
     points: np.ndarray
     ball = _sphere()
@@ -546,7 +553,7 @@ def _primitive(kind: mujoco.mjtGeom, sizes: np.ndarray) -> Float[np.ndarray, "p 
 
 
 def _sphere() -> np.ndarray:
-    """A Fibonacci lattice, with both poles."""
+    """Fibonacci lattice on the unit sphere, with both poles."""
     i = np.arange(_ROUND)
     z = np.linspace(-1, 1, _ROUND)
     angle = i * np.pi * (3 - np.sqrt(5))
