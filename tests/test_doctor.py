@@ -2,7 +2,7 @@
 
 import json
 
-from smooth_operator.cli import diagnosis, main
+from smooth_operator.cli import doctor, main
 
 
 def test_the_machine_and_the_advice(capsys, tmp_path, monkeypatch):
@@ -20,7 +20,7 @@ def test_the_machine_and_the_advice(capsys, tmp_path, monkeypatch):
 
 def test_two_opencvs_in_one_folder_are_named(capsys, monkeypatch):
     versions = {"opencv-contrib-python": "5.1.0.95", "opencv-python-headless": "4.13.0.92"}
-    monkeypatch.setattr(diagnosis, "_version", versions.get)
+    monkeypatch.setattr(doctor, "_version", versions.get)
     assert main(["doctor", "--json"]) == 0
     advice = json.loads(capsys.readouterr().out)["advice"]
     both = "opencv-python-headless 4.13.0.92, opencv-contrib-python 5.1.0.95"

@@ -162,7 +162,7 @@ def _write_dataset(
     if options.to is None and any(is_dataset(path) for path in options.inputs):
         raise ConfigError(
             "the input is a LeRobot dataset, so --to is required for "
-            f"{options.output.name!r} : use --to npz, mcap or hdf5 for one file per episode, "
+            f"{options.output.name!r}: use --to npz, mcap or hdf5 for one file per episode, "
             "or --to lerobot for another dataset"
         )
     with folder_for(options.output.resolve().parent):
@@ -209,7 +209,7 @@ def _write_files(
 
 
 def _targets(options: Convert, to: Format, sources: list[Source]) -> list[Path]:
-    """Writes one file per episode."""
+    """Paths of the files to write, one for each episode."""
     from smooth_operator.teleop.recording.convert import SUFFIXES
 
     named = SUFFIXES.get(options.output.suffix.lower()) is not None
@@ -274,7 +274,7 @@ def _commands_of(commands: Path | None, sources: list[Source]) -> list[Path | No
     if not commands.is_dir():
         if len(sources) > 1:
             raise ConfigError(
-                f"the inputs hold {len(sources)} episodes , but {commands} holds the "
+                f"the inputs hold {len(sources)} episodes, but {commands} holds the "
                 "commands of one; give the folder of their results, each with the name of "
                 "its recording"
             )

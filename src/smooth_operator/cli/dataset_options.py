@@ -74,8 +74,10 @@ request is invalid, 130 stopped."""
     """Print the report as one JSON object on standard output."""
 
     def extras(self) -> dict[str, tuple[str, ...]]:
-        """For the report, and for the format, addresses and the cluster; each extra has those
-        before it."""
+        """The extra for the report, the format, the addresses and the cluster.
+
+        A later extra includes the earlier ones.
+        """
         libraries = ["jinja2", "matplotlib"]
         extra = "lab"
         if self.format in ("lerobot", "parquet"):

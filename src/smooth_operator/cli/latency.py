@@ -19,11 +19,12 @@ class Latency(Common):
 
     work: ClassVar[str] = "smooth_operator.cli.latency:latency"
     details: ClassVar[str] = """Stages of a frame:
-  tracker  delay compared with the fastest frame of the last seconds; the clocks of tracker and
-  computer are not compared, so a constant delay can't be seen receive  from the arrival of the
-  frame until the loop takes it solve    alignment and retargeting, one compiled program limit
-  limits of position, velocity and acceleration, coupled joints send     until every sink has the
-  command
+  tracker  delay compared with the fastest frame of the last seconds; a constant delay can't
+           be seen, because the clocks of tracker and computer are not compared
+  receive  from the arrival of the frame until the loop takes it
+  solve    alignment and retargeting, one compiled program
+  limit    limits of position, velocity and acceleration, coupled joints
+  send     until every sink has the command
 The sum of the last four stages is the delay that the loop adds.
 
 Examples:

@@ -25,7 +25,7 @@ from smooth_operator.cli.common_options import Common, Group, described
 from smooth_operator.cli.convert import Convert
 from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.demo import Demo
-from smooth_operator.cli.doctor_options import Doctor
+from smooth_operator.cli.doctor import Doctor
 from smooth_operator.cli.hands import Hands
 from smooth_operator.cli.hardware_options import Hardware
 from smooth_operator.cli.latency import Latency

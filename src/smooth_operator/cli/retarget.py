@@ -81,7 +81,7 @@ Examples:
 
 
 def retarget(options: Retarget) -> None:
-    """Reads, retargets, measures, writes; all that a user can get wrong is checked first."""
+    """Reads, retargets, measures and writes a recording, after a check of all options."""
     from smooth_operator.cli.console import Progressing, print_metrics, print_summary
     from smooth_operator.cli.outputs import check_commands_path, folder_for
     from smooth_operator.cli.session import execute_shown, measure_shown, requested
@@ -98,7 +98,7 @@ def retarget(options: Retarget) -> None:
     for name in ("workers", "cluster"):
         if getattr(options, name) is not None:
             raise ConfigError(
-                f"--{name} is for a folder of recordings, and {options.recording} is none"
+                f"--{name} is for a folder of recordings; {options.recording} is not a folder"
             )
     progress = Progressing(options.quiet)
     check_commands_path(options.output, options.recording, options.overwrite)
@@ -151,7 +151,7 @@ def retarget_folder(options: Retarget) -> None:
     """Retargets the recordings of a folder that are not done yet.
 
     Raises:
-        SmoothOperatorError: with the reason; what is finished stays.
+        SmoothOperatorError: the folder can't be retargeted; finished results stay.
         SystemExit: 1, if a recording failed.
     """
     from smooth_operator.cli.dataset import make_shown
@@ -161,7 +161,7 @@ def retarget_folder(options: Retarget) -> None:
 
     folder, output = options.recording, options.output
     if is_dataset(folder):
-        file_kind(folder)  # raises with what it is, and the way
+        file_kind(folder)  # raises an error that names the command for a data set
     if output.suffix == ".npz" and not output.is_dir():
         raise OutputError(
             f"can't write {str(output)!r}: {folder} is a folder of recordings, and so are its "
