@@ -147,17 +147,13 @@ def run(run) -> Run:
     return call
 
 
-@pytest.mark.parametrize("to", NAMES)
-@pytest.mark.parametrize("origin", NAMES)
 @pytest.mark.parametrize(("side", "rich"), [("right", False), ("left", True)])
-def test_every_pair_of_formats(tmp_path, origin, to, side, rich):
-    value = episode(side=side, rich=rich)
-    (tmp_path / "1").mkdir()
-    (tmp_path / "2").mkdir()
-    first = read_episode(write(tmp_path / "1", value, origin))
-    assert_same(value, first)
-    assert first.notes == ()
-    assert_same(value, read_episode(write(tmp_path / "2", first, to)))
+def test_an_episode_through_every_format_one_after_the_other(tmp_path, side, rich):
+    value = last = episode(side=side, rich=rich)
+    for to in NAMES:
+        last = read_episode(write(tmp_path, last, to))
+        assert_same(value, last)
+        assert last.notes == ()
 
 
 @pytest.mark.parametrize("to", NAMES)
@@ -259,7 +255,6 @@ def bad_commands(kind):
     return value, {"joint_positions": positions, "stamps": stamps, "status": status}
 
 
-@pytest.mark.parametrize("to", ["npz", "mcap", "hdf5", "lerobot"])
 @pytest.mark.parametrize(
     ("kind", "said"),
     [
@@ -272,7 +267,7 @@ def bad_commands(kind):
         ("span", "1e[+]10 s, at most 1e[+]09 s"),
     ],
 )
-def test_commands_that_no_robot_could_follow_become_no_file(tmp_path, run, kind, said, to):
+def test_commands_that_no_robot_could_follow_become_no_file(tmp_path, run, kind, said):
     value, changes = bad_commands(kind)
     names = {"stamps": "timestamps"}
     path = tmp_path / "bad.npz"
@@ -282,7 +277,7 @@ def test_commands_that_no_robot_could_follow_become_no_file(tmp_path, run, kind,
         latency_ms=value.latency_ms,
         **{names.get(name, name): values for name, values in changes.items()},
     )
-    status, err = run(path, "--to", to, "--output", tmp_path / "out")
+    status, err = run(path, "--to", "mcap", "--output", tmp_path / "out")
     assert status == 2
     assert re.search(rf"bad\.npz: .*{said}", err), err
     assert not (tmp_path / "out").exists()
@@ -864,16 +859,6 @@ def test_damaged_hdf5(tmp_path):
         path.write_bytes(content[:length])
         with pytest.raises(RecordingError, match="damaged or cut off"):
             read_episode(path)
-    # Flipped bytes may hit what is not needed, but never bring anything down.
-    for _ in range(30):
-        broken = bytearray(content)
-        for at in rng.integers(8, len(content), 20):
-            broken[at] ^= 0xFF
-        path.write_bytes(broken)
-        try:
-            read_episode(path)
-        except RecordingError as error:
-            assert str(path) in str(error)  # noqa: PT017
 
 
 @pytest.mark.parametrize(

@@ -793,12 +793,14 @@ def test_after_a_change_of_the_code_clips_and_data_set_are_made_again(copy, monk
         assert again() == (len(FRAMES), True)
         assert again() == (len(FRAMES), False)
     assert again() == (len(FRAMES), True)
+    parts: list[str] = []
     with monkeypatch.context() as commands:
-        commands.setattr("smooth_operator.planning.code_digest", lambda *_: "other")
+        commands.setattr("smooth_operator.planning.code_digest", lambda *p: parts.extend(p) or "b")
         assert again() == (0, True)
         assert again() == (len(FRAMES), False)
     assert again() == (len(FRAMES), True)
     assert contents(output) == before
+    assert {"retargeting", "hands", "formats", "io"} <= {*parts}
 
 
 def test_keys_of_clips_are_of_the_code_and_of_the_readers_of_plugins(monkeypatch, tmp_path):

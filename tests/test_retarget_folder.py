@@ -1,13 +1,14 @@
-"""A folder into a folder: the same bytes whoever made them, whatever was killed on the way."""
+"""A folder into a folder, by the pipeline of data sets (``test_dataset_pipeline``).
+
+Resumption after a killed run, and after a change of a recording or of the code, is tested there.
+"""
 
 import functools
 import json
 import os
 import re
 import shutil
-import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -147,21 +148,6 @@ def test_a_result_is_that_of_the_library(folder, expected):
         assert "created" not in config
 
 
-@pytest.mark.weekly
-def test_with_the_default_method_too(tmp_path):
-    """Of two recordings by one retargeter, neither leaves anything to the other."""
-    for seed, frames in enumerate((BLOCK + 9, 30)):
-        save(tmp_path / "in" / f"{seed}.npz", hand(frames, seed))
-    assert do(tmp_path / "in", tmp_path / "out", make_request(seed=3)).episodes == 2
-    retargeter = Retargeter(seed=3)
-    for seed in (0, 1):
-        recording = read_recording(tmp_path / "in" / f"{seed}.npz")
-        ((direct, _),) = retargeter.batch([recording])
-        commands = read_commands(tmp_path / "out" / f"{seed}.npz")
-        assert commands.joint_positions.tobytes() == direct.joint_positions.tobytes()
-        assert (commands.status == 0).all()
-
-
 def killed_once(job: Job) -> Results:
     """``do_job``, but the process that first packs ``c`` is killed in the middle of it."""
     mark = job.folder / "killed"
@@ -183,58 +169,6 @@ def test_a_killed_worker_loses_nothing(folder, expected, tmp_path, monkeypatch):
     assert do(folder, tmp_path / "out", workers=1).failed == {}
     assert list((tmp_path / "out").rglob("killed"))
     assert contents(tmp_path / "out") == expected
-
-
-def not_the_last(job: Job) -> Results:
-    """``do_job``, but ``e`` does not end."""
-    if any(item.name == "e" for item in job.items):
-        time.sleep(600)
-    return REAL_JOB(job)
-
-
-RUN = """
-import sys
-from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-from contextlib import contextmanager
-from smooth_operator.datasets import pipeline
-from smooth_operator.reporter import Reporter
-from test_retarget_folder import do, not_the_last
-
-class Say(Reporter):
-    @contextmanager
-    def counting(self, *_, **__):
-        yield lambda count, **_: print(count, flush=True)
-
-if __name__ == "__main__":
-    pipeline._FEW_ITEMS = 1
-    pipeline.do_job = not_the_last
-    do(Path(sys.argv[2]), Path(sys.argv[3]), reporter=Say(), workers=1)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
-def test_a_killed_run_is_resumed(folder, expected, tmp_path):
-    script, output = tmp_path / "run.py", tmp_path / "out"
-    script.write_text(RUN, encoding="utf-8")
-    tests = str(Path(__file__).parent)
-    with subprocess.Popen(
-        [sys.executable, str(script), tests, str(folder), str(output)], stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdout.readline()  # one is done, and then
-        process.kill()
-    packs = len(list((output / ".work").rglob("pack-*.zip")))
-    assert 0 < packs < len(FRAMES), "it was not in the middle"
-    # What else a sudden end may leave: an unfinished file, half a result, one without the other.
-    (output / "deep").mkdir()
-    (output / "a.npz").write_bytes(expected["a.npz"][:-100])
-    (output / "a.json").write_bytes(expected["a.json"])
-    (output / "deep" / "c.json").write_bytes(expected["deep/c.json"])
-    (output / "deep" / ".c.npz.00000000-7.0123abcd.tmp").write_bytes(b"half")
-    count = Count()
-    do(folder, output, reporter=count)
-    assert count.kept >= packs
-    assert contents(output) == expected
 
 
 @pytest.mark.weekly
@@ -314,38 +248,17 @@ def damage(path: Path) -> None:
         lambda output: damage(output / "a.npz"),
         lambda output: (output / "a.npz").unlink(),
         lambda output: (output / "a.json").unlink(),
+        lambda output: (output / ".a.npz.00000000-7.0123abcd.tmp").write_bytes(b"half"),
         lambda output: (output / "a.npz").write_bytes(b""),
         lambda output: shutil.copy(output / "e.npz", output / "a.npz"),
     ],
-    ids=["a bit", "no result", "no json", "empty", "another's"],
+    ids=["a bit", "no result", "no json", "unfinished", "empty", "another's"],
 )
 def test_a_damaged_result_is_written_again(copy, spoil, expected):
     recordings, output = copy
     spoil(output)
     assert kept(recordings, output) == len(FRAMES)
     assert contents(output) == expected
-
-
-def test_a_recording_with_another_content_is_retargeted(copy, expected):
-    recordings, output = copy
-    save(recordings / "a.npz", hand(30, 9))
-    assert kept(recordings, output) == len(FRAMES) - 1
-    assert (output / "a.npz").read_bytes() != expected["a.npz"]
-
-
-def test_after_a_change_of_the_code_all_is_made_again(copy, monkeypatch):
-    recordings, output = copy
-    names: list[str] = []
-
-    def digest_of(*parts: str) -> str:
-        names.extend(parts)
-        return "another"
-
-    monkeypatch.setattr("smooth_operator.planning.code_digest", digest_of)
-    assert kept(recordings, output) == 0
-    assert kept(recordings, output) == len(FRAMES)
-    for name in ("retargeting", "hands", "formats", "io", "offline"):
-        assert name in names
 
 
 def test_two_runs_do_not_meet(tmp_path):

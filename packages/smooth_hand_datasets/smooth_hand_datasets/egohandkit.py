@@ -109,7 +109,7 @@ class EgoHandKit:
         if missing:
             raise RecordingError(
                 f"{path}: it lacks {listed(missing)}; it has {listed(table.column_names)}; "
-                f"expected is {self.expects}"
+                f"expected {self.expects}"
             )
         metadata = table.schema.metadata or {}
         for key, value in _SAID.items():

@@ -309,7 +309,7 @@ def _side(collected: _Found, *tables: dict[Any, Any]) -> Side:
                 except ValueError as error:
                     raise RecordingError(f"{collected.path}: {error}") from error
     raise RecordingError(
-        f"{collected.path}: a hand does not say its side; expected is is_right, 0 or 1"
+        f"{collected.path}: a hand does not say its side; expected is_right, 0 or 1"
     )
 
 

@@ -72,7 +72,7 @@ class Hawor:
         path = ref.path
         parts = load_restricted(path)
         if not isinstance(parts, list | tuple) or len(parts) != 5:
-            raise RecordingError(f"{path}: expected is {self.expects}")
+            raise RecordingError(f"{path}: expected {self.expects}")
         trans = array(parts[0], f"{path}, translations", (2, None, 3))
         count = trans.shape[1]
         rotations = array(parts[1], f"{path}, rotations", (2, count, 3))
@@ -139,7 +139,7 @@ class DynHamr:
         missing = [name for name in _PARTS if name not in arrays]
         if missing:
             raise RecordingError(
-                f"{path}: it lacks {', '.join(missing)}; it holds {arrays.describe()}; expected is "
+                f"{path}: it lacks {', '.join(missing)}; it holds {arrays.describe()}; expected "
                 f"{self.expects}"
             )
         trans = _part(arrays, "trans", (None, None, 3))

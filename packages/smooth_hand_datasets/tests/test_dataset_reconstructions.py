@@ -97,7 +97,7 @@ def test_hawor_says_what_it_needs(tmp_path):
     with pytest.raises(RecordingError, match="--rate"):
         clip_of(path, ReadingOptions(mano=tmp_path / "mano"))
     for value, said in (
-        ([1, 2], "expected is world_space_res.pth, a list"),
+        ([1, 2], "expected world_space_res.pth, a list"),
         ([np.zeros((2, 4, 3)), np.zeros((2, 4, 3)), np.zeros((2, 4, 48)), 0, 0], "poses: .*4, 45"),
     ):
         path.write_bytes(pickle.dumps(value))

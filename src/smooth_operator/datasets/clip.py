@@ -21,19 +21,19 @@ class RobotClip:
 
     Attributes:
         clip: the human hands and the scene.
-        commands: side -> commands, one for each frame, in the order of the hand's joints.
+        commands: side -> commands, one for each frame.
         hand_names: side -> name of the robot hand.
-        T_world_wrist: side -> (T, 7) pose of the robot hand's wrist in ``clip.world``; NaN where it
-            is not known.
-        valid: side -> (T,) whether the command answers a hand that was seen.
-        tracks: figures of each frame, (T,) by name with the side before a dot, as
-            ``quality_tracks`` computes them; NaN where one is not known.
-        figures: quality of the episode by name, as ``quality_figures`` computes them.
-        config: the resolved configuration that made the commands, as JSON has it.
-        key: digest of everything that the result depends on, in hexadecimal.
+        T_world_wrist: side -> (T, 7) pose of the robot hand's wrist in ``clip.world``; NaN where
+            unknown.
+        valid: side -> (T,) True where the command answers a hand that was seen.
+        tracks: ``SIDE.NAME`` -> (T,) figures of each frame from ``quality_tracks``; NaN where
+            unknown.
+        figures: name -> quality of the episode, from ``quality_figures``.
+        config: the resolved configuration that made the commands, in JSON types.
+        key: hexadecimal digest of all inputs, settings and code of the result.
 
     Raises:
-        RecordingError: parts do not fit each other.
+        RecordingError: the commands have other timestamps than the clip.
     """
 
     clip: Clip
@@ -58,7 +58,7 @@ class RobotClip:
 def robot_part(whole: RobotClip, frames: slice) -> RobotClip:
     """Some consecutive frames of a clip with commands, without figures.
 
-    Its name and key say which frames they are. All frames are the clip itself.
+    The name and the key of the part contain the range of frames.
     """
     count = len(whole.clip)
     start, stop, _ = frames.indices(count)

@@ -6,8 +6,8 @@
     summary = make_dataset(request)
 
 In the folder of results, ``dataset`` is the data set, ``report.json``, ``report.html`` and
-``episodes.jsonl`` say what was kept and dropped and why, and ``work`` holds the retargeted clips,
-from which a later run goes on. Other limits or another format retarget nothing a second time.
+``episodes.jsonl`` report kept and dropped episodes with reasons, and ``work`` holds the retargeted
+clips, from which a later run continues. Other limits or formats do not retarget clips again.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ _QUERY: Final = ("--query-gpu=utilization.gpu", "--format=csv,noheader,nounits",
 
 @dataclass
 class GpuUse:
-    """The GPU of a run and the time that it works.
+    """The GPU of a run, and its use.
 
     Attributes:
         name: name of the device.
-        frames: frames that were retargeted.
+        frames: number of retargeted frames.
         seconds: time of the run [s].
-        retargeting: time in which a batch was retargeted and packed [s].
+        retargeting: time of retargeting and packing [s].
         busy: share of ``seconds`` in which the GPU ran a kernel; None if it can't be measured.
     """
 
@@ -106,7 +106,7 @@ class GpuUse:
 
     @contextlib.contextmanager
     def measured(self) -> Iterator[None]:
-        """Measures the time of a block, and how busy the GPU is."""
+        """Measures the time of a block and the load of the GPU."""
         started = time.perf_counter()
         with gpu_samples() as samples:
             try:
@@ -118,7 +118,7 @@ class GpuUse:
 
 @contextlib.contextmanager
 def gpu_samples() -> Iterator[list[float]]:
-    """Shares of time in which the GPU ran a kernel, four a second while a block runs.
+    """Samples the share of time in which the GPU runs a kernel, four times a second.
 
     ``nvidia-smi`` measures them; the list is filled at the end, and stays empty without it.
     """
@@ -138,9 +138,9 @@ def gpu_samples() -> Iterator[list[float]]:
 
 @contextlib.contextmanager
 def only_cpus_in_children() -> Iterator[None]:
-    """Processes that start in the block compute on the CPU, whatever JAX would choose.
+    """Processes that start inside the block use the CPU, even if JAX finds a GPU.
 
-    JAX reads the variable when it is imported: a process that uses a GPU imports it before.
+    JAX reads the variable at its import, so a process that uses a GPU must import it before.
     """
     before = os.environ.get("JAX_PLATFORMS")
     os.environ["JAX_PLATFORMS"] = "cpu"
@@ -217,24 +217,23 @@ def make_dataset(
     asked: RetargetRequest | None = None,
     again: bool = False,
 ) -> Summary:
-    """Makes a data set, or the share of one that a shard is; goes on where a run was stopped.
+    """Makes a data set, or a shard of one. Continues where a run was stopped.
 
-    The result depends on the sources and the request alone, not on the number of workers, nor on
-    what was stopped or killed before. A clip that can't be read or retargeted is reported, and the
-    others go on.
+    The result depends only on the sources and the request, not on the number of workers or on
+    interruptions. A clip that can't be read or retargeted is reported; the others go on.
 
     Args:
         request: sources, robot hand, limits, format and output.
-        reporter: is told the state of the work.
-        asked: hand, method, settings and frames in place of the request's own: for the description
-            of a hand, or a configuration that no preset has.
-        again: retarget also what is finished.
+        reporter: shows the progress.
+        asked: resolved request that replaces hand, method, settings and frames of ``request``, for
+            example with the description of a hand.
+        again: True to retarget finished clips, too.
 
     Returns:
-        counts and reasons of what was kept, dropped and failed, as in ``report.json``.
+        counts and reasons of kept, dropped and failed clips, as in ``report.json``.
 
     Raises:
-        SmoothOperatorError: nothing can be made at all: the hand, the method, a source, the folder.
+        SmoothOperatorError: hand, method, a source or the folder can't be used.
     """
     reporter = Reporter() if reporter is None else reporter
     shard = _checked_share(request)
@@ -342,10 +341,10 @@ def make_dataset(
 
 
 def _checked_share(request: DatasetRequest) -> tuple[int, int] | None:
-    """The share of the work that a request is for, its other settings checked, too.
+    """The shard of a request, after a check of its other settings.
 
     Raises:
-        ConfigError: settings can't be, or do not go together.
+        ConfigError: settings are not valid, or contradict each other.
         MissingExtraError: the format needs an extra.
     """
     if not request.sources:
@@ -359,7 +358,7 @@ def _checked_share(request: DatasetRequest) -> tuple[int, int] | None:
 
 
 def check_output(request: DatasetRequest, hand: str) -> None:
-    """Refuses a folder of results that is a source, a file, or has a data set of another hand.
+    """Refuses a folder of results that is a source or a file, or has the data set of another hand.
 
     Raises:
         OutputError: with the folder.
@@ -389,7 +388,7 @@ def check_output(request: DatasetRequest, hand: str) -> None:
 
 
 def _finished(store: Store, items: Sequence[Item], recipe: Recipe) -> dict[str, Result]:
-    """Items that earlier runs have done, with the places of their clips."""
+    """Name of item -> result, for the items that earlier runs finished."""
     by_name = {item.name: item for item in items}
     usual = recipe.request.rate
 
@@ -410,7 +409,7 @@ def _retargeted(
     reporter: Reporter,
     gpu: GpuUse | None,
 ) -> Generator[Results]:
-    """Results of all items; those of a worker that died are tried once more, each alone."""
+    """Results of all items. Those of a worker that died are tried once more, each alone."""
 
     def split(job: Job) -> list[Job]:
         return [replace(job, items=(item,)) for item in job.items]
@@ -437,7 +436,7 @@ def _packs(
     gpu: GpuUse | None,
     **options: Any,
 ) -> Generator[Results]:
-    """Results of each pack, made by workers, or by a GPU from what workers read."""
+    """Results of each pack, by workers, or by a GPU from the clips that workers read."""
     if gpu is not None:
         yield from entries_of_gpu(jobs, split, gpu, **options)
         return
@@ -455,7 +454,7 @@ def _lost(job: Job, error: str | None) -> Results:
 def _jobs(
     items: Sequence[Item], folder: Path, recipe: Recipe, workers: int | None
 ) -> Iterator[Job]:
-    """Items of neighbouring names in packs, small enough for all workers to have some."""
+    """Jobs of items with neighbouring names, small enough to keep all workers busy."""
     workers = workers or usable_cores()
     share = -(-len(items) // max(workers, 1))
     count = max(min(_FEW_ITEMS, share), min(_MOST_ITEMS, len(items) // (workers * _SHARE)), 1)

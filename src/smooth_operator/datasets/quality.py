@@ -1,4 +1,4 @@
-"""Quality of an episode, and selection: clips are cut where a hand is lost, dropped by quality."""
+"""Quality figures of episodes, and the selection of episodes by limits."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 REACHED: Final = 0.25
-"""A robot fingertip reaches the human's if it is nearer to it than this share of the robot hand's
-length, or as near to where a finger as long as the robot's has its tip: the hands have other
-proportions, and an open robot hand whose fingers are twice as long is right, too."""
+"""Largest distance at which a robot fingertip reaches the human's, as a share of the hand's length.
+
+It is measured to the human fingertip, or to the tip of a finger with the human's posture and the
+robot's length: an open robot hand whose fingers are twice as long is right, too."""
 
 COLLISION_RATE_HZ: Final = 5.0
-"""How often self-collision is looked at [Hz]: a look takes as long as a tenth of a command."""
+"""Rate at which self-collision is measured [Hz]; a measurement costs a tenth of a command."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +39,10 @@ class Figure:
     """A figure of quality.
 
     Attributes:
-        name: name of the figure; that of an episode has the side before it, as in ``right.reach``.
+        name: name of the figure; an episode has ``SIDE.NAME``, such as ``right.reach``.
         unit: "" for a plain number.
         better: better direction.
-        meaning: one line for a person.
+        meaning: description in one line.
     """
 
     name: str
@@ -70,8 +71,8 @@ FIGURES: Final = (
     Figure("contact_error_mm", "mm", "down", "robot fingertip to object in the human's contacts"),
     Figure("object_depth_mm", "mm", "down", "deepest point of the robot hand in an object"),
 )
-"""What is measured of each hand; ``frames``, ``seconds`` and ``rate_hz`` are of the episode. The
-last four are known where a clip was retargeted with its objects."""
+"""Figures of each hand. ``frames``, ``seconds`` and ``rate_hz`` are those of the episode. The last
+four exist only for clips that were retargeted with their objects."""
 
 
 Tracks: TypeAlias = dict[str, Float[np.ndarray, " T"]]
@@ -84,12 +85,12 @@ def quality_tracks(
     hand: Hand,
     alignment: AlignmentConfig,
 ) -> list[Tracks]:
-    """Figures of each frame of some recordings of one hand; NaN where one is not known.
+    """Figures of each frame of recordings of one hand; NaN where unknown.
 
-    The recordings are measured together, as most of the time is spent between arrays.
+    The recordings are measured together, which is faster.
 
     Args:
-        alignment: the method's own, so that the human is measured as the method saw it.
+        alignment: the method's alignment, so that the human hand is measured as the method saw it.
 
     Returns:
         for each: ``speed`` [m/s] from the frame before, of the wrist or of a fingertip to the
@@ -139,7 +140,7 @@ def quality_tracks(
 def _places(
     hand: Hand, human: Float[np.ndarray, "T 21 3"], robot: Float[np.ndarray, "T k 3"]
 ) -> Float[np.ndarray, "T f 3"]:
-    """Where fingers of the human's posture and the robot's lengths have their tips [m]."""
+    """Tips of fingers with the human's posture and the robot's lengths [m]."""
     names, numbers = hand.tree.names, [FINGERS.index(name) for name in hand.fingers]
     bases = robot[:, [names.index(LANDMARKS[BASES[finger]]) for finger in numbers]]
     points = human[:, [[BASES[finger] + i for i in range(4)] for finger in numbers]]
@@ -150,7 +151,7 @@ def _places(
 
 
 def hand_length(hand: Hand) -> float:
-    """From the wrist of a robot hand to its farthest fingertip, in the neutral pose [m]."""
+    """Distance from a robot hand's wrist to its farthest fingertip, in the neutral pose [m]."""
     names = hand.tree.names
     points = np.asarray(hand.tree.positions(hand.full_configuration(hand.neutral)))
     tips = points[[names.index(name) for name in hand.tip_names]]
@@ -158,7 +159,7 @@ def hand_length(hand: Hand) -> float:
 
 
 def quality_figures(episode: RobotClip) -> dict[str, float]:
-    """Figures of an episode from its tracks; what is not known is left out.
+    """Figures of an episode from its tracks, without unknown ones.
 
     Args:
         episode: a clip with commands and tracks, whole or a part of one.
@@ -182,7 +183,7 @@ def quality_figures(episode: RobotClip) -> dict[str, float]:
 
 
 def worst(figures: Mapping[str, float], name: str) -> float | None:
-    """A figure of the hand that is worse off; None if it is known of neither."""
+    """A figure of the worse hand; None if it is unknown for both."""
     better = next(figure.better for figure in FIGURES if figure.name == name)
     values = [value for key, value in figures.items() if key.partition(".")[2] == name]
     if not values:
@@ -220,7 +221,7 @@ def _of_hand(episode: RobotClip, side: Side, period: float) -> dict[str, float |
 
 
 def _at_objects(episode: RobotClip, side: Side) -> dict[str, float | None]:
-    """Figures of contacts, of an episode that has their tracks."""
+    """Figures of contacts; empty for an episode without tracks of contacts."""
     if f"{side}.object_depth" not in episode.tracks:
         return {}
     names = ("shared_contacts", "robot_contacts", "human_contacts")
@@ -245,7 +246,7 @@ def longest_gap(valid: np.ndarray, stamps: np.ndarray, period: float) -> float:
 
 
 def _speed(recording: HandRecording, reaches: np.ndarray) -> Float[np.ndarray, " T"]:
-    """Fastest of the wrist and of the fingertips to the wrist, from the frame before [m/s]."""
+    """Speed of the wrist, or of a fingertip to the wrist, if it is faster [m/s]."""
     moved = np.linalg.norm(np.diff(reaches, axis=0), axis=-1)  # (T - 1, F), NaN if one is missing
     if recording.T_world_wrist is not None:
         wrist = np.linalg.norm(np.diff(recording.T_world_wrist[:, :3], axis=0), axis=-1)
@@ -256,13 +257,13 @@ def _speed(recording: HandRecording, reaches: np.ndarray) -> Float[np.ndarray, "
 
 
 def _looks(recording: HandRecording) -> slice:
-    """The frames in which self-penetration is looked for."""
+    """The frames in which self-penetration is measured."""
     rate = recording.rate_hz
     return slice(None, None, max(1, round(rate / COLLISION_RATE_HZ)) if np.isfinite(rate) else 1)
 
 
 def _joined(recordings: Sequence[HandRecording]) -> HandRecording:
-    """Frames of several recordings of one side, for what takes each by itself."""
+    """Joins the frames of recordings of one side, for functions that treat each frame alone."""
     landmarks = np.concatenate([each.landmarks for each in recordings])
     valid = np.concatenate([np.asarray(each.valid) for each in recordings])
     stamps = np.arange(len(landmarks), dtype=np.float64)
@@ -279,13 +280,13 @@ def _jerk(positions: np.ndarray, stamps: np.ndarray) -> float | None:
 
 @dataclass(frozen=True)
 class Dropped:
-    """Frames that are not kept.
+    """A dropped part of a clip.
 
     Attributes:
-        name: name of the episode they would be.
+        name: name of the episode that it would be.
         frames: first frame in the clip, and the one after the last.
-        reasons: name of a limit -> what was found, in words.
-        figures: quality of the episode; empty if there is none to measure.
+        reasons: name of a limit -> description of the value that breaks it.
+        figures: quality of the episode; empty for frames without a hand.
     """
 
     name: str
@@ -295,7 +296,7 @@ class Dropped:
 
 
 def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
-    """The episodes of a clip, in the order of time: kept, with their figures, or dropped."""
+    """The episodes of a clip, in the order of time: kept ones with figures, and dropped ones."""
     whole = _confident(whole, limits.min_confidence)
     motion = _finger_motions(whole)
     if limits.whole:
@@ -314,7 +315,7 @@ def select(whole: RobotClip, limits: Limits) -> Iterator[RobotClip | Dropped]:
 
 
 def _confident(whole: RobotClip, least: float) -> RobotClip:
-    """A clip in which frames count as not seen that the tracker is not sure of."""
+    """Marks frames with a low confidence of the tracker as not valid."""
     valid = dict(whole.valid)
     for side, confidence in whole.clip.confidence.items():
         if side in valid:
@@ -323,7 +324,7 @@ def _confident(whole: RobotClip, least: float) -> RobotClip:
 
 
 def _finger_motions(whole: RobotClip) -> dict[str, float]:
-    """Figures of the fingers' motion, of the whole clip: a hand may be still in a part of it."""
+    """Motion of the fingers over the whole clip, because a hand may be still in a part of it."""
     motions = {side: finger_motion(whole.clip.hands[side]) for side in whole.commands}
     return {
         f"{side}.finger_motion_mm": 1e3 * value
@@ -338,7 +339,7 @@ def _good(whole: RobotClip, limits: Limits) -> Bool[np.ndarray, " T"]:
 
 
 def _jumps(whole: RobotClip, limits: Limits) -> Bool[np.ndarray, " T"]:
-    """Frames that a hand has jumped to."""
+    """True for frames to which a hand jumped."""
     jumped = np.zeros(len(whole.clip), bool)
     for name, values in whole.tracks.items():
         if name.endswith(".speed"):
@@ -349,7 +350,7 @@ def _jumps(whole: RobotClip, limits: Limits) -> Bool[np.ndarray, " T"]:
 def _parts(
     good: Bool[np.ndarray, " T"], jumped: Bool[np.ndarray, " T"], stamps: np.ndarray, gap: float
 ) -> Iterator[slice]:
-    """Good parts: they begin and end with a good frame, and have no jump and no long gap inside."""
+    """Parts that begin and end with a good frame and have no jump or long gap inside."""
     frames = np.flatnonzero(good)
     if not len(frames):
         return
@@ -378,7 +379,7 @@ def _judged(
 
 
 def _reasons(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, str]]:
-    """The limits that an episode breaks, with what was found."""
+    """Limits that an episode breaks, each with a description of the value."""
     seconds = figures["seconds"]
     if seconds < limits.min_seconds:
         yield "min_seconds", f"{seconds:.2f} s long"
@@ -405,7 +406,7 @@ def _reasons(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, s
 
 
 def _of_whole(figures: dict[str, float], limits: Limits) -> Iterator[tuple[str, str]]:
-    """Limits that cut a clip, for one that is to stay whole."""
+    """Limits that would cut the clip, applied to a clip that stays whole."""
     confidence, jump = worst(figures, "confidence"), worst(figures, "jump_m_s")
     gaps = [value for name, value in figures.items() if name.endswith(".gap_s")]
     gap = (min if limits.hands == "any" else max)(gaps)

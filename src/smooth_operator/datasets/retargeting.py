@@ -65,13 +65,13 @@ def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A file that a clip was read from.
+    """A source file of a clip.
 
     Attributes:
         path: its path in the source, with slashes; or its address.
         bytes: its size.
         sha256: digest of its content, in hexadecimal.
-        changed: its date, or what an object store has for it.
+        changed: its date, or the change mark of an object store.
     """
 
     path: str
@@ -90,18 +90,17 @@ class Recipe:
 
     Attributes:
         request: hand, method, preset, seed, scale, fingers and operator; and side, rate and layout
-            for the readers. Only the hand of its side is retargeted; without one, all of a clip.
-        frame: where wrists and objects are given; None for each clip's own frame.
-        with_objects: keep the contacts of the human's fingertips with objects, in clips that have
-            an object with a shape and the wrist's pose, with ``smooth_hand_datasets``.
+            for the readers. With a side, only that hand of a clip is retargeted.
+        frame: frame of wrists and objects; None for each clip's own.
+        with_objects: keep the contacts of the human's fingertips with objects, in clips with the
+            wrist's pose and an object's mesh; needs ``smooth_hand_datasets``.
         device: device that retargets; the commands of a GPU differ from a CPU's by 1e-4 rad.
         mano: as in ``ReadingOptions``.
         objects: as there.
 
     Raises:
-        ConfigError: objects are to be kept, and the configuration answers frame by frame, or the
-            distribution that does it is not installed; a GPU is to retarget what is not retargeted
-            side by side.
+        ConfigError: ``with_objects`` with a configuration that answers frame by frame, or without
+            ``smooth_hand_datasets``; a GPU with settings that retarget clips one by one.
     """
 
     request: RetargetRequest
@@ -116,10 +115,10 @@ class Recipe:
         """The recipe of a data set.
 
         Args:
-            asked: hand, method and settings in place of the request's own.
+            asked: resolved request that replaces hand, method and settings of ``request``.
 
         Raises:
-            SmoothOperatorError: a setting can't be.
+            SmoothOperatorError: a setting is not valid.
         """
         if asked is None:
             asked = make_request(**request.settings(), side=request.side, rate=request.rate)
@@ -161,7 +160,7 @@ class Recipe:
         return default_side(self.request.hand)
 
     def reading(self, side: Side | None = None, rate: float | None = None) -> ReadingOptions:
-        """Options of the readers for an item, for which a list may say the hand and the rate."""
+        """Options of the readers for an item, whose list may state side and rate."""
         own = self.request
         return ReadingOptions(
             rate or own.rate, side or own.side, self.mano, self.objects, own.layout, self._assumed
@@ -180,10 +179,10 @@ def retarget_clips(
 
     Args:
         files: source files of each clip, for its ``meta``.
-        keys: keys of each; its digest if left out.
+        keys: key of each clip; by default a digest of recipe and name.
 
     Returns:
-        for each clip the result, or why there is none.
+        for each clip its result, or the error.
     """
     todo = [_prepared(clip, recipe) for clip in clips]
     works = [
@@ -219,12 +218,12 @@ def clip_key(
     files: Sequence[SourceFile],
     rate: float | None,
 ) -> str:
-    """Digest of all that a clip's commands depend on: files, reader, hand, method and settings.
+    """Key of a clip: digest of its files, reader, hand, method, settings and code.
 
     Args:
         part: name of the clip in its file.
         files: source files.
-        rate: frames a second that the reader was given and needed [Hz].
+        rate: frame rate that the reader needed [Hz].
     """
     content = [(file.bytes, file.sha256) for file in files]
     return key_digest([recipe.digest, layout, part, selection, content, rate])
@@ -258,7 +257,7 @@ def _has_frames(hand: HandRecording) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """One hand of one clip; ``scene`` is the clip where its objects count."""
+    """One hand of one clip. ``scene`` is the clip if its objects are used, else None."""
 
     clip: int
     side: Side
@@ -293,7 +292,7 @@ def _groups(works: Sequence[_Work], recipe: Recipe) -> Iterator[list[_Work]]:
 
 
 def _answers(group: Sequence[_Work], recipe: Recipe) -> list[_Answer | SmoothOperatorError]:
-    """The commands of a group; if they fail together, each is tried by itself."""
+    """The commands of a group. If the group fails, each clip is retargeted alone."""
     if group[0].scene is not None:
         return [_with_objects(each, each.scene) for each in group if each.scene is not None]
     keep = recipe.request.scale != "calibrate"  # each scale is a program of its own

@@ -48,7 +48,7 @@ from smooth_operator.types import Side, as_side
 EXTRA: Final = "datasets"
 _DATES: Final = ("ETag", "etag", "md5Hash", "content_md5", "LastModified", "last_modified")
 _MORE_DATES: Final = ("updated", "mtime", "created")
-"""What storages call the mark that changes with a file."""
+"""Names that object storages use for the change mark of a file."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class RemoteFile:
     """A file of object storage.
 
     Attributes:
-        name: its path below what was asked for.
+        name: path below the requested address.
         address: its address.
         bytes: its size.
         changed: mark that changes with each write; empty if the storage has none.
@@ -69,7 +69,7 @@ class RemoteFile:
 
 
 def is_address(text: str) -> bool:
-    """True if a text is an address, such as ``s3://bucket/folder``, and no path."""
+    """True for an address such as ``s3://bucket/folder``, False for a path."""
     scheme, sign, _ = text.partition("://")
     return bool(sign) and scheme.replace("+", "").replace("-", "").isalnum()
 
@@ -82,11 +82,11 @@ def local_path(address: str) -> Path | None:
 
 
 def list_remote(address: str) -> Iterator[RemoteFile]:
-    """The files at an address: those of a folder and its folders, of a pattern, or the one.
+    """The files at an address: of a folder with subfolders, of a pattern, or a single file.
 
     Raises:
         MissingExtraError: fsspec, or its library for this storage, is not installed.
-        RecordingError: the address can't be listed, or nothing is there.
+        RecordingError: the address can't be listed, or has no files.
     """
     system, path = _system(address)
     root = path.rstrip("/")
@@ -110,7 +110,7 @@ def list_remote(address: str) -> Iterator[RemoteFile]:
 
 @contextlib.contextmanager
 def fetched(address: str) -> Iterator[Path]:
-    """A copy of a file on this machine, while the block lasts.
+    """Copies a file to this machine for the duration of the block.
 
     Raises:
         MissingExtraError, RecordingError: as ``list_remote``.
@@ -141,7 +141,7 @@ def _system(address: str) -> tuple[Any, str]:
 
 @contextlib.contextmanager
 def _about(address: str) -> Iterator[None]:
-    """Error of a storage, with the address."""
+    """Converts errors of a storage, and adds the address."""
     try:
         yield
     except (RecordingError, MissingExtraError):
@@ -163,19 +163,19 @@ _FIRST: Final = 65_536
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A piece of work: a clip, or a file of object storage with all that is in it.
+    """A piece of work: a clip, or a file of object storage with all its clips.
 
     Attributes:
         name: unique among the items.
-        ref: the clip; None for a file that has to be fetched first.
+        ref: the clip; None for a file that must be fetched first.
         address: address of that file.
-        mark: size and date of that file, as its storage has them.
-        layout: name of the reader to use; None for the one that recognises the file.
-        task: the task in words, as a list says; None for that of the file.
-        side: side of the hand, as a list says.
-        rate: frames a second, as a list says.
+        mark: size and change mark of that file.
+        layout: name of the reader; None to recognise the file.
+        task: description of the task from a list; None for that of the file.
+        side: side of the hand from a list.
+        rate: frame rate from a list [Hz].
         frames: range of frames ``A:B`` of the clip; empty for all.
-        root: the folder that the paths of its files are named relative to; None for none.
+        root: folder to which the paths of its files are relative; None for absolute paths.
         size: bytes or frames; 0 if unknown.
     """
 
@@ -193,13 +193,13 @@ class Item:
 
     @property
     def asked(self) -> str:
-        """Digest of what a list says of it, and of the part of the file that it is."""
+        """Digest of the settings of the item: those of its list, and its part of the file."""
         part = "" if self.ref is None else self.ref.key
         return key_digest([self.layout, part, self.task, self.side, self.rate, self.frames])[:16]
 
 
 def is_manifest(path: Path) -> bool:
-    """True if a file is a list: ``.txt``; ``.csv``; ``.jsonl`` whose first line has a ``path``."""
+    """True for a list: ``.txt``, ``.csv``, or ``.jsonl`` with ``path`` in its first line."""
     suffix = path.suffix.lower()
     if suffix in (".txt", ".csv"):
         return True
@@ -221,7 +221,7 @@ def read_manifest(path: Path) -> Iterator[Item]:
     """The lines of a list, each with its path or address as the name.
 
     Raises:
-        RecordingError: it can't be read, or a line is not one; says which.
+        RecordingError: the list can't be read, or a line is not valid; the message has its number.
     """
     try:
         text = read_text(path, most_bytes=_MOST_BYTES)
@@ -314,12 +314,12 @@ _NO_DATA: Final = frozenset(
         *(".obj", ".ply", ".stl"),
     )
 )
-"""Suffixes of files of object storage that are not fetched to look into them."""
+"""Suffixes of files of object storage that are skipped without fetching them."""
 
 
 @dataclass(frozen=True)
 class Refused:
-    """Something that was named as a source and can't be used.
+    """A source that can't be used.
 
     Attributes:
         name: its name.
@@ -337,7 +337,7 @@ class Survey:
     Attributes:
         items: the pieces of work, by name.
         refused: items that can't be read.
-        passed_over: files of folders that no reader knows, counted by suffix.
+        passed_over: suffix -> number of files in folders that no reader recognises.
     """
 
     items: tuple[Item, ...]
@@ -352,16 +352,16 @@ _Each: TypeAlias = Item | Refused | str
 def find_items(
     sources: Sequence[str], *, layout: str | None = None, leave_out: Path | None = None
 ) -> Survey:
-    """Looks through the sources; opens files, but reads no arrays.
+    """Lists the items of sources. Opens files, but reads no arrays.
 
     Args:
         sources: paths, patterns, lists, addresses.
-        layout: name of the reader for all of them; None for the one that recognises each.
-        leave_out: a folder that is not looked into: that of the results.
+        layout: name of the reader of all sources; None to recognise each file.
+        leave_out: folder to skip: that of the results.
 
     Raises:
         UnknownNameError: there is no such reader.
-        RecordingError: a source is not there.
+        RecordingError: a source does not exist.
         MissingExtraError: an address needs a library that is not installed.
     """
     items: list[Item] = []
@@ -383,7 +383,7 @@ def each_item(
 ) -> Iterator[Item | Refused | str]:
     """Yields the items of the sources one by one, so that a list of any length fits in memory.
 
-    The order is that of the sources and of names in them. Items of two sources may share a name.
+    The order is that of the sources, and of names within each. Names may repeat.
 
     Args:
         sources: as in ``find_items``.
@@ -391,7 +391,7 @@ def each_item(
         leave_out: as there.
 
     Yields:
-        items; what can't be used; and the suffixes of files of no known layout.
+        items; sources that can't be used; and suffixes of files that no reader recognises.
 
     Raises:
         UnknownNameError, RecordingError, MissingExtraError: as ``find_items``.
@@ -403,7 +403,7 @@ def each_item(
 
 
 def in_shard(item: Item, shard: tuple[int, int] | None) -> bool:
-    """True if an item belongs to shard i of n, counted from 1; a matter of its name alone."""
+    """True if an item belongs to shard i of n, counted from 1; depends only on its name."""
     if shard is None:
         return True
     number = int.from_bytes(hashlib.sha256(item.name.encode()).digest()[:8])
@@ -463,7 +463,7 @@ class _Looking:
         yield from self._named(path, root, row)
 
     def _named(self, path: Path, root: Path, row: Item) -> Iterator[_Each]:
-        """Something that was named, so that it must be of use."""
+        """Items of a path that the user named, so an unknown file is refused."""
         layout = row.layout or self._layout
         reader = recognise(path, layout)
         if reader is not None:
@@ -519,7 +519,7 @@ class _Looking:
 def _clips(
     name: str, reader: ClipReader, path: Path, root: Path, row: Item
 ) -> Iterator[Item | Refused]:
-    """The clips of a file or folder, with the folders above it in their names."""
+    """The clips of a file or folder; their names contain the folders above it."""
     folder = path.parent if path != root and path.is_relative_to(root) else root
     above = folder.relative_to(root).as_posix() if folder.is_relative_to(root) else "."
     prefix = "" if above == "." else f"{above}/"
@@ -536,7 +536,7 @@ def _clips(
 
 
 def _unique(items: Iterable[Item]) -> Iterator[Item]:
-    """Items with names of their own: the second of a name has ``~2`` after it."""
+    """Items with unique names: the second item of a name gets the suffix ``~2``."""
     counts: dict[str, int] = {}
     for item in items:
         count = counts[item.name] = counts.get(item.name, 0) + 1
@@ -544,7 +544,7 @@ def _unique(items: Iterable[Item]) -> Iterator[Item]:
 
 
 def _lerobot(path: Path) -> str:
-    """Reason why the folder of a LeRobot data set is no source."""
+    """Reason to refuse a LeRobot data set as a source."""
     foreign = foreign_dataset(path)
     if foreign is not None:
         return f"this is {foreign}"
@@ -578,7 +578,7 @@ def _name(path: Path, root: Path) -> str:
 
 
 def _fixed_part(pattern: Path) -> Path:
-    """The folders of a pattern before the first one with a wildcard."""
+    """The folders of a pattern before its first wildcard."""
     fixed = Path(pattern.anchor)
     for part in pattern.parts[len(fixed.parts) : -1]:
         if any(sign in part for sign in _WILD):
@@ -588,10 +588,10 @@ def _fixed_part(pattern: Path) -> Path:
 
 
 def parse_shard(text: str) -> tuple[int, int]:
-    """``i/n``, i from 1 to n.
+    """Parses ``i/n``, with i from 1 to n.
 
     Raises:
-        ConfigError: it is something else.
+        ConfigError: the text has another form.
     """
     number, sign, count = text.partition("/")
     if not (sign and number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):

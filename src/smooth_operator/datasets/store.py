@@ -1,8 +1,7 @@
-"""Finished clips in packs: one file for many, whole or not there, found again by the next run.
+"""Store of retargeted clips in packs, which the next run finds again.
 
-A pack is an uncompressed zip file of ``.npy`` arrays and one JSON document, ``index.json``. It
-takes its name when it is whole, so a killed run loses the packs that were being made, and nothing
-else.
+A pack is an uncompressed zip file of ``.npy`` arrays and one JSON document, ``index.json``. It is
+written under a temporary name, so a killed run loses only the packs that it was writing.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _DATE: Final = (1980, 1, 1, 0, 0, 0)
 _DTYPES: Final = dict.fromkeys(
     ("landmarks", "metacarpals", "orientations", "confidence", "tracks", "latency_ms"), np.float32
 ) | {"status": np.int8}
-"""Types of arrays that float32 holds to a micrometre, and of codes."""
+"""Stored types: float32 keeps a micrometre in these arrays, int8 the status codes."""
 _KINDS: Final[dict[str, Any]] = {
     kind.__name__: kind for kind in (RobotClip, Clip, HandRecording, ObjectTrack, CommandTrajectory)
 }
@@ -49,9 +48,9 @@ class ReadClip:
     Attributes:
         item: item that the clip is part of.
         clip: hands and scene.
-        files: files that were read.
-        key: digest of all that its commands depend on.
-        rate: frames a second that the reader was given and needed [Hz].
+        files: source files.
+        key: digest of all inputs of its commands.
+        rate: frame rate that the reader needed [Hz]; None if the file has timestamps.
     """
 
     item: Item
@@ -68,9 +67,9 @@ class Result:
     Attributes:
         pack: file.
         position: position of the item in the file.
-        key: digest of all that the clips depend on.
+        key: digest of all inputs of the clips.
         sides: hands that the clips have.
-        frames: number of frames of all clips.
+        frames: total number of frames.
         camera: True if a clip has poses of the camera.
         objects: largest number of objects of a clip.
     """
@@ -88,7 +87,7 @@ Results: TypeAlias = dict[str, Result | str]
 """Name of item -> its result, or the reason why there is none."""
 
 Accept: TypeAlias = Callable[[str, str, tuple[SourceFile, ...], float | None], bool]
-"""True if an item, by its name, ``asked``, the files that were read and the rate, is done."""
+"""Function of an item's name, ``asked``, files and rate: True if its result is still valid."""
 
 
 @dataclass(eq=False)
@@ -96,14 +95,14 @@ class Store:
     """The packs of one recipe.
 
     Args:
-        folder: folder of the packs, however deep.
+        folder: folder of the packs, at any depth.
     """
 
     folder: Path
     _open: dict[Path, _Pack] = field(default_factory=dict)
 
     def find(self, accept: Accept) -> dict[str, Result]:
-        """Name of item -> where it is; a damaged pack is removed, and its clips are made again."""
+        """Name of item -> its result. A damaged pack is removed, so its clips are made again."""
         packs: dict[str, Result] = {}
         for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
             try:
@@ -119,12 +118,12 @@ class Store:
         return packs
 
     def remove_superseded(self, finished: Mapping[str, Result]) -> int:
-        """Deletes the packs of which each item stands in another pack; returns their number.
+        """Deletes packs whose items are all in other packs; returns their number.
 
-        A worker of a killed run may have ended its pack while the next run made the same clips.
+        A worker of a killed run may finish its pack while the next run makes the same clips.
 
         Args:
-            finished: name of item -> the place that is used.
+            finished: name of item -> the result in use.
         """
         count = 0
         for path in sorted(self.folder.rglob(f"{_PREFIX}*.zip")):
@@ -158,7 +157,7 @@ class Store:
             ) from error
 
     def close(self) -> None:
-        """Closes what is open."""
+        """Closes open packs."""
         for pack in self._open.values():
             pack.close()
         self._open.clear()
@@ -262,7 +261,7 @@ class _Pack:
 
 
 def _shown(clips: Sequence[Mapping[str, Any]]) -> bool:
-    """True if the videos and meshes that clips name are still there."""
+    """True if the videos and meshes of clips still exist."""
     return all(Path(path).exists() for clip in clips for path in clip["files"])
 
 
@@ -281,7 +280,7 @@ def _pack_entry(path: Path, position: int, clips: Sequence[Mapping[str, Any]]) -
 
 
 def _facts(whole: RobotClip) -> dict[str, Any]:
-    """Facts of a clip that are looked at without reading it."""
+    """Facts in the index, which are available without reading the clip."""
     clip = whole.clip
     files = [clip.video, *(each.mesh for each in clip.objects)]
     return {
@@ -297,7 +296,7 @@ def _facts(whole: RobotClip) -> dict[str, Any]:
 def encoded(whole: RobotClip) -> tuple[dict[str, np.ndarray], list[Any]]:
     """A clip as arrays by name and a document of JSON, without its configuration and figures.
 
-    In the document, what is no plain value is a pair of its kind and its content.
+    In the document, a value that is not plain JSON is a pair of its kind and its content.
     """
     arrays: dict[str, np.ndarray] = {}
     names: dict[int, str] = {}  # arrays that several parts share are written once

@@ -1,4 +1,4 @@
-"""Work on clips in a worker: read them, retarget them, and write them to a pack."""
+"""Work of a worker: reads clips, retargets them and writes them to a pack."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ READING_S = 300.0
 
 @dataclass(frozen=True)
 class Job:
-    """Items for one worker, which end in one pack.
+    """Items that one worker writes to one pack.
 
     Attributes:
-        items: clips or fetched files.
-        recipe: hand, method and frame.
+        items: clips, or files to fetch.
+        recipe: settings of the retargeting.
         folder: folder of the pack.
     """
 
@@ -45,7 +45,7 @@ class Job:
 def do_job(job: Job) -> Results:
     """Reads, retargets and writes the clips of a job, in a worker.
 
-    An item that can't be read or retargeted is an answer like another, and touches no other.
+    An item that can't be read or retargeted has a reason as its result; the others go on.
 
     Raises:
         OutputError: the pack can't be written.
@@ -54,10 +54,10 @@ def do_job(job: Job) -> Results:
 
 
 def read_job(job: Job) -> tuple[list[ReadClip], dict[str, str]]:
-    """Reads the clips of a job; an item that can't be read touches no other.
+    """Reads the clips of a job. An item that can't be read does not stop the others.
 
     Returns:
-        the clips, in the order of the items; and item -> reason why it could not be read.
+        the clips, in the order of the items; and name of item -> reason of the failure.
     """
     clips: list[ReadClip] = []
     reasons: dict[str, str] = {}
@@ -97,7 +97,7 @@ def finish_job(job: Job, clips: list[ReadClip], reasons: dict[str, str]) -> Resu
 
 
 def unchanged(item: Item, files: Sequence[SourceFile]) -> bool:
-    """True if an item has the files that were read before; digests count only if dates differ.
+    """True if the files of an item are unchanged: equal dates, or else equal digests.
 
     Args:
         files: files that were read before.
@@ -183,7 +183,7 @@ def _read_clip(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) 
 
 
 def _shown(path: Path, root: Path | None) -> str:
-    """A path as a data set names it: relative to its source, with slashes; or in full."""
+    """Path in a data set: relative to its source, with slashes; or absolute outside of it."""
     inside = root is not None and path.is_relative_to(root)
     return (path.relative_to(root) if inside and root is not None else path.resolve()).as_posix()
 

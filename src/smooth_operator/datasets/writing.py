@@ -1,4 +1,4 @@
-"""From finished clips to the data set: episodes selected, written in order, and accounted for."""
+"""From retargeted clips to the data set: selects episodes, writes them in order, and reports."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ _COLUMNS: Final = 3
 
 
 class FigureTable:
-    """The figures of all episodes, of the hand that is worse off: 4 bytes each."""
+    """Figures of all episodes: of the worse hand, 4 bytes each."""
 
     def __init__(self) -> None:
         self.kept: dict[str, array[float]] = {}
         self.dropped: dict[str, array[float]] = {}
 
     def add(self, episode: RobotClip | Dropped) -> None:
-        """Takes the figures of an episode."""
+        """Adds the figures of an episode."""
         table = self.dropped if isinstance(episode, Dropped) else self.kept
         if not episode.figures:
             return
@@ -81,13 +81,13 @@ class FigureTable:
         table.setdefault("seconds", array("f")).append(episode.figures["seconds"])
 
     def extend(self, other: FigureTable) -> None:
-        """Takes the figures of another table."""
+        """Adds the figures of another table."""
         for own, more in ((self.kept, other.kept), (self.dropped, other.dropped)):
             for name, values in more.items():
                 own.setdefault(name, array("f")).extend(values)
 
     def percentiles(self) -> dict[str, dict[str, float]]:
-        """Name of figure -> percentiles over the episodes that are kept."""
+        """Name of figure -> percentiles over the kept episodes."""
         result = {}
         for name, values in self.kept.items():
             at = np.percentile(np.asarray(values), _PERCENTILES)
@@ -142,7 +142,7 @@ def write_report(output: Path, content: Mapping[str, Any], figures: FigureTable)
 
 
 def _histograms(figures: FigureTable, limits: Mapping[str, Any]) -> Figure | None:
-    """A histogram of each figure, kept over dropped episodes; None where there is none."""
+    """A histogram of each figure, with dropped episodes stacked on kept ones; None without any."""
     from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
     shown = [f for f in FIGURES if f.name in figures.kept or f.name in figures.dropped]
@@ -190,17 +190,17 @@ class Summary:
 
     Attributes:
         output: the folder of results.
-        shard: (i, n) of a share of the work; None for a whole data set.
-        clips: retargeted, by this run or earlier ones.
+        shard: (i, n) for a share of the work; None for a whole data set.
+        clips: number of retargeted clips, of this run and earlier ones.
         frames: number of frames.
-        episodes: that are in the data set.
-        episode_frames: number of their frames, as they were recorded.
-        written_frames: number of their frames in the data set, whose rate may be another.
-        dropped: parts of clips that are not.
+        episodes: number of episodes in the data set.
+        episode_frames: number of their recorded frames.
+        written_frames: number of their frames in the data set, which may have another rate.
+        dropped: number of dropped parts of clips.
         dropped_frames: number of dropped frames.
-        reasons: name of a limit -> episodes that broke it.
-        failed: name -> why a clip could not be read or retargeted.
-        passed_over: suffix -> files of folders that no reader knows.
+        reasons: name of a limit -> number of episodes that broke it.
+        failed: name of clip -> reason why it could not be read or retargeted.
+        passed_over: suffix -> number of files in folders that no reader recognises.
         notes: notes of the writer.
     """
 
@@ -240,20 +240,20 @@ class Summary:
         return cls(output, shard, len(packs), frames, failed=dict(sorted(failed.items())))
 
     def as_json(self) -> dict[str, Any]:
-        """As ``report.json`` has it."""
+        """Content for ``report.json``."""
         counts = {name: value for name, value in asdict(self).items() if name != "output"}
         return {"program": PROGRAM, "version": package_version(), **counts}
 
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """A data set that is to be written.
+    """A data set to write.
 
     Attributes:
         request: the request for it.
-        asked: hand, method and settings of its commands.
+        asked: resolved hand, method and settings of its commands.
         writing: options of the format.
-        items: name and place of each finished item, by name.
+        items: name and result of each finished item, sorted by name.
         store: folder of the packs.
     """
 
@@ -265,7 +265,7 @@ class Order:
 
     @property
     def identity(self) -> str:
-        """Digest of all that the files of the data set depend on, with the code that writes."""
+        """Digest of clips, limits, format, its options and the code that writes."""
         content = [(name, pack.key) for name, pack in self.items]
         request = self.request
         writer = WRITERS[request.format].target.partition(":")[0]
@@ -297,16 +297,16 @@ def write_episodes(
     reporter: Reporter | None = None,
     notes: Sequence[str] = (),
 ) -> Summary:
-    """Writes the data set and the report; goes on where a run was stopped at this same data set.
+    """Writes the data set and the report. Continues where a run at the same data set was stopped.
 
     A large data set is written in parts of ``PART_FRAMES`` frames, several in parallel. The parts,
     and the bytes of each, depend on the items alone.
 
     Args:
         order: settings of the data set.
-        failed: name -> why a clip is missing, for the report.
-        passed_over: suffix -> files that no reader knows, for the report.
-        reporter: is told what is written.
+        failed: name of clip -> reason of its failure, for the report.
+        passed_over: suffix -> number of files that no reader recognises, for the report.
+        reporter: shows the progress.
         notes: notes of the run, for the report.
 
     Raises:
@@ -361,7 +361,7 @@ def write_episodes(
 
 
 def _nothing_kept(summary: Summary, figures: FigureTable, limits: Limits) -> list[str]:
-    """Why no episode is left: limits, what was found, and options to change."""
+    """Notes on limits that dropped all episodes, and on options to change."""
     if not summary.reasons:
         return []
     lines = [
@@ -385,7 +385,7 @@ def _nothing_kept(summary: Summary, figures: FigureTable, limits: Limits) -> lis
 
 
 def _parts(order: Order) -> list[Order]:
-    """Consecutive items, so many that a part has ``PART_FRAMES`` frames at least, but the last."""
+    """Parts of consecutive items; all but the last have at least ``PART_FRAMES`` frames."""
     if not getattr(WRITERS.load(order.request.format), "parallel", False):
         return [order]
     groups: list[list[tuple[str, Result]]] = []
@@ -412,7 +412,7 @@ def write_part(order: Order, written: Callable[[], None] = lambda: None) -> Part
 
     Args:
         order: the items.
-        written: is called after each item.
+        written: called after each item.
 
     Raises:
         OutputError: they can't be written.
@@ -444,7 +444,7 @@ def write_part(order: Order, written: Callable[[], None] = lambda: None) -> Part
 
 
 def _written(episode: RobotClip | Dropped, writer: Any) -> RobotClip | Dropped:
-    """Writes an episode; one that the format can't hold is dropped."""
+    """Writes an episode, or returns it as dropped if the format can't hold it."""
     if isinstance(episode, Dropped):
         return episode
     try:
@@ -492,7 +492,7 @@ def _line(clip: RobotClip, episode: RobotClip | Dropped) -> dict[str, Any]:
 
 
 def _fitted(order: Order) -> WritingOptions:
-    """The settings with the joints, camera and objects that clips have."""
+    """The options with the joints, camera and objects of the clips."""
     writing, packs = order.writing, [pack for _, pack in order.items]
     if writing.joints:
         return writing
@@ -506,7 +506,7 @@ def _fitted(order: Order) -> WritingOptions:
 
 
 def _prepare(order: Order) -> None:
-    """Takes the folder of a stopped run at the same data set, or a new one.
+    """Prepares the folder: of a stopped run at the same data set, or a new one.
 
     Raises:
         OutputError: the folder has content that no run of this program wrote.
@@ -526,7 +526,7 @@ def _prepare(order: Order) -> None:
 
 
 def hand_in(output: Path) -> str | None:
-    """Name of the robot hand whose data set a folder of results has; None without one."""
+    """Name of the robot hand of the data set in a folder of results; None without one."""
     if not (output / DATASET).exists():
         return None
     try:
@@ -551,7 +551,7 @@ def _mark(order: Order, *, whole: bool) -> None:
 
 
 def _account(order: Order, summary: Summary, figures: FigureTable) -> None:
-    """``report.json`` and ``report.html``."""
+    """Writes ``report.json`` and ``report.html``."""
     request = order.asked
     content = {
         **summary.as_json(),

@@ -195,7 +195,7 @@ class Egodex:
         tree = read_tree(path)
         if "transforms" not in tree:
             raise RecordingError(
-                f"{path}: no file of EgoDex: it holds {tree['/'].describe()}; expected is "
+                f"{path}: no file of EgoDex: it holds {tree['/'].describe()}; expected "
                 f"{self.expects}"
             )
         rate = options.rate or RATE_HZ

@@ -78,9 +78,7 @@ class LandmarksOfBothHands:
         path, arrays = ref.path, open_arrays(ref.path)
         sides = [side for side in SIDES if side in arrays]
         if not sides:
-            raise RecordingError(
-                f"{path}: it holds {arrays.describe()}; expected is {self.expects}"
-            )
+            raise RecordingError(f"{path}: it holds {arrays.describe()}; expected {self.expects}")
         count = arrays[sides[0]].shape[0] if arrays[sides[0]].shape else 0
         stamps = _stamps(arrays, count, options.rate)
         world = _text(arrays, "world") or _WORLD

@@ -1,4 +1,4 @@
-"""Hands of a clip for all readers: common stamps, and checks of each hand."""
+"""Checks of the hands of a clip, and common timestamps, for all readers."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from smooth_operator.poses import wrist_from_landmarks
 from smooth_operator.types import HandRecording, Side
 
 _TOGETHER: Final = 0.4
-"""Two hands are of one frame if their stamps differ by less than this share of a period."""
+"""Two hands belong to one frame if their timestamps differ by less than this share of a period."""
 _JUDGED: Final = 50
-"""Frames by which order and side of a hand are judged."""
+"""Number of frames for the judgement of order and side."""
 
 
 def checked_hands(
     hands: Mapping[Side, HandRecording], where: str, expects: str, *, each_frame: bool = False
 ) -> dict[Side, HandRecording]:
-    """The hands that appear, right one first, each checked by stamps, units, order and side.
+    """Checks timestamps, units, order and side of each hand; returns those that appear.
 
-    A hand without a frame that has both wrist and middle knuckle is left out. What no hand could do
-    is flagged invalid, as in recordings of one hand.
+    A hand without a frame that has both wrist and middle knuckle is left out. Implausible landmarks
+    are marked invalid, as in recordings of one hand.
 
     Args:
-        hands: side -> what a file says of it, all with the same stamps.
+        hands: side -> recording from a file, all with the same timestamps.
         where: the file, for messages.
-        each_frame: True if the side was decided frame by frame, as models do that look at single
-            pictures; then frames that show the other hand are flagged invalid.
+        each_frame: True if a model decided the side in each picture; then frames that show the
+            other hand are marked invalid.
 
     Raises:
         RecordingError: no hand appears; or one is in another unit than metres, or by its shape in
@@ -60,7 +60,7 @@ def checked_hands(
     if not checked:
         raise RecordingError(
             f"{where}: no frame has a hand with its wrist and the middle finger's knuckle; "
-            f"expected is {expects}"
+            f"expected {expects}"
         )
     return checked
 
@@ -71,8 +71,7 @@ def _appears(hand: HandRecording) -> bool:
 
 
 def _some_of(hand: HandRecording) -> HandRecording:
-    """Whole frames over all of a recording, enough to judge its shape by: it takes as long as all
-    else that is done with a clip."""
+    """Complete frames spread over a recording, as many as the judgement needs: it is slow."""
     assert hand.valid is not None  # filled in by HandRecording
     whole = np.flatnonzero(hand.valid.all(axis=1))
     if len(whole) <= _JUDGED:
@@ -82,7 +81,7 @@ def _some_of(hand: HandRecording) -> HandRecording:
 
 
 def _of_its_side(hand: HandRecording) -> HandRecording:
-    """A hand whose frames that show the other one are invalid, and without a wrist."""
+    """Marks frames that show the other hand as invalid, and removes their wrist."""
     assert hand.valid is not None  # filled in by HandRecording
     whole = np.flatnonzero(hand.valid.all(axis=1))
     sign = 1.0 if hand.side == "right" else -1.0
@@ -99,7 +98,7 @@ def _of_its_side(hand: HandRecording) -> HandRecording:
 
 
 def on_common_stamps(hands: Mapping[Side, HandRecording], where: str) -> dict[Side, HandRecording]:
-    """Hands that were recorded by one clock, each with its own frames, on common stamps.
+    """Brings hands with own frames by one clock to common timestamps.
 
     Frames of the two hands that are less than 0.4 of a period apart become one, with the earlier
     stamp. Where a hand has no frame, its landmarks are NaN and not valid.
@@ -123,7 +122,7 @@ def on_common_stamps(hands: Mapping[Side, HandRecording], where: str) -> dict[Si
 def _merged(
     first: Float[np.ndarray, " n"], second: Float[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, " T"], list[Int[np.ndarray, " k"]]]:
-    """The common stamps, and the row in them of each frame of the two."""
+    """The common timestamps, and the rows of both hands' frames in them."""
     periods = [float(np.median(np.diff(s))) for s in (first, second) if len(s) > 1]
     near = _TOGETHER * min(periods, default=0.0)
     times = np.concatenate([first, second])
@@ -141,7 +140,7 @@ def _merged(
 def _spread(
     hand: HandRecording, stamps: Float[np.ndarray, " T"], rows: Int[np.ndarray, " n"]
 ) -> HandRecording:
-    """A hand on more stamps than it has frames."""
+    """Spreads a hand over more timestamps than it has frames; NaN in the others."""
 
     def spread(values: np.ndarray | None) -> Any:
         if values is None:
@@ -163,7 +162,7 @@ def _spread(
 
 
 def wrist_of_points(points: Float[np.ndarray, "T 21 3"], side: Side) -> Float[np.ndarray, "T 7"]:
-    """The wrist of a hand that is known by its points in one fixed frame, such as the camera's.
+    """Poses of the wrist from the points of a hand in a fixed frame, such as the camera's.
 
     Args:
         points: (T, 21, 3) [m] in a right-handed frame; NaN where missing.

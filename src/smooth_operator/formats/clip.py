@@ -22,10 +22,10 @@ NOTES: Final = "notes"
 """Entry of ``Clip.meta`` with a reader's notes for a person: a list of texts without the file."""
 
 RATE: Final = "rate_hz"
-"""Entry of ``Clip.meta`` of a file without stamps: the frames a second that were asked for [Hz]."""
+"""Entry of ``Clip.meta`` of a file without stamps: the requested frame rate [Hz]."""
 
 ORDER: Final = "order"
-"""Entry of ``Clip.meta`` of a plain array: the order of the landmarks that was asked for."""
+"""Entry of ``Clip.meta`` of a plain array: the requested order of the landmarks."""
 
 SIDES: Final[tuple[Side, Side]] = ("right", "left")
 
@@ -36,8 +36,8 @@ class ObjectTrack:
 
     Attributes:
         name: name of the object.
-        T_world_object: (T, 7) its poses in the clip's world, NaN where it is not known.
-        mesh: file of its shape [m], in the object's frame; None if it is not known.
+        T_world_object: (T, 7) poses in the clip's world, NaN where unknown.
+        mesh: file of its shape, in the object's frame; None if unknown.
         scale: factor from the units of the mesh's file to metres.
     """
 
@@ -57,26 +57,25 @@ class ObjectTrack:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """One or two hands with the same stamps, and what else is known of the scene.
+    """One or two hands with the same timestamps, and the known parts of the scene.
 
     Attributes:
         name: name of the clip among those of its source, with slashes: ``part1/pick_place/12``.
-        hands: side -> recording. All have the same stamps; ``T_world_wrist`` and ``world`` are
-            filled in where the layout knows the wrist.
+        hands: side -> recording, with ``T_world_wrist`` and ``world`` if the layout has the wrist.
         layout: name of the reader, as in ``READERS``.
-        source: the files that it was read from, the first one being the clip's own.
-        task: the task in words; None if unknown.
-        confidence: side -> (T,) how sure the tracker is of the hand, 0 to 1; NaN where unknown.
-        T_world_camera: (T, 7) poses of the camera, its axes x right, y down, z into the picture;
-            None if unknown.
-        objects: objects that are moved, with the same number of frames.
-        shape: side -> MANO's shape parameters (10,) of the sequence, where the layout has them.
-        video: the file that shows the clip; None if there is none.
+        source: files that the clip was read from; the first one is its own.
+        task: description of the task; None if unknown.
+        confidence: side -> (T,) confidence of the tracker in the hand, 0 to 1; NaN where unknown.
+        T_world_camera: (T, 7) poses of the camera (x right, y down, z into the picture); None if
+            unknown.
+        objects: tracked objects, with the same number of frames.
+        shape: side -> (10,) shape parameters of MANO, if the layout has them.
+        video: file of the video that shows the clip; None without one.
         video_start_s: time in the video of the first frame [s].
-        meta: other facts of the layout, as JSON has them.
+        meta: other facts from the layout, in JSON types.
 
     Raises:
-        RecordingError: there is no hand, or parts do not fit each other.
+        RecordingError: there is no hand, or the parts have different numbers of frames.
     """
 
     name: str
@@ -112,12 +111,12 @@ class Clip:
                 )
 
     def __len__(self) -> int:
-        """Frames."""
+        """Number of frames."""
         return len(self.stamps)
 
     @property
     def stamps(self) -> Float[np.ndarray, " T"]:
-        """(T,) of the frames [s]."""
+        """(T,) timestamps of the frames [s]."""
         return next(iter(self.hands.values())).stamps
 
     @property
@@ -126,7 +125,7 @@ class Clip:
         return next((hand.world for hand in self.hands.values() if hand.world is not None), None)
 
     def T_camera_wrist(self, side: Side) -> Float[np.ndarray, "T 7"] | None:
-        """(T, 7) poses of a wrist in the camera's frame; None if they can't be known."""
+        """(T, 7) poses of a wrist in the camera's frame; None if unknown."""
         wrist = self.hands[side].T_world_wrist if side in self.hands else None
         if wrist is None or self.world == CAMERA:
             return wrist
@@ -136,7 +135,7 @@ class Clip:
 
 
 Frame: TypeAlias = Literal["world", "camera"]
-"""Where wrists and objects are given: fixed to the scene, or to the camera."""
+"""Frame of wrists and objects: fixed to the scene, or the camera's."""
 
 
 def clip_part(clip: Clip, frames: slice) -> Clip:
@@ -159,11 +158,11 @@ def in_frame(clip: Clip, frame: Frame | None) -> Clip:
     """A clip whose wrists and objects are given in a frame.
 
     Args:
-        frame: ``world`` for one that is fixed to the scene, ``camera`` for the camera's; None for
-            the clip's own, which ``Clip.world`` names.
+        frame: ``world`` is fixed to the scene, ``camera`` is the camera's frame; None keeps the
+            clip's own frame, ``Clip.world``.
 
     Raises:
-        RecordingError: the clip does not know its hands in that frame.
+        RecordingError: the poses in that frame are unknown.
     """
     own = clip.world
     if frame is None or own is None or (frame == "camera") == (own == CAMERA):
@@ -200,7 +199,7 @@ def in_frame(clip: Clip, frame: Frame | None) -> Clip:
 
 
 def with_side(clip: Clip, side: Side | None) -> Clip:
-    """A clip with one of its hands; with all of them for None.
+    """A clip with only one of its hands; None keeps all.
 
     Raises:
         RecordingError: it does not have that hand.
@@ -219,14 +218,14 @@ def with_side(clip: Clip, side: Side | None) -> Clip:
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """Options of a reader that its files do not state.
+    """Settings of a reader that the files do not contain.
 
     Attributes:
-        rate: frames a second [Hz], for layouts without times; None for the layout's own.
-        side: side of the hand, where the files hold one and do not say; None for the layout's own.
-        mano: folder with the user's MANO model files, ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl``.
-        objects: folder with the meshes of objects; None for the layout's own place.
-        order: order of the landmarks in plain arrays; None for the project's own.
+        rate: frame rate [Hz] of layouts without timestamps; None for the layout's own rate.
+        side: side of the hand, if a file has one hand and does not state its side.
+        mano: folder with the MANO model files ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl``.
+        objects: folder with the meshes of objects; None for the layout's own folder.
+        order: order of the landmarks in plain arrays; None for the project's order.
         assumed: side of the hand in a recording that does not state it.
     """
 
@@ -240,14 +239,14 @@ class ReadingOptions:
 
 @dataclass(frozen=True, order=True)
 class ClipRef:
-    """A clip that has not been read: cheap to list, to send to a worker, and to sort.
+    """Reference to a clip that has not been read.
 
     Attributes:
         name: name of the clip, unique in its source.
         path: the file or folder that holds it.
-        key: part of the file, for a file that holds several.
+        key: part of the file, if the file holds several clips.
         layout: name of its reader in ``READERS``; empty if the caller has it.
-        size: bytes or frames, for the order of the work; 0 if unknown.
+        size: number of bytes or frames, by which the work is ordered; 0 if unknown.
     """
 
     name: str

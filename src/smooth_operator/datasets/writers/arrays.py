@@ -1,7 +1,7 @@
-"""A robot clip as named arrays and a document: what the general formats hold.
+"""A robot clip as named arrays and a JSON document, for the general formats.
 
 All arrays have a row a frame. Poses are x y z [m] and a unit quaternion w x y z in the clip's
-world. NaN is a value that is not known. ``SIDE`` is ``right`` or ``left``.
+world. NaN stands for an unknown value. ``SIDE`` is ``right`` or ``left``.
 
 ========================  ==========================  =============================================
 ``stamps``                (T,) float64                times of the frames [s]
@@ -17,10 +17,10 @@ world. NaN is a value that is not known. ``SIDE`` is ``right`` or ``left``.
 ``objects``               (T, k, 7) float32           poses of the objects, if there are any
 ========================  ==========================  =============================================
 
-At another number of frames a second: Positions and joint positions are interpolated linearly,
-rotations along the shortest way; status, confidence and validity are those of the nearer frame. A
-value is known only if it is known in both frames around it, and a command is valid only if both are
-and no pause of the tracker is between.
+At another frame rate, positions and joint positions are interpolated linearly, rotations along the
+shortest way; status and confidence are those of the nearer frame. A value is known only if it is
+known in both frames around it, and a command is valid only if both frames are valid and the tracker
+did not pause between them.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 
 def drift(stamps: Float[np.ndarray, " T"], rate: float) -> float:
-    """Distance of stamps from frames at ``rate`` that begin with the first [frames]."""
+    """Largest deviation of timestamps from regular ones at a rate [frames]."""
     if len(stamps) < 2:
         return 0.0
     nominal = np.arange(len(stamps)) / rate
@@ -76,14 +76,14 @@ def resampled(clip: RobotClip, rate: float) -> RobotClip:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Places of new frames among the old ones.
+    """Interpolation of new frames between old ones.
 
     Attributes:
-        stamps: (T,) of the new frames [s].
-        before: (T,) number of the old frame before it, or of itself.
-        after: (T,) number of the old frame after it, or of itself.
-        share: (T,) part of the way from the one to the other.
-        pause: (T,) whether the tracker paused between the two.
+        stamps: (T,) timestamps of the new frames [s].
+        before: (T,) index of the old frame before or at the time.
+        after: (T,) index of the old frame after or at the time.
+        share: (T,) position between the two, 0 to 1.
+        pause: (T,) True if the tracker paused between the two.
     """
 
     stamps: np.ndarray
@@ -94,13 +94,13 @@ class Grid:
 
     @classmethod
     def of(cls, old: np.ndarray, rate: float) -> Grid:
-        """With frames every 1 / ``rate`` seconds."""
+        """Grid with frames every 1 / ``rate`` seconds."""
         count = int(np.floor((old[-1] - old[0]) * rate + 1e-6)) + 1
         return cls.at(old, old[0] + np.arange(count) / rate)
 
     @classmethod
     def at(cls, old: np.ndarray, new: np.ndarray) -> Grid:
-        """With frames at given times; those before the first and after the last are these."""
+        """Grid with frames at given times, limited to the range of the old ones."""
         new = np.clip(new, old[0], old[-1])
         before = np.clip(np.searchsorted(old, new, side="right") - 1, 0, len(old) - 1)
         after = np.minimum(before + 1, len(old) - 1)
@@ -118,22 +118,22 @@ class Grid:
 
     @property
     def nearest(self) -> np.ndarray:
-        """(T,) the nearer old frame."""
+        """(T,) index of the nearer old frame."""
         return np.where(self.share > 0.5, self.after, self.before)
 
     def values(self, old: Any) -> np.ndarray:
-        """Numbers between those of the two frames."""
+        """Interpolates numbers."""
         rows = np.asarray(old, np.float64)
         share = self.share.reshape(-1, *[1] * (rows.ndim - 1))
         between: np.ndarray = rows[self.before] * (1.0 - share) + rows[self.after] * share
         return between
 
     def flags(self, old: np.ndarray) -> np.ndarray:
-        """True where it is in both frames."""
+        """True where a flag is true in both frames."""
         return np.asarray(old[self.before] & old[self.after])
 
     def poses(self, old: np.ndarray) -> np.ndarray:
-        """Poses between those of the two frames."""
+        """Interpolates poses."""
         a, b = old[self.before], old[self.after]
         turn = poses.multiply(poses.conjugate(a[..., 3:]), b[..., 3:])
         part = poses.from_rotation_vectors(self.share[:, None] * poses.rotation_vectors(turn))
@@ -167,9 +167,8 @@ def _commands(commands: CommandTrajectory, grid: Grid) -> CommandTrajectory:
 def clip_arrays(clip: RobotClip) -> dict[str, np.ndarray]:
     """The arrays of a clip, by name, in a fixed order; see the module.
 
-    There is no place for metacarpal bases, orientations of landmarks, figures of single frames, the
-    time that a command took, and landmarks that are marked invalid; numbers but the stamps are
-    rounded to float32.
+    Metacarpal bases, orientations of landmarks, figures of single frames, latencies and invalid
+    landmarks are left out. All numbers but the timestamps are rounded to float32.
     """
     human = clip.clip
     arrays: dict[str, np.ndarray] = {"stamps": np.asarray(human.stamps, np.float64)}
@@ -199,14 +198,14 @@ def clip_arrays(clip: RobotClip) -> dict[str, np.ndarray]:
 
 
 def clip_valid(clip: RobotClip, side: Side) -> np.ndarray:
-    """(T,) whether the commands of a side answer a hand that was seen."""
+    """(T,) True where the commands of a side answer a hand that was seen."""
     if side in clip.valid:
         return np.asarray(clip.valid[side], bool)
     return np.asarray(np.equal(clip.commands[side].status, Status.OK))
 
 
 def clip_document(clip: RobotClip, key: str, configuration: str) -> dict[str, Any]:
-    """Other facts of a clip, as JSON has them."""
+    """Other facts of a clip, in JSON types."""
     human = clip.clip
     return {
         "key": key,
@@ -237,13 +236,13 @@ def clip_document(clip: RobotClip, key: str, configuration: str) -> dict[str, An
 
 
 def clip_rate(clip: RobotClip) -> float | None:
-    """Frames a second, by the median step; None with fewer than two frames."""
+    """Frame rate by the median step [Hz]; None with fewer than two frames."""
     steps = np.diff(clip.clip.stamps)
     return float(1.0 / np.median(steps)) if len(steps) else None
 
 
 def clip_key(clip: RobotClip) -> str:
-    """Digest of a clip without a key: of its name, its document and its arrays."""
+    """Key for a clip without one: digest of its document and arrays."""
     digest = hashlib.sha256(to_json(clip_document(clip, "", "")).encode())
     for name, array in clip_arrays(clip).items():
         digest.update(f"{name}{array.dtype}{array.shape}".encode())
@@ -252,13 +251,13 @@ def clip_key(clip: RobotClip) -> str:
 
 
 def slug(text: str, longest: int = 60) -> str:
-    """A text as part of a file's name on every system: ASCII letters, digits, ``-`` and ``_``."""
+    """Converts a text to ASCII letters, digits and ``_``, for file names on every system."""
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     return re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_")[:longest].strip("_") or "clip"
 
 
 def unique_slug(name: str, key: str) -> str:
-    """A clip's name as part of a file's name, with so much of its key that no two are equal."""
+    """Unique part of a file name: the clip's name with a digest of its key."""
     return f"{slug(name)}-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
 
 

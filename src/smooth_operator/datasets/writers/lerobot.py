@@ -1,19 +1,19 @@
-"""A LeRobot data set, version 3.0, whose state and action are those of the robot.
+"""Writer of LeRobot data sets, version 3.0, with state and action of the robot.
 
 ::
 
-    meta/info.json, stats.json, tasks.parquet       as LeRobot has them; of all whole shards
+    meta/info.json, stats.json, tasks.parquet       as LeRobot defines them, for all complete shards
     meta/episodes/chunk-000/file-000.parquet        the episodes of one shard
-    meta/shards/, meta/configurations/              what a continued run needs; LeRobot ignores it
+    meta/shards/, meta/configurations/              for continued runs; LeRobot ignores them
     data/chunk-000/file-000.parquet                 the frames of a shard, a row group an episode
     videos/observation.images.camera/chunk-000/     the source's videos, one file each
     README.md                                       the columns and their units
 
-LeRobot has one number of frames a second. Clips that are more than a quarter of a frame away from
-it are resampled. One writer writes all, since frames are numbered through.
+LeRobot has one frame rate. Clips that deviate from it by more than a quarter of a frame are
+resampled. One writer writes all shards, because frames are numbered across them.
 
-Videos are linked or copied. Nothing is decoded. LeRobot finds a frame by its time, so a video fits
-a data set only if its frames are as many a second as the data set's, all of the same length.
+Videos are linked or copied, not decoded. LeRobot finds a frame by its time, so a video must have
+the frame rate of the data set, and frames of equal length.
 """
 
 from __future__ import annotations
@@ -88,14 +88,14 @@ _INSIDE: Final = {b"moov", b"trak", b"mdia", b"minf", b"stbl"}
 
 @dataclass(frozen=True)
 class VideoHead:
-    """Header of an MP4 file's picture.
+    """Video track of an MP4 file.
 
     Attributes:
         width: width of the picture [pixels].
         height: height of the picture [pixels].
-        rate: frames a second.
+        rate: frame rate [Hz].
         frames: number of frames.
-        codec: name of the format of the frames, as FFmpeg has it.
+        codec: name of the codec in FFmpeg.
     """
 
     width: int
@@ -128,8 +128,8 @@ def video_head(path: Path) -> VideoHead:
     """Reads the tables of an MP4 or QuickTime file.
 
     Raises:
-        RecordingError: there is no such file, it is no MP4, has no picture, or its frames do not
-            all last as long.
+        RecordingError: the file does not exist, is no MP4, has no video, or frames of different
+            lengths.
     """
     try:
         with path.open("rb") as file:
@@ -166,7 +166,7 @@ def _tracks(file: IO[bytes], path: Path) -> Iterator[VideoHead | None]:
 
 
 def _box(data: bytes, left: int) -> tuple[bytes, int, int]:
-    """(kind, bytes of its head, bytes in all) of the box at the beginning."""
+    """Kind, length of the head and total length of the first box [bytes]."""
     length, kind = struct.unpack_from(">I4s", data)
     head = 8
     if length == 1:
@@ -220,7 +220,7 @@ def _track(boxes: dict[bytes, bytes], path: Path) -> VideoHead | None:
 
 
 def place(source: Path, target: Path, how: str) -> None:
-    """Links a video, by a hard link or else a symbolic one, or copies it.
+    """Copies a video, or links it by a hard link, or else by a symbolic link.
 
     Raises:
         OSError: it can't be written.
@@ -351,7 +351,7 @@ class _Writer(ShardedWriter):
         self._write(columns)
 
     def _write(self, columns: dict[str, np.ndarray]) -> None:
-        """A clip is one row group, as an episode of LeRobot's own recorder is."""
+        """Writes a clip as one row group, as LeRobot's recorder does."""
         table = arrow().table({name: column(values) for name, values in columns.items()})
         if self._parquet is None:
             # Numbers of a movement hardly repeat: a dictionary of them only takes time.
@@ -521,7 +521,7 @@ class _Writer(ShardedWriter):
 
 
 def _video_statistics(frames: int) -> dict[str, Any]:
-    """ImageNet's statistics, as LeRobot has them by default; no picture is decoded."""
+    """Statistics of ImageNet, which LeRobot uses by default; no picture is decoded."""
 
     def each(values: tuple[float, ...]) -> list[Any]:
         return [[[value]] for value in values]
@@ -532,7 +532,7 @@ def _video_statistics(frames: int) -> dict[str, Any]:
 
 
 def _card(info: dict[str, Any]) -> str:
-    """The README of a data set, from ``meta/info.json``."""
+    """README of a data set, from ``meta/info.json``."""
     text = (
         f"A LeRobot data set ({info['codebase_version']}), written by smooth-operator: "
         f"{info['total_episodes']} episodes, {info['total_frames']} frames, {info['fps']:g} frames "

@@ -1,8 +1,8 @@
 """The columns of a LeRobot data set of robot hands.
 
-Joints of both hands and poses of their wrists are ``observation.state``; ``action`` has the same
-names. What LeRobot would make inputs of a policy of, were it so called, begins with neither
-``observation`` nor ``action``. ``SIDE`` is ``right`` or ``left``.
+``observation.state`` and ``action`` are the joints of both hands and the poses of their wrists. The
+names of other columns begin with neither word, because LeRobot makes inputs and outputs of a policy
+of all columns that do. ``SIDE`` is ``right`` or ``left``.
 
 ==========================  =============  ========================================================
 ``observation.state``       float32 (n,)   ``SIDE_JOINT.pos`` [rad], ``SIDE_tcp.x`` … ``.qz`` of
@@ -21,10 +21,10 @@ names. What LeRobot would make inputs of a policy of, were it so called, begins 
 ``objects_valid``           bool (k,)      whether each was known
 ==========================  =============  ========================================================
 
-There is no NaN: a policy can't take it, and LeRobot's own tools turn it into a null that its loader
-does not read. Where a pose is not known, the last one is held, or the first that is, or else it is
-the identity; the column ``…_valid`` is false there. The joints of a hand that the clip lacks are 0.
-Quaternions do not change their sign from a frame to the next, and begin with w >= 0.
+There is no NaN: a policy can't use it, and LeRobot's tools turn it into a null that its loader
+does not read. An unknown pose is replaced by the last known one, before the first by the first known one,
+or else by the identity; the column ``…_valid`` is false there. The joints of a missing hand are 0.
+Quaternions start with w >= 0 and do not flip their sign between frames.
 """
 
 from __future__ import annotations
@@ -53,16 +53,16 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True)
 class RobotLayout:
-    """Columns that all clips of a data set share.
+    """The columns of a data set, which all its clips share.
 
     Attributes:
         joints: side -> names of the joints of the robot hand.
-        wrist: with the robot's wrists.
-        camera: with the camera's pose.
-        objects: for how many objects there are columns.
-        fps: frames a second.
+        wrist: True with the robot's wrists.
+        camera: True with the camera's pose.
+        objects: number of objects with columns.
+        fps: frame rate [Hz].
         robot: names of the hands.
-        video: the video in the features; None without.
+        video: feature of the video; None without videos.
     """
 
     joints: Mapping[Side, tuple[str, ...]]
@@ -75,7 +75,7 @@ class RobotLayout:
 
     @classmethod
     def of(cls, clip: RobotClip, options: WritingOptions, fps: float) -> RobotLayout:
-        """From the first clip, and the options."""
+        """Layout from the first clip and the options."""
         names = {side: tuple(c.joint_names) for side, c in clip.commands.items()}
         joints = {**names, **options.joints}
         return cls(
@@ -89,7 +89,7 @@ class RobotLayout:
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> RobotLayout:
-        """From the JSON form of a layout."""
+        """Layout from its JSON form."""
         joints = {side: tuple(value["joints"][side]) for side in SIDES if side in value["joints"]}
         return cls(**{**value, "joints": joints})
 
@@ -146,7 +146,7 @@ class RobotLayout:
         return layout
 
     def columns(self, clip: RobotClip) -> dict[str, np.ndarray]:
-        """(T,) or (T, k) of each feature but the indices, in its type, of a clip that fits."""
+        """(T,) or (T, k) values of each column but the indices, in its type."""
         human, count = clip.clip, len(clip.clip)
         state: list[np.ndarray] = []
         columns: dict[str, np.ndarray] = {"stamp": np.asarray(human.stamps, np.float64)}
@@ -200,7 +200,7 @@ def _sided(joint: str, side: Side) -> str:
 
 
 def _poses(track: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(T, 7) poses without gaps and without changes of sign, and (T,) whether each was known."""
+    """(T, 7) poses without gaps and sign flips, and (T,) True where the pose was known."""
     valid = np.zeros(count, bool) if track is None else np.asarray(poses.is_valid(track))
     if track is None or not valid.any():
         return np.tile(poses.IDENTITY, (count, 1)), valid
@@ -212,7 +212,7 @@ def _poses(track: np.ndarray | None, count: int) -> tuple[np.ndarray, np.ndarray
 
 
 def _held(rows: np.ndarray) -> np.ndarray:
-    """Rows with the last finite one where one is not; before the first, that one; zero if none."""
+    """Replaces rows that are not finite by the last finite one, or the first; zeros without any."""
     good = np.isfinite(rows).all(axis=1)
     if good.all():
         return rows

@@ -1,8 +1,8 @@
-"""The files that ``retarget`` writes, one for each clip: ``NAME.npz`` with ``NAME.json`` beside it.
+"""Writer of command files like those of ``retarget``: ``NAME.npz`` and ``NAME.json`` of a clip.
 
-A clip of two hands has ``NAME_right.npz`` and ``NAME_left.npz``. Latencies are NaN, as commands
-are computed side by side, and configurations have no date, so that a run that was stopped ends in
-the bytes of one that was not.
+A clip of two hands has ``NAME_right.npz`` and ``NAME_left.npz``. Latencies are NaN, because clips
+are retargeted together, and configurations have no date, so an interrupted run ends with the same
+bytes as an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from smooth_operator.types import Side, Status
 
 
 class CommandFiles:
-    """Writes files of commands into a folder; files that are there with the same content stay."""
+    """Writes files of commands into a folder; files with the same content are not written again."""
 
     def __init__(self, folder: Path, options: WritingOptions) -> None:
         self._folder, self._options = folder, options
@@ -41,11 +41,11 @@ class CommandFiles:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Every file is whole already."""
+        """Does nothing: every file is complete already."""
 
     @property
     def notes(self) -> list[str]:
-        """How many frames had no usable hand."""
+        """Note on the number of frames without a usable hand."""
         held = f"{self._held} of {self._frames} frames had no usable hand"
         return [held] if self._held else []
 
@@ -53,7 +53,7 @@ class CommandFiles:
         """Writes the commands of a clip.
 
         Raises:
-            RecordingError: a file that this program has not written stands in the place.
+            RecordingError: the path has a file that this program did not write.
             OutputError: it can't be written.
         """
         if self._options.rate is not None:
@@ -79,7 +79,7 @@ NPZ: Final = DatasetFormat("a folder of commands", CommandFiles, parallel=True, 
 
 
 def taken(path: Path, folder: Path) -> str | None:
-    """Reason why a result can't be written: something else has its name; None if it can.
+    """Reason why a result can't be written at a path; None if it can.
 
     Args:
         path: ``OUT.npz``.
@@ -110,7 +110,7 @@ def taken(path: Path, folder: Path) -> str | None:
 
 
 def refused(items: Iterable[Item], folder: Path, report: str) -> dict[str, str]:
-    """Items whose results can't stand at the same paths as their recordings, with the reason.
+    """Name of item -> reason, for items whose results can't be written at their paths.
 
     Args:
         folder: folder of the results.
@@ -161,7 +161,7 @@ def _configuration(episode: RobotClip, side: Side) -> dict[str, Any]:
 
 
 def _stands(path: Path, encoded: bytes, config: Mapping[str, Any]) -> bool:
-    """True if the files are there with this content."""
+    """True if the files exist with this content."""
     try:
         text = to_json(dict(config), indent=2).encode() + b"\n"
         return path.read_bytes() == encoded and config_path(path).read_bytes() == text

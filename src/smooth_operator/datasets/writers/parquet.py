@@ -1,8 +1,8 @@
-"""Parquet files with a row a clip; the arrays of a clip are columns of lists, one item a frame.
+"""Writer of Parquet files with one row for each clip, and lists with one item for each frame.
 
-A row is a clip, and not a frame, since hands, objects and frames differ in number between clips,
-since task and origin would be repeated in every frame, and since what trains on clips would have to
-group a billion rows again. ``unnest`` of any engine gives rows of frames.
+Rows are clips because clips differ in hands, objects and frames, because task and origin would be
+repeated in every frame, and because training on clips would have to group the rows again.
+``unnest`` of any engine gives rows of frames.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class _Writer(ShardedWriter):
 
 
 def clips_table(clips: Sequence[RobotClip]) -> Any:
-    """Clips as the Arrow table that a Parquet file holds, without the files of configurations.
+    """The Arrow table of clips that a Parquet file holds, without configurations.
 
     Raises:
         MissingExtraError: PyArrow is not installed.
@@ -141,7 +141,7 @@ _Make = Callable[[_Rows], Any]
 
 
 def _columns() -> dict[str, tuple[Any, _Make]]:
-    """Name -> (Arrow type, what makes the column of some clips)."""
+    """Name -> Arrow type, and function that makes the column of clips."""
     pa = arrow()
     columns: dict[str, tuple[Any, _Make]] = {}
 
@@ -184,7 +184,7 @@ def _sided(part: str, side: Side) -> Callable[[dict[str, Any]], Any]:
 
 
 def _list(name: str) -> tuple[Any, _Make]:
-    """A column with one item a frame: a number, or a list of them."""
+    """A column with one item for each frame: a number, or a list of numbers."""
     pa = arrow()
     what = _what(name)
     if what in _SCALARS:
@@ -228,7 +228,7 @@ def _about(name: str) -> dict[str, str] | None:
 
 
 def _leaves(pa: Any, columns: dict[str, tuple[Any, _Make]]) -> list[str]:
-    """Paths of the columns of float32 in the file."""
+    """Paths of float32 columns in the file."""
     paths = []
     for name, (kind, _) in columns.items():
         path = name

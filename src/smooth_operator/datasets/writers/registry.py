@@ -1,4 +1,4 @@
-"""The output formats of data sets by name, built-in and of plugins, and how one is written."""
+"""Registry of the output formats of data sets, built-in and of plugins."""
 
 from __future__ import annotations
 
@@ -17,26 +17,24 @@ _WRITERS: Final = "smooth_operator.datasets.writers"
 
 @dataclass(frozen=True)
 class WritingOptions:
-    """Options of a format. Each takes those that it has a use for.
+    """Options of a format; each format uses some of them.
 
     Attributes:
-        joints: side -> names of the robot hand's joints, of every clip that will be written; empty:
-            those of the first clip. Formats with fixed columns (LeRobot) need them before that.
-        rate: frames a second [Hz] that all clips are brought to; None for the format's own choice:
-            LeRobot takes the first clip's, SPIDER 50, FlashDexRetarget 60, the others keep each
-            clip's stamps.
-        videos: LeRobot: ``none``; ``link``, hard links or symbolic ones; ``copy``.
-        camera: LeRobot: whether a frame has columns of the camera's pose.
-        objects: LeRobot: for how many objects a frame has columns.
+        joints: side -> joint names of the robot hands of all clips; empty for those of the first
+            clip. Formats with fixed columns (LeRobot) need them.
+        rate: frame rate of the data set [Hz]; None for the format's own: LeRobot uses that of the
+            first clip, SPIDER 50, FlashDexRetarget 60; the others keep the timestamps.
+        videos: LeRobot: ``none``, ``link`` (hard or symbolic links) or ``copy``.
+        camera: LeRobot: True for columns of the camera's pose.
+        objects: LeRobot: number of objects with columns.
         shard_mb: size at which a shard is full [MB]; None for the format's own choice.
-        part: number of this writer among ``parts``, which write to one folder at a time; for
-            formats that are ``parallel``.
+        part: index of this writer among ``parts``, for formats that are ``parallel``.
         parts: number of writers that share the folder.
-        apart: the parts hold different clips, so that a writer need not look at what the others
-            have written: with a thousand parts that takes longer than to write one.
-        name: name of the data set, where the format has a place for it.
-        loose: SPIDER and FlashDexRetarget: files and folders as the program reads them, one or two
-            a clip, in place of tar files to unpack.
+        apart: True if the parts hold different clips, so a writer need not read the indices of the
+            others; with a thousand parts, that takes longer than writing one.
+        name: name of the data set, for formats that store one.
+        loose: SPIDER and FlashDexRetarget: True for files as these programs read them, False for
+            tar files to unpack.
     """
 
     joints: Mapping[Side, tuple[str, ...]] = field(default_factory=dict)
@@ -66,18 +64,17 @@ class WritingOptions:
 
 @dataclass(frozen=True)
 class DatasetFormat:
-    """A format of output.
+    """An output format.
 
     Attributes:
         what: kind of its data sets, for messages: ``a LeRobot dataset``.
-        open: ``open(output, options)`` gives a writer into a folder, which is made; one that this
-            format began is continued. The writer is a ``ShardedWriter``, or has the same public
-            methods. Raises ``MissingExtraError`` (a library is missing), ``ConfigError`` (the
-            folder was begun in another format or with other options) or ``OutputError`` (something
-            else is there, or it can't be written).
-        parallel: parts that several writers write at a time (``part``, ``parts`` of the options)
-            are one data set.
-        shortest: fewest frames of a clip; one alone has no rate.
+        open: ``open(output, options)`` returns a writer into a folder, which is created; a folder
+            that this format began is continued. The writer is a ``ShardedWriter``, or has the same
+            public methods. Raises ``MissingExtraError`` (a library is missing), ``ConfigError``
+            (the folder was begun in another format or with other options) or ``OutputError`` (the
+            folder has other content, or can't be written).
+        parallel: True if several writers (``part``, ``parts``) can write one data set at a time.
+        shortest: smallest number of frames of a clip; a single frame has no rate.
     """
 
     what: str

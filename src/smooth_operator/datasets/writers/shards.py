@@ -1,17 +1,17 @@
-"""Shards of a data set: whole files of many clips, each with an index that is written after it.
+"""Shards of a data set: files of many clips, each with an index that is written after it.
 
 ::
 
     OUT/meta/dataset.json                      format and options that the folder was begun with
-    OUT/meta/shards/part-00000-000012.json     the clips of a shard; without it, it does not count
-    OUT/meta/configurations/DIGEST.json        how the commands were made
+    OUT/meta/shards/part-00000-000012.json     the clips of a shard; a shard without it is ignored
+    OUT/meta/configurations/DIGEST.json        configurations that made the commands
 
-A shard is filled under a hidden name, and takes its own when it is full. So a process that is
-killed leaves whole shards; the next one removes what has no index and goes on from there.
+A shard is written under a hidden name and renamed when it is full. So a killed process leaves
+complete shards; the next process removes files without an index and continues there.
 
-WebDataset has tar files of samples, one a clip, ``KEY.json`` and ``KEY.npz`` next to each other.
-The arrays are those of ``smooth_operator.datasets.writers.arrays``. The headers hold no time,
-no owner and no number of a process, so the same clips give the same bytes.
+WebDataset has tar files of samples: ``KEY.json`` and ``KEY.npz`` for each clip, with the arrays of
+``smooth_operator.datasets.writers.arrays``. The headers have no time, owner or process, so the same
+clips give the same bytes.
 """
 
 from __future__ import annotations
@@ -51,25 +51,24 @@ MB: Final = 1_000_000
 
 
 class ShardedWriter(ABC):
-    """A data set in shards that is being written; a format defines a shard.
+    """Writer of a data set in shards; a subclass defines the format of a shard.
 
-    It is closed when all is written. One that is not closed, or whose process is killed, leaves its
-    whole shards; the clips of the shard that was being filled are lost. Opened again with the same
-    options, it goes on after the last whole shard.
+    A writer that is not closed, or whose process is killed, leaves complete shards and loses the
+    clips of the last one. A new writer with the same options continues after them.
 
     Args:
         output: the folder.
         options: options of the format.
         name: name of the format in ``WRITERS``.
-        shard_mb: size of its shards, unless asked for otherwise [MB].
-        fixed: those of its settings that all clips of a folder must share.
+        shard_mb: default size of its shards [MB].
+        fixed: settings that all clips of a folder must share.
 
     Attributes:
-        frames: number of frames in the data set of the clips that were given to ``write``.
+        frames: number of written frames of the clips that ``write`` got.
     """
 
     most_clips = 10_000
-    """Clips in a shard at most: its index is kept in memory until it is full."""
+    """Largest number of clips in a shard, whose index stays in memory until it is full."""
 
     def __init__(
         self,
@@ -101,7 +100,7 @@ class ShardedWriter(ABC):
         self._begin_folder({"format": name, **fixed})
         self._recover()
 
-    # What a format does.
+    # Methods of a format.
 
     @abstractmethod
     def _begin(self, number: int) -> None:
@@ -109,55 +108,55 @@ class ShardedWriter(ABC):
 
     @abstractmethod
     def _add(self, clip: RobotClip, entry: dict[str, Any]) -> None:
-        """Adds a clip to the shard, and what is to be known of it to its entry in the index.
+        """Adds a clip to the shard, and facts to its entry in the index.
 
         Raises:
-            RecordingError: before anything of the clip is in the shard.
+            RecordingError: the clip does not fit; nothing of it was written.
         """
 
     @abstractmethod
     def _size(self) -> int:
-        """Bytes of the shard by now."""
+        """Present size of the shard [bytes]."""
 
     @abstractmethod
     def _end(self, number: int) -> dict[str, Any]:
-        """Gives the shard its name; what its index holds besides the clips."""
+        """Completes the shard; returns further content of its index."""
 
     @abstractmethod
     def _drop(self) -> None:
-        """Removes the shard that is not whole."""
+        """Removes the incomplete shard."""
 
     @abstractmethod
     def _clean(self, number: int) -> None:
-        """Removes what a killed process left: hidden files, and this shard, which has no index."""
+        """Removes leftovers of a killed process: hidden files, and this shard without an index."""
 
     def _resume(self, index: Mapping[str, Any]) -> None:  # noqa: B027 - most need nothing
-        """Takes a shard of this part into account that stands already, one after the other."""
+        """Counts a complete shard of this part; called for each in turn."""
 
     def _describe(self) -> None:  # noqa: B027
-        """Writes what describes all shards; after each one."""
+        """Writes the description of all shards; called after each shard."""
 
-    # What all share.
+    # Common methods.
 
     @property
     def written(self) -> Collection[str]:
-        """Keys of the clips in whole shards, of all parts."""
+        """Keys of the clips in complete shards of all parts."""
         return self._written
 
     @property
     def notes(self) -> list[str]:
-        """Notes for a person, each with its number of clips."""
+        """Notes, each with its number of clips."""
         return [
             f"{count} clip{'s' * (count != 1)}: {text}"
             for text, count in sorted(self._counts.items())
         ]
 
     def note(self, text: str) -> None:
-        """Notes something about the clip that is being added."""
+        """Adds a note about the present clip."""
         self._notes.append(text)
 
     def _take(self, key: str) -> None:
-        """Counts the frames and notes of a clip, also of one that an earlier run has written."""
+        """Counts the frames and notes of a clip of this run or an earlier one."""
         if key in self._taken:
             return
         self._taken.add(key)
@@ -167,12 +166,12 @@ class ShardedWriter(ABC):
             self._counts[text] = self._counts.get(text, 0) + 1
 
     def write(self, clip: RobotClip) -> None:
-        """Adds a clip; one whose key was written before is passed over.
+        """Adds a clip, unless its key was written before.
 
         Raises:
-            RecordingError: the format can't hold this clip (no frames, no wrist, no object), with
-                the reason. The writer takes the next one.
-            OutputError: it can't be written: no space, no permission. The writer is then of no use.
+            RecordingError: the format can't hold this clip (no frames, no wrist, no object). The
+                writer can take the next one.
+            OutputError: no space, no permission. The writer can't be used any more.
         """
         key = clip.key or clip_key(clip)
         if key in self._written or key in self._pending_keys:
@@ -207,7 +206,7 @@ class ShardedWriter(ABC):
             raise output_error(self.output, error) from error
 
     def close(self) -> None:
-        """Ends the last shard and writes what describes them all."""
+        """Completes the last shard and writes the description of all shards."""
         try:
             if self._open and self._pending:
                 self._finish()
@@ -234,7 +233,7 @@ class ShardedWriter(ABC):
             self._abandon()
 
     def configuration(self, clip: RobotClip) -> str:
-        """Digest of how the clip's commands were made; the file of that name is written once."""
+        """Digest of the clip's configuration; its file is written once."""
         configuration = self._configurations.get(id(clip.config))
         if configuration is not None and configuration[0] is clip.config:
             return configuration[1]
@@ -338,12 +337,12 @@ def _about(path: Path) -> Iterator[None]:
 
 
 def hidden(path: Path) -> Path:
-    """The name under which a file is filled."""
+    """Hidden name of a file until it is complete."""
     return path.with_name(f".{path.name}.tmp")
 
 
 def publish(path: Path) -> None:
-    """Gives a file that was filled under its hidden name its own, on the disk."""
+    """Renames a complete file from its hidden name, after a flush to the disk."""
     temporary = hidden(path)
     with temporary.open("rb+") as file:
         os.fsync(file.fileno())  # or a power cut could leave the name on an empty file
@@ -351,20 +350,20 @@ def publish(path: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Removes a file and the one under its hidden name, if they are there."""
+    """Removes a file, and one under its hidden name, if they exist."""
     for each in (path, hidden(path)):
         with contextlib.suppress(FileNotFoundError):
             each.unlink()
 
 
 def close_quietly(file: IO[bytes]) -> None:
-    """Closes a file that is given up, whose last bytes may not fit on the disk."""
+    """Closes an abandoned file, whose last bytes may not fit on the disk."""
     with contextlib.suppress(OSError):
         file.close()
 
 
 def drop_parquet(writer: Any) -> None:
-    """Gives up a Parquet file that is not whole."""
+    """Abandons an incomplete Parquet file."""
     if writer is not None:
         with contextlib.suppress(OSError):
             writer.close()
@@ -411,7 +410,7 @@ class TarShards(ShardedWriter):
 
 
 def npz_bytes(arrays: dict[str, np.ndarray]) -> bytes:
-    """A NumPy archive, not packed; the same bytes for the same arrays."""
+    """An uncompressed NumPy archive; the same bytes for the same arrays."""
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **arrays)
     return content.getvalue()
