@@ -22,9 +22,9 @@ of all columns that do. ``SIDE`` is ``right`` or ``left``.
 ==========================  =============  ========================================================
 
 There is no NaN: a policy can't use it, and LeRobot's tools turn it into a null that its loader
-does not read. An unknown pose is replaced by the last known one, before the first by the first known one,
-or else by the identity; the column ``…_valid`` is false there. The joints of a missing hand are 0.
-Quaternions start with w >= 0 and do not flip their sign between frames.
+does not read. An unknown pose is replaced by the last known one; before the first, by the first
+known one; without any, by the identity. The column ``…_valid`` is false there. The joints of a
+missing hand are 0. Quaternions start with w >= 0 and do not flip their sign between frames.
 """
 
 from __future__ import annotations
