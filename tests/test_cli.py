@@ -181,7 +181,7 @@ def user_errors(folder: Path) -> dict[str, tuple[tuple[object, ...], str]]:
         ),
         "under a file": (
             ("retarget", glove, "--output", folder / "file" / "out.npz"),
-            "part of the path is a file",
+            "a folder is expected",
         ),
         "demo on a file": (("demo", "--output", folder / "file"), "it is a file; name a folder"),
         "demo too short": (("demo", "--duration", 0, "--output", folder / "d"), "duration must be"),

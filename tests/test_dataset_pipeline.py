@@ -48,16 +48,14 @@ from smooth_operator.reporter import Reporter
 from smooth_operator.result_cache import content_digest
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.alignment import AlignmentConfig
-from smooth_operator.retargeting.presets import PRESETS
-from smooth_operator.retargeting.sbr.method import SbrConfig
-from smooth_operator.retargeting.sbr.sampling import SamplingConfig
+from smooth_operator.retargeting.presets import method_config
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import CommandTrajectory
 
 pytest.importorskip("pyarrow", reason="needs pyarrow: in the clone, pip install '.[datasets]'")
 
-TINY = SbrConfig(sampling=SamplingConfig(samples=256, elites=8, cycles=2, draws="quasi"))
-ASKED = RetargetRequest("mimic_p050", "sbr", "tiny", TINY, seed=3)
+CONFIG = method_config("joint_angle")  # the quickest to compile
+ASKED = RetargetRequest("mimic_p050", "joint_angle", "default", CONFIG, seed=3)
 RECIPE = Recipe(ASKED)
 OPEN = {"min_seconds": 0.2, "max_tip_error": 1e3, "min_reach": 0.0, "max_collision": 1.0}
 LIMITS = Limits(**OPEN)
@@ -150,7 +148,7 @@ def test_both_hands_are_those_of_the_library(folder, whole):
     clips = finished(whole[0])
     assert clips.keys() == FRAMES.keys()
     for side in SIDES:
-        retargeter = Retargeter(side=side, config=TINY, seed=3)
+        retargeter = Retargeter(side=side, config=CONFIG, seed=3)
         for name in ("b", "deep/c"):
             clip, path = clips[name], folder / f"{name}.pair.npz"
             source = PAIRS.read(ClipRef(name, path), ReadingOptions())
@@ -669,13 +667,12 @@ def test_limits_that_can_not_be():
         Limits(max_gap=float("nan"))
 
 
-def test_the_command(folder, tmp_path, capsys, monkeypatch):
+def test_the_command(folder, tmp_path, capsys):
     source = tmp_path / "in"
     source.mkdir()
     shutil.copy(folder / "a.pair.npz", source)
     (source / "bad.pair.npz").write_bytes(b"PK\x03\x04")
-    monkeypatch.setitem(PRESETS["sbr"], "tiny", TINY)
-    words = ["dataset", str(source), "--layout", LAYOUT, "--method", "sbr", "--preset", "tiny"]
+    words = ["dataset", str(source), "--layout", LAYOUT, "--method", "joint_angle"]
     words += ["--output", str(tmp_path / "out"), "--format", "parquet", "--workers", "0"]
     assert main([*words, "--min-seconds", "0.2"]) == 1
     said = capsys.readouterr()

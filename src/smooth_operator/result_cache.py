@@ -1,8 +1,9 @@
 """Store of the results of long computations in a folder, reused while they are valid.
 
-The module is independent of hands: a result has a key, which is any JSON, and the digest of the
-code that computed it. A key holds the digest of the content that the result is made from and the
-settings, so a result is used again only if content, settings and code are the same.
+A result has a key, which is any JSON, and the digest of the code that computed it. The key holds
+the settings and the digest of the input, so a result is used again only if input, settings and code
+are the same. ``key_digest``, ``content_digest`` and ``code_digest`` are also the keys of the packs
+of data sets (``datasets.store``).
 """
 
 from __future__ import annotations
@@ -88,17 +89,28 @@ def _file_of(package: str) -> Path | None:
     return None if file is None else Path(file).resolve()
 
 
-def outdated(count: int, place: Path) -> str:
-    """Message about results of other code."""
-    results = "1 result" if count == 1 else f"{count} results"
-    return f"{results} in {place} came from another version of the code: computed again"
-
-
 def no_note(text: str) -> None:
     """A ``Note`` that shows nothing."""
 
 
-class ResultCache:
+class _Store:
+    """Base of the stores: counts results of other code."""
+
+    def __init__(self, place: Path, note: Note) -> None:
+        self._place, self.note = place, note
+        self._outdated = 0
+
+    def note_outdated(self) -> None:
+        """Reports how many results since the last call were of other code."""
+        if self._outdated:
+            results = "1 result" if self._outdated == 1 else f"{self._outdated} results"
+            self.note(
+                f"{results} in {self._place} came from another version of the code: computed again"
+            )
+        self._outdated = 0
+
+
+class ResultCache(_Store):
     """Store of results as JSON files in a folder.
 
     A stored result is valid for its key and its digest of the code. A file that is damaged, or from
@@ -116,8 +128,8 @@ class ResultCache:
     suffix: ClassVar[str] = ".json"
 
     def __init__(self, folder: Path, note: Note = no_note) -> None:
-        self.folder, self.note = folder, note
-        self._outdated = 0
+        super().__init__(folder, note)
+        self.folder = folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -164,12 +176,6 @@ class ResultCache:
         """
         self._write(self.path(name), {"key": key_digest(key), "code": code}, value)
 
-    def note_outdated(self) -> None:
-        """Reports how many results since the last call were of other code."""
-        if self._outdated:
-            self.note(outdated(self._outdated, self.folder))
-        self._outdated = 0
-
     def _read(self, path: Path) -> tuple[Mapping[str, Any], Any]:
         """Key and code of a file, and its value."""
         content = read_json(path, most_bytes=MOST_BYTES)
@@ -179,7 +185,7 @@ class ResultCache:
         write_json(path, {**record, "value": value})
 
 
-class ResultLog:
+class ResultLog(_Store):
     """Store of results as lines of a file, for one writing process at a time.
 
     A line has the fields of the result, and ``key`` and ``code`` as in a ``ResultCache``. Lines of
@@ -195,10 +201,10 @@ class ResultLog:
     """
 
     def __init__(self, path: Path, note: Note = no_note) -> None:
-        self.path, self.note = path, note
+        super().__init__(path, note)
+        self.path = path
         self._results: dict[tuple[str, str], dict[str, Any]] = {}
         self._keys: set[str] = set()
-        self._outdated = 0
         try:
             content = path.read_bytes() if path.exists() else b""
             whole = content[: content.rfind(b"\n") + 1]
@@ -234,12 +240,6 @@ class ResultLog:
             raise output_error(self.path, error) from error
         self._results[record["key"], code] = dict(value)
 
-    def note_outdated(self) -> None:
-        """Reports how many results since the last call were of other code."""
-        if self._outdated:
-            self.note(outdated(self._outdated, self.path))
-        self._outdated = 0
-
     def _take(self, line: bytes) -> bool:
         """Reads a line; False if it is no result."""
         try:
@@ -254,7 +254,6 @@ class ResultLog:
 
 Execute: TypeAlias = Callable[[Sequence[T]], Iterable[TaskResult[Any]]]
 """Function that computes tasks in any order, such as ``PersistentPool.run``."""
-
 
 Cache: TypeAlias = "ResultCache | ResultLog"
 """A store of results."""
@@ -318,15 +317,11 @@ def longest_first(jobs: Iterable[Job[T]]) -> list[Job[T]]:
     return sorted(jobs, key=lambda job: -job.effort)
 
 
-def _value(job: Job[Any], result: TaskResult[Any]) -> Any:
-    return result.value
-
-
 def compute_results(
     jobs: Sequence[Job[T]],
     cache: Cache,
     execute: Execute[T],
-    value: Callable[[Job[T], TaskResult[Any]], Any] = _value,
+    value: Callable[[Job[T], TaskResult[Any]], Any] = lambda _, result: result.value,
 ) -> Iterator[JobResult[T]]:
     """Compute jobs, and store each result as soon as it is there.
 
