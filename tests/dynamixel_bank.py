@@ -7,8 +7,10 @@ and checksum are computed here. The servos move with a limited speed and force.
 import contextlib
 import os
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from hand_servos import Faults
 from serial_port import SerialPort
 
 MODEL = 1240  # XC330-M288
@@ -116,20 +118,18 @@ class ServoBank:
 
     Attributes:
         silent: ids that do not answer.
-        deaf, mute: whether nothing reaches the servos, or nothing of them the computer.
-        corrupt: status packets from now on whose checksum is wrong.
-        delay: of each answer [s].
+        faults: what goes wrong on the bus.
         fast: whether they know the fast sync read.
-        goals: (time, id -> goal, how far from the servos that take it) of every write of goals
-            [steps].
+        goals: id -> goal of every write of goals [steps].
+        aimed: called with each of them, before the servos move.
     """
 
     def __init__(self, numbers: list[int]) -> None:
         self.servos = {number: Servo(number) for number in numbers}
         self.silent: set[int] = set()
-        self.corrupt, self.delay, self.fast = 0, 0.0, True
-        self.deaf = self.mute = False
-        self.goals: list[tuple[float, dict[int, int], float]] = []
+        self.faults, self.fast = Faults(), True
+        self.goals: list[dict[int, int]] = []
+        self.aimed: Callable[[dict[int, int]], object] = bool
         self.bad = 0  # instructions with a wrong checksum
         self._buffer = b""
         self.path = ""
@@ -165,13 +165,10 @@ class ServoBank:
             if crc16(whole[:-2]) != int.from_bytes(whole[-2:], "little"):
                 self.bad += 1
                 continue
-            if self.deaf:
-                continue
             body = whole[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
             answer = self._answer(whole[4], body[0], body[1:])
-            if answer and not self.mute:
-                if self.delay:
-                    time.sleep(self.delay)
+            if answer and not self.faults.mute:
+                time.sleep(self.faults.delay_s)
                 self._port.write(answer)
 
     def _answer(self, number: int, instruction: int, data: bytes) -> bytes:
@@ -185,17 +182,15 @@ class ServoBank:
                 return b""
             return self._sync_read(list(data[4:]), address, size, instruction == 0x8A)
         if instruction == 0x83:
-            goals, ahead = {}, 0.0
+            goals = {}
             for k in range(4, len(data), size + 1):
                 value = data[k + 1 : k + 1 + size]
                 if data[k] in self.servos and data[k] not in self.silent:
-                    refused = self.servos[data[k]].write(address, value)
+                    self.servos[data[k]].write(address, value)
                     goals[data[k]] = int.from_bytes(value, "little", signed=True)
-                    if not refused:
-                        way = abs(goals[data[k]] - self.servos[data[k]].position)
-                        ahead = max(ahead, way)
             if address == 116:
-                self.goals.append((time.perf_counter(), goals, ahead))
+                self.goals.append(goals)
+                self.aimed(goals)
             return b""
         if number not in self.servos or number in self.silent:
             return b""
@@ -232,7 +227,6 @@ class ServoBank:
         return self._sent(head + body + crc16(head + body).to_bytes(2, "little"))
 
     def _sent(self, answer: bytes) -> bytes:
-        if self.corrupt:
-            self.corrupt -= 1
+        if self.faults.garble:
             return answer[:-1] + bytes([answer[-1] ^ 0x5A])
         return answer

@@ -46,6 +46,8 @@ class Rig:
     """Whether the hand says by itself where it is, and is not asked."""
     delay_s = 0.01
     """A delay that the driver must bear."""
+    prefix = True
+    """Whether messages begin with the name of the driver."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.folder, self.monkeypatch = folder, monkeypatch
@@ -98,6 +100,17 @@ class Rig:
     def slow(self) -> None:
         """Make the motors so slow that even a stalled machine can stop them on their way."""
         self.hand.servos.moves_when_looked_at(1e-4)
+
+    def watch_targets(self, look: Callable[[np.ndarray, np.ndarray], None]) -> None:
+        """Call a function with each target that comes, and where the motors are then."""
+        servos = self.hand.servos
+        aim = servos.aim
+
+        def aimed(target: Any) -> None:
+            look(np.array(target, float), servos.positions())
+            aim(target)
+
+        self.monkeypatch.setattr(servos, "aim", aimed)
 
     def limits(self) -> list[float]:
         """What the driver set and a restart loses; empty if it sets nothing."""
@@ -253,6 +266,68 @@ class Ability(Rig):
         self.start()
 
 
+class Leap(Rig):
+    driver, library, unit = "dynamixel", "dynamixel_sdk", 0.01
+    prefix = False
+
+    def start(self) -> None:
+        from dynamixel_bank import ServoBank
+
+        self.hand = ServoBank(list(range(16)))
+        self.port = str(self.folder / "ttyLeap")
+        self.lose()
+        self.back()
+        self.sink = f"leap:{self.port},baud=57600"
+
+    def patience(self, seconds: float) -> None:
+        module = "smooth_operator.teleop.hardware.drivers.dynamixel"
+        self.monkeypatch.setattr(f"{module}._SLOW_ANSWER_MS", 1e3 * seconds)
+
+    def positions(self) -> np.ndarray:
+        return RADIAN * np.array([servo.position for servo in self.hand.servos.values()])
+
+    def outside(self) -> int:
+        ends = np.array([a.ends for a in self.build().actuators("right").actuators]) / RADIAN
+        goals = np.array([list(goals.values()) for goals in self.hand.goals if len(goals) == 16])
+        return int(((goals < ends[:, 0] - 1) | (goals > ends[:, 1] + 1)).any(axis=1).sum())
+
+    def targets(self) -> int:
+        return len(self.hand.goals)
+
+    def powered(self) -> bool:
+        return any(servo.torque for servo in self.hand.servos.values())
+
+    def stick(self, motor: int) -> None:
+        self.hand.servos[motor].stop = self.hand.servos[motor].position
+
+    def slow(self) -> None:
+        for servo in self.hand.servos.values():
+            servo.speed = 30.0
+
+    def watch_targets(self, look: Callable[[np.ndarray, np.ndarray], None]) -> None:
+        self.hand.aimed = lambda goals: look(RADIAN * np.array([*goals.values()]), self.positions())
+
+    def limits(self) -> list[float]:
+        return [servo.get(at, 2) for servo in self.hand.servos.values() for at in (84, 102)]
+
+    def restart(self) -> None:
+        for servo in self.hand.servos.values():
+            servo.restart()
+
+    def lose(self) -> None:
+        self.hand.unplug()
+
+    def back(self) -> None:
+        self.hand.plug(self.port)
+
+    def close(self) -> None:
+        self.hand.unplug()
+
+
+RADIAN: Final = 2 * np.pi / 4096
+"""Radians of a step of a Dynamixel servo."""
+
+
 class Wuji(Packaged):
     driver, unit = "wuji", 0.01
     waits = ()
@@ -320,13 +395,14 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "allegro-v5": Allegro,
     "allegro-v4": AllegroV4,
     "ability": Ability,
+    "leap": Leap,
     "wuji": Wuji,
     "revo2": Revo2,
     "revo2-sdk": Revo2Real,
 }
 """Name -> a driver with its simulator."""
 
-ON_A_PTY: Final = ("inspire-rtu", "ability", "revo2-sdk")
+ON_A_PTY: Final = ("inspire-rtu", "ability", "leap", "revo2-sdk")
 
 
 def missing(name: str) -> str:

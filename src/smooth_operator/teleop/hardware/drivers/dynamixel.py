@@ -66,6 +66,9 @@ ERRORS: Final = {
 _ANSWER_MS: Final = 12.0
 """Time that an answer may take beyond its time on the wire [ms]."""
 
+_SLOW_ANSWER_MS: Final = 36.0
+"""The same, if the adapter holds bytes back for 16 ms."""
+
 _TRIES: Final = 4
 """Number of questions to a servo while the hand is opened. The first packet after power-on may be
 lost, and on a busy machine an answer may be read too late."""
@@ -250,9 +253,9 @@ def _port_handler(sdk: Any, port: str, baud: int) -> Any:
     handler.baudrate, handler.tx_time_per_byte = baud, 1e4 / baud
     handler.is_open = True
     try:
-        handler.ser.set_low_latency_mode(True)  # USB adapters hold bytes back for 16 ms otherwise
+        handler.ser.set_low_latency_mode(True)
     except (AttributeError, NotImplementedError, OSError, ValueError):
-        handler.answer_ms = 36.0
+        handler.answer_ms = _SLOW_ANSWER_MS
     handler.ser.reset_input_buffer()
     return handler
 
