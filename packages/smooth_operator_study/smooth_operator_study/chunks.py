@@ -46,10 +46,6 @@ def chunk_values(
         workers: number of processes; None for one for each core, 0 for this process.
         report: called with the finished and the whole size, after the chunks of the log and after
             every further chunk.
-
-    Raises:
-        StudyError: a chunk failed; says why.
-        OutputError: the log can't be written to.
     """
     finished, missing = find_results(jobs, log)
     total, done = round(sum(job.effort for job in jobs)), 0

@@ -21,9 +21,6 @@ def research_digest(*names: str) -> str:
 
     Returns:
         The digest, hexadecimal.
-
-    Raises:
-        FileNotFoundError: a path exists in neither.
     """
     own = [name for name in names if (HOME / name).exists()]
     return code_digest(*own, home=HOME) + code_digest(*(n for n in names if n not in own))

@@ -54,11 +54,7 @@ class ReportSettings:
 
 
 def run_program(main: Callable[[Any], None], settings: type, description: str | None) -> None:
-    """Reads the settings of a program from the command line and runs it.
-
-    Raises:
-        BenchmarkError: the package refused something, with its sentence.
-    """
+    """Reads the settings of a program from the command line and runs it."""
     try:
         main(tyro.cli(settings, description=description))
     except SmoothOperatorError as error:
@@ -100,9 +96,6 @@ def child_json(
     Args:
         command: program and arguments.
         environ: variables of its environment, besides those of this process; None removes one.
-
-    Raises:
-        BenchmarkError: the process failed; with the end of its standard error.
     """
     env = {k: v for k, v in {**os.environ, **environ}.items() if v is not None}
     words = list(map(str, command))
@@ -162,9 +155,6 @@ class Report:
         Args:
             output: the file; None for ``build/benchmarks/<benchmark>.json``.
             compare: an earlier result of the same benchmark to compare with this one.
-
-        Raises:
-            BenchmarkError: if the file to compare with is no result of this benchmark.
         """
         other, failure = None, None
         try:  # before it may be overwritten; a wrong file must not cost the run

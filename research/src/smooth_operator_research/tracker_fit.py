@@ -158,9 +158,6 @@ def fit_shake(windows: Sequence[Float[np.ndarray, "w c"]], period: float) -> Sha
     Args:
         windows: parts in which a fingertip is at rest [m], of c coordinates each.
         period: between frames [s].
-
-    Raises:
-        ValueError: there is no window, or it is shorter than 12 frames.
     """
     shortest = min((len(window) for window in windows), default=0)
     if shortest < 12:

@@ -147,12 +147,7 @@ def keep_rows(frame: Frame, rows: Bool[np.ndarray, " n"]) -> Frame:
 
 
 def check_frame(frame: Frame) -> None:
-    """Refuses rows that can't be analysed.
-
-    Raises:
-        StudyError: no rows, one operator, too few retargeters, a constant outcome, or dependent
-            columns.
-    """
+    """Refuses rows that can't be analysed."""
     if not len(frame):
         raise StudyError("there are no rows to analyse")
     if len(frame.operators) < 2:

@@ -83,11 +83,7 @@ class GeeFit:
     firth: bool = False
 
     def check_correlation(self) -> None:
-        """Refuses a working correlation near the lowest possible one.
-
-        Raises:
-            StudyError: the working correlation is at its lower bound, or below.
-        """
+        """Refuses a working correlation near the lowest possible one."""
         if self.margin < _EDGE:
             raise StudyError(
                 "with so few trials the model could not be fitted: successes and failures of an "
@@ -110,9 +106,6 @@ def fit_gee(
 
     Returns:
         The fit at the fixed point.
-
-    Raises:
-        StudyError: the fit does not converge, or diverges to infinite odds.
     """
     # Imported here, since it takes seconds.
     from statsmodels.genmod.cov_struct import Exchangeable
@@ -222,9 +215,6 @@ def fit_firth(
         groups: operator of each row, codes 0 to g - 1, all of which occur.
         levels: levels that always or never succeed. The covariances have the model's variance of
             their log-odds added.
-
-    Raises:
-        StudyError: the fit does not converge, or has log-odds beyond all reason.
     """
     width = design.shape[1]
     beta = np.zeros(width)

@@ -112,9 +112,6 @@ def fit_mixed(
 
     Returns:
         The fit at the minimum of the criterion.
-
-    Raises:
-        StudyError: there are no more rows than coefficients, or the model leaves no residual.
     """
     rows, width = design.shape
     if rows <= width:

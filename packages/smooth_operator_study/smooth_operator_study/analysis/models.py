@@ -238,11 +238,7 @@ def compare(
 
 
 def check_separation(frame: Frame) -> None:
-    """Refuses success that other terms separate than single retargeters and tasks.
-
-    Raises:
-        StudyError: a combination of terms tells successes from failures.
-    """
+    """Refuses success that other terms separate than single retargeters and tasks."""
     rest = np.ones(len(frame), bool)
     for level in one_sided_levels(frame):
         rest &= ~level.rows
@@ -306,11 +302,7 @@ class Fit:
         )
 
     def joint(self, columns: slice) -> WaldTest:
-        """Tests that all of these coefficients are zero.
-
-        Raises:
-            StudyError: there are too few operators.
-        """
+        """Tests that all of these coefficients are zero."""
         chosen = np.eye(len(self.beta))[columns]
         values, covariance = chosen @ self.beta, chosen @ self.covariance @ chosen.T
         if isinstance(self.model, GeeFit):
@@ -329,9 +321,6 @@ def fit_modes(
     Args:
         frame: rows that passed ``check_frame``, of success also ``check_separation``.
         more: further columns, centred so that means are at their mean.
-
-    Raises:
-        StudyError: the model can't be fitted in any mode.
     """
     design, names = frame.design()
     if more is not None:
@@ -374,11 +363,7 @@ def _linear(
 
 
 def fit_with(outcome: Outcome, frame: Frame, more: Float[np.ndarray, "n q"] | None = None) -> Fit:
-    """Checks the rows and fits retargeter, task, the index and further columns, mode small-sample.
-
-    Raises:
-        StudyError: the model can't be fitted.
-    """
+    """Checks the rows and fits retargeter, task, the index and further columns, mode small-sample."""
     check_frame(frame)
     design = frame.design()[0]
     if more is not None:
@@ -410,11 +395,7 @@ class WaldTest:
 def clustered_wald(
     values: Float[np.ndarray, " q"], covariance: Float[np.ndarray, "q q"], operators: int
 ) -> WaldTest:
-    """Tests that all values are zero by Hotelling's F, for a covariance estimated from operators.
-
-    Raises:
-        StudyError: there are no more operators than values.
-    """
+    """Tests that all values are zero by Hotelling's F, for a covariance estimated from operators."""
     count = len(values)
     if operators <= count:
         raise StudyError(
@@ -436,9 +417,6 @@ def model_wald(
 
     Args:
         freedom: degrees of freedom of one combination.
-
-    Raises:
-        StudyError: the covariance is singular, or a combination has 2 degrees of freedom or fewer.
     """
     count = len(values)
     statistic = _quadratic(values, covariance)

@@ -26,10 +26,6 @@ def leave_out(data: StudyData, exclude: Mapping[str, str] | None = None) -> Stud
     Args:
         data: data of the study; operators who withdrew with their data are always left out.
         exclude: operator -> reason to leave them out as well.
-
-    Raises:
-        StudyError: a reason is empty, or no operator is left.
-        UnknownNameError: no such operator takes part.
     """
     flow = data.flow
     present = tuple(dict.fromkeys(map(str, data.trials.operator)))

@@ -55,9 +55,6 @@ def write_analysis(analysis: Analysis, folder: Path, *, report: bool = True) -> 
 
     Returns:
         Names of the files, the results first.
-
-    Raises:
-        OutputError: a file can't be written.
     """
     with atomic_write(folder / RESULTS) as file:
         text = json.dumps(analysis.to_json(), indent=1, allow_nan=False, ensure_ascii=False)
@@ -78,9 +75,6 @@ def write_tables(analysis: Analysis, folder: Path) -> list[str]:
 
     Returns:
         Names of the files. A table without rows is not written; an older one is removed.
-
-    Raises:
-        OutputError: a file can't be written.
     """
     written = []
     for name, rows in _tables(analysis).items():
@@ -162,9 +156,6 @@ def write_r_script(analysis: Analysis, folder: Path) -> list[str]:
     Returns:
         Names of the files. A table that the study does not have is not written; an older one is
         removed.
-
-    Raises:
-        OutputError: a file can't be written.
     """
     data, table = analysis.data, analysis.data.questionnaires
     texts = {
@@ -214,9 +205,6 @@ def write_report(analysis: Analysis, folder: Path) -> Path:
 
     Returns:
         The page. It needs no other file, and nothing from the network.
-
-    Raises:
-        OutputError: a file can't be written.
     """
     plots, colors = Plots(folder / FOLDER), colors_of(analysis.retargeters)
 

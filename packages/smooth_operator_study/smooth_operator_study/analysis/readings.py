@@ -77,9 +77,6 @@ def preference(
 
     Args:
         rankings: operator -> retargeters, the best first.
-
-    Raises:
-        StudyError: fewer than two operators ranked all retargeters; returned as ``Refused``.
     """
     whole = [list(order) for order in rankings.values() if sorted(order) == sorted(retargeters)]
     if len(whole) < 2:

@@ -78,12 +78,7 @@ def study_metrics(options: Metrics) -> None:
 
 
 def read_take(file: Path) -> Take:
-    """Reads a take with its hand and its time of recording.
-
-    Raises:
-        SmoothOperatorError: the take can't be read, or lacks landmarks, commands or the time of
-            day.
-    """
+    """Reads a take with its hand and its time of recording."""
     log = read_log(file)
     if log.recording is None or log.commands is None:
         what = "landmarks" if log.recording is None else "commands"

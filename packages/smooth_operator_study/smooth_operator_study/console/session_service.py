@@ -64,11 +64,7 @@ class Command:
 
 
 def command_of(message: Mapping[str, Any], role: Role) -> Command:
-    """Makes a command of a page's message, checked as far as possible without the study.
-
-    Raises:
-        StudyError: the message is no command, or not one of this page.
-    """
+    """Makes a command of a page's message, checked as far as possible without the study."""
     token, do, operator = message.get("token"), message.get("do"), message.get("operator", "")
     after, fields = message.get("after"), message.get("fields", {})
     waited = message.get("waited_s", 0.0)
@@ -101,10 +97,6 @@ def event_for(
         elapsed_s: time from the start of the trial to the command [s]; None without a trial.
         measured_s: time of the trial by a simulation [s]; None without one.
         more: fields that the console knows and the page does not send.
-
-    Raises:
-        StudyError: a field is missing, unknown or wrong, or no trial runs that could be scored.
-        UnknownNameError: the rubric has no such line.
     """
     values = dict(command.fields)
     if command.do == "score":
@@ -170,11 +162,7 @@ def trial_time(
 
 
 def check_seen(command: Command, progress: Progress) -> None:
-    """Refuses a command of a page that had not seen the latest events.
-
-    Raises:
-        StudyError: says which event the page had not seen.
-    """
+    """Refuses a command of a page that had not seen the latest events."""
     if command.after is None or command.do == "note":
         return
     for record in progress.records[command.after :]:
@@ -241,9 +229,6 @@ class SessionService:
         enrolled: called with each plan that was changed here and is stored.
         changed: called, from any thread, when the pages should be drawn again.
         report: called with sentences for the terminal.
-
-    Raises:
-        UnknownNameError: there is no such operator.
     """
 
     def __init__(
@@ -284,10 +269,6 @@ class SessionService:
 
         Returns:
             Number of the event that is now stored; 0 where there is none.
-
-        Raises:
-            StoreFailedError: the event can't be written now.
-            SmoothOperatorError: the command is refused; nothing was written.
         """
         at = self._store.clock.now()  # time that is spent here does not count for the trial
         with store_failures():
@@ -368,9 +349,6 @@ class SessionService:
 
         Returns:
             Whether it ended free movement.
-
-        Raises:
-            StoreFailedError: the end can't be written.
         """
         operator = self.operator
         if operator is None:
@@ -395,11 +373,7 @@ class SessionService:
         return True
 
     def watch(self) -> None:
-        """Looks at the teleoperation, and puts it back on the condition of the current block.
-
-        Raises:
-            StoreFailedError: the store can't be read.
-        """
+        """Looks at the teleoperation, and puts it back on the condition of the current block."""
         if self._hand is None or not self._switching.acquire(blocking=False):
             return  # it is being switched right now
         try:
@@ -414,11 +388,7 @@ class SessionService:
     # Content of the pages.
 
     def look(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Returns the content of the experimenter's page and of the operator's page.
-
-        Raises:
-            StoreFailedError: the store can't be read.
-        """
+        """Returns the content of the experimenter's page and of the operator's page."""
         with store_failures():
             plan = self._store.plan
             everyone = [self._store.progress(code) for code in plan.codes]

@@ -43,11 +43,7 @@ class Teleop(Protocol):
     """Remote control of a running teleoperation, such as ``RemoteTeleop``."""
 
     def request(self, do: str, **fields: Any) -> Mapping[str, Any]:
-        """Sends a request and returns the answer.
-
-        Raises:
-            SmoothOperatorError: it is refused, or there is no answer.
-        """
+        """Sends a request and returns the answer."""
 
 
 @dataclass(frozen=True)
@@ -138,11 +134,7 @@ class SessionTeleop:
     # Steps of the protocol.
 
     def before(self, do: str, fields: Mapping[str, Any], progress: Progress) -> None:
-        """Prepares the hand before a calibration counts, or a block or a trial starts.
-
-        Raises:
-            StudyError: the hand can't be prepared; nothing may start.
-        """
+        """Prepares the hand before a calibration counts, or a block or a trial starts."""
         block = progress.step.block
         if do in ("calibrated", "recalibrate"):
             try:
@@ -256,11 +248,7 @@ class SessionTeleop:
         return ""
 
     def again(self, progress: Progress) -> None:
-        """Switches once more, on request.
-
-        Raises:
-            StudyError: the hand can't be switched.
-        """
+        """Switches once more, on request."""
         block = progress.begun
         if block is None:
             self._look()
@@ -292,11 +280,7 @@ class SessionTeleop:
     # Requests; each failure changes the status.
 
     def _request(self, do: str, **fields: Any) -> Mapping[str, Any]:
-        """Sends a request.
-
-        Raises:
-            StudyError: it is refused, or there is no answer.
-        """
+        """Sends a request."""
         try:
             answer = self._teleop.request(do, **fields)
             if answer.get("ok") is not True:
@@ -385,9 +369,6 @@ class SessionTeleop:
 
         Args:
             with_object: whether the scene is to have its object; None leaves it unchanged.
-
-        Raises:
-            StudyError: the scene can't be loaded, or its rubric contradicts the plan's.
         """
         status, task = self.status, simulated_task(block)
         if task is None or not status.simulated:
@@ -461,11 +442,7 @@ def simulated_task(block: Block) -> SimulatedTask | None:
 
 
 def check_rubric(block: Block, task: SimulatedTask) -> None:
-    """Refuses a plan whose rubric gives another score than the scene for the same line.
-
-    Raises:
-        StudyError: names both scores.
-    """
+    """Refuses a plan whose rubric gives another score than the scene for the same line."""
     planned = {line.name: line.score for line in block.task.rubric}
     for line in task.task.rubric:
         if planned.get(line.name, line.score) != line.score:

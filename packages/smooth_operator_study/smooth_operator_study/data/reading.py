@@ -63,11 +63,7 @@ class Checked:
         self.problems.append(f"{self.unit} {number}, column {column}: {text}")
 
     def raise_if_any(self) -> None:
-        """Refuses the table if it has problems.
-
-        Raises:
-            StudyError: lists the first problems by row and column.
-        """
+        """Refuses the table if it has problems."""
         if not self.problems:
             return
         shown = "\n  ".join(self.problems[:_SHOWN])
@@ -179,9 +175,6 @@ def make_trials(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
 
     Returns:
         The trials, and notes on their oddities.
-
-    Raises:
-        StudyError: a value does not fit its column; lists problems by row and column.
     """
     columns = {
         **{column: table.words(column) for column in ("operator", "task", "retargeter")},
@@ -221,9 +214,6 @@ def make_questionnaires(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
 
     Returns:
         The questionnaires, and notes on their oddities.
-
-    Raises:
-        StudyError: a value does not fit its column; lists problems by row and column.
     """
     points = []
     for (number, _), word in zip(table.rows, table.words("point"), strict=True):
@@ -253,11 +243,7 @@ def make_questionnaires(table: Checked) -> tuple[pd.DataFrame, tuple[str, ...]]:
 
 
 def make_metrics(table: Checked) -> pd.DataFrame:
-    """Makes metrics from simulation of a table.
-
-    Raises:
-        StudyError: a value does not fit its column; lists problems by row and column.
-    """
+    """Makes metrics from simulation of a table."""
     names = [column for column in table.rows[0][1] if column not in METRIC_COLUMNS]
     if not names:
         table.problems.append("expected operator, retargeter, and one column per metric")
@@ -283,9 +269,6 @@ def study_facts(content: Mapping[str, Any], name: str) -> dict[str, Any]:
 
     Returns:
         The values; empty if the file has no plan.
-
-    Raises:
-        StudyError: the plan is invalid, or the participants are not as an export writes them.
     """
     table = content.get("study")
     if not isinstance(table, Mapping) or "conditions" not in table:

@@ -86,9 +86,6 @@ def take_metrics(
 
     Returns:
         One row for each operator and retargeter.
-
-    Raises:
-        StudyError: there is no trial.
     """
     if not pieces:
         raise StudyError("no trial of the study is in these recordings")
@@ -144,9 +141,6 @@ def utc_of_zero(started: str, clock: float) -> datetime:
     Args:
         started: ISO date and time of some moment, with its zone.
         clock: clock of the recording at that moment [s].
-
-    Raises:
-        ValueError: ``started`` is no time with a zone.
     """
     moment = datetime.fromisoformat(started)
     if moment.tzinfo is None:

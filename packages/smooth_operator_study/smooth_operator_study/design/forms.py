@@ -113,9 +113,6 @@ class Form:
         Args:
             answers: field -> answer; answers that are not required may be missing.
             ranked: labels that a ranking must hold.
-
-        Raises:
-            StudyError: names the field and what is expected there.
         """
         by_name = {field.name: field for field in self.fields}
         for name in answers:

@@ -76,9 +76,6 @@ def balanced_rows(count: int) -> tuple[tuple[int, ...], ...]:
     Returns:
         n rows if n is even, 2 n if it is odd, of the numbers 0 .. n-1; then row k + n is row k
         backwards.
-
-    Raises:
-        StudyError: fewer than two conditions.
     """
     if count < 2:
         raise StudyError(f"an order needs at least two conditions, not {count}")
@@ -407,11 +404,7 @@ class Plan:
         return tuple(one.code for one in self.enrolled)
 
     def enrolment(self, operator: str) -> Enrolment:
-        """Finds the rows of an operator.
-
-        Raises:
-            UnknownNameError: there is no such operator.
-        """
+        """Finds the rows of an operator."""
         for one in self.enrolled:
             if one.code == operator:
                 return one
@@ -423,9 +416,6 @@ class Plan:
         Args:
             operator: pseudonym.
             task: task of the blocks; None for all tasks.
-
-        Raises:
-            UnknownNameError: there is no such operator, or the operator doesn't do that task.
         """
         rows = self.enrolment(operator).rows
         if task is not None and task not in rows:
@@ -459,9 +449,6 @@ class Plan:
             operator: pseudonym.
             tasks: names of tasks; None for all.
             absent: operators who withdrew with their data, whose rows are free.
-
-        Raises:
-            StudyError: the operator does all of these tasks already, or the code is no name.
         """
         check_name(operator, "operator")
         names = [task.name for task in self.protocol.tasks] if tasks is None else list(tasks)

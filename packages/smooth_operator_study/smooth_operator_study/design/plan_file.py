@@ -67,10 +67,6 @@ def read_plan(path: str | Path) -> Plan:
 
     Args:
         path: the file, or the folder that holds ``study.toml``.
-
-    Raises:
-        StudyError: there is no such file, it is no TOML, or an entry is invalid; the message names
-            the entry and what is expected there.
     """
     path = Path(path)
     path = path / NAME if path.is_dir() else path
@@ -84,9 +80,6 @@ def plan_of(table: dict[str, Any], file: str) -> Plan:
     Args:
         table: table that TOML or JSON gives.
         file: name of the file for messages.
-
-    Raises:
-        StudyError: an entry is invalid; the message names it.
     """
     return _plan(Entries(file, table, StudyError))
 
@@ -100,9 +93,6 @@ def write_plan(plan: Plan, path: str | Path) -> Path:
 
     Returns:
         The file.
-
-    Raises:
-        OutputError: it can't be written.
     """
     path = Path(path)
     if path.is_dir():
@@ -234,9 +224,6 @@ def write_plan_files(plan: Plan, folder: Path) -> list[Path]:
 
     Returns:
         The files.
-
-    Raises:
-        OutputError: a file can't be written.
     """
     schedule = folder / "schedule.csv"
     with atomic_write(schedule) as file:
@@ -245,11 +232,7 @@ def write_plan_files(plan: Plan, folder: Path) -> list[Path]:
 
 
 def write_preregistration(plan: Plan, folder: Path) -> Path:
-    """Writes ``PREREGISTRATION.md``; an earlier one is renamed to ``EARLIER``.
-
-    Raises:
-        OutputError: it can't be written.
-    """
+    """Writes ``PREREGISTRATION.md``; an earlier one is renamed to ``EARLIER``."""
     path = folder / PREREGISTRATION
     try:
         if path.is_file():

@@ -34,10 +34,6 @@ def check_primary(primary: str, tasks: Sequence[str], *, workload: bool) -> None
 
     Args:
         primary: ``OUTCOME/SCOPE``; empty for none.
-
-    Raises:
-        StudyError: it is not of that form, or workload without questionnaires.
-        UnknownNameError: there is no such outcome or scope.
     """
     if not primary:
         return
@@ -55,13 +51,7 @@ def check_primary(primary: str, tasks: Sequence[str], *, workload: bool) -> None
 
 
 def margins_of(words: Iterable[str]) -> dict[str, float]:
-    """Parses margins of equivalence, ``OUTCOME=DIFFERENCE`` each.
-
-    Raises:
-        ValueError: a word is not of that form, or an outcome comes twice.
-        StudyError: a margin is out of range.
-        UnknownNameError: there is no such outcome.
-    """
+    """Parses margins of equivalence, ``OUTCOME=DIFFERENCE`` each."""
     margins: dict[str, float] = {}
     for word in words:
         outcome, _, number = word.partition("=")
@@ -79,12 +69,7 @@ def margins_of(words: Iterable[str]) -> dict[str, float]:
 
 
 def check_margins(margins: Mapping[str, float]) -> None:
-    """Checks margins of equivalence.
-
-    Raises:
-        StudyError: a margin is not above 0, or as large as the outcome's whole range.
-        UnknownNameError: there is no such outcome.
-    """
+    """Checks margins of equivalence."""
     for outcome, margin in margins.items():
         if outcome not in OUTCOMES:
             raise UnknownNameError("outcome of a margin:", outcome, OUTCOMES)
@@ -238,21 +223,13 @@ class Protocol:
         return tuple(self._by_name)
 
     def condition(self, name: str) -> Condition:
-        """Finds a condition by its name.
-
-        Raises:
-            UnknownNameError: there is none of that name.
-        """
+        """Finds a condition by its name."""
         if name not in self._by_name:
             raise UnknownNameError("condition", name, self._by_name)
         return self._by_name[name]
 
     def task(self, name: str) -> Task:
-        """Finds a task by its name.
-
-        Raises:
-            UnknownNameError: there is none of that name.
-        """
+        """Finds a task by its name."""
         by_name = {task.name: task for task in self.tasks}
         if name not in by_name:
             raise UnknownNameError("task", name, by_name)
@@ -263,11 +240,7 @@ class Protocol:
         return self.operators if task.operators is None else task.operators
 
     def questionnaire_trials(self, task: Task) -> dict[int, Point]:
-        """Returns trial of a block, from 1 -> questionnaire that follows it.
-
-        Raises:
-            StudyError: a block has too few trials for its questionnaires.
-        """
+        """Returns trial of a block, from 1 -> questionnaire that follows it."""
         after: dict[Point, int] = {
             "initial": 1,
             "midpoint": (task.trials + 1) // 2,

@@ -149,10 +149,6 @@ def run_power(
         folder: existing folder for the finished chunks.
         workers: number of processes; None for one for each core, 0 for this process.
         note: called with a text on each entry of the folder that can't be used.
-
-    Raises:
-        StudyError: a study can't be simulated; says why.
-        OutputError: the folder can't be written to.
     """
     code = study_digest()
     jobs = [
@@ -413,11 +409,7 @@ def errs(error: Rate) -> bool:
 
 
 def write_power(settings: PowerSettings, tallies: Tallies, folder: Path) -> list[Path]:
-    """Writes ``power.json`` and ``power.png`` into a folder.
-
-    Raises:
-        OutputError: a file can't be written.
-    """
+    """Writes ``power.json`` and ``power.png`` into a folder."""
     write_json(folder / RESULT, power_json(settings, tallies), indent=1)
     draw_power(settings, tallies, folder / PLOT)
     return [folder / RESULT, folder / PLOT]
@@ -431,11 +423,7 @@ def rate_of(tally: Tally, outcome: str, scope: str, mode: str, what: str) -> Rat
 def draw_power(
     settings: PowerSettings, tallies: Tallies, path: Path, *, scope: str = POOLED
 ) -> None:
-    """Draws power over the number of operators for each outcome, and below the family-wise error.
-
-    Raises:
-        OutputError: the file can't be written.
-    """
+    """Draws power over the number of operators for each outcome, and below the family-wise error."""
     from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
     truth = settings.truth

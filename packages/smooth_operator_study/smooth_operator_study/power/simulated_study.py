@@ -124,9 +124,6 @@ def assumptions_for(
         time_s: condition -> mean time [s].
         workload: condition -> mean workload [points].
         more: other fields of ``Assumptions``.
-
-    Raises:
-        StudyError: a value is for an unknown condition, or a condition has no value.
     """
     values_of: dict[str, Mapping[str, float]] = {}
     for what, overrides, published in (

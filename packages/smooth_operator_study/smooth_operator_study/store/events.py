@@ -360,11 +360,7 @@ def payload(event: Event) -> dict[str, Any]:
 
 
 def event_of(kind: str, values: Mapping[str, Any]) -> Event:
-    """Makes an event of its kind and fields, checked as far as possible without the plan.
-
-    Raises:
-        StudyError: no such kind, or a field is missing, unknown or of the wrong type.
-    """
+    """Makes an event of its kind and fields, checked as far as possible without the plan."""
     if kind not in EVENTS:
         raise StudyError(f"no event is called {kind!r}; expected one of {', '.join(EVENTS)}")
     cls, entries = EVENTS[kind], Entries(f"event {kind!r}", values, StudyError)

@@ -61,10 +61,6 @@ def export_study(
 
     Returns:
         The files: trials.csv, tlx.csv if there are questionnaires, study.json.
-
-    Raises:
-        OutputError: a file can't be written.
-        UnknownNameError: there is no such operator.
     """
     folder = Path(folder)
     try:

@@ -30,11 +30,7 @@ SCALE_NAMES: Final = (
 
 
 def check_ratings(ratings: Mapping[str, int]) -> None:
-    """Checks answers to the six scales.
-
-    Raises:
-        StudyError: a scale is missing or unknown, or a rating is no step of the scale.
-    """
+    """Checks answers to the six scales."""
     if set(ratings) != set(SCALE_NAMES):
         missing = sorted(set(SCALE_NAMES) - set(ratings))
         extra = sorted(set(ratings) - set(SCALE_NAMES))
@@ -119,9 +115,6 @@ def read_words(path: Path) -> TlxWords:
 
     Args:
         path: a TOML or JSON file.
-
-    Raises:
-        StudyError: it can't be read, or lacks a scale; the message names the entry.
     """
     if path.suffix.lower() == ".json":
         try:

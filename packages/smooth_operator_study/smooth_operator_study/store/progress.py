@@ -313,10 +313,6 @@ class Progress:
         Args:
             line: line of the rubric of the trial's task.
             trial: None for the running one.
-
-        Raises:
-            StudyError: no trial is running.
-            UnknownNameError: the rubric has no such line.
         """
         trial = trial or self.running
         if trial is None:
@@ -325,11 +321,7 @@ class Progress:
         return min(score, self.plan.protocol.reset_cap) if trial.resets else score
 
     def scored_trial(self, task: str, block: int, number: int) -> Trial:
-        """Finds a trial that was scored and counts.
-
-        Raises:
-            StudyError: there is none at that place.
-        """
+        """Finds a trial that was scored and counts."""
         for trial in self.trials:
             if trial.counts and (*trial.block.place, trial.number) == (task, block, number):
                 return trial
@@ -365,11 +357,7 @@ class Progress:
     # Changes by events.
 
     def apply(self, record: Record) -> None:
-        """Checks and folds one more event.
-
-        Raises:
-            StudyError: the event is not due; says which step is.
-        """
+        """Checks and folds one more event."""
         check_event(self, record.event)
         if record.number != self.number + 1:
             raise StudyError(
@@ -461,11 +449,7 @@ class Progress:
 
 
 def replay(plan: Plan, operator: str, records: Iterable[Record]) -> Progress:
-    """Computes an operator's progress from the log.
-
-    Raises:
-        StudyError: the log holds an event that the plan doesn't allow.
-    """
+    """Computes an operator's progress from the log."""
     progress = Progress(plan, operator)
     for record in records:
         progress.apply(record)
@@ -473,11 +457,7 @@ def replay(plan: Plan, operator: str, records: Iterable[Record]) -> Progress:
 
 
 def check_event(state: Progress, event: Event) -> None:
-    """Refuses an event that is not due; changes nothing.
-
-    Raises:
-        StudyError: the event is not due; says which step is.
-    """
+    """Refuses an event that is not due; changes nothing."""
     step = state.step
     match event:
         case Noted():

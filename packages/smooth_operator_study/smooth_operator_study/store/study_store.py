@@ -111,9 +111,6 @@ class StudyStore:
 
     Args:
         target: folder of a study, or its SQLite file, which is created if missing.
-
-    Raises:
-        StudyError: the file can't be opened, or is no SQLite database.
     """
 
     def __init__(self, target: str | Path) -> None:
@@ -159,18 +156,11 @@ class StudyStore:
         """Runs a transaction that is on disk when it ends, or leaves nothing after an exception.
 
         A writer locks the file before it reads, or two would decide on the same state.
-
-        Raises:
-            StudyError: nothing was written; says why.
         """
         return self._transaction("BEGIN IMMEDIATE", "nothing was written")
 
     def reading(self) -> AbstractContextManager[Connection]:
-        """Runs a transaction that sees one state; inside ``writing`` it is a part of that one.
-
-        Raises:
-            StudyError: the file can't be read; says why.
-        """
+        """Runs a transaction that sees one state; inside ``writing`` it is a part of that one."""
         return self._transaction("BEGIN", "the store can't be read")
 
     @contextmanager
@@ -196,11 +186,7 @@ class StudyStore:
 
     @property
     def plan(self) -> Plan:
-        """The newest plan.
-
-        Raises:
-            StudyError: no study is stored.
-        """
+        """The newest plan."""
         with self.reading() as connection:
             return self._newest_plan(connection)
 
@@ -242,10 +228,6 @@ class StudyStore:
 
         Returns:
             The record that is now on disk.
-
-        Raises:
-            StudyError: the event is not due, or can't be written; then nothing was written.
-            UnknownNameError: no such operator takes part.
         """
         if author not in AUTHORS:
             raise StudyError(f"an author is one of {', '.join(AUTHORS)}, not {author!r}")
@@ -278,10 +260,6 @@ class StudyStore:
 
         Returns:
             The progress, which later events don't change.
-
-        Raises:
-            UnknownNameError: no such operator takes part.
-            StudyError: the data was deleted.
         """
         with self.reading() as connection:
             _check_not_erased(_participant(connection, operator))
@@ -293,12 +271,7 @@ class StudyStore:
             return list(_records(connection, operator, 0))
 
     def revise(self, plan: Plan) -> None:
-        """Replaces the plan, to enrol operators or, before anyone has begun, to change it.
-
-        Raises:
-            StudyError: the new plan has other rows for someone who has begun or, once anyone has,
-                another protocol or other orders.
-        """
+        """Replaces the plan, to enrol operators or, before anyone has begun, to change it."""
         with self.writing() as connection:
             if _newest_plan_id(connection) is not None:
                 before = self._newest_plan(connection)
@@ -315,9 +288,6 @@ class StudyStore:
 
         Returns:
             Number of deleted events.
-
-        Raises:
-            UnknownNameError: no such operator takes part.
         """
         with self.writing() as connection:
             if operator not in self.erased:
@@ -374,11 +344,7 @@ class StudyStore:
         return self._plan[1]
 
     def _empty_write_ahead_log(self) -> None:
-        """Removes deleted content that is still in the write-ahead log.
-
-        Raises:
-            StudyError: another program that reads the file keeps the content alive.
-        """
+        """Removes deleted content that is still in the write-ahead log."""
         with self._lock:
             busy, *_ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
         if busy:
@@ -397,11 +363,7 @@ class StudyStore:
             raise OSError(f"{self._path} was replaced by another file")
 
     def _create(self) -> None:
-        """Creates the tables in an empty file.
-
-        Raises:
-            StudyError: the file holds other tables, or those of a newer program.
-        """
+        """Creates the tables in an empty file."""
         with self.reading() as connection:
             if self._has_tables(connection):
                 return
@@ -422,11 +384,7 @@ class StudyStore:
 
 
 def stored(text: str, what: str) -> Any:
-    """Parses a value that the database holds as JSON and another program may have damaged.
-
-    Raises:
-        StudyError: it is no JSON.
-    """
+    """Parses a value that the database holds as JSON and another program may have damaged."""
     try:
         return parse_json(text)
     except DocumentError as error:
@@ -523,9 +481,6 @@ def _check_revision(before: Plan, plan: Plan, begun: Sequence[Row]) -> None:
 
     Args:
         begun: rows of the table of participants.
-
-    Raises:
-        StudyError: the plan changes such a part.
     """
     if begun and (plan.protocol != before.protocol or plan.orders != before.orders):
         raise StudyError(

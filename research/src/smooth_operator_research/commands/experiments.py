@@ -35,12 +35,7 @@ def paper(options: Paper) -> None:
 
 
 def _run(options: Experimenting, names: Sequence[str], recordings: Sequence[str]) -> None:
-    """Checks the request, runs the experiments, writes and prints the results.
-
-    Raises:
-        SmoothOperatorError: the request is invalid; nothing has been computed yet.
-        KeyboardInterrupt: stopped; finished results are kept.
-    """
+    """Checks the request, runs the experiments, writes and prints the results."""
     progress = Progressing(options.quiet)
     start_jax()  # before anything else does
     if options.quick and options.published:

@@ -46,13 +46,7 @@ _WIDTH_OF_INTERVALS: Final = 120
 
 
 def physics(options: Physics) -> None:
-    """Runs the measures, writes and prints the results.
-
-    Raises:
-        SmoothOperatorError: the request is invalid; nothing has been measured yet.
-        SystemExit: some cases failed, with ``SOME_FAILED``.
-        KeyboardInterrupt: stopped; finished results are kept.
-    """
+    """Runs the measures, writes and prints the results."""
     if not options.no_report:
         require("the report (use --no-report to skip it)", "lab", "matplotlib")
     progress = Progressing(options.quiet)

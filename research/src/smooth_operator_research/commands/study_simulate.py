@@ -21,12 +21,7 @@ from smooth_operator_study.design.protocol import Protocol
 
 
 def simulate_command(options: Simulate) -> None:
-    """Simulates, writes the results and prints a table.
-
-    Raises:
-        StudyError: the plan does not exist, or it can't be simulated.
-        OutputError: the folder is not writable.
-    """
+    """Simulates, writes the results and prints a table."""
     plan = plan_for(read_plan(options.study), options.operators)
     settings = SimulationSettings(
         plan, hand=options.hand, body=options.body, tracker=options.tracker, seed=options.seed

@@ -69,11 +69,7 @@ class Demonstration:
 
 
 def demonstrated_hands(task: str) -> list[str]:
-    """Names of the hands that have a demonstration of a task, the default hand first.
-
-    Raises:
-        UnknownNameError: there is no such task.
-    """
+    """Names of the hands that have a demonstration of a task, the default hand first."""
     if task not in TASKS:
         raise UnknownNameError("task", task, TASKS)
     hands = [hand.name for hand in _FOLDER.iterdir() if (hand / f"{task}.json").is_file()]
@@ -89,10 +85,6 @@ def load_demonstration(
         hand: name of the robot hand; None for the default one.
         tracker: kind of tracker that the operator is before, for which some tasks have a
             demonstration of their own; None for the common one.
-
-    Raises:
-        UnknownNameError: there is no such task.
-        StudyError: the hand has no demonstration of it, or the file does not fit the hand.
     """
     names = demonstrated_hands(task)
     name = DEFAULT_HAND if hand is None else hand
@@ -106,11 +98,7 @@ def load_demonstration(
 
 
 def read_demonstration(text: str) -> Demonstration:
-    """A demonstration from the text of its JSON file.
-
-    Raises:
-        StudyError: it does not fit the hand.
-    """
+    """A demonstration from the text of its JSON file."""
     content = json.loads(text)
     task, hand = content["task"], load_hand(content["hand"], content["side"])
     if tuple(content["joints"]) != hand.actuated_names:

@@ -103,9 +103,6 @@ def draw_perturbation(
 
     Args:
         tracker: kind of tracker: ``glove``, ``headset`` or ``camera``.
-
-    Raises:
-        UnknownNameError: there is no such kind of tracker.
     """
     model = tracker_model(tracker)
     if number == 0:

@@ -144,9 +144,6 @@ def transferred(demonstration: Demonstration, hand: Hand) -> Demonstration:
 
     Where, that is, against the object: each hand has its own scene, in which the object lies within
     its reach. Fingers besides thumb, index and middle stay in the neutral pose.
-
-    Raises:
-        HandModelError: the other hand's size does not allow the task.
     """
     first = demonstration.robot
     here, there = (scene_for(demonstration.task, one) for one in (first, hand))
@@ -267,9 +264,6 @@ class Search:
         """Judge a generation; the first candidate is its centre.
 
         All are judged in some worlds, the better half of them and the centre in all.
-
-        Raises:
-            StudyError: a candidate can't be judged.
         """
         points = self.state.candidates()
         points[0] = self.state.mean

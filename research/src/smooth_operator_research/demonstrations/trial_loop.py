@@ -140,9 +140,6 @@ def perform(
 
     Yields:
         the moment after each period since 'go', until the trial is done or the time over.
-
-    Raises:
-        ConfigError: the rate is not above 0 and at most 500 Hz, or a time is negative.
     """
     limit = task.seconds if seconds is None else seconds
     if not (0.0 < rate_hz <= _FASTEST_HZ and limit >= 0.0 and lead_s >= 0.0):
@@ -234,9 +231,6 @@ def run_trial(
         prepare: changes the built scene before the trial, such as its friction.
         interventions: what the operator asks for; see ``perform``.
         trace: keep what happened.
-
-    Raises:
-        ConfigError: a rate or time is out of range.
     """
     physics = ScenePhysics(retargeter.hand, scene)
     if prepare is not None:

@@ -245,11 +245,7 @@ RESULTS: Final = "results.json"
 
 
 def check_folder(folder: Path) -> None:
-    """Looks whether experiments may be written into a folder; writes nothing.
-
-    Raises:
-        OutputError: a file stands there, or the folder holds something other than experiments.
-    """
+    """Looks whether experiments may be written into a folder; writes nothing."""
     check_benchmark_folder(folder, COMMAND, "earlier experiments")
 
 
@@ -263,9 +259,6 @@ class ExperimentFolder:
     Attributes:
         cells: what was computed.
         environment: versions and machine.
-
-    Raises:
-        OutputError: the folder can't be written to, or holds something else.
     """
 
     def __init__(self, folder: Path, settings: Mapping[str, Any], note: Note = no_note) -> None:
@@ -287,11 +280,7 @@ class ExperimentFolder:
         return {key: self.environment[key] for key in ("cpu", "cpu_cores", "device")}
 
     def experiment_folder(self, name: str) -> Path:
-        """Folder of an experiment's results; made if need be.
-
-        Raises:
-            OutputError: it can't be.
-        """
+        """Folder of an experiment's results; made if need be."""
         path = self.folder / name
         try:
             path.mkdir(exist_ok=True)
@@ -381,12 +370,7 @@ class Experiment(Protocol):
     """The paper's claim, one line."""
 
     def run(self, context: ExperimentContext) -> Outcome:
-        """Computes what is missing, and returns the outcome.
-
-        Raises:
-            SmoothOperatorError: it can't be done on these recordings.
-            KeyboardInterrupt: stopped; finished cells are kept.
-        """
+        """Computes what is missing, and returns the outcome."""
 
 
 EXPERIMENTS: Final[dict[str, tuple[str, str]]] = {
@@ -404,11 +388,7 @@ file and a line here."""
 
 
 def experiment(name: str) -> Experiment:
-    """An experiment by its name.
-
-    Raises:
-        UnknownNameError: there is none of that name.
-    """
+    """An experiment by its name."""
     if name not in EXPERIMENTS:
         raise UnknownNameError("experiment", name, EXPERIMENTS)
     module, kind = EXPERIMENTS[name]
@@ -487,11 +467,7 @@ class ExperimentContext:
         return {source.name: source.request.unit for source in self.sources}
 
     def finish(self, phase: str, jobs: Sequence[Job[Compute]]) -> list[dict[str, np.ndarray]]:
-        """Computes the cells that are missing, and keeps each as soon as it is whole.
-
-        Raises:
-            OutputError: a cell can't be written.
-        """
+        """Computes the cells that are missing, and keeps each as soon as it is whole."""
         cache = self.store.cells
         once = {job.name: job for job in jobs}  # the same cell may be asked for twice
         results, missing = find_results(list(once.values()), cache)
@@ -502,11 +478,7 @@ class ExperimentContext:
         return [arrays[job.name] for job in jobs]
 
     def problems(self, config: ObjectiveConfig, frames: int) -> list[Problem]:
-        """The recordings as problems.
-
-        Raises:
-            RecordingError: a recording has too few usable frames.
-        """
+        """The recordings as problems."""
         return make_problems(self.sources, self.hand, config, frames)
 
     @cached_property

@@ -55,9 +55,6 @@ def write_outcome(
 
     Returns:
         ``results.json``, written last: where it stands, the figures do.
-
-    Raises:
-        OutputError: a file can't be written.
     """
     folder = store.experiment_folder(name)
     for drawing in outcome.drawings:
@@ -80,11 +77,7 @@ def write_outcome(
 
 
 def write_report(store: ExperimentFolder) -> Path:
-    """One page of all experiments whose results are in the folder; it needs no other file.
-
-    Raises:
-        OutputError: it can't be written.
-    """
+    """One page of all experiments whose results are in the folder; it needs no other file."""
     contents = {name: _read(store.folder / name / RESULTS) for name in EXPERIMENTS}
     results = {name: content for name, content in contents.items() if content}
     sections = [("Verdicts", "verdicts", _overview(results))]

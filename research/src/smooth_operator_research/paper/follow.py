@@ -85,11 +85,7 @@ class DegradedRecording:
 
 
 def recording_of(source: Source) -> HandRecording:
-    """The frames of a source.
-
-    Raises:
-        RecordingError: it could not be read.
-    """
+    """The frames of a source."""
     if source.recording is None:
         raise RecordingError(f"{source.name}: {source.error}")
     return source.recording
@@ -295,11 +291,7 @@ class Field:
 
 
 def field_of(context: ExperimentContext, names: Sequence[str] = METHODS) -> Field:
-    """Which of some methods can serve the hand.
-
-    Raises:
-        ConfigError: none can.
-    """
+    """Which of some methods can serve the hand."""
     choices: dict[str, Choice] = {}
     gaps: dict[str, str] = {}
     hand = load_hand(context.hand, context.sources[0].side)

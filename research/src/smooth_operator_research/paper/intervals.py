@@ -30,9 +30,6 @@ class Samples:
     Attributes:
         values: by recording, then by seed; a solver without chance has one seed.
         units: independent unit of each recording.
-
-    Raises:
-        ValueError: the two differ in length, or there is no recording, or one without a value.
     """
 
     values: Sequence[Sequence[float]]
@@ -154,19 +151,12 @@ def contrast(a: Samples, b: Samples, kind: Contrast) -> Estimate:
         a, b: samples of the same recordings in the same order.
         kind: ``ratio``: geometric mean of a / b; ``change``: that less 1; ``difference``: mean of
             a - b.
-
-    Raises:
-        ValueError: they are of different recordings.
     """
     return pooled([(a, b)], kind)
 
 
 def pooled(pairs: Sequence[tuple[Samples, Samples]], kind: Contrast) -> Estimate:
-    """The mean of several contrasts, as over solvers, unit by unit.
-
-    Raises:
-        ValueError: they are of different recordings.
-    """
+    """The mean of several contrasts, as over solvers, unit by unit."""
     units = pairs[0][0].units
     if any(list(one.units) != list(units) for pair in pairs for one in pair):
         raise ValueError("figures of different recordings can't be compared")

@@ -142,19 +142,12 @@ def make_problems(
         sources: recordings.
         hand: name of the robot hand.
         frames: the most of each recording.
-
-    Raises:
-        RecordingError: a recording has no run of ``FEWEST_FRAMES`` usable frames.
     """
     return [make_problem(s, hand, config, frames) for s in sources if s.recording is not None]
 
 
 def make_problem(source: Source, hand: str, config: ObjectiveConfig, frames: int) -> Problem:
-    """One of them.
-
-    Raises:
-        RecordingError: there is no run of ``FEWEST_FRAMES`` usable frames.
-    """
+    """One of them."""
     recording = source.recording
     assert recording is not None  # of a source that could be read
     objective = _objective(hand, recording.side, config)

@@ -41,9 +41,6 @@ class Settings:
         hand: name of the robot hand.
         frames: ``A:B`` of each recording that brings no range.
         size: quick, default or published.
-
-    Raises:
-        UnknownNameError: there is no such experiment or size.
     """
 
     output: Path
@@ -66,12 +63,7 @@ class Settings:
 
 
 def load_recordings(settings: Settings) -> list[Source]:
-    """The recordings that can be read.
-
-    Raises:
-        RecordingError: one can't be: an experiment on fewer would have other intervals.
-        ConfigError: the text of one is no request.
-    """
+    """The recordings that can be read."""
     words = settings.recordings
     if not words:
         words = settings.how_much.recordings

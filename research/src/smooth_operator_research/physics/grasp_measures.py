@@ -357,11 +357,7 @@ class GraspMeasure(ABC):
         """The human's grasps in a recording."""
 
     def usable(self, case: Case, recording: HandRecording) -> Sequence[Any]:
-        """Those that the robot hand can try.
-
-        Raises:
-            RecordingError: there is none.
-        """
+        """Those that the robot hand can try."""
         return self.find(recording)
 
     @abstractmethod
@@ -387,11 +383,7 @@ class GraspMeasure(ABC):
         """Tries a grasp on the object of a physics."""
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
-        """The recordings with such grasps; where none is named, built-in operators.
-
-        Raises:
-            RecordingError: no recording can be read, or none of them has such a grasp.
-        """
+        """The recordings with such grasps; where none is named, built-in operators."""
         count = settings.count(_UNITS, _QUICK_UNITS)
         names = settings.recordings or [f"{SYNTHETIC}:{settings.seed + k}" for k in range(count)]
         requests = [

@@ -284,9 +284,6 @@ class PinchPhysics(GraspPhysics):
     Args:
         timestep: step of the physics [s].
         bandwidth: bandwidth of the servos [Hz].
-
-    Raises:
-        HandModelError: a fingertip has no shape.
     """
 
     def __init__(

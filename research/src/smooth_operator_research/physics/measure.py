@@ -54,10 +54,6 @@ class PhysicsSettings:
         seed: seed of the units and of the methods' random numbers.
         workers: processes; None for one per core, 0 for none.
         cluster: address of a Ray cluster instead of processes on this machine.
-
-    Raises:
-        ConfigError: a number is out of its range, or there is nothing to measure.
-        UnknownNameError: there is no such hand, method, preset or tracker.
     """
 
     output: Path
@@ -192,9 +188,6 @@ class Case:
 
         Args:
             tracker: kind of tracker that the loop has, whose pinch gaps are known.
-
-        Raises:
-            ConfigError: the preset needs the whole recording.
         """
         if isinstance(self.config, TrajectoryMethodConfig):
             return Retargeter(self.hand, config=self.config, seed=self.seed)  # says why not
@@ -278,18 +271,10 @@ class Measure(Protocol):
         """Values of what is varied, as tracker noise or a task; a table for each."""
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
-        """The independent units; all hands, methods and conditions take the same ones.
-
-        Raises:
-            SmoothOperatorError: a recording can't be read.
-        """
+        """The independent units; all hands, methods and conditions take the same ones."""
 
     def run(self, case: Case) -> Measured:
-        """Runs one case. Deterministic: the same case gives the same row.
-
-        Raises:
-            SmoothOperatorError: it can't be measured; the row then has the reason.
-        """
+        """Runs one case. Deterministic: the same case gives the same row."""
 
     def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
         """The plots of the report.

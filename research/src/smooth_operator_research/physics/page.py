@@ -127,9 +127,6 @@ def write_report(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) 
 
     Returns:
         The page. It needs no other file, and nothing from the network.
-
-    Raises:
-        OutputError: a file can't be written.
     """
     plots = Plots(settings.output / PLOTS)
     colors = colors_of(method for outcome in outcomes for method in outcome.results.methods)
@@ -230,9 +227,6 @@ def write_files(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) -
 
     Returns:
         The files.
-
-    Raises:
-        OutputError: one can't be written.
     """
     paths = []
     for outcome in outcomes:

@@ -72,11 +72,7 @@ def _number(value: float, digits: int) -> str:
 
 
 def wilson(successes: float, trials: float) -> tuple[float, float]:
-    """The 95 % interval of a share (Wilson 1927).
-
-    Raises:
-        ValueError: there is no trial, or more successes than trials.
-    """
+    """The 95 % interval of a share (Wilson 1927)."""
     if not 0 <= successes <= trials or trials <= 0:
         raise ValueError(f"{successes:g} successes in {trials:g} trials have no interval")
     share, z2 = successes / trials, _Z * _Z

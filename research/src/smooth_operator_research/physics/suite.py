@@ -61,11 +61,7 @@ def measure_names() -> tuple[str, ...]:
 
 
 def find_measure(name: str) -> Measure:
-    """A measure by its name.
-
-    Raises:
-        UnknownNameError: there is none of that name.
-    """
+    """A measure by its name."""
     if name not in measure_names():
         raise UnknownNameError("measure", name, measure_names())
     module, kind = MEASURES[name]
@@ -98,13 +94,7 @@ class MeasureOutcome:
 
 
 def plan_cases(settings: PhysicsSettings) -> dict[str, list[Case]]:
-    """All that is to be run, measure by measure; reads recordings, writes nothing.
-
-    Raises:
-        UnknownNameError: there is no such measure.
-        OutputError: the folder holds something else.
-        RecordingError: a recording can't be read.
-    """
+    """All that is to be run, measure by measure; reads recordings, writes nothing."""
     check_folder(settings.output, COMMAND, f"an earlier {COMMAND}")
     planned: dict[str, list[Case]] = {}
     for name in settings.measures or measure_names():
@@ -148,10 +138,6 @@ def run_cases(
 
     Returns:
         What each measure came to, its rows in the order of the cases.
-
-    Raises:
-        OutputError: a result can't be written.
-        ConfigError: the workers can't be.
     """
     config = {"program": PROGRAM, "command": COMMAND, "settings": settings, **environment()}
     write_json(settings.output / CONFIG, config, indent=2)
@@ -186,11 +172,7 @@ def _run_measure(
 
 
 def run_case(case: Case) -> Measured:
-    """Runs a case in a worker.
-
-    Raises:
-        SmoothOperatorError: the case can't be measured.
-    """
+    """Runs a case in a worker."""
     return find_measure(case.measure).run(case)
 
 

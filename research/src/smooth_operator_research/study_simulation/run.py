@@ -120,11 +120,7 @@ class Chunk:
 
 
 def plan_for(plan: Plan, operators: int | None) -> Plan:
-    """The plan for so many operators; the plan itself where these are its own.
-
-    Raises:
-        StudyError: the number is not from 1 to 1000, or the plan has no operators.
-    """
+    """The plan for so many operators; the plan itself where these are its own."""
     if operators is None:
         if not plan.enrolled:
             raise StudyError("the plan has no operators; give their number with --operators")
@@ -243,10 +239,6 @@ def simulate_study(
 
     Returns:
         Rows of the trials, in the order of the plan.
-
-    Raises:
-        StudyError: a trial could not be simulated; says why.
-        OutputError: the folder can't be written to.
     """
     code = _code()
     jobs = [

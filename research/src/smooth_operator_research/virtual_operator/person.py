@@ -85,11 +85,7 @@ def largest_crossover(delay_s: float) -> float:
 
 
 def draw_person(number: int, seed: int = 0) -> Person:
-    """A person, the same for the same number and seed.
-
-    Raises:
-        ConfigError: number or seed is negative.
-    """
+    """A person, the same for the same number and seed."""
     if number < 0 or seed < 0:
         raise ConfigError(f"number and seed of a person must be 0 or more, not {number} and {seed}")
     rng = np.random.default_rng([seed, number, 0x0E])

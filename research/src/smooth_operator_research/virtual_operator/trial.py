@@ -113,9 +113,6 @@ def simulate_trial(
         seconds: time limit [s]; None for the task's own.
         variation: variation of the object; None for the nominal one.
         trace: keep what happened.
-
-    Raises:
-        HandModelError: the hand can't do the task.
     """
     scene, reach = _prepared(task.name, familiar.retargeter.hand)
     if variation is not None:
