@@ -12,7 +12,7 @@ from smooth_operator import (
 METHODS = {"smooth": "teleop", "sbr": "realtime", "dexpilot": "published", "joint_angle": "default"}
 
 hand = load_hand("mimic_p050", "right")
-recording = SyntheticOperator(seed=3, rate_hz=50).record(duration=2.0)
+recording = SyntheticOperator(seed=3, rate_hz=50).record(duration=1.0)
 
 print("method       direction     motion     jitter [m^2]  self-collision [%]")
 for method, preset in METHODS.items():

@@ -139,7 +139,8 @@ def rates(threads: int) -> dict[str, float]:
 
 
 def _calls_per_second(call: Callable[[], Any], threads: int, seconds: float = 0.4) -> float:
-    """Best of three rounds: what the machine can do, not what else it was doing."""
+    """Calls per second in the best of three rounds, which other load on the machine disturbs
+    least."""
     call().block_until_ready()
     best = 0.0
     for _ in range(3):
@@ -162,7 +163,8 @@ def _calls_per_second(call: Callable[[], Any], threads: int, seconds: float = 0.
 
 
 def _matrix_product(on_cpu: bool) -> float:
-    """Operations per second of a large single-precision product: the library's best."""
+    """Operations per second of a large single-precision matrix product, the fastest of the
+    library."""
     import jax.numpy as jnp
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""Arm and hand while everything goes wrong: no limit is passed, and no return jumps.
+"""Faults of an arm with a hand: checks that no limit is exceeded and no return jumps.
 
     python research/benchmarks/arm_faults.py                          # four arms, 10 rounds each
     python research/benchmarks/arm_faults.py --arms ur5e --rounds 100 --seed 3
@@ -68,7 +68,7 @@ KINDS = (
 
 PERIOD = 0.01
 LENGTHS = {"long drop-out": 250, "out of reach": 120, "into the table": 120}
-"""Commands that a fault lasts, where that is not 25."""
+"""Length of a fault in commands, if it is not 25."""
 FIRST_RAD, FIRST_M = 0.02, 0.002
 
 
@@ -134,7 +134,7 @@ class Run:
         self.fingers: list[float] = []
 
     def round(self, short: bool = False) -> None:
-        """Every kind of fault once; ``short`` for half as long."""
+        """Runs every kind of fault once; ``short`` halves their length."""
         self._normal(60)
         for kind in self.rng.permutation(KINDS):
             length = LENGTHS.get(str(kind), 25) // (2 if short else 1)
@@ -300,7 +300,7 @@ class Run:
 
 
 def run(arm: str, hand: str, rounds: int, seed: int, short: bool = False) -> dict[str, Any]:
-    """Some rounds of all faults on one arm."""
+    """Runs some rounds of all faults on one arm."""
     trial = Run(arm, hand, seed)
     trial.sinks.open({"right": trial.hand}, {})
     try:
@@ -331,7 +331,7 @@ def failures(report: dict[str, Any]) -> list[str]:
 
 
 def main() -> None:
-    """Run the faults, print what they came to, and end with 1 if a check failed."""
+    """Runs the faults, prints the results, and exits with 1 if a check failed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--arms", nargs="+", default=["panda", "ur5e", "xarm7", "iiwa14"])
     parser.add_argument("--hand", default="leap_hand")

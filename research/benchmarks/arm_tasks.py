@@ -1,4 +1,4 @@
-"""The study's tasks with the hand on an arm: it brings the wrist there, then the fingers do it.
+"""The study's tasks with the hand on an arm: the arm moves the wrist, then the fingers do the task.
 
     python research/benchmarks/arm_tasks.py                     # every arm, every task
     python research/benchmarks/arm_tasks.py --arm panda --hand mimic_p050 --worlds 10
@@ -31,7 +31,7 @@ APPROACH_S, SETTLE_S, STAYS_S = 5.0, 1.0, 2.0
 
 
 def trial(task: str, hand_name: str, arm: str | None, number: int, seed: int) -> dict[str, float]:
-    """One trial; on the fixture if ``arm`` is None."""
+    """Runs one trial; on the fixture if ``arm`` is None."""
     demonstration = load_demonstration(task, hand_name)
     hand = demonstration.robot
     side = hand.spec.side

@@ -1,4 +1,4 @@
-"""Frames a second of recordings side by side in one program, against frames one by one.
+"""Frames per second of many recordings in one program, compared with frame by frame.
 
     python research/benchmarks/batch.py                                   # lanes, on this CPU
     python research/benchmarks/batch.py --methods smooth:teleop --lanes 256 1024 4096 --device gpu
@@ -115,7 +115,7 @@ def side_by_side(report: Report, settings: Settings) -> None:
 
 
 def device_memory_mib() -> float | None:
-    """Most that JAX has taken of the device's memory so far; None where it does not say."""
+    """Peak memory of the device that JAX has used so far [MiB]; None if unknown."""
     stats = jax.devices()[0].memory_stats()
     return None if not stats else stats.get("peak_bytes_in_use", 0) / 2**20
 

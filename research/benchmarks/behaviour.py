@@ -1,4 +1,4 @@
-"""Records what the installed program answers, and compares two records.
+"""Records the output of the installed program, and compares two records.
 
 A change of the program's structure must not change its results. Record before and after:
 
@@ -55,7 +55,7 @@ CLIPS = {
     "wilor": ("wilor_test_long_21x3.npz", 0, 30.0),
     "workspace": ("wilor_workspace_21x3.npz", 0, 30.0),
 }
-"""Clip -> recording, its first frame, frames a second where the recording has no stamps."""
+"""Clip -> recording, its first frame, and the frame rate if the recording has no stamps."""
 
 SMALL_DIFFERENCE = 1e-5
 
@@ -114,7 +114,7 @@ def record_commands(folder: Path, shared: Path) -> dict[str, Any]:
 
 
 def walk(retargeter: Retargeter, clip: HandRecording, count: int) -> np.ndarray:
-    """(T, n + 1) positions [rad] and status of the first `count` frames, from a fixed seed."""
+    """Positions [rad] and status (T, n + 1) of the first `count` frames, from a fixed seed."""
     state = retargeter.init(0)
     rows = []
     for points, stamp in zip(clip.landmarks[:count], clip.stamps[:count], strict=True):
@@ -124,7 +124,7 @@ def walk(retargeter: Retargeter, clip: HandRecording, count: int) -> np.ndarray:
 
 
 def run(*words: object) -> None:
-    """Runs the program's command, and ends this program if it fails."""
+    """Runs a command of the program, and exits if it fails."""
     command = [sys.executable, "-m", "smooth_operator", *map(str, words)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
@@ -186,7 +186,7 @@ def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def compare(before: Path, after: Path) -> int:
-    """Prints each difference of two records; returns how many are more than rounding."""
+    """Prints each difference of two records; returns the number of differences beyond rounding."""
     differences = 0
     with np.load(before / "commands.npz") as first, np.load(after / "commands.npz") as second:
         for name in sorted({*first} | {*second}):

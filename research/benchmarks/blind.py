@@ -54,7 +54,7 @@ SIZE: Final = 220
 ON_SHEET: Final = (6, 2)
 """Rows and columns of pictures on a sheet."""
 ROWS_ON_SHEET: Final = 4
-"""Poses on a sheet of rows."""
+"""Number of poses on a sheet of rows."""
 RESAMPLES: Final = 10_000
 """Bootstrap resamples for an interval."""
 
@@ -120,8 +120,8 @@ def _write_sheets(
     columns: int,
     humans: Sequence[np.ndarray] | None,
 ) -> None:
-    """Writes ``sheet-00.png`` and so on: the pictures with their numbers, in order, and the human
-    hand of each row at its left, if given."""
+    """Writes the sheets ``sheet-00.png`` …: numbered pictures in order, with the human hand at the
+    left of each row if given."""
     height, width = pictures[0].shape[:2]
     height, width = height + 4, width + 44
     for first in range(0, len(pictures), rows * columns):
@@ -140,7 +140,7 @@ def _write_sheets(
 
 
 def judge(options: argparse.Namespace) -> None:
-    """Collects a judge's scores, one a line of standard input."""
+    """Collects a judge's scores from standard input, one per line."""
     path = options.folder / f"scores-{options.judge}.csv"
     done = {int(row["number"]) for row in _rows(path)} if path.exists() else set()
     every = sorted(int(file.stem) for file in options.folder.glob("[0-9]*.png"))
@@ -163,7 +163,7 @@ def judge(options: argparse.Namespace) -> None:
 
 
 def tell(options: argparse.Namespace) -> None:
-    """Prints mean scores by hand and method, and how far two judges differ."""
+    """Prints mean scores by hand and method, and the agreement of the judges."""
     key = {int(row["number"]): row for row in _rows(_key_of(options.folder))}
     scores = {
         path.stem.removeprefix("scores-"): {int(r["number"]): int(r["score"]) for r in _rows(path)}

@@ -1,4 +1,4 @@
-"""How many starts about an answer of the default method end in one minimum, by Newton steps.
+"""Number of starts near a solution of the default method that end in one minimum, by Newton steps.
 
     python research/benchmarks/convergence.py RECORDING --frames 1449 1517 1590
         [--hand allegro_hand] [--starts 60]
@@ -32,7 +32,8 @@ SAME: Final = 0.05  # largest difference of a joint between ends in one minimum 
 
 
 def descent(method: Smooth, iterations: int, still: float) -> Callable[..., Any]:
-    """A compiled function of a start, state, landmarks, validity and ticks, to the end and cost."""
+    """Compiles a function from start, state, landmarks, validity and ticks to final pose and
+    cost."""
 
     def run(start: Any, state: Any, landmarks: Any, valid: Any, ticks: Any) -> Any:
         aligned = align_frame(method, method.config.alignment, landmarks, valid).aligned

@@ -1,4 +1,4 @@
-"""The process that ``startup.py`` measures: import, load, compile, first command, and out.
+"""Process that ``startup.py`` measures: imports, loads, compiles, computes one command and exits.
 
 Reads its job as JSON from standard input; writes seconds per stage as JSON to standard output.
 """

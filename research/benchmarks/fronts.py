@@ -1,4 +1,4 @@
-"""What posture, directions of the thumb, motion and stillness cost each other, by setting.
+"""Trade-offs between posture, thumb directions, motion and stillness, by setting.
 
     python research/benchmarks/fronts.py [RECORDING...] [--still RECORDING...]
         [--hands leap_hand...] [--output FOLDER]
@@ -82,7 +82,7 @@ def draw_front(
     x: str,
     y: str,
 ) -> None:
-    """One curve a setting, each point with its value; the axes are two of the metrics."""
+    """Draws one curve per setting over two metrics; each point is labelled with its value."""
     columns = [list(COLUMNS.values()).index(name) for name in (x, y)]
     for name, means in curves.items():
         points = means[:, columns]

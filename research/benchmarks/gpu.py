@@ -38,7 +38,7 @@ from smooth_operator_research.run_report import (
 
 MOTIONS = 32
 COMPARED = 50
-"""Frames that are compared with the CPU's."""
+"""Number of frames that are compared with those of the CPU."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,8 @@ def answers(
 
 
 def batches(report: Report, settings: Settings) -> None:
-    """Frames a second of recordings side by side, and the share of time that the GPU is busy."""
+    """Frames per second of many recordings at once, and the share of time in which the GPU is
+    busy."""
     rows: list[list[object]] = []
     for name in settings.batches:
         method, preset, lanes, length = name.split(":")
@@ -159,7 +160,7 @@ def batches(report: Report, settings: Settings) -> None:
 
 
 def busy_share(run: Callable[[], Any], least_s: float = 3.0) -> float | None:
-    """Share of time that the GPU runs a kernel while a function is called again and again."""
+    """Share of time in which the GPU runs a kernel while a function is called repeatedly."""
     if jax.devices()[0].platform == "cpu":
         return None
     with gpu_samples() as samples:
@@ -171,7 +172,7 @@ def busy_share(run: Callable[[], Any], least_s: float = 3.0) -> float | None:
 
 
 def against_cpu(report: Report, settings: Settings, q: np.ndarray) -> None:
-    """The same frames on this machine's CPU: the random numbers are the same on every device."""
+    """Computes the same frames on this machine's CPU, with the same random numbers."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cpu.npy"
         options = {"samples": settings.samples, "cycles": settings.cycles, "hand": settings.hand}

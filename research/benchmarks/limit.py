@@ -119,7 +119,7 @@ def main(settings: Settings) -> None:
 
 
 def frame_time(retargeter: Retargeter, frames: list[HandFrame]) -> tuple[np.ndarray, float]:
-    """Seconds of each frame, and the mean number of cores at work."""
+    """Time of each frame [s], and the mean number of busy cores."""
     retargeter.warm_up()
     state = retargeter.init()
     for frame in frames[:10]:
@@ -136,7 +136,7 @@ def frame_time(retargeter: Retargeter, frames: list[HandFrame]) -> tuple[np.ndar
 
 
 def rates(count: int) -> dict[str, float]:
-    """Attainable rates with so many cores, from a process of its own that keeps to them."""
+    """Attainable rates with a number of cores, measured in a process that is pinned to them."""
     script = Path(__file__).with_name("arithmetic.py")
     figures: dict[str, float] = child_json(
         [sys.executable, script, count], {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}

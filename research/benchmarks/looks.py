@@ -1,4 +1,4 @@
-"""Does the robot hand look and move like the operator's: figures of posture, and contact sheets.
+"""Figures of posture and motion of the robot hand compared with the operator's, and contact sheets.
 
     python research/benchmarks/looks.py RECORDING... [--methods smooth smooth:precise sbr]
         [--hands mimic_p050 shadow_hand] [--sheets FOLDER] [--faults]
@@ -54,13 +54,13 @@ COLUMNS: Final = {
 AGREEMENT_MM: Final = {"leap_hand": 5.0}
 """Hand -> mean distance of the fingertips up to which two runs agree [mm]; 3 for others."""
 PLACES: Final = 6
-"""Places in a recording, evenly spaced, at which each fault comes."""
+"""Number of evenly spaced places in a recording at which each fault occurs."""
 SETTLES: Final = (1.0, 5.0)
-"""Time after a fault in which two runs are compared [s]."""
+"""Interval after a fault in which two runs are compared [s]."""
 SOON: Final = 0.12
 """Time in which a finger should settle after a fast opening [s]."""
 SWAPPED: Final = np.r_[0:5, 17:21, 13:17, 9:13, 5:9]
-"""Landmarks of a hand whose index finger is taken for the little one, and so on."""
+"""Order of landmarks in which index and little finger are exchanged, and so on."""
 
 
 def figures(trace: Trace) -> list[float]:
@@ -75,7 +75,8 @@ def figures(trace: Trace) -> list[float]:
 
 
 def settling(traces: Iterable[Trace]) -> str:
-    """Median of all openings of all fingers, and share that settles soon."""
+    """Median settling time of all openings of all fingers, and share of openings that settle
+    soon."""
     parts = []
     for trace in traces:
         assert trace.straight_lengths is not None  # `assemble_trace` fills them in
@@ -101,7 +102,7 @@ def run(method: str, hand_name: str, recordings: dict[str, HandRecording]) -> di
 
 
 def panel_of(recording: str, hand: str, traces: Mapping[str, Trace]) -> Panel:
-    """One recording on a hand, with the run of each method."""
+    """Panel of one recording on a hand, with the run of each method."""
     first = next(iter(traces.values()))
     runs = []
     for method, trace in traces.items():
@@ -111,7 +112,7 @@ def panel_of(recording: str, hand: str, traces: Mapping[str, Trace]) -> Panel:
 
 
 def faulty(recording: HandRecording, fault: str, at: int) -> tuple[HandRecording, int]:
-    """The recording with a fault from a frame on, and the first frame after it."""
+    """The recording with a fault that starts at a frame, and the first frame after the fault."""
     landmarks, valid = recording.landmarks.copy(), np.array(recording.valid)
     end = at + {"begins later": 0, "one mirrored frame": 1, "20 frames of the other hand": 20}.get(
         fault, 5
@@ -164,7 +165,7 @@ def fault_rows(method: str, hand_name: str, recording: HandRecording) -> dict[st
 def print_faults(
     hand: str, methods: Sequence[str], recordings: Mapping[str, HandRecording]
 ) -> None:
-    """Prints how far runs with and without a fault are apart, and the mean over recordings."""
+    """Prints the distance between runs with and without a fault, and the mean over recordings."""
     print(f"\n## {hand}\n\n| method | recording | fault | largest mm | share that agrees |")
     print("|---|---|---|---:|---:|")
     for method in methods:

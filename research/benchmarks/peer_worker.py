@@ -1,4 +1,4 @@
-"""One retargeter over one recording, in an environment of its own; ``peers.py`` runs it.
+"""Runs one retargeter on one recording in its own environment, started by ``peers.py``.
 
     PYTHON research/benchmarks/peer_worker.py PROGRAM RECORDING.npz OUTPUT.npz
 

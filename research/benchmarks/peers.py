@@ -1,4 +1,4 @@
-"""Ours and other retargeters in one run: latency, start and quality, in one table.
+"""Compares our retargeter with others in one run: latency, start and quality, in one table.
 
     python research/benchmarks/peers.py GLOVE.npz --frames 0:500 --wuji-python PYTHON \\
         --dex-python PYTHON --dex-urdf FOLDER --authors FOLDER
@@ -160,7 +160,7 @@ def main(settings: Settings) -> None:
 
 
 def make_programs(settings: Settings, report: Report) -> list[Program]:
-    """The programs that there are environments for; the others are noted in the report."""
+    """Makes the programs that have an environment, and notes the others in the report."""
     here = Path(sys.executable)
     programs = [
         Program(hand, f"`{method}`", here, ("smooth-operator", "--hand", hand, "--method", method))
@@ -191,7 +191,7 @@ def make_programs(settings: Settings, report: Report) -> list[Program]:
 
 
 def run(program: Program, recording: Path, at: Path, *, counted: bool) -> str:
-    """One process; its figures are added to the program's. Returns what went wrong, if so."""
+    """Runs one process and adds its figures to the program's; returns the reason of a failure."""
     output = at / "commands.npz"
     kind, *more = program.arguments
     environ = QUIET
@@ -217,7 +217,7 @@ def run(program: Program, recording: Path, at: Path, *, counted: bool) -> str:
 
 
 def in_our_joints(hand: Hand, names: list[str], q: np.ndarray) -> tuple[list[str], np.ndarray]:
-    """Commands for the URDFs of dex-urdf with the names and zeros of our models."""
+    """Converts commands for the URDFs of dex-urdf to the joint names and zeros of our models."""
     if hand.name == "shadow_hand":
         return [f"rh_{name}" for name in names], q
     if hand.name == "allegro_hand":

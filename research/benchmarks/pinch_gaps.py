@@ -1,4 +1,4 @@
-"""Pinches that close and fingers that are closed wrongly, with the gaps of trackers.
+"""Shares of pinches that close, and of fingers closed wrongly, with the gaps of trackers.
 
     python research/benchmarks/pinch_gaps.py video VIDEO [MODEL.task] index=310:334 middle=360:381
     python research/benchmarks/pinch_gaps.py built RECORDING...
@@ -61,14 +61,14 @@ def corrected(
 
 
 def shares(rows: np.ndarray, closed: np.ndarray) -> str:
-    """Share of closed frames among those of each finger."""
+    """Share of closed frames for each finger."""
     return "  ".join(
         f"{closed[rows[:, i], i].mean():.3f}" if rows[:, i].any() else "  –  " for i in range(4)
     )
 
 
 def built(path: Path) -> None:
-    """A recording with gaps built in."""
+    """Prints the figures of recordings with added gaps."""
     recording = read_recording(path, rate=30.0 if path.suffix == ".npy" else None)
     whole = np.isfinite(recording.landmarks).all(axis=(1, 2))
     points, stamps = recording.landmarks[whole], recording.stamps[whole]
@@ -95,7 +95,7 @@ def built(path: Path) -> None:
 
 
 def video(path: Path, labels: list[str]) -> None:
-    """A video with labelled contacts."""
+    """Prints the figures of a video with labelled contacts."""
     from smooth_operator.teleop.sources.webcam.picture_tracker import PictureConfig
     from smooth_operator.teleop.sources.webcam.webcam_source import track_video
 

@@ -1,4 +1,4 @@
-"""From retargeter to policy: do policies differ by the retargeter of their demonstrations?
+"""Success of policies by the retargeter of their demonstrations: record, train, evaluate.
 
     python research/benchmarks/policy_loop.py                                          # all of it
     python research/benchmarks/policy_loop.py --demonstrations 10 --steps 200 --worlds 5 --seeds 1
@@ -59,7 +59,7 @@ from smooth_operator_research.run_report import BenchmarkError, Report
 from smooth_operator_research.virtual_operator.trial import LOOKS_HZ
 
 FPS = 25
-"""Frames of the tracker, commands and rows a second; a whole number of looks at the scene."""
+"""Rate of tracker frames, commands and rows [Hz]; it divides the rate of looks at the scene."""
 POLICY = {
     "type": "act",
     "dim_model": 128,
@@ -141,7 +141,7 @@ def retargeter(hand: str, method: str) -> Retargeter:
 
 
 def trial_in_world(task: str, hand: str, method: str, number: int) -> Trial:
-    """A searched motion through the retargeter in a perturbed world."""
+    """Runs a searched motion through the retargeter in a perturbed world."""
     demonstration = load_demonstration(task, hand)
     landmarks = DemonstrationLandmarks(demonstration)
     world = draw_perturbation(number + 1)
@@ -161,7 +161,7 @@ def trial_in_world(task: str, hand: str, method: str, number: int) -> Trial:
 
 
 def sampled(hand: Hand, success: bool, seconds: float, trace: TrialTrace | None) -> Trial:
-    """A trial at ``FPS``: what was measured before a command, and the command."""
+    """Samples a trial at ``FPS``: the measurement before each command, and the command."""
     assert trace is not None
     every, actuated = round(LOOKS_HZ / FPS), list(hand.actuated)
     rows = np.arange(every, len(trace.commands), every)
@@ -179,7 +179,7 @@ def sampled(hand: Hand, success: bool, seconds: float, trace: TrialTrace | None)
 def trials_in_worlds(
     settings: Settings, pool: ProcessPoolExecutor, task: str, method: str
 ) -> Iterator[Trial]:
-    """Trials in world after world, in order."""
+    """Yields trials in consecutive worlds."""
     running: list[Future[Trial]] = []
     try:
         for number in itertools.count():
@@ -192,7 +192,7 @@ def trials_in_worlds(
 
 
 def record(settings: Settings, pool: ProcessPoolExecutor, task: str, method: str) -> dict[str, Any]:
-    """Demonstrations as a data set in ``FOLDER/data``; a summary of the trials."""
+    """Records demonstrations as a data set in ``FOLDER/data``; returns a summary of the trials."""
     from lerobot.datasets import LeRobotDataset
     from lerobot_env_smooth_hand.environment import OBJECT_NAMES
 
@@ -260,7 +260,7 @@ def record(settings: Settings, pool: ProcessPoolExecutor, task: str, method: str
 
 
 def train(settings: Settings, task: str, method: str, seed: int) -> Path:
-    """A policy by ``lerobot-train``; the folder of its weights."""
+    """Trains a policy with ``lerobot-train``; returns the folder of its weights."""
     folder = cell_folder(settings, task, method)
     run = folder / f"seed-{seed}"
     model = run / "checkpoints" / "last" / "pretrained_model"
@@ -299,7 +299,7 @@ def train(settings: Settings, task: str, method: str, seed: int) -> Path:
 
 
 def evaluate(settings: Settings, task: str, model: Path, start: list[float]) -> list[float]:
-    """Scores of a policy in the worlds, by LeRobot's own evaluation."""
+    """Evaluates a policy in the worlds with LeRobot's own evaluation; returns the scores."""
     scores = model.parents[2] / "scores.json"
     if scores.exists():
         return list(json.loads(scores.read_text()))
@@ -366,7 +366,7 @@ def share_of_worlds(successes: list[int]) -> tuple[float, float, float]:
 
 
 def resampled(success: np.ndarray) -> np.ndarray:
-    """(RESAMPLES,) means of (seeds, worlds), both drawn again; the same worlds for all methods."""
+    """Bootstrap means (RESAMPLES,) over seeds and worlds; all methods share the drawn worlds."""
     rng = np.random.default_rng(0)
     seeds, worlds = success.shape
     rows = rng.integers(seeds, size=(RESAMPLES, seeds, 1))

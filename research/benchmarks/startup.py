@@ -1,4 +1,4 @@
-"""From process start to the first command, in fresh processes.
+"""Time from process start to the first command, in fresh processes.
 
     python research/benchmarks/startup.py --repeats 5
 
@@ -93,7 +93,7 @@ def main(settings: Settings) -> None:
 
 
 def first_command(job: Mapping[str, object], state: str, cache: Path) -> dict[str, float]:
-    """Run the child once, and say how long its stages took [s]."""
+    """Runs the child process once; returns the times of its stages [s]."""
     environment: dict[str, str | None] = {name: None for name in os.environ if "CACHE" in name}
     environment |= {"SMOOTH_OPERATOR_CACHE": "off", "JAX_ENABLE_COMPILATION_CACHE": "false"}
     if state != "no cache":

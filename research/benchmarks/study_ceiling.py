@@ -94,7 +94,7 @@ def main(settings: Settings) -> None:
 
 
 def simulator(design: str, share: float, preference: float) -> Simulator:
-    """Simulator of a design whose retargeters all succeed alike."""
+    """Simulator of a design whose retargeters all have the same success rate."""
     operators, trials = DESIGNS[design]
     task = Task("A", trials=trials)
     conditions = tuple(Condition(name) for name in NAMES)

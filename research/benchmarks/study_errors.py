@@ -52,7 +52,7 @@ FOUR: Final = ("dexpilot", "geort", "hybrid", "sbr")
 
 @dataclass(frozen=True)
 class Design:
-    """Who does what, and how it varies.
+    """Design of the simulated studies, and their variances.
 
     Attributes:
         operators: how many.
@@ -170,7 +170,7 @@ def main(settings: Settings) -> None:
 
 
 def simulate(chunk: Chunk) -> dict[str, int]:
-    """Counts of errors of each family and of refused analyses."""
+    """Counts the errors of each family and the refused analyses."""
     design = DESIGNS[chunk.design]
     plan = _plan(chunk.design)
     data = planned_data(plan)
@@ -195,7 +195,7 @@ def _plan(name: str) -> Plan:
 
 
 def draw(design: Design, plan: Plan, data: StudyData, rng: np.random.Generator) -> StudyData:
-    """A study in which no retargeter is better than another."""
+    """Draws a study in which no retargeter is better than another."""
     conditions, tasks = plan.protocol.condition_names, [t.name for t in plan.protocol.tasks]
     shape = (len(plan.codes), len(conditions), len(tasks), 3)
     shift = (

@@ -1,4 +1,4 @@
-"""The live loop for a long time, as processes of its own: soak run, or fault run.
+"""Long runs of the live loop in separate processes: soak run, or fault run.
 
 A glove simulator sends to ``smooth-operator teleop``, which commands a ZeroMQ socket that a robot's
 stand-in listens to, and records. With ``--faults`` everything goes wrong: the glove loses, doubles,
@@ -82,7 +82,7 @@ class Process:
 
 
 class Listener:
-    """Hears whether a glove sends: on a busy machine it takes long to start."""
+    """Detects whether a simulated glove sends; on a busy machine its start takes long."""
 
     def __init__(self, address: str) -> None:
         self._socket = zmq.Context.instance().socket(zmq.SUB)
@@ -90,7 +90,7 @@ class Listener:
         self._socket.subscribe(b"")
 
     def wait(self, seconds: float) -> None:
-        """Until a frame comes."""
+        """Waits for a frame."""
         if not self._socket.poll(1e3 * seconds):
             raise SystemExit(f"the glove sent nothing for {seconds:g} s after its start")
 
@@ -115,7 +115,7 @@ class Memory:
             self.samples.append((now, mib))
 
     def drift(self) -> float | None:
-        """Median of the last fifth less that of the second fifth [MiB]."""
+        """Median of the last fifth minus that of the second fifth [MiB]."""
         values = [mib for _, mib in self.samples]
         fifth = len(values) // 5
         if fifth < 3:
@@ -172,7 +172,7 @@ def main() -> None:
 def run(
     options: argparse.Namespace, record: Path
 ) -> tuple[dict[str, Any], Memory, dict[str, float]]:
-    """Run it all.
+    """Runs the loop and its sources.
 
     Returns:
         the loop's own summary, its memory, and how often what was killed.
@@ -252,7 +252,7 @@ def run(
 
 
 def judge(record: Path, summary: Mapping[str, Any], options: argparse.Namespace) -> dict[str, bool]:
-    """Checks of the recording."""
+    """Checks the recording."""
     from smooth_operator import load_hand
     from smooth_operator.teleop.recording import read_log
     from smooth_operator.teleop.runtime.settings import LimitsConfig

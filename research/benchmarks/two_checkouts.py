@@ -1,4 +1,4 @@
-"""Latency of two checkouts of this package side by side, their processes taking turns.
+"""Latency of two checkouts of this package, whose processes take turns.
 
     python research/benchmarks/two_checkouts.py OLD/.venv/bin/python NEW/.venv/bin/python \
         --recording GLOVE.npz
@@ -101,7 +101,7 @@ class Checkout:
         )
 
     def ask(self, text: str) -> list[float]:
-        """The answer to a line: times [ms]."""
+        """Sends a line; returns the answer, times [ms]."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.write(text + "\n")
@@ -113,7 +113,7 @@ class Checkout:
 
 
 def main(settings: Settings) -> None:
-    """Measure and print."""
+    """Measures and prints."""
     report = Report("two_checkouts", vars(settings))
     both = [Checkout(settings.old, settings), Checkout(settings.new, settings)]
     rows: list[list[object]] = []

@@ -24,6 +24,9 @@ from smooth_operator_study.design.plan import Plan, make_plan
 from smooth_operator_study.design.protocol import Condition, Protocol, RubricLine, Task
 from smooth_operator_study.store.nasa_tlx import SCALE_NAMES
 from smooth_operator_study.store.progress import Progress
+from smooth_operator_study.store.study_store import StudyStore, open_study
+
+PATIENCE_MS = 1e3 * PATIENCE_S
 
 
 def console_plan(trials: int = 3, *, seconds: float = 0.0, resets: int = 1) -> Plan:
@@ -74,6 +77,12 @@ def command(
     return Command(token, do, progress.operator, seen, {**place, **fields}, waited_s)
 
 
+def give(service: SessionService, do: str, *, role: str = "experimenter", **fields: Any) -> int:
+    """Carries out a command for the selected operator, from a page that has seen everything."""
+    asked = command(service._store.progress(service.operator), do, **fields)
+    return service.carry_out(asked, role)
+
+
 def ratings(k: int) -> dict[str, int]:
     return {name: 5 * ((k + i) % 21) for i, name in enumerate(SCALE_NAMES)}
 
@@ -96,6 +105,18 @@ def due_command(progress: Progress, line: str = "done") -> Command | None:
     if what == "questionnaire":
         return command(progress, "answer", ratings=ratings(progress.number))
     return None
+
+
+def walk(service: SessionService, until: str, task: str | None = None) -> None:
+    """Carries out due commands of the selected operator until a step (of a task) is due."""
+    for _ in range(200):
+        progress = service._store.progress(service.operator)
+        step = progress.step
+        if step.what == until and task in (None, step.block and step.block.task.name):
+            return
+        asked = due_command(progress)
+        service.carry_out(asked, "operator" if asked.do == "answer" else "experimenter")
+    raise AssertionError("no end")
 
 
 def eventually(check: Callable[[], Any], what: str = "it") -> Any:
@@ -243,3 +264,72 @@ def fetch(port: int, path: str, **headers: str) -> tuple[int, dict[str, str], by
         return response.status, {n.lower(): v for n, v in response.getheaders()}, body
     finally:
         connection.close()
+
+
+class Pages:
+    """The experimenter's and the operator's page, and what they complained about."""
+
+    def __init__(self, chromium: Any, port: int) -> None:
+        self.problems: list[str] = []
+        self.context = chromium.new_context(viewport={"width": 1280, "height": 860})
+        self.experimenter = self._page(f"http://127.0.0.1:{port}/")
+        self.operator = self._page(f"http://127.0.0.1:{port}/operator", 820, 1180)
+
+    def _page(self, url: str, width: int = 1280, height: int = 860) -> Any:
+        page = self.context.new_page()
+        page.set_viewport_size({"width": width, "height": height})
+        page.set_default_timeout(PATIENCE_MS)
+        page.on("pageerror", lambda error: self.problems.append(str(error)))
+        page.on("console", lambda m: m.type == "error" and self.problems.append(m.text))
+        page.goto(url)
+        page.locator("#link", has_text="connected").wait_for()
+        return page
+
+    def step(self, heading: str) -> None:
+        self.experimenter.get_by_role("heading", name=heading, exact=True).wait_for()
+
+    def press(self, key: str, enabled: str) -> None:
+        """A key, once the button that it stands on can be pressed."""
+        self.experimenter.locator(f'[data-press="{enabled}"]:enabled').wait_for()
+        self.experimenter.keyboard.press(key)
+
+    def start_first_trial(self) -> None:
+        """From the calibration to the running clock of the first trial."""
+        self.experimenter.get_by_role("button", name="Calibrated").click()
+        self.step("Block 1 of 2")
+        self.press(" ", "space")
+        self.step("Trial 1 of 3")
+        self.press(" ", "space")
+
+    def cut_off(self) -> None:
+        for page in (self.experimenter, self.operator):
+            page.locator("#lost").wait_for()
+
+    def back(self) -> None:
+        for page in (self.experimenter, self.operator):
+            page.locator("#link", has_text="connected").wait_for()
+            page.locator("#lost").wait_for(state="hidden")
+
+
+@contextlib.contextmanager
+def console_pages(
+    chromium: Any,
+    folder: Path,
+    plan: Plan | None = None,
+    *,
+    operator: str = "P01",
+    teleop: Any = None,
+) -> Iterator[tuple[StudyStore, SessionService, Pages]]:
+    """The pages of a console in a browser. At the end, they must have had no problem."""
+    with open_study(folder, plan or console_plan()) as store:
+        service = SessionService(store, operator=operator, teleop=teleop)
+        with served(service, ConsoleAuth(None)) as port:
+            pages = Pages(chromium, port)
+            yield store, service, pages
+            assert not pages.problems
+            pages.context.close()
+
+
+def mark(operator: Any, marks: dict[str, int]) -> None:
+    for name, value in marks.items():
+        operator.locator(f"#scale-{name}").fill(str(value))

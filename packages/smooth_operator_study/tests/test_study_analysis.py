@@ -24,7 +24,7 @@ def load(folder: Path, trials: list[Row], tlx: list[Row] | None = None) -> Study
 
 @pytest.fixture(scope="module")
 def case() -> Case:
-    return simulate(2, operators=range(12))
+    return simulate(2, operators=range(6))
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def analysis(case: Case, tmp_path_factory: pytest.TempPathFactory) -> Analysis:
     folder = tmp_path_factory.mktemp("study")
     metrics: list[Row] = [
         {"operator": f"P{i:02d}", "retargeter": name, "quality": j + 0.1 * i, "constant": 1}
-        for i in range(12)
+        for i in range(6)
         for j, name in enumerate(("dexpilot", "geort", "hybrid", "sbr"))
     ]
     files = [*case.write(folder), write_rows(folder / "sim_metrics.csv", metrics)]
@@ -94,7 +94,7 @@ def test_the_layout_is_the_one_that_is_promised(analysis):
     assert "constant" in content["spearman"]["constant~success"]["refused"]
     assert set(content["tlx_items"]["pooled"]) == set(ITEMS)
     assert content["study"]["baseline"] == "dexpilot"
-    assert content["operator_variance"]["success"]["A"]["sbr"]["operators"] == 12
+    assert content["operator_variance"]["success"]["A"]["sbr"]["operators"] == 6
 
 
 def test_modes_differ_where_they_should(analysis):
@@ -153,13 +153,13 @@ def test_a_retargeter_that_never_succeeds_leaves_the_others(case, tmp_path):
             result, other = (x[mode]["success"][scope] for x in (found.results, others))
             assert result.refused is None
             assert result.observed["geort"]["mean"] == 0
-            assert 0 < result.emm["geort"].estimate < 0.02
+            assert 0 < result.emm["geort"].estimate < 0.03
             assert (len(result.pairs), len(other.pairs)) == (6, 3)
             for name, pair in other.pairs.items():
                 assert result.pairs[name].difference == pytest.approx(pair.difference, abs=0.02)
                 assert result.pairs[name].se == pytest.approx(pair.se, rel=0.15)
             assert any("geort succeeded in none of" in text for text in result.warnings)
-            assert result.dunnett["geort"].p_dunnett < 0.001
+            assert result.dunnett["geort"].p_dunnett < 0.01
         time = found.results[mode]["time"]["pooled"]
         assert "geort" not in time.emm
         assert any("no rows of geort: it is excluded" in text for text in time.warnings)
@@ -168,8 +168,8 @@ def test_a_retargeter_that_never_succeeds_leaves_the_others(case, tmp_path):
     assert "refused" not in slope
     content = json.loads(json.dumps(found.to_json(), allow_nan=False))
     geort = content["small-sample"]["success"]["pooled"]["separated"]["geort"]
-    assert geort["bound"] == pytest.approx(1 - 0.05 ** (1 / 12))
-    assert geort["bound_if_independent"] < 0.02
+    assert geort["bound"] == pytest.approx(1 - 0.05 ** (1 / 6))
+    assert geort["bound_if_independent"] < 0.04
 
 
 def test_two_retargeters_of_which_one_never_succeeds_are_compared(case, tmp_path):
@@ -179,14 +179,14 @@ def test_two_retargeters_of_which_one_never_succeeds_are_compared(case, tmp_path
     assert result.refused is None
     assert list(result.emm) == ["dexpilot", "sbr"]
     assert list(result.separated) == ["dexpilot"]
-    assert result.dunnett["sbr"].p_dunnett < 1e-4
+    assert result.dunnett["sbr"].p_dunnett < 0.001
     # And where neither has both outcomes, the comparison stands, too.
     both = altered(failed(two, retargeter="dexpilot"), {"retargeter": "sbr"}, score=1, time_s="9")
     result = analyze_study(load(tmp_path, both)).results["small-sample"]["success"]["A"]
     assert result.separated["sbr"].rate == 1
     assert result.separated["sbr"].bound > 0.6
     assert 0.9 < result.dunnett["sbr"].difference < result.dunnett["sbr"].upper <= 1
-    assert result.dunnett["sbr"].p_dunnett < 1e-4
+    assert result.dunnett["sbr"].p_dunnett < 0.001
 
 
 def test_means_of_success_stay_within_0_and_100_percent(tmp_path):
@@ -315,7 +315,7 @@ def test_damaged_studies_never_give_a_silent_number(seed, tmp_path):
 
 def test_the_methods_paragraph_has_the_numbers_and_every_citation(analysis):
     text = methods_paragraph(analysis)
-    assert "12 operators took part" in text
+    assert "6 operators took part" in text
     assert "All 6 pairs" in text
     assert f"{len(analysis.data.trials)} trials" in text
     missing = {c.key for c in CITATIONS} - {c.key for c in cited(text)}

@@ -27,8 +27,10 @@ from study_console import (
     due_command,
     eventually,
     fetch,
+    give,
     ratings,
     served,
+    walk,
 )
 
 from smooth_operator.cli import main
@@ -50,17 +52,6 @@ from smooth_operator_study.store.study_store import Clock, StudyStore, open_stud
 def store(tmp_path: Path) -> Iterator[StudyStore]:
     with open_study(tmp_path, console_plan()) as made:
         yield made
-
-
-def walk(service: SessionService, store: StudyStore, until: str, operator: str = "P01") -> None:
-    """Commands until a step is due."""
-    for _ in range(200):
-        progress = store.progress(operator)
-        if progress.step.what == until:
-            return
-        asked = due_command(progress)
-        service.carry_out(asked, "operator" if asked.do == "answer" else "experimenter")
-    raise AssertionError("no end")
 
 
 def kinds(store: StudyStore, operator: str = "P01") -> list[str]:
@@ -96,7 +87,7 @@ def test_a_token_of_another_command_is_refused(store):
 def test_of_two_tabs_that_do_the_same_one_is_refused(tmp_path):
     with open_study(tmp_path, console_plan(resets=2)) as store:
         service = SessionService(store, operator="P01")
-        walk(service, store, "start_trial")
+        walk(service, "start_trial")
         for do, other in (("start_trial", "start_trial"), ("reset", "reset"), ("score", "void")):
             fields = {"score": {"line": "done"}, "void": {"reason": "x"}}
             seen = store.progress("P01")
@@ -145,22 +136,20 @@ def test_the_operators_page_answers_and_nothing_else(store):
         with pytest.raises(StudyError, match="is not allowed to"):
             command_of({"token": "x" * 16, "do": do, "operator": "P01"}, "operator")
     service = SessionService(store, operator="P01")
-    walk(service, store, "questionnaire")
-    answer = command(store.progress("P01"), "answer", ratings=ratings(1))
-    service.carry_out(answer, "operator")
+    walk(service, "questionnaire")
+    give(service, "answer", ratings=ratings(1), role="operator")
     assert store.records("P01")[-1].author == "operator"
 
 
 def test_a_trial_ends_when_its_clock_was_stopped(store):
     service = SessionService(store, operator="P01")
-    walk(service, store, "trial")
+    walk(service, "trial")
     started = store.progress("P01").step.since
     assert started is not None
-    late = command(store.progress("P01"), "score", line="done", waited_s=3600.0)
-    service.carry_out(late, "experimenter")  # longer than the trial: a clock was set
+    give(service, "score", line="done", waited_s=3600.0)  # longer than the trial: a clock was set
     assert store.progress("P01").trials[-1].time_s == 0.0
-    walk(service, store, "trial")
-    service.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    walk(service, "trial")
+    give(service, "score", line="done")
     trial, record = store.progress("P01").trials[-1], store.records("P01")[-1]
     assert trial.time_s == pytest.approx((record.at - trial.started).total_seconds(), abs=0.5)
 
@@ -170,9 +159,9 @@ def test_a_clock_that_is_set_changes_no_trial(store, step):
     day, steady = 1_700_000_000.0, 5_000.0
     store.clock = Clock(lambda: day, lambda: steady)
     service = SessionService(store, operator="P01")
-    walk(service, store, "trial")
+    walk(service, "trial")
     day, steady = day + 12.5 + step, steady + 12.5
-    service.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    give(service, "score", line="done")
     progress = store.progress("P01")
     assert progress.trials[-1].time_s == 12.5
     assert progress.records[-1].at - progress.trials[-1].started == timedelta(seconds=12.5)
@@ -180,13 +169,12 @@ def test_a_clock_that_is_set_changes_no_trial(store, step):
 
 def test_a_score_that_is_undone_keeps_its_time(store):
     service = SessionService(store, operator="P01")
-    walk(service, store, "trial")
-    service.carry_out(command(store.progress("P01"), "score", line="failed"), "experimenter")
+    walk(service, "trial")
+    give(service, "score", line="failed")
     first = store.records("P01")[-1]
     assert isinstance(first.event, TrialScored)
-    undo = command(store.progress("P01"), "undo", number=first.number, reason="wrong key")
-    service.carry_out(undo, "experimenter")
-    service.carry_out(command(store.progress("P01"), "score", line="nearly"), "experimenter")
+    give(service, "undo", number=first.number, reason="wrong key")
+    give(service, "score", line="nearly")
     again = store.records("P01")[-1].event
     assert isinstance(again, TrialScored)
     assert (again.time_s, again.score) == (first.event.time_s, 0.5)
@@ -197,9 +185,9 @@ def test_a_score_that_is_undone_keeps_its_time(store):
 
 def test_after_a_reset_lines_above_the_cap_are_off(store):
     service = SessionService(store, operator="P01")
-    walk(service, store, "trial")
+    walk(service, "trial")
     assert [line["possible"] for line in service.look()[0]["now"]["rubric"]] == [True] * 3
-    service.carry_out(command(store.progress("P01"), "reset"), "experimenter")
+    give(service, "reset")
     now = service.look()[0]["now"]
     assert [line["possible"] for line in now["rubric"]] == [False, True, True]
     assert now["resets_left"] == 0
@@ -227,22 +215,21 @@ def test_the_time_left_is_of_the_work_that_is_left(tmp_path):
 def test_free_movement_ends_by_itself_and_once(tmp_path):
     with open_study(tmp_path, console_plan(seconds=0.3)) as store:
         service = SessionService(store, operator="P01")
-        walk(service, store, "familiarise")
+        walk(service, "familiarise")
         assert eventually(service.tick, "the end of free movement")
         with open_study(tmp_path) as other:  # as after a restart
             assert not SessionService(other, operator="P01").tick()
         last = store.records("P01")[-1]
         assert (last.event.kind, last.author) == ("familiarisation_ended", "system")
-        undo = command(store.progress("P01"), "undo", number=last.number)
-        service.carry_out(undo, "experimenter")
+        give(service, "undo", number=last.number)
         assert not service.tick()  # whoever undoes it wants it to go on
         assert store.progress("P01").step.what == "familiarise"
 
 
 def test_a_restarted_console_is_on_whoever_was(store):
     assert SessionService(store).operator is None
-    walk(SessionService(store, operator="P01"), store, "trial")
-    walk(SessionService(store, operator="P02"), store, "start_block", "P02")
+    walk(SessionService(store, operator="P01"), "trial")
+    walk(SessionService(store, operator="P02"), "start_block")
     service = SessionService(store)
     assert service.operator == "P02"
     with pytest.raises(UnknownNameError):
@@ -266,7 +253,7 @@ def test_enrolling_on_the_page_is_stored_and_kept(store):
 def test_each_block_switches_the_hand(store):
     teleop = FakeTeleop()
     service = SessionService(store, operator="P01", teleop=teleop)
-    walk(service, store, "done")
+    walk(service, "done")
     blocks = store.plan.blocks("P01")
     known = {"sbr": {"method": "sbr", "preset": "realtime"}, "dexpilot": {"method": "dexpilot"}}
     assert teleop.switched == [known[block.condition.method] for block in blocks]
@@ -286,7 +273,7 @@ def test_the_hand_goes_at_the_rate_of_the_plan(tmp_path):
     with open_study(tmp_path, plan) as store:
         teleop = Paced()
         service = SessionService(store, operator="P01", teleop=teleop)
-        walk(service, store, "trial")
+        walk(service, "trial")
         assert teleop.rate == 30.0
         assert [do for do, _ in teleop.asked].count("rate") == 1
         teleop.rate = 100.0  # it was started again
@@ -298,7 +285,7 @@ def test_the_hand_goes_at_the_rate_of_the_plan(tmp_path):
 def test_no_block_starts_on_a_hand_that_was_not_switched(store):
     teleop, said = FakeTeleop(), []
     service = SessionService(store, operator="P01", teleop=teleop, blind=True, report=said.append)
-    walk(service, store, "start_block")
+    walk(service, "start_block")
     teleop.refusing = True
     start = command(store.progress("P01"), "start_block")
     with pytest.raises(StudyError, match=HIDDEN):
@@ -316,7 +303,7 @@ def test_no_block_starts_on_a_hand_that_was_not_switched(store):
 def test_a_hand_that_was_started_again_is_put_back_on_its_method(store):
     teleop = FakeTeleop()
     service = SessionService(store, operator="P01", teleop=teleop)
-    walk(service, store, "trial")
+    walk(service, "trial")
     block = store.progress("P01").begun
     teleop.gone = True
     service.watch()
@@ -339,10 +326,10 @@ def test_a_hand_that_was_started_again_is_put_back_on_its_method(store):
 def test_no_trial_starts_while_the_hand_is_gone(store):
     teleop = FakeTeleop()
     service = SessionService(store, operator="P01", teleop=teleop)
-    walk(service, store, "start_trial")
+    walk(service, "start_trial")
     teleop.gone = True
     with pytest.raises(StudyError, match=r"the trial does not start: .*nobody answers"):
-        service.carry_out(command(store.progress("P01"), "start_trial"), "experimenter")
+        give(service, "start_trial")
     assert store.progress("P01").step.what == "start_trial"
 
 
@@ -365,10 +352,8 @@ def test_a_calibration_is_loaded_and_loaded_again(store, tmp_path):
     assert kinds(store) == []
     file = tmp_path / "P01.json"
     file.touch()
-    service.carry_out(
-        command(store.progress("P01"), "calibrated", detail=str(file)), "experimenter"
-    )
-    walk(service, store, "trial")
+    give(service, "calibrated", detail=str(file))
+    walk(service, "trial")
     assert [do for do, _ in teleop.asked].count("calibration") == 2  # one of them in vain
     teleop.method, teleop.source = "geort", None  # it was started again
     service.watch()
@@ -383,26 +368,25 @@ def test_trials_of_a_simulation_go_with_those_of_the_protocol(store):
         service.watch()
         return service.look()[0]["teleop"]["trial"]
 
-    walk(service, store, "start_trial")
+    walk(service, "start_trial")
     assert simulation.task == "card"  # the scene of the block's task
-    walk(service, store, "trial")
+    walk(service, "trial")
     assert proposed()["phase"] == "running"
     about = next(fields["about"] for do, fields in simulation.asked if fields.get("begin"))
     assert (about["operator"], about["trial"]) == ("P01", 1)
-    service.carry_out(command(store.progress("P01"), "reset"), "experimenter")
+    give(service, "reset")
     simulation.done("done-after-reset", 0.5, 12.25)
     assert (proposed()["score"], proposed()["time_s"]) == (0.5, 12.25)
-    service.carry_out(command(store.progress("P01"), "score", line="nearly"), "experimenter")
+    give(service, "score", line="nearly")
     assert store.progress("P01").trials[-1].time_s == 12.25  # by the scene's clock
-    walk(service, store, "trial")
-    void = command(store.progress("P01"), "void", reason="tracker lost")
-    service.carry_out(void, "experimenter")
+    walk(service, "trial")
+    give(service, "void", reason="tracker lost")
     assert simulation.trial["phase"] == "ready"
-    walk(service, store, "trial")
+    walk(service, "trial")
     first = service.look()[0]["now"]["undoable"]["number"]
-    service.carry_out(command(store.progress("P01"), "undo", number=first), "experimenter")
-    walk(service, store, "trial")  # that of the simulation still ran
-    service.carry_out(command(store.progress("P01"), "score", line="failed"), "experimenter")
+    give(service, "undo", number=first)
+    walk(service, "trial")  # that of the simulation still ran
+    give(service, "score", line="failed")
     assert simulation.trial["phase"] == "done"  # the experimenter has the last word
     assert store.progress("P01").trials[-1].time_s != 30.0
 
@@ -410,13 +394,13 @@ def test_trials_of_a_simulation_go_with_those_of_the_protocol(store):
 def test_a_simulated_trial_is_not_taken_for_another(store):
     simulation = FakeSimulation()
     # The console had no teleoperation then.
-    walk(SessionService(store, operator="P01"), store, "trial")
+    walk(SessionService(store, operator="P01"), "trial")
     simulation.task = "card"
     simulation.done("done", 1.0, 3.0)
     service = SessionService(store, operator="P01", teleop=simulation)
     service.watch()
     assert service.look()[0]["teleop"]["trial"] is None
-    service.carry_out(command(store.progress("P01"), "score", line="done"), "experimenter")
+    give(service, "score", line="done")
     assert store.progress("P01").trials[-1].time_s != 3.0
 
 
@@ -456,7 +440,7 @@ def full(store: StudyStore, pages: int) -> None:
 
 def test_on_a_full_disk_nothing_is_acknowledged(store):
     service = SessionService(store, operator="P01")
-    walk(service, store, "trial")
+    walk(service, "trial")
     full(store, 1)
     note = command(store.progress("P01"), "note", text="long " * 3000)
     with pytest.raises(StoreFailedError, match="full"):
@@ -527,7 +511,7 @@ def test_what_another_program_writes_is_shown(store, tmp_path):
         tab = Tab(port)
         tab.until(lambda s: s["now"]["what"] == "calibrate")
         with open_study(tmp_path) as other:
-            walk(SessionService(other, operator="P01"), other, "start_block")
+            walk(SessionService(other, operator="P01"), "start_block")
         tab.until(lambda s: s["now"]["what"] == "start_block")
         tab.close()
 

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from study_console import command, console_plan, served
-from test_study_console import kinds, walk
-from test_study_console_browser import Pages
+from study_console import console_pages, console_plan, give, walk
+from test_study_console import kinds
 
 from smooth_operator.cli import main
 from smooth_operator.errors import SmoothOperatorError, StudyError
@@ -42,23 +41,22 @@ def store(tmp_path: Path) -> Iterator[StudyStore]:
         yield made
 
 
-def answer(service: SessionService, store: StudyStore, form: str, **answers: object) -> None:
-    asked = command(store.progress("P01"), "form", form=form, answers=answers)
-    service.carry_out(asked, "operator")
+def answer(service: SessionService, form: str, **answers: object) -> None:
+    give(service, "form", form=form, answers=answers, role="operator")
 
 
 def test_forms_come_before_and_after_and_a_plan_keeps_them(store):
     assert plan_of(plan_table(store.plan), "x") == store.plan
     service = SessionService(store, operator="P01")
     assert store.progress("P01").step.form == "consent"
-    answer(service, store, "consent", agreed=True, recordings=False)
-    answer(service, store, "about-you", age=31, writes_with="left")
-    walk(service, store, "form")
+    answer(service, "consent", agreed=True, recordings=False)
+    answer(service, "about-you", age=31, writes_with="left")
+    walk(service, "form")
     progress = store.progress("P01")
     assert progress.step.form == "survey"
     assert not progress.over
     labels = [condition.label for condition in store.plan.protocol.conditions]
-    answer(service, store, "survey", ranking=labels[::-1], liked=4)
+    answer(service, "survey", ranking=labels[::-1], liked=4)
     progress = store.progress("P01")
     assert progress.step.what == "done"
     assert progress.ranking() == ("secrettwo", "secretone")
@@ -67,14 +65,14 @@ def test_forms_come_before_and_after_and_a_plan_keeps_them(store):
 
 def test_nothing_starts_without_consent_and_a_slip_is_undone(store):
     service = SessionService(store, operator="P01")
-    answer(service, store, "consent", agreed=False, recordings=True)
+    answer(service, "consent", agreed=False, recordings=True)
     assert store.progress("P01").step.what == "refused"
     for do in ("calibrated", "start_break", "form"):
         fields = {"task": "card", "detail": ""} if do == "calibrated" else {}
         fields = {"form": "about-you", "answers": {}} if do == "form" else fields
         with pytest.raises(StudyError, match="refused"):
-            service.carry_out(command(store.progress("P01"), do, **fields), "experimenter")
-    service.carry_out(command(store.progress("P01"), "undo", number=1), "experimenter")
+            give(service, do, **fields)
+    give(service, "undo", number=1)
     assert store.progress("P01").step.form == "consent"
 
 
@@ -163,7 +161,7 @@ def test_another_language_is_read_from_a_file(tmp_path, name):
     plan = console_plan()
     with open_study(tmp_path, plan) as store:
         service = SessionService(store, operator="P01", words=words)
-        walk(service, store, "questionnaire")
+        walk(service, "questionnaire")
         assert service.look()[1]["scales"][0]["low"] == "gering"
     del scales["effort"]
     with pytest.raises(StudyError, match=r"scales\.effort: is missing"):
@@ -181,63 +179,54 @@ def test_a_number_out_of_range_is_named_and_marked(chromium, tmp_path):
     consent = FormField("kept", "May it be kept?", "consent", required=False)
     height = FormField("height", "Height [cm]", "number", least=100.0)
     form = Form("who", "before", (consent, DEFAULT_FORMS[1].fields[0], height))
-    with open_study(tmp_path, form_plan(form)) as store:
-        service = SessionService(store, operator="P01")
-        with served(service) as port:
-            pages = Pages(chromium, port)
-            operator = pages.operator
-            send = operator.get_by_role("button", name="Send my answers")
-            said = operator.locator(".send [role=status]")
-            age = operator.get_by_label("Age [years]: 16 – 120")
-            age.wait_for()
-            assert said.inner_text() == "Nothing is missing."
-            assert send.is_enabled()
-            age.fill("180")
-            assert said.inner_text() == "Out of range: Age [years] (16 – 120)."
-            assert age.get_attribute("aria-invalid") == "true"
-            border = age.evaluate("field => getComputedStyle(field).borderTopWidth")
-            assert border == "2px"
-            assert send.is_disabled()
-            operator.get_by_label("Height [cm]: ≥ 100").fill("20")
-            assert said.inner_text() == "Out of range: Age [years] (16 – 120), Height [cm] (≥ 100)."
-            age.fill("80")
-            assert age.get_attribute("aria-invalid") == "false"
-            operator.get_by_label("Height").fill("180")
-            send.click()
-            pages.step("Calibration")
-            pages.context.close()
+    with console_pages(chromium, tmp_path, form_plan(form)) as (store, _, pages):
+        operator = pages.operator
+        send = operator.get_by_role("button", name="Send my answers")
+        said = operator.locator(".send [role=status]")
+        age = operator.get_by_label("Age [years]: 16 – 120")
+        age.wait_for()
+        assert said.inner_text() == "Nothing is missing."
+        assert send.is_enabled()
+        age.fill("180")
+        assert said.inner_text() == "Out of range: Age [years] (16 – 120)."
+        assert age.get_attribute("aria-invalid") == "true"
+        border = age.evaluate("field => getComputedStyle(field).borderTopWidth")
+        assert border == "2px"
+        assert send.is_disabled()
+        operator.get_by_label("Height [cm]: ≥ 100").fill("20")
+        assert said.inner_text() == "Out of range: Age [years] (16 – 120), Height [cm] (≥ 100)."
+        age.fill("80")
+        assert age.get_attribute("aria-invalid") == "false"
+        operator.get_by_label("Height").fill("180")
+        send.click()
+        pages.step("Calibration")
         assert store.progress("P01").forms["who"][1] == {"age": 80, "height": 180}
 
 
 @pytest.mark.browser
 def test_an_operator_fills_in_forms_and_ranks(chromium, tmp_path):
     forms = (DEFAULT_FORMS[0], SURVEY)
-    with open_study(tmp_path, form_plan(*forms)) as store:
-        service = SessionService(store, operator="P01")
-        with served(service) as port:
-            pages = Pages(chromium, port)
-            page, operator = pages.experimenter, pages.operator
-            pages.step("Form: Consent")
-            send = operator.get_by_role("button", name="Send my answers")
-            operator.get_by_role("heading", name="Consent").wait_for()
+    with console_pages(chromium, tmp_path, form_plan(*forms)) as (store, service, pages):
+        page, operator = pages.experimenter, pages.operator
+        pages.step("Form: Consent")
+        send = operator.get_by_role("button", name="Send my answers")
+        operator.get_by_role("heading", name="Consent").wait_for()
+        assert send.is_disabled()
+        for question in operator.locator("fieldset").all():
+            question.get_by_label("Yes").check()
+        send.click()
+        pages.step("Calibration")
+        walk(service, "form")
+        pages.step("Form: survey")
+        labels = [condition.label for condition in store.plan.protocol.conditions]
+        for label in labels[::-1]:
             assert send.is_disabled()
-            for question in operator.locator("fieldset").all():
-                question.get_by_label("Yes").check()
-            send.click()
-            pages.step("Calibration")
-            walk(service, store, "form")
-            pages.step("Form: survey")
-            labels = [condition.label for condition in store.plan.protocol.conditions]
-            for label in labels[::-1]:
-                assert send.is_disabled()
-                operator.locator(f'[data-key="rank-{label}"]').click()
-            operator.get_by_label('Say "more"').fill("<b>fine</b>")
-            send.click()
-            pages.step("Done")
-            assert "secret" not in operator.content()
-            assert not pages.problems
-            pages.context.close()
-            assert page is not None
+            operator.locator(f'[data-key="rank-{label}"]').click()
+        operator.get_by_label('Say "more"').fill("<b>fine</b>")
+        send.click()
+        pages.step("Done")
+        assert "secret" not in operator.content()
+        assert page is not None
         progress = store.progress("P01")
         assert progress.ranking() == ("secrettwo", "secretone")
         assert progress.forms["survey"][1]["said"] == "<b>fine</b>"

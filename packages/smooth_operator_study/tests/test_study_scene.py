@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from fake_teleop import FakeSimulation
-from study_console import command, console_plan, due_command
+from study_console import command, console_plan, give, walk
 
 from smooth_operator.cli import main
 from smooth_operator.errors import StudyError
@@ -34,18 +34,6 @@ def store(tmp_path: Path) -> Iterator[StudyStore]:
         yield made
 
 
-def walk(service: SessionService, store: StudyStore, until: str, task: str = "card") -> None:
-    """Commands until a step of a task is due."""
-    for _ in range(200):
-        progress = store.progress(str(service.operator))
-        step = progress.step
-        if step.what == until and step.block is not None and step.block.task.name == task:
-            return
-        asked = due_command(progress)
-        service.carry_out(asked, "operator" if asked.do == "answer" else "experimenter")
-    raise AssertionError("no end")
-
-
 def due(store: StudyStore, do: str, operator: str = "P01", **fields: Any) -> Command:
     return command(store.progress(operator), do, **fields)
 
@@ -59,12 +47,12 @@ def begun(simulation: FakeSimulation) -> list[tuple[str | None, int]]:
 def test_a_trial_has_its_scene_after_a_restart_with_another(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P01", teleop=simulation)
-    walk(service, store, "trial")
-    service.carry_out(due(store, "score", line="done"), "experimenter")
-    walk(service, store, "start_trial")
+    walk(service, "trial")
+    give(service, "score", line="done")
+    walk(service, "start_trial")
     simulation.task = "screwdriver"  # started again, as the guide gives the command
     simulation.trial["phase"] = "ready"
-    service.carry_out(due(store, "start_trial"), "experimenter")
+    give(service, "start_trial")
     assert simulation.task == "card"
     assert begun(simulation)[-1] == ("card", 2)
     assert simulation.trial["phase"] == "running"
@@ -73,7 +61,7 @@ def test_a_trial_has_its_scene_after_a_restart_with_another(store):
 def test_between_trials_the_scene_is_watched(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P01", teleop=simulation)
-    walk(service, store, "start_trial")
+    walk(service, "start_trial")
     simulation.task = "cube"
     service.watch()
     assert simulation.task == "card"
@@ -83,38 +71,38 @@ def test_between_trials_the_scene_is_watched(store):
 def test_back_at_an_operator_in_mid_block_their_scene_is_there(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P02", teleop=simulation)
-    walk(service, store, "start_block", "cube")
+    walk(service, "start_block", "cube")
     service = SessionService(store, operator="P01", teleop=simulation)
-    walk(service, store, "trial")
-    service.carry_out(due(store, "score", line="done"), "experimenter")
+    walk(service, "trial")
+    give(service, "score", line="done")
     choose = Command("c" * 16, "choose", "P02", None, {})
     service.carry_out(choose, "experimenter")
-    walk(service, store, "start_trial", "cube")
+    walk(service, "start_trial", "cube")
     assert simulation.task == "cube"
     service.carry_out(replace(choose, token="d" * 16, operator="P01"), "experimenter")
-    walk(service, store, "start_trial")
-    service.carry_out(due(store, "start_trial"), "experimenter")
+    walk(service, "start_trial")
+    give(service, "start_trial")
     assert (simulation.task, begun(simulation)[-1]) == ("card", ("card", 2))
 
 
 def test_before_the_first_trial_of_a_block_there_is_no_object(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P01", teleop=simulation)
-    walk(service, store, "familiarise")
+    walk(service, "familiarise")
     assert (simulation.task, simulation.there) == ("card", False)
     simulation.there = True  # started again
     service.watch()
     assert not simulation.there
-    walk(service, store, "trial")
+    walk(service, "trial")
     assert simulation.there
-    service.carry_out(due(store, "score", line="done"), "experimenter")
+    give(service, "score", line="done")
     service.watch()
     assert simulation.there
 
 
 def test_a_console_that_is_started_again_leaves_the_hand_alone(store):
     simulation = FakeSimulation()
-    walk(SessionService(store, operator="P01", teleop=simulation), store, "trial")
+    walk(SessionService(store, operator="P01", teleop=simulation), "trial")
     simulation.done("done", 1.0, 12.25)
     written, asked = store.records("P01"), len(simulation.asked)
     service = SessionService(store, teleop=simulation)
@@ -122,7 +110,7 @@ def test_a_console_that_is_started_again_leaves_the_hand_alone(store):
     assert {do for do, _ in simulation.asked[asked:]} <= {"status", "trial"}
     assert store.records("P01") == written
     assert service.look()[0]["teleop"]["trial"]["time_s"] == 12.25  # and knows its trial
-    service.carry_out(due(store, "score", line="done"), "experimenter")
+    give(service, "score", line="done")
     assert store.progress("P01").trials[-1].time_s == 12.25
 
 
@@ -130,16 +118,16 @@ def test_a_start_that_is_undone_ends_the_trial_of_the_simulation(store):
     simulation = FakeSimulation()
     service = SessionService(store, operator="P01", teleop=simulation)
     for end, marked in ((lambda: None, 0), (lambda: simulation.done("done", 1.0, 3.0), 1)):
-        walk(service, store, "trial")
+        walk(service, "trial")
         end()
         last = store.progress("P01").undoable
-        service.carry_out(due(store, "undo", number=last.number), "experimenter")
+        give(service, "undo", number=last.number)
         assert simulation.trial["phase"] != "running"
         assert len(simulation.marked) == marked
     assert simulation.marked[0][0] == "undone"
-    walk(service, store, "trial")
+    walk(service, "trial")
     simulation.done("done", 1.0, 3.0)
-    service.carry_out(due(store, "void", reason="tracker"), "experimenter")
+    give(service, "void", reason="tracker")
     assert [word for word, _ in simulation.marked] == ["undone", "void"]
 
 
@@ -147,7 +135,7 @@ def test_a_line_after_a_reset_needs_one(tmp_path):
     rubric = TASKS["card"].task.rubric
     with open_study(tmp_path, two_tasks(rubric=rubric)) as store:
         service = SessionService(store, operator="P01")
-        walk(service, store, "trial")
+        walk(service, "trial")
 
         def possible() -> dict[str, bool]:
             lines = service.look()[0]["now"]["rubric"]
@@ -158,10 +146,10 @@ def test_a_line_after_a_reset_needs_one(tmp_path):
         score = due(store, "score", line="done-after-reset")
         with pytest.raises(StudyError, match="needs a reset, and this trial had none"):
             service.carry_out(score, "experimenter")
-        service.carry_out(due(store, "reset"), "experimenter")
+        give(service, "reset")
         assert possible()["done-after-reset"]
         assert not possible()["done"]
-        service.carry_out(due(store, "score", line="done-after-reset"), "experimenter")
+        give(service, "score", line="done-after-reset")
         assert store.progress("P01").trials[-1].score == 0.5
 
 
@@ -183,4 +171,4 @@ def test_a_rubric_that_contradicts_the_scene_is_refused(tmp_path):
     with open_study(tmp_path, two_tasks(rubric=rubric)) as store:
         service = SessionService(store, operator="P01", teleop=FakeSimulation())
         with pytest.raises(StudyError, match=r"done-after-reset.*0 in the plan and 0\.5 in the"):
-            walk(service, store, "trial")
+            walk(service, "trial")

@@ -1,4 +1,4 @@
-"""Figures of one run of a program: Markdown tables for a person, and JSON to compare runs with.
+"""Figures of one run of a program, as Markdown tables, and as JSON to compare runs.
 
 A result is one JSON file with the machine, the versions, the arguments and a flat table of figures,
 so that any two runs of the same program can be laid side by side with ``--compare``.
@@ -31,18 +31,18 @@ RESULTS: Final = Path("build") / "benchmarks"
 """Default folder of results; relative to the current folder, ignored by git."""
 
 _CHECKOUT: Final = Path(__file__).resolve().parents[3]
-"""Root of a checkout; installed from a wheel it is no repository."""
+"""Root of a checkout; not a repository if installed from a wheel."""
 
 _Table = tuple[str, tuple[str, ...], list[list[object]]]
 
 
 class BenchmarkError(SystemExit):
-    """Stops a program with a sentence instead of a trace."""
+    """Error that stops a program with a message instead of a traceback."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReportSettings:
-    """Files of a run.
+    """Options for the files of a run.
 
     Attributes:
         output: JSON file of the figures; build/benchmarks/NAME.json unless given.
@@ -62,13 +62,13 @@ def run_program(main: Callable[[Any], None], settings: type, description: str | 
 
 
 def retargeter_of(hand: Hand | str, name: str) -> Retargeter:
-    """The retargeter METHOD or METHOD:PRESET for a hand."""
+    """Makes the retargeter METHOD or METHOD:PRESET for a hand."""
     method, _, preset = name.partition(":")
     return Retargeter(hand, method=method, preset=preset or None)
 
 
 def operator_frames(frames: int, seed: int = 0) -> HandRecording:
-    """So many frames of the built-in operator at 100 Hz."""
+    """Records a number of frames of the built-in operator at 100 Hz."""
     return SyntheticOperator(seed=seed).record((frames + 0.5) / 100)[:frames]
 
 
@@ -80,8 +80,8 @@ def percentiles(samples_ms: Sequence[float] | np.ndarray) -> dict[str, float]:
 
 
 def memory_mib(kind: str = "VmHWM", process: int | str = "self") -> float | None:
-    """Largest resident set of a process so far [MiB], or that of now (``VmRSS``); None where there
-    is no ``/proc``."""
+    """Peak resident memory of a process [MiB], or the current one (``VmRSS``); None without
+    ``/proc``."""
     with contextlib.suppress(OSError, StopIteration):  # getrusage would hold that of the parent
         lines = Path(f"/proc/{process}/status").read_text(encoding="ascii").splitlines()
         return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(kind))
@@ -91,7 +91,7 @@ def memory_mib(kind: str = "VmHWM", process: int | str = "self") -> float | None
 def child_json(
     command: Sequence[object], environ: Mapping[str, str | None], text: str | None = None
 ) -> Any:
-    """The JSON on the last line that a process prints.
+    """Runs a process; returns the JSON on the last line of its output.
 
     Args:
         command: program and arguments.
@@ -116,7 +116,7 @@ def _load() -> list[float] | None:
 
 @dataclass
 class Report:
-    """Figures of one run and the facts they hold under.
+    """Figures of one run, and the conditions of the run.
 
     Attributes:
         benchmark: its name.
@@ -136,21 +136,21 @@ class Report:
     _tables: list[_Table] = field(default_factory=list)
 
     def table(self, title: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-        """Add a table to be printed."""
+        """Adds a table to print."""
         self._tables.append((title, tuple(header), [list(row) for row in rows]))
 
     def tables(self) -> str:
-        """All tables so far, as Markdown."""
+        """Returns all tables as Markdown."""
         return "\n\n".join(
             f"**{title}**\n\n{markdown(header, rows)}" for title, header, rows in self._tables
         )
 
     def add(self, prefix: str, values: Mapping[str, float | None]) -> None:
-        """Add figures under a common prefix; what could not be measured is left out."""
+        """Adds figures under a common prefix, without those that could not be measured."""
         self.figures |= {f"{prefix}/{k}": float(v) for k, v in values.items() if v is not None}
 
     def finish(self, output: Path | None, compare: Path | None) -> None:
-        """Print Markdown to standard output and write the JSON file.
+        """Prints Markdown to standard output and writes the JSON file.
 
         Args:
             output: the file; None for ``build/benchmarks/<benchmark>.json``.
@@ -198,8 +198,8 @@ class Report:
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table; numbers have four significant digits, and columns of figures but the first
-    are to the right."""
+    """Makes a Markdown table; numbers have four significant digits, and all columns of figures
+    except the first are right-aligned."""
     lines = [[cell(value) for value in row] for row in rows]
     figures = [
         i > 0 and all(not t or t == "–" or t.lstrip("*−-+÷×<~ ")[:1].isdigit() for t in column)
@@ -213,7 +213,7 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def cell(value: object) -> str:
-    """Text of a value in a table; a dash where there is none."""
+    """Formats a value of a table; a dash if it is missing."""
     if value is None:
         return "–"
     if not isinstance(value, float):
@@ -225,7 +225,7 @@ def cell(value: object) -> str:
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores that this process may use, accelerator, system."""
+    """Facts of the machine: processor, cores that this process may use, accelerator, system."""
     here = environment()
     return {
         "cpu": here["cpu"],
@@ -236,7 +236,7 @@ def machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what was measured and of what it stands on, and the commit of a checkout."""
+    """Versions of the measured program and its libraries, and the commit of a checkout."""
     names: dict[str, str] = dict(environment()["versions"])
     if (_CHECKOUT / ".git").exists():
         with contextlib.suppress(OSError, subprocess.CalledProcessError):  # git is not installed
@@ -286,7 +286,7 @@ def _ratio(a: float, b: float) -> float | None:
 
 
 def _plain(value: object) -> object:
-    """As JSON has it."""
+    """Converts to JSON values."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, Path):

@@ -27,7 +27,7 @@ _WINDOW_S: Final = 0.5
 _FEWEST: Final = 14  # frames of a window
 _STILL: Final = 0.002  # by how much a fingertip's mean place may change within a window [m]
 _TIMES: Final = np.concatenate([[1e-4], np.geomspace(0.005, 0.3, 60)])
-"""Correlation times that are tried [s]; the first is white noise."""
+"""Correlation times to try [s]; the first is white noise."""
 _OUTLIER: Final = 5.0  # robust standard deviations
 _LONGEST_GAP_S: Final = 0.25
 """Longest gap that counts as a loss of frames; in a longer one the hand was out of view."""
@@ -35,7 +35,7 @@ _LONGEST_GAP_S: Final = 0.25
 
 @dataclass(frozen=True)
 class ClockFit:
-    """When frames come.
+    """Timing of the frames.
 
     Attributes:
         rate_hz: one over the median time between frames [Hz].
@@ -75,7 +75,7 @@ def fit_clock(recording: HandRecording) -> ClockFit:
 def in_palm(
     landmarks: Float[np.ndarray, "T 21 3"],
 ) -> tuple[Float[np.ndarray, "T 21 3"], Float[np.ndarray, "T 5 3"]]:
-    """Landmarks in the palm's frame, and what a rigid palm leaves.
+    """Landmarks in the palm frame, and their deviation from a rigid palm.
 
     The frame is the best rigid fit (Kabsch 1976) of wrist and MCPs to their mean shape.
 
@@ -124,7 +124,7 @@ def still_windows(track: Float[np.ndarray, "T 3"], stamps: Float[np.ndarray, " T
 
 @dataclass(frozen=True)
 class ShakeFit:
-    """Shake of fingertips about the way that a person moves them.
+    """Shake of fingertips, without the person's own motion.
 
     Attributes:
         windows: number of windows at rest.
@@ -188,7 +188,7 @@ def _bend(track: Float[np.ndarray, "w c"], lag: int) -> Float[np.ndarray, "v c"]
 
 @dataclass(frozen=True)
 class TrackerFit:
-    """What a recording tells about its tracker.
+    """Properties of a tracker from a recording.
 
     Attributes:
         clock: rate, jitter and losses.
@@ -211,7 +211,7 @@ class TrackerFit:
 
 
 def fit_tracker(recording: HandRecording) -> TrackerFit:
-    """Measure a recording's tracker."""
+    """Measures the tracker of a recording."""
     clock = fit_clock(recording)
     points, residual = in_palm(recording.landmarks)
     windows = [still_windows(points[:, tip], recording.stamps) for tip in TIPS]
@@ -242,7 +242,7 @@ def fit_tracker(recording: HandRecording) -> TrackerFit:
 
 
 def _correlation(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> float:
-    """Spearman's, which outliers and moments of motion do not rule."""
+    """Spearman's correlation, which outliers and moments of motion do not dominate."""
     return float(np.mean([spearmanr(a[:, k], b[:, k]).statistic for k in range(3)]))
 
 

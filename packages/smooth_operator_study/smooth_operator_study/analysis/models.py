@@ -363,7 +363,7 @@ def _linear(
 
 
 def fit_with(outcome: Outcome, frame: Frame, more: Float[np.ndarray, "n q"] | None = None) -> Fit:
-    """Checks the rows and fits retargeter, task, the index and further columns, mode small-sample."""
+    """Checks the rows and fits retargeter, task, index and further columns, mode small-sample."""
     check_frame(frame)
     design = frame.design()[0]
     if more is not None:
@@ -395,7 +395,7 @@ class WaldTest:
 def clustered_wald(
     values: Float[np.ndarray, " q"], covariance: Float[np.ndarray, "q q"], operators: int
 ) -> WaldTest:
-    """Tests that all values are zero by Hotelling's F, for a covariance estimated from operators."""
+    """Tests that all values are zero by Hotelling's F, with a covariance from operators."""
     count = len(values)
     if operators <= count:
         raise StudyError(

@@ -102,16 +102,13 @@ def flow_text(flow: Flow) -> str:
         parts.append(f"{len(flow.started)} started")
         parts.append(f"{len(flow.completed)} completed all blocks")
     left = [
-        f"{code} withdrew ({', '.join(filter(None, (one.reason, _keep_text(one.keep))))})"
+        f"{code} withdrew ({f'{one.reason}, ' * bool(one.reason)}"
+        f"data {'kept' if one.keep else 'excluded'})"
         for code, one in flow.withdrawn.items()
     ]
     left += [f"{code} was excluded ({reason})" for code, reason in flow.excluded.items()]
     text = "; ".join([*([", ".join(parts)] if parts else []), *left])
     return f"{text}; {len(flow.analysed)} were analysed." if text else ""
-
-
-def _keep_text(keep: bool) -> str:
-    return "data kept" if keep else "data excluded"
 
 
 def operator_means(data: StudyData) -> pd.DataFrame:

@@ -190,7 +190,7 @@ _SECTIONS: Final = (
     ("Time", "time", "time"),
     ("Workload", "workload", "workload"),
     ("Learning", "learning", "learning"),
-    ("Other readings", "readings", "readings"),
+    ("Further analyses", "readings", "readings"),
     ("Simulation", "simulation", "simulation"),
     ("Participants", "participants", "participants"),
     ("Checks", "checks", "checks"),

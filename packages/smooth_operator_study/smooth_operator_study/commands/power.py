@@ -39,7 +39,8 @@ _SHARES: Final = (1 / 3, 2 / 3, 1.0, 4 / 3, 2.0)
 def simulate_power(options: Power) -> None:
     """Simulates, prints tables and writes the results."""
     settings = _settings(options)
-    folder = options.output or (_home(options.study) / "power")
+    study = options.study or Path()
+    folder = options.output or (study if study.is_dir() else study.parent) / "power"
     progress = Progressing(quiet=options.json)
     with folder_for(folder):
         with progress.bar("simulating studies") as show:
@@ -57,12 +58,6 @@ def simulate_power(options: Power) -> None:
     for scope in settings.scopes:
         _print(settings, tallies, scope)
     print(printable(f"written: {', '.join(str(path) for path in files)}"))
-
-
-def _home(study: Path | None) -> Path:
-    if study is None:
-        return Path()
-    return study if study.is_dir() else study.parent
 
 
 def _settings(options: Power) -> PowerSettings:

@@ -27,6 +27,7 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, cast
 from urllib.parse import urlsplit
 
@@ -130,16 +131,13 @@ def _secret() -> bytes:
     try:
         make_private(file.parent)
         # The first of two parallel writers wins.
-        with contextlib.suppress(FileExistsError), open(file, "xb", opener=_open_private) as out:
+        private = partial(os.open, mode=0o600)
+        with contextlib.suppress(FileExistsError), open(file, "xb", opener=private) as out:
             out.write(drawn)
         stored = read_own_file(file, len(drawn), secret=True)
     except (OSError, DocumentError):  # others may be able to read the file
         return drawn
     return stored if len(stored) == len(drawn) else drawn
-
-
-def _open_private(path: str, flags: int) -> int:
-    return os.open(path, flags, 0o600)
 
 
 _TICK_S: Final = 0.2

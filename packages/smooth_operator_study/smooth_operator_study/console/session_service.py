@@ -307,13 +307,6 @@ class SessionService:
         progress = None if self.operator is None else self._store.progress(self.operator)
         return progress if progress is not None and progress.busy else None
 
-    def _choose_new(self, operator: str) -> int:
-        """Chooses a new operator, unless that would disturb the current one."""
-        if self._busy() is None:
-            return self._choose(operator)
-        self._changed()
-        return 0
-
     def _enrol(self, command: Command) -> int:
         """Adds an operator, or tasks for one, to the plan."""
         tasks = command.fields.get("tasks")
@@ -326,14 +319,16 @@ class SessionService:
                 raise StudyError(f"{code} was deleted; codes are not used again")
             if code not in plan.codes or not set(tasks or ()) <= set(plan.enrolment(code).rows):
                 self._store.revise(plan.enrol(code, tasks or None, absent=self._store.absent()))
-                self._report_plan(code)
-            return self._choose_new(code)
-
-    def _report_plan(self, code: str) -> None:
-        try:
-            self._enrolled(self._store.plan)
-        except SmoothOperatorError as error:  # the store has the plan; the file is a copy
-            self._report(f"{code} is enrolled, but the files of the plan were not updated: {error}")
+                try:
+                    self._enrolled(self._store.plan)
+                except SmoothOperatorError as error:  # the store has the plan; the file is a copy
+                    self._report(
+                        f"{code} is enrolled, but the files of the plan were not updated: {error}"
+                    )
+            if self._busy() is None:
+                return self._choose(code)
+            self._changed()  # a trial or free movement of another operator continues
+            return 0
 
     def _switch_again(self) -> int:
         if self._hand is None or self.operator is None:

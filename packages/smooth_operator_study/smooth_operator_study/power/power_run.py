@@ -423,7 +423,7 @@ def rate_of(tally: Tally, outcome: str, scope: str, mode: str, what: str) -> Rat
 def draw_power(
     settings: PowerSettings, tallies: Tallies, path: Path, *, scope: str = POOLED
 ) -> None:
-    """Draws power over the number of operators for each outcome, and below the family-wise error."""
+    """Draws power over the number of operators by outcome, and the family-wise error below."""
     from matplotlib.figure import Figure  # not pyplot: no global state, no display
 
     truth = settings.truth

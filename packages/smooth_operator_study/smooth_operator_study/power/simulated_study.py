@@ -208,8 +208,11 @@ class Simulator:
         conditions = sorted(protocol.condition_names, key=lambda x: (x != protocol.baseline, x))
         tasks = [task.name for task in protocol.tasks]
         self._operators, self._conditions = len(plan.codes), len(conditions)
-        offsets = _task_offsets(tasks, truth)
-        logit = [_logit_of(truth.success[x], tuple(offsets[:, 0]), truth) for x in conditions]
+        nothing = Spread(0.0, 0.0, 0.0)
+        offsets = np.array([_three(truth.tasks.get(name, nothing)) for name in tasks])
+        offsets -= offsets.mean(axis=0)
+        spread = float(np.hypot(truth.operators.success, truth.interaction.success))
+        logit = [_logit(truth.success[x], tuple(offsets[:, 0]), spread) for x in conditions]
         seconds = [truth.time_s[name] for name in conditions]
         points = [truth.workload[name] for name in conditions]
         practice = _three(truth.practice)
@@ -255,12 +258,6 @@ def _three(spread: Spread) -> Float[np.ndarray, " 3"]:
     return np.array([spread.success, spread.time_s, spread.workload])
 
 
-def _task_offsets(tasks: Sequence[str], truth: Assumptions) -> Float[np.ndarray, "k 3"]:
-    none = Spread(0.0, 0.0, 0.0)
-    table = np.array([_three(truth.tasks.get(name, none)) for name in tasks])
-    return np.asarray(table - table.mean(axis=0))
-
-
 @lru_cache(maxsize=256)
 def _logit(probability: float, offsets: tuple[float, ...], spread: float) -> float:
     """Finds the log-odds with a mean probability over operators and tasks."""
@@ -272,8 +269,3 @@ def _logit(probability: float, offsets: tuple[float, ...], spread: float) -> flo
         return float(weights @ expit(logit + about).mean(axis=1)) - probability
 
     return float(brentq(excess, -60.0, 60.0, xtol=1e-12))
-
-
-def _logit_of(probability: float, offsets: tuple[float, ...], truth: Assumptions) -> float:
-    spread = float(np.hypot(truth.operators.success, truth.interaction.success))
-    return _logit(probability, offsets, spread)

@@ -387,7 +387,9 @@ class Progress:
                 self.moving = None
                 self.moved.add(place)
             case TrialStarted():
-                self.trials.append(Trial(self._current(), event.trial, at))
+                block = self._block()
+                assert block is not None
+                self.trials.append(Trial(block, event.trial, at))
             case TrialReset() if last is not None:
                 last.resets += 1
             case TrialPaused() if last is not None:
@@ -441,11 +443,6 @@ class Progress:
 
     def _end_break(self, at: datetime) -> None:
         self.breaks[-1] = (self.breaks[-1][0], at)
-
-    def _current(self) -> Block:
-        block = self._block()
-        assert block is not None
-        return block
 
 
 def replay(plan: Plan, operator: str, records: Iterable[Record]) -> Progress:

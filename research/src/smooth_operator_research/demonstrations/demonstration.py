@@ -1,4 +1,4 @@
-"""Trajectories that are known to do the tasks: key poses found by search, shipped as JSON.
+"""Demonstrations: trajectories that solve the tasks, as key poses from a search, in JSON files.
 
 They show that a hand can do a scene with its fingers alone, and hold that in the
 tests. ``research/docs/physics-measures.md`` says how they were found.
@@ -28,17 +28,17 @@ from smooth_operator.types import as_side
 from smooth_operator_research.demonstrations.trial_loop import RATE_HZ, Commands, perform
 
 DEFAULT_HAND: Final = "mimic_p050"
-"""Whose demonstrations are meant where no hand is named."""
+"""Default hand of the demonstrations."""
 
 _FOLDER: Final = files("smooth_operator_research.demonstrations") / "data"
 
 PERIOD_S: Final = 1.0 / RATE_HZ
-"""Between commands [s]; a command is the pose of the end of its period."""
+"""Period of the commands [s]; a command is the pose at the end of its period."""
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """Key poses of a hand and when it is in them.
+    """Key poses of a hand, and their times.
 
     Attributes:
         task: what it does.
@@ -79,7 +79,7 @@ def demonstrated_hands(task: str) -> list[str]:
 def load_demonstration(
     task: str, hand: str | None = None, tracker: str | None = None
 ) -> Demonstration:
-    """The demonstration of a task.
+    """Loads the demonstration of a task.
 
     Args:
         hand: name of the robot hand; None for the default one.
@@ -98,7 +98,7 @@ def load_demonstration(
 
 
 def read_demonstration(text: str) -> Demonstration:
-    """A demonstration from the text of its JSON file."""
+    """Reads a demonstration from the text of its JSON file."""
     content = json.loads(text)
     task, hand = content["task"], load_hand(content["hand"], content["side"])
     if tuple(content["joints"]) != hand.actuated_names:
@@ -109,7 +109,7 @@ def read_demonstration(text: str) -> Demonstration:
 
 
 def demonstration_text(demonstration: Demonstration) -> str:
-    """The JSON file of a demonstration; poses to 0.001 rad, a line for each."""
+    """Text of the JSON file of a demonstration, with poses to 0.001 rad, one per line."""
     hand = demonstration.robot
     head = {
         "task": demonstration.task,
@@ -157,7 +157,7 @@ def own_commands(
 def play(
     demonstration: Demonstration, *, disturb: Callable[[ScenePhysics], None] | None = None
 ) -> Iterator[tuple[SceneState, TaskRun]]:
-    """Perform a demonstration in physics.
+    """Performs a demonstration in physics.
 
     Args:
         disturb: changes the scene before it starts, as to see how much it bears.
@@ -179,7 +179,7 @@ _STEP_S: Final = 0.001  # between two computed frames
 
 
 class DemonstrationLandmarks:
-    """A perfect operator with the robot's geometry, who performs a demonstration without looking.
+    """Landmarks of a perfect operator with the robot's geometry, who does not watch the scene.
 
     The frame of a time is that of the pose one period later, since a command is where the joints
     are to be at the end of its period. Before the start and after the end the hand is still. A
@@ -197,12 +197,12 @@ class DemonstrationLandmarks:
         self._frames = human_landmarks(hand, poses)
 
     def at(self, time: float) -> Float[np.ndarray, "21 3"]:
-        """(21, 3) landmarks of a time since 'go' [m], in the robot's palm frame."""
+        """Landmarks (21, 3) at a time since 'go' [m], in the robot's palm frame."""
         k = round((time + PERIOD_S) / _STEP_S)
         return np.asarray(self._frames[int(np.clip(k, 0, len(self._frames) - 1))])
 
     def landmarks(
         self, time: float, state: SceneState, physics: ScenePhysics
     ) -> Float[np.ndarray, "21 3"]:
-        """See ``LandmarkSource``; the scene is not looked at."""
+        """See ``LandmarkSource``; the scene is ignored."""
         return self.at(time)

@@ -1,4 +1,4 @@
-"""Does candidates for a demonstration in perturbed worlds; what a search asks of a worker."""
+"""Runs candidates for a demonstration in perturbed worlds, in the workers of a search."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ from smooth_operator_research.demonstrations.trial_loop import (
 )
 
 PINCH: Final = 0.004
-"""So deep may thumb and finger be inside each other [m]: pads give way, and a grip needs force."""
+"""Allowed overlap of thumb and finger [m]: pads yield, and a grip needs force."""
 
 ELSEWHERE: Final = 0.001
-"""So deep may other parts be [m]."""
+"""Allowed overlap of other parts [m]."""
 
 
 def excess(demonstration: Demonstration) -> float:
@@ -74,7 +74,7 @@ def _allowed(hand: Hand) -> Float[np.ndarray, " P"]:
 
 
 MARGIN: Final = 0.1
-"""Extra merit of a success with the best margin."""
+"""Additional merit of a success with the best margin."""
 
 _LIFT: Final = 0.005  # of the card above the table that counts in full [m]
 _LOST: Final = 0.5  # what progress is worth after a drop
@@ -153,7 +153,7 @@ _PARTS: Final[dict[str, Callable[[Sequence[Moment]], tuple[float, float]]]] = {
     "cube": _cube,
     "screwdriver": _screwdriver,
 }
-"""Task -> (progress of a trial that did not succeed, margin of one that did), 0 to 1."""
+"""Task -> functions for the progress of a failed trial and the margin of a success, 0 to 1."""
 
 
 def _scorer(moment: Moment, kind: type[Any]) -> Any:
@@ -163,7 +163,8 @@ def _scorer(moment: Moment, kind: type[Any]) -> Any:
 
 
 def _share(holds: np.ndarray, moments: Sequence[Moment]) -> float:
-    """The longest time without a break for which something holds, of that which a goal needs."""
+    """Longest uninterrupted time in which a condition holds, divided by the time that the goal
+    needs."""
     most = now = 0
     for one in holds:
         now = now + 1 if one else 0
@@ -203,7 +204,7 @@ class World(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A candidate demonstration, and the worlds that judge it.
+    """A candidate demonstration, and the worlds in which it is judged.
 
     Attributes:
         demonstration: the key poses.
@@ -217,7 +218,7 @@ class Candidate:
 
 
 def judge(candidate: Candidate) -> list[float]:
-    """Merit of a candidate in each of its worlds; 1 and the margin for success, else less.
+    """Merit of a candidate in each of its worlds: 1 plus the margin for a success, less otherwise.
 
     The self-penetration that it commands is taken off.
     """
@@ -256,7 +257,7 @@ def tried(
 
 @lru_cache(maxsize=64)
 def _physics(task: str, hand_name: str, side: str, seed: int, number: int) -> ScenePhysics:
-    """A scene to use again and again: most of a short trial's time goes into making it."""
+    """Scene that is reused, because making it takes most of a short trial's time."""
     hand = load_hand(hand_name, as_side(side))
     world = draw_perturbation(number, seed)
     physics = ScenePhysics(hand, world.scene(scene_for(task, hand)))

@@ -34,7 +34,7 @@ from smooth_operator_research.demonstrations.trial_loop import LandmarkSource
 
 @dataclass(frozen=True)
 class PerturbationRanges:
-    """Ranges of worlds; each quantity is uniform in its range, and 0 leaves it out.
+    """Ranges of the perturbations; each quantity is uniform in its range, and 0 disables it.
 
     Attributes:
         shift: shift of the object, along x and along y of the world, at most [m].
@@ -60,7 +60,7 @@ class PerturbationRanges:
 
 
 RANGES: Final = PerturbationRanges()
-"""Those of the benchmark."""
+"""Ranges of the benchmark."""
 
 
 def _ones() -> Float[np.ndarray, "5"]:
@@ -69,7 +69,7 @@ def _ones() -> Float[np.ndarray, "5"]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Perturbation(ObjectVariation):
-    """One world: an object's variation, an operator, a tracker. The defaults change nothing.
+    """One world: variation of the object, operator and tracker. The defaults change nothing.
 
     Attributes:
         number: number of the world; 0 for the unperturbed one.
@@ -84,7 +84,7 @@ class Perturbation(ObjectVariation):
     tracker: TrackerModel = field(default_factory=TrackerModel)
 
     def operator(self, landmarks: Float[np.ndarray, "21 3"]) -> Float[np.ndarray, "21 3"]:
-        """(21, 3) the same joint angles with this operator's bones."""
+        """Landmarks (21, 3) with the same joint angles and this operator's bones."""
         wrist = landmarks[WRIST]
         out: np.ndarray = wrist + self.palm * (landmarks - wrist)
         for first, factor in zip(BASES, self.bones, strict=True):
@@ -96,7 +96,7 @@ class Perturbation(ObjectVariation):
 def draw_perturbation(
     number: int, seed: int = 0, ranges: PerturbationRanges = RANGES, tracker: str = "glove"
 ) -> Perturbation:
-    """World ``number`` of a seed; number 0 is the unperturbed world, with a perfect tracker.
+    """Draws world ``number`` of a seed; number 0 is the unperturbed world, with a perfect tracker.
 
     What is drawn does not depend on the ranges: a range of 0 leaves its quantity out and changes
     no other one.
@@ -126,7 +126,7 @@ def draw_perturbation(
 
 
 class TrackerClock:
-    """The frames of a tracker in a loop with a clock of its own; of two that are due the last one.
+    """Tracker frames for a loop with another clock; if two frames are due, the last one counts.
 
     For one trial: the tracker begins with the first call and goes on from frame to frame.
     """
@@ -137,7 +137,7 @@ class TrackerClock:
         self._start: float | None = None
 
     def due(self, time: float) -> Ticks | None:
-        """The frame that has come since the last call; None where there is none."""
+        """Frame that arrived since the last call; None if there is none."""
         if self._start is None:
             self._start = time
         tick = None
@@ -147,7 +147,7 @@ class TrackerClock:
 
 
 class PerturbedLandmarks:
-    """Another operator's bones, seen through a tracker. A ``LandmarkSource`` for one trial.
+    """Landmarks with another operator's bones, seen through a tracker; a ``LandmarkSource``.
 
     Between the tracker's frames there are no landmarks, and a loop holds its last command.
     """

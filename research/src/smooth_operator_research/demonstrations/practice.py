@@ -1,4 +1,4 @@
-"""An operator who has practised with a retargeter before a tracker.
+"""An operator who has practised with a retargeter and a tracker.
 
 A retargeter does not command what it is shown: a camera shows fingers farther apart than they are,
 pinches are pressed, filters follow. Someone who has watched the robot for a while moves so that it
@@ -24,13 +24,13 @@ from smooth_operator_research.demonstrations.demonstration import Demonstration
 from smooth_operator_research.demonstrations.perturbation import Perturbation, draw_perturbation
 
 ROUNDS: Final = 6
-"""How often the motion is tried and corrected."""
+"""Number of attempts after which the motion is corrected."""
 
 OPERATORS: Final = 4
-"""Operators whose mean error is corrected; all move alike."""
+"""Number of operators whose mean error is corrected; all move alike."""
 
 BEYOND: Final = 0.3
-"""How far beyond the robot's joint limits the operator may go [rad]."""
+"""Amount by which the operator may exceed the robot's joint limits [rad]."""
 
 _SEED: Final = 3000  # of the operators; the benchmark's and the search's worlds have others
 _GAIN: Final = 0.7  # share of an error that is corrected in a round
@@ -39,7 +39,7 @@ _HOLD_S: Final = 1.0  # a pose that is held for longer is practised for so long
 
 
 def practised(demonstration: Demonstration, retargeter: Retargeter, tracker: str) -> Demonstration:
-    """The motion of an operator with whom a retargeter commands a demonstration's key poses.
+    """Motion of an operator with which a retargeter commands the key poses of a demonstration.
 
     Args:
         demonstration: what the robot is to do.
@@ -68,7 +68,7 @@ def practised(demonstration: Demonstration, retargeter: Retargeter, tracker: str
 
 
 def _without_noise(number: int, tracker: str) -> Perturbation:
-    """An operator before a tracker that shows the same motion in the same way every time."""
+    """An operator whose tracker shows the same motion in the same way every time."""
     person = draw_perturbation(number, _SEED, tracker=tracker)
     still = replace(person.tracker, shake=0.0, frame_loss=0.0, rate_jitter=0.0)
     return replace(person, tracker=still)
@@ -77,7 +77,7 @@ def _without_noise(number: int, tracker: str) -> Perturbation:
 def _commands(
     motion: Demonstration, retargeter: Retargeter, operator: Perturbation
 ) -> Float[np.ndarray, "k m"]:
-    """(k, m) actuated joints that a retargeter commands at the key poses' times [rad]."""
+    """Actuated joints (k, m) that a retargeter commands at the times of the key poses [rad]."""
     hand = motion.robot
     stamps = np.arange(0.0, motion.times[-1] + 2.0 / _RATE_HZ, 1.0 / _RATE_HZ)
     points = human_landmarks(hand, np.stack([motion.pose(float(time)) for time in stamps]))

@@ -44,7 +44,7 @@ from smooth_operator_research.demonstrations.judging import MARGIN, Candidate, W
 
 @dataclass(frozen=True, eq=False)
 class Evolution:
-    """The state of a search; a value that is replaced, never changed.
+    """State of a search; immutable.
 
     Attributes:
         mean: (n,) centre of the candidates.
@@ -68,18 +68,18 @@ class Evolution:
 
     @classmethod
     def begin(cls, mean: Float[np.ndarray, " n"], sigma: float, seed: int, count: int) -> Self:
-        """A search around a point."""
+        """Starts a search around a point."""
         zero = np.zeros_like(mean)
         return cls(mean, sigma, np.ones_like(mean), zero, zero, 0, seed, count)
 
     def candidates(self) -> Float[np.ndarray, "c n"]:
-        """(c, n) the points to be judged next; the same for the same state."""
+        """Points (c, n) to judge next; the same for the same state."""
         rng = np.random.default_rng([self.seed, self.generation])
         draws = rng.standard_normal((self.count, len(self.mean)))
         return np.asarray(self.mean + self.sigma * np.sqrt(self.variance) * draws)
 
     def judged(self, candidates: Float[np.ndarray, "c n"], merits: Float[np.ndarray, " c"]) -> Self:
-        """The next state; more merit is better."""
+        """Returns the next state; higher merit is better."""
         n, half = len(self.mean), self.count // 2
         weights = np.log(half + 0.5) - np.log(np.arange(1, half + 1))
         weights /= weights.sum()
@@ -117,7 +117,7 @@ class Evolution:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """Converts to JSON values."""
         return {
             name: value.tolist() if isinstance(value, np.ndarray) else value
             for name, value in vars(self).items()
@@ -125,7 +125,7 @@ class Evolution:
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> Self:
-        """From what ``to_json`` gave."""
+        """Restores the state from ``to_json``."""
         values: dict[str, Any] = {
             name: np.array(value) if isinstance(value, list) else value
             for name, value in content.items()
@@ -140,7 +140,7 @@ _REST: Final = 0.2  # of a radian from the pose before, against a millimetre of 
 
 
 def transferred(demonstration: Demonstration, hand: Hand) -> Demonstration:
-    """The key poses of another hand, whose fingertips are where the first hand's are.
+    """Transfers key poses to another hand, whose fingertips go where those of the first hand are.
 
     Where, that is, against the object: each hand has its own scene, in which the object lies within
     its reach. Fingers besides thumb, index and middle stay in the neutral pose.
@@ -179,10 +179,10 @@ def _reach(
 
 
 WORLDS_SEED: Final = 1000
-"""Seed of the worlds that the search sees; the benchmark's have others."""
+"""Seed of the worlds of the search; the benchmark has other seeds."""
 
 FINAL_SEED: Final = 2000
-"""Seed of the worlds by which the last few candidates are compared."""
+"""Seed of the worlds in which the last few candidates are compared."""
 
 _SIGMA: Final = 0.06  # first standard deviation of a joint in a key pose [rad]
 _PACE: Final = 2.0  # of the logarithm of a duration, against a radian of a joint
@@ -208,7 +208,7 @@ def _joints_of(hand: Hand) -> list[int]:
 
 
 def _worlds(generation: int, count: int, seed: int, trackers: Sequence[str]) -> tuple[World, ...]:
-    """The unperturbed world and others; objects come again, operators don't."""
+    """The unperturbed world and others; objects repeat, operators do not."""
     numbers = [int(n) for n in generation * count + np.arange(count)]
     others = (
         World(seed, 1 + n % _OBJECTS, 1 + n, trackers[n % len(trackers)] if trackers else None)
@@ -261,7 +261,7 @@ class Search:
         self._base = first
 
     def generation(self, pool: _Pool) -> None:
-        """Judge a generation; the first candidate is its centre.
+        """Judges a generation; its first candidate is the centre.
 
         All are judged in some worlds, the better half of them and the centre in all.
         """
@@ -284,7 +284,8 @@ class Search:
         self.best = sorted([*self.best, *better], key=lambda one: -one[0])[:_KEPT]
 
     def result(self, pool: _Pool) -> tuple[Demonstration, float]:
-        """The best of the few best and the centre, in worlds that the search has not seen.
+        """The best of the centre and the few best candidates, in worlds that the search has not
+        used.
 
         Returns:
             it, and its merit there.
@@ -318,7 +319,7 @@ class Search:
         return replace(base, poses=np.round(poses, 3), times=np.round(times, 2))
 
     def save(self, path: Path) -> None:
-        """Write where the search is."""
+        """Saves the state of the search."""
         content = {
             "first": demonstration_text(self._base),
             "best": [[merit, demonstration_text(one)] for merit, one in self.best],
@@ -329,7 +330,7 @@ class Search:
             file.write(json.dumps(content).encode())
 
     def resume(self, path: Path) -> None:
-        """Go on from what ``save`` wrote."""
+        """Resumes from the state that ``save`` wrote."""
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         self._base = read_demonstration(content["first"])
         self.best = [(float(merit), read_demonstration(text)) for merit, text in content["best"]]
@@ -338,7 +339,7 @@ class Search:
 
 
 def _first(name: str, task: str, hand: str) -> Demonstration:
-    """The first guess from a file, or from a hand that has a demonstration."""
+    """First guess, from a file or from a hand that has a demonstration."""
     if name.endswith(".json"):
         demonstration = read_demonstration(Path(name).read_text(encoding="utf-8"))
         if demonstration.task != task:

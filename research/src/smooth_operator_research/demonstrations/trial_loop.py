@@ -22,7 +22,7 @@ from smooth_operator.simulation.tasks.trial import Phase, TaskRun
 from smooth_operator.types import HandFrame
 
 RATE_HZ: Final = 100.0
-"""Frames, commands and looks at the scene a second [Hz], unless stated otherwise."""
+"""Rate of frames, commands and looks at the scene [Hz], unless stated otherwise."""
 
 _FASTEST_HZ: Final = 500.0
 
@@ -33,7 +33,7 @@ class LandmarkSource(Protocol):
     def landmarks(
         self, time: float, state: SceneState, physics: ScenePhysics
     ) -> Float[np.ndarray, "21 3"] | None:
-        """The frame of a moment.
+        """Hand frame at a moment.
 
         Args:
             time: since 'go' [s]; negative in the lead-in.
@@ -49,11 +49,11 @@ Commands = Callable[[float, SceneState, ScenePhysics], Float[np.ndarray, " n"] |
 """(time since 'go' [s], scene, physics) -> (n,) positions of all joints [rad]; None holds."""
 
 Interventions = Callable[[], Literal["reset", "finish"] | None]
-"""The operator's request now: the object put back, or the end of the trial."""
+"""Request of the operator at this moment: reset the object, or end the trial."""
 
 
 class Moment(NamedTuple):
-    """A trial after one period.
+    """State of a trial after one period.
 
     Attributes:
         state: the scene.
@@ -125,7 +125,7 @@ def perform(
     lead_s: float = 0.0,
     interventions: Interventions = lambda: None,
 ) -> Iterator[Moment]:
-    """Do a trial with a source of joint commands.
+    """Runs a trial with a source of joint commands.
 
     Each period: the source sees the scene and gives a command, the physics goes on for a period,
     the scorer sees the scene. Without a lead-in 'go' is now, with the scene as it is. With one the
@@ -182,7 +182,7 @@ def perform(
 def retargeted_commands(
     retargeter: Retargeter, source: LandmarkSource, seed: int | None = None
 ) -> Commands:
-    """The commands of a retargeter that follows a source of landmarks, for one trial.
+    """Commands of a retargeter that follows a source of landmarks, for one trial.
 
     Args:
         seed: seed of the method's random numbers; None for the retargeter's own.
@@ -217,7 +217,7 @@ def run_trial(
     interventions: Interventions = lambda: None,
     trace: bool = False,
 ) -> TrialResult:
-    """Do a trial with a retargeter, from a source of human landmarks.
+    """Runs a trial with a retargeter and a source of human landmarks.
 
     A dropped frame repeats the last command. Frames take no time to arrive and to retarget.
     Commands are sent as they are, kept within the joints' limits by the servos.

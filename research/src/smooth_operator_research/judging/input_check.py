@@ -1,4 +1,4 @@
-"""Shares of wrong hands, landmarks in a wrong order and right ones that the check of input refuses.
+"""Shares of mirrored hands, of wrong orders and of correct frames that the input check refuses.
 
 Windows of recordings and of built-in operators, as they are and mirrored, clean and with the noise
 of a tracker, go through the check that every recording and every live tracker goes through
@@ -28,7 +28,7 @@ OTHER: Final[dict[Side, Side]] = {"right": "left", "left": "right"}
 
 
 class Window(NamedTuple):
-    """Frames that follow each other: (T, 21, 3) [m], of a hand of one side in a recording."""
+    """Consecutive frames (T, 21, 3) [m] of a hand of one side in a recording."""
 
     recording: str
     landmarks: np.ndarray
@@ -57,7 +57,7 @@ def windows(
 
 
 def in_layout(landmarks: np.ndarray, name: str) -> np.ndarray:
-    """Landmarks of ours as another tracker has them."""
+    """Converts our landmarks to the order of another tracker."""
     points = np.empty_like(landmarks)
     points[:, LAYOUTS[name]] = landmarks
     return points
@@ -67,7 +67,7 @@ def table(
     recordings: Sequence[HandRecording], seconds: float, noises: Sequence[float], seed: int,
     share_of: int,
 ) -> str:  # fmt: skip
-    """Markdown; layouts over one window of ``share_of``."""
+    """Makes a Markdown table of layouts over the windows of ``share_of``."""
     rows: list[list[object]] = []
 
     def add(
@@ -104,7 +104,7 @@ def table(
 
 
 def main() -> None:
-    """Reads the recordings, adds built-in operators."""
+    """Reads the recordings, adds built-in operators, and prints the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("recordings", nargs="*", help="files, with settings after an @")
     parser.add_argument("--seconds", type=float, default=1.0, help="longest window")

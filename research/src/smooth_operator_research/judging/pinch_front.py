@@ -36,7 +36,7 @@ RECORDINGS: Final = (
     "wilor_test_long_21x3.npz@30hz",
 )
 OPERATORS: Final = ("synthetic:1",)
-"""Built-in ones, which need no file."""
+"""Built-in recordings, which need no file."""
 PINCH: Final = ("held", "dropped", "let_go")
 FOLLOWING: Final = {
     "cos thumb": "cosine_similarity",
@@ -67,7 +67,7 @@ class Settings:
 
 
 class Task(NamedTuple):
-    """A row on a recording, which is named as ``bench`` takes it."""
+    """A row on a recording, which is named as for ``bench``."""
 
     row: str
     method: str
@@ -77,7 +77,7 @@ class Task(NamedTuple):
 
 
 def measure(task: Task) -> Mapping[str, float | None]:
-    """The figures of a row on a recording."""
+    """Measures a row on a recording."""
     (source,) = load_sources([parse_request(task.request)])
     recording = source.recording
     if recording is None:
@@ -101,7 +101,7 @@ def measure(task: Task) -> Mapping[str, float | None]:
 
 
 def rows_of(settings: Settings) -> dict[str, tuple[str, MethodConfig]]:
-    """Row -> method, configuration."""
+    """Returns the method and configuration of each row."""
     rows: dict[str, tuple[str, MethodConfig]] = {
         f"{value:g}": ("smooth", with_settings(method_config(), {"pinch_damping": value}))
         for value in settings.damping
@@ -149,7 +149,8 @@ def main(settings: Settings) -> None:
 
 
 def draw(means: Mapping[str, Mapping[str, float | None]], damped: int, stem: Path) -> None:
-    """Held and dropped over motion preservation; the values of ``pinch_damping`` are joined."""
+    """Draws held and dropped over motion preservation, with a line through the values of
+    ``pinch_damping``."""
     from matplotlib.figure import Figure
 
     with styled():

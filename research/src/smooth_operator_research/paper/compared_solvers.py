@@ -1,4 +1,4 @@
-"""The solvers that are set side by side on one objective: single-start, and N starts in parallel.
+"""Solvers compared on one objective: from a single start, and from N starts in parallel.
 
 Each starts at its own last answer, keeps within the joint limits, and knows nothing of the others.
 The descending ones stop alike: where an iteration gains less than 1e-6, or after 100 evaluations;
@@ -200,7 +200,7 @@ _FEW: Final = 64
 unrolled one, which takes eight seconds to compile and a sixth of the time to run."""
 
 Knobs: TypeAlias = Float[Array, " k"]
-"""Settings that are tuned: arguments of the compiled program, so that all values share one."""
+"""Tuned settings. They are arguments of the compiled program, so all values share one program."""
 
 
 @dataclass(frozen=True)
@@ -238,16 +238,16 @@ class Solver(ABC):
     @property
     @abstractmethod
     def random(self) -> bool:
-        """Does its answer depend on a seed?"""
+        """True if the result depends on a seed."""
 
     @property
     @abstractmethod
     def effort(self) -> float:
-        """About how long a frame takes on two cores [ms]; for the time that is left."""
+        """Approximate time of a frame on two cores [ms], to estimate the remaining time."""
 
 
 class CompiledSolver(Solver):
-    """One whose frame is a compiled program."""
+    """Solver whose frame is a compiled program."""
 
     @property
     def knobs(self) -> tuple[float, ...]:
@@ -255,7 +255,7 @@ class CompiledSolver(Solver):
         return ()
 
     def program_key(self) -> CompiledSolver:
-        """The same with its knobs at their defaults: those with one key share a program."""
+        """The solver with default knobs; solvers with equal keys share a program."""
         return self
 
     @abstractmethod
@@ -267,7 +267,7 @@ class CompiledSolver(Solver):
         key: UInt32[Array, "2"],
         knobs: Knobs,
     ) -> tuple[Float[Array, " m"], Int[Array, ""]]:
-        """The answer to a frame, and how many iterations or evaluations it took; traceable."""
+        """Solution of a frame, and its number of iterations or evaluations; traceable."""
 
 
 @dataclass(frozen=True)
@@ -296,12 +296,12 @@ class Sampling(CompiledSolver):
 
     @property
     def effort(self) -> float:
-        """By candidates."""
+        """Proportional to the number of candidates."""
         return 3e-5 * self.samples * self.cycles + 0.05 * self.cycles
 
     @property
     def knobs(self) -> tuple[float, ...]:
-        """Initial deviation, and how many cycles."""
+        """Initial deviation, and number of cycles."""
         return (self.sigma, float(self.cycles))
 
     def program_key(self) -> Sampling:
@@ -334,18 +334,18 @@ class _FromStarts(Solver):
 
     @property
     def label(self) -> str:
-        """With the number of starts."""
+        """Name with the number of starts."""
         return f"{self.name}{self.starts}"
 
     @property
     def random(self) -> bool:
-        """Only where there are other starts than the last answer."""
+        """True if there are other starts than the last solution."""
         return self.starts.count > 1
 
     def all_starts(
         self, objective: SampledObjective, last: Float[Array, " m"], key: UInt32[Array, "2"]
     ) -> Float[Array, "m N"]:
-        """The starts of a frame."""
+        """All starts of a frame."""
         limits = objective.hand.limits
         return scattered_starts(last, limits, key, self.starts.count, self.starts.spread)
 
@@ -361,7 +361,7 @@ class Rmsprop(_FromStarts, CompiledSolver):
 
     @property
     def effort(self) -> float:
-        """By evaluations."""
+        """Proportional to the number of evaluations."""
         return self.config.max_evaluations * (0.02 + 5e-4 * self.starts.count)
 
     @property
@@ -408,7 +408,7 @@ class Newton(_FromStarts, CompiledSolver):
 
     @property
     def effort(self) -> float:
-        """By Hessians."""
+        """Proportional to the number of Hessians."""
         return 0.5 * (1 + self.starts.count)
 
     def solve(
@@ -449,13 +449,13 @@ class Slsqp(_FromStarts):
 
     @property
     def label(self) -> str:
-        """With the limit of iterations, where there is one, and the number of starts."""
+        """Name with the limit of iterations, if there is one, and the number of starts."""
         limited = isinstance(self.config, SlsqpConfig)
         return f"{self.name}, published limit{self.starts}" if limited else super().label
 
     @property
     def effort(self) -> float:
-        """By starts."""
+        """Proportional to the number of starts."""
         return 2.5 * self.starts.count
 
     def minimise(
@@ -464,7 +464,7 @@ class Slsqp(_FromStarts):
         start: Float[np.ndarray, " m"],
         limits: Float[np.ndarray, "m 2"],
     ) -> SlsqpResult:
-        """From one start."""
+        """Minimises from one start."""
         if isinstance(self.config, SlsqpConfig):
             return slsqp_minimise(objective, start, limits, self.config)
         return nlopt_minimise(objective, start, limits, self.config)
@@ -494,7 +494,7 @@ def _few_gradients(
 
 
 def slsqp_objective(objective: SampledObjective) -> Callable[[Array, FrameGoal], Array]:
-    """(m,) joint positions and a goal to the value and the gradient, as one array; traceable."""
+    """Maps joint positions (m,) and a goal to value and gradient in one array; traceable."""
 
     def both(q: Array, goal: FrameGoal) -> Array:
         cost, gradient, _ = objective.value_grad_hess(q, goal)

@@ -29,10 +29,10 @@ PAPER_REFERENCE: Final = 0.4414
 """DexPilot's tracking loss in the paper."""
 
 PAPER_BUDGET: Final = 163_840
-"""N x L of the contour that the paper speaks of: 8192 x 20, 4096 x 40, 16384 x 10."""
+"""N x L of the contour in the paper: 8192 x 20, 4096 x 40, 16384 x 10."""
 
 LEAST: Final = 0.001
-"""Splits whose losses are nearer to each other than this share count as equal."""
+"""Splits whose losses differ by less than this share count as equal."""
 
 
 class Compute:
@@ -120,7 +120,7 @@ def _losses(context: ExperimentContext, problems: list[Problem], points: list[Po
 
 
 def _references(context: ExperimentContext, problems: list[Problem]) -> tuple[Samples, Samples]:
-    """DexPilot's answers measured by SBR's loss, and by its own."""
+    """DexPilot's solutions, measured by SBR's loss and by its own."""
     own = context.problems(DEXPILOT.objective, context.size.grid_frames)
     published = Slsqp(config=SlsqpConfig())
     runs = context.run_all(
@@ -133,7 +133,7 @@ def _references(context: ExperimentContext, problems: list[Problem]) -> tuple[Sa
 
 
 def balance(losses: Losses, line: list[Point]) -> tuple[Point, Estimate, Estimate]:
-    """A contour's best cell between its ends, against both ends.
+    """Compares the best inner cell of a contour with both ends.
 
     For each independent unit that cell is chosen by the losses of the others, so that no loss is
     judged that took part in the choice.
@@ -185,7 +185,7 @@ def _balance_verdict(losses: Losses, lines: list[list[Point]]) -> Verdict:
 
 
 def _wins(ends: Sequence[Estimate], among: int) -> bool:
-    """True if the middle of a contour beats both ends, this being one of several contours."""
+    """True if the middle of a contour, one of several, beats both ends."""
     judging = Direction(-LEAST, upwards=False)
     return all(judging(end, among=among) == "held" for end in ends)
 

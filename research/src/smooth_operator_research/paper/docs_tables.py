@@ -24,7 +24,7 @@ from smooth_operator_research.paper.experiment import EXPERIMENTS, RESULTS, Tabl
 from smooth_operator_research.run_report import markdown
 
 ORDER: Final = ("solver", "velocity", "hessian", "compute", "fk", "table", "noise", "rate")
-"""Experiments as the page has them."""
+"""Experiments in the order of the page."""
 
 Results: TypeAlias = Mapping[str, Any]
 """``results.json`` of each experiment."""
@@ -33,7 +33,7 @@ BLOCK: Final = re.compile(r"<!-- table: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOT
 
 
 def read_results(folder: Path) -> dict[str, Any]:
-    """The experiments that are in a folder."""
+    """Reads the experiments in a folder."""
     paths = {name: folder / name / RESULTS for name in EXPERIMENTS}
     return {name: json.loads(p.read_text("utf-8")) for name, p in paths.items() if p.exists()}
 
@@ -41,7 +41,7 @@ def read_results(folder: Path) -> dict[str, Any]:
 def _table(
     results: Results, experiment: str, title: str, columns: Sequence[str] = (), heading: str = "{}"
 ) -> Table:
-    """An experiment's table, or some of its columns; other headings after the first."""
+    """Table of an experiment, or some of its columns, with other headings after the first."""
     own = next(t for t in results[experiment]["tables"] if t["title"].startswith(title))
     at = [own["headers"].index(name) for name in columns or own["headers"]]
     first, *others = (own["headers"][i] for i in at)
@@ -50,7 +50,7 @@ def _table(
 
 
 def _joined(first: Table, *others: Table) -> Table:
-    """Tables with the same rows as one; a dash where another table lacks a row."""
+    """Joins tables by their rows; a dash marks a row that another table lacks."""
     rows = [list(row) for row in first.rows]
     for other in others:
         cells = {row[0]: row[1:] for row in other.rows}
@@ -67,7 +67,7 @@ def _by_condition(
     figure: str,
     choose: Callable[[list[str]], Sequence[str]],
 ) -> Table:
-    """A row for each method, a column for each of some conditions, of one figure."""
+    """Table of one figure: a row for each method, a column for each condition."""
     own = _table(results, experiment, title)
     at = own.headers.index(figure)
     return _joined(
@@ -83,7 +83,7 @@ def _by_condition(
 
 
 def _number(text: str) -> float:
-    """The figure at the start of a condition; 0 where it has none."""
+    """Number at the start of a condition; 0 without one."""
     number = re.match(r"[\d.]+", text)
     return float(number[0]) if number else 0.0
 
@@ -120,7 +120,7 @@ def _rate(results: Results) -> Table:
 
 
 def _quality(results: Results) -> Table:
-    """The paper's table without its own figures, which the claims have, and without latency."""
+    """The paper's table without its own figures, which are in the claims, and without latency."""
     own = _table(results, "table", "The paper's table")
     rows = [row for row in own.rows if not row[0].startswith((" ", "latency"))]
     return Table(own.title, own.headers, rows)
@@ -142,7 +142,7 @@ def _solvers(built_in: Results, real: Results) -> Table:
 
 
 def _claims(built_in: Results, real: Results) -> Table:
-    """Claim by claim, on both sets of recordings."""
+    """Table of the claims on both sets of recordings."""
 
     def cell(verdict: Mapping[str, str]) -> str:
         ours = verdict["ours"]
@@ -181,17 +181,17 @@ TABLES: Final[dict[str, Callable[[Results, Results], Table]]] = {
     "rate": lambda a, _: _rate(a),
     "coverage": lambda a, b: interval_coverage.coverage_table(interval_coverage.Settings()),
 }
-"""Name of a table in the page -> what makes it of the results on the built-in operators and on
-recordings of real trackers."""
+"""Name of a table in the page -> function that makes it from the results on built-in operators and
+on recordings of real trackers."""
 
 
 def block(name: str, table: Table) -> str:
-    """A table between its marks; its note is left out, for the page says it."""
+    """A table between its marks, without its note, which the page has as text."""
     return f"<!-- table: {name} -->\n{markdown(table.headers, table.rows)}\n<!-- end -->"
 
 
 def replaced(text: str, name: str, block: str) -> str:
-    """A page with one of its tables replaced."""
+    """Replaces one of the tables of a page."""
     return BLOCK.sub(lambda match: block if match[1] == name else match[0], text)
 
 

@@ -61,7 +61,7 @@ class ArrayCache(ResultCache):
 
 @dataclass(frozen=True)
 class Size:
-    """Amount of computing.
+    """Size of an experiment: amount of computing.
 
     Attributes:
         name: what it is called.
@@ -121,7 +121,7 @@ class Size:
 
 
 def trial_note(size: Size) -> str:
-    """Warning before the results of a size that is too small to judge by."""
+    """Warning before the results of a size that is too small for conclusions."""
     return "" if size.name != "quick" else _TRIAL
 
 
@@ -131,11 +131,11 @@ PUBLISHED_STARTS: Final = 32768
 """N of the paper's batched forms."""
 
 _SHARES: Final = (0.8192, 0.6710, 0.5497)
-"""Shares that fill a cube evenly, whatever the count (Roberts's R sequence)."""
+"""Points that fill a cube evenly for any count (Roberts's R sequence)."""
 
 
 def synthetic_operators(count: int, frames: int) -> tuple[str, ...]:
-    """Requests for some people of the built-in operator, who share neither hand nor motion.
+    """Requests for several built-in operators, who share neither hand nor motion.
 
     Each has its own seed (bone proportions, timing, amplitudes), a hand of 16 to 21 cm, a
     tempo of 0.8 to 1.3, and another part of the round of gestures.
@@ -183,7 +183,7 @@ DEFAULT: Final = Size(
     rates=(15.0, 30.0, 100.0),
     rate_seconds=2.0,
 )
-"""For two cores: twenty independent operators, so that a direction that is there can be shown."""
+"""Size for two cores, with twenty independent operators, enough to show a real direction."""
 
 QUICK: Final = replace(
     DEFAULT,
@@ -212,7 +212,7 @@ QUICK: Final = replace(
     rates=(30.0, 100.0),
     rate_seconds=1.0,
 )
-"""For a test that it runs; its figures mean little."""
+"""Size for a test run; its figures are not meaningful."""
 
 PUBLISHED: Final = replace(
     DEFAULT,
@@ -235,7 +235,7 @@ PUBLISHED: Final = replace(
     rates=(15.0, 30.0, 60.0, 100.0, 200.0),
     rate_seconds=5.0,
 )
-"""N as published for sampling and RMSProp, less for SLSQP and Newton; for an accelerator."""
+"""Size for an accelerator: published N for sampling and RMSProp, smaller N for SLSQP and Newton."""
 
 
 COMMAND: Final = "ablate"
@@ -245,12 +245,12 @@ RESULTS: Final = "results.json"
 
 
 def check_folder(folder: Path) -> None:
-    """Looks whether experiments may be written into a folder; writes nothing."""
+    """Checks that experiments can be written into a folder, without writing."""
     check_benchmark_folder(folder, COMMAND, "earlier experiments")
 
 
 class ExperimentFolder:
-    """The folder of some experiments.
+    """Folder of the results of experiments.
 
     Args:
         folder: made if need be.
@@ -276,11 +276,11 @@ class ExperimentFolder:
 
     @property
     def machine(self) -> dict[str, Any]:
-        """Facts that times depend on: processor, cores and device."""
+        """Facts on which times depend: processor, cores and device."""
         return {key: self.environment[key] for key in ("cpu", "cpu_cores", "device")}
 
     def experiment_folder(self, name: str) -> Path:
-        """Folder of an experiment's results; made if need be."""
+        """Folder of an experiment's results; created if missing."""
         path = self.folder / name
         try:
             path.mkdir(exist_ok=True)
@@ -323,7 +323,7 @@ class Drawing:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text; its first column names the rows.
+    """Table of text; its first column has the names of the rows.
 
     Attributes:
         title: above it.
@@ -367,7 +367,7 @@ class Experiment(Protocol):
     """Heading of its section."""
 
     claim: str
-    """The paper's claim, one line."""
+    """The paper's claim, in one line."""
 
     def run(self, context: ExperimentContext) -> Outcome:
         """Computes what is missing, and returns the outcome."""
@@ -383,12 +383,12 @@ EXPERIMENTS: Final[dict[str, tuple[str, str]]] = {
     "noise": ("sweeps", "TrackerNoise"),
     "rate": ("sweeps", "FrameRate"),
 }
-"""Name -> module of this package and class in it, in the order of the report. A new experiment is a
-file and a line here."""
+"""Name -> module of this package and class in it, in the order of the report. A new experiment
+needs a file and a line here."""
 
 
 def experiment(name: str) -> Experiment:
-    """An experiment by its name."""
+    """Finds an experiment by its name."""
     if name not in EXPERIMENTS:
         raise UnknownNameError("experiment", name, EXPERIMENTS)
     module, kind = EXPERIMENTS[name]
@@ -397,13 +397,13 @@ def experiment(name: str) -> Experiment:
 
 
 TUNING_OPERATOR: Final = 1001
-"""Seed of the built-in operator whose frames are tuned on, and never judged."""
+"""Seed of the built-in operator whose frames are used only for tuning."""
 
 Advance: TypeAlias = Callable[[str, float], None]
-"""Called with what is being done and how much of the work was done since the last call."""
+"""Function of the current work and of the amount of work done since the last call."""
 
 Track: TypeAlias = Callable[[str, float], AbstractContextManager[Advance]]
-"""Opens the display of a phase: its name, and how much work it is [ms, about]."""
+"""Opens the display of a phase from its name and its approximate amount of work [ms]."""
 
 
 def recordings_of(units: Sequence[str]) -> str:
@@ -420,13 +420,13 @@ def silent(name: str, work: float) -> Iterator[Advance]:
 
 
 Compute: TypeAlias = Callable[[Callable[[float], None]], dict[str, np.ndarray]]
-"""Makes the arrays of a cell; is given what it calls with the share that was done."""
+"""Makes the arrays of a cell; its argument is a function to call with the share done."""
 
 
 def cell_job(
     label: str, key: Mapping[str, Any], effort: float, compute: Compute, code: str = ""
 ) -> Job[Compute]:
-    """A cell to be computed, unless it is there already.
+    """Job of a cell, unless the cell is stored already.
 
     Args:
         key: what its content depends on, but for code; its ``kind`` begins the name of the file.
@@ -463,11 +463,11 @@ class ExperimentContext:
 
     @property
     def unit_of(self) -> dict[str, str]:
-        """Name of a recording -> the independent unit that it belongs to."""
+        """Name of a recording -> its independent unit."""
         return {source.name: source.request.unit for source in self.sources}
 
     def finish(self, phase: str, jobs: Sequence[Job[Compute]]) -> list[dict[str, np.ndarray]]:
-        """Computes the cells that are missing, and keeps each as soon as it is whole."""
+        """Computes the missing cells, and stores each as soon as it is complete."""
         cache = self.store.cells
         once = {job.name: job for job in jobs}  # the same cell may be asked for twice
         results, missing = find_results(list(once.values()), cache)
@@ -488,7 +488,7 @@ class ExperimentContext:
 
     @cached_property
     def tuning(self) -> Problem:
-        """DexPilot's loss on frames that are not judged."""
+        """DexPilot's loss on frames that are used only for tuning."""
         digests = {source.digest for source in self.sources}
         side = self.sources[0].side
         for seed in range(TUNING_OPERATOR, TUNING_OPERATOR + 1 + len(digests)):
@@ -503,7 +503,7 @@ class ExperimentContext:
     def run_job(
         self, problem: Problem, solver: Solver, velocity_weight: float, seed: int = 0
     ) -> Job[Compute]:
-        """A solver on a problem, as a cell."""
+        """Job that runs a solver on a problem."""
         seed = seed if solver.random else 0
 
         def compute(advance: Callable[[float], None]) -> dict[str, np.ndarray]:
@@ -525,14 +525,14 @@ class ExperimentContext:
         )
 
     def run_all(self, phase: str, jobs: Sequence[Job[Compute]]) -> list[Run]:
-        """Those cells as runs."""
+        """Runs the jobs; returns their runs."""
         return [Run.of(cell) for cell in self.finish(phase, jobs)]
 
 
 def _computed(
     jobs: Sequence[Job[Compute]], advance: Advance
 ) -> Iterator[TaskResult[dict[str, np.ndarray]]]:
-    """The cells one after the other, in this process; what a job raises is not caught."""
+    """Computes the cells one after another in this process; errors of a job are not caught."""
     for index, job in enumerate(jobs):
         label = f"{index + 1} of {len(jobs)}: {job.label}"
         advance(label, 0.0)

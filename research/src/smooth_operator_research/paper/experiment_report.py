@@ -77,7 +77,7 @@ def write_outcome(
 
 
 def write_report(store: ExperimentFolder) -> Path:
-    """One page of all experiments whose results are in the folder; it needs no other file."""
+    """Writes one self-contained page of all experiments whose results are in the folder."""
     contents = {name: _read(store.folder / name / RESULTS) for name in EXPERIMENTS}
     results = {name: content for name, content in contents.items() if content}
     sections = [("Verdicts", "verdicts", _overview(results))]
@@ -167,7 +167,7 @@ _LONG: Final = 12
 
 
 def _picture(path: Path, caption: str) -> Html:
-    """A figure as an image in the page itself, so that names in it can't clash with another's."""
+    """Figure as an embedded image, so that its names can't clash with another figure's."""
     try:
         content = base64.b64encode(path.read_bytes()).decode()
     except OSError:
@@ -177,7 +177,7 @@ def _picture(path: Path, caption: str) -> Html:
 
 
 def verdict_lines(outcomes: Sequence[tuple[str, Outcome]]) -> list[tuple[str, str, str, str, str]]:
-    """Experiment, claim, paper, ours and verdict of each claim, for a table of text."""
+    """Experiment, claim, paper's figure, our figure and verdict of each claim, for a text table."""
     return [
         (name, v.claim, v.paper, v.ours, f"{_MARKS[v.held]} {v.held}")
         for name, outcome in outcomes

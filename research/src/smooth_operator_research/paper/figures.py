@@ -39,7 +39,7 @@ def dot(
     *,
     bar: bool = True,
 ) -> None:
-    """A mean with its interval, and a tick for each recording."""
+    """Draws a mean with its interval, and a tick for each recording."""
     color, own = style["color"], factor * np.asarray(each)
     ax.plot(own, [y] * len(own), "|", color=color, markersize=6, alpha=0.55, zorder=2)
     if bar and mean.low is not None and mean.high is not None:
@@ -50,7 +50,7 @@ def dot(
 
 
 def name_rows(ax: Axes, labels: Sequence[str]) -> None:
-    """Names on the vertical axis, every other row shaded."""
+    """Labels the vertical axis with names, and shades every other row."""
     ax.set_ylim(len(labels) - 0.5, -0.5)
     ax.set_yticks(range(len(labels)), labels)
     ax.tick_params(axis="y", length=0)
@@ -60,7 +60,7 @@ def name_rows(ax: Axes, labels: Sequence[str]) -> None:
 
 
 def plain_log(axis: object) -> None:
-    """Numbers, not powers, on a logarithmic axis, and not too many."""
+    """Labels a logarithmic axis with a few plain numbers."""
     from matplotlib.axis import Axis
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
@@ -76,13 +76,13 @@ def plain_log(axis: object) -> None:
 
 
 _FLOOR: Final = 0.003
-"""Less above the best cell than this is drawn as this [%]: differences there are chance."""
+"""Smallest excess over the best cell that is drawn [%]; smaller differences are chance."""
 
 
 def compute_figure(
     means: Mapping[Point, Estimate], lines: Sequence[Sequence[Point]], reference: float
 ) -> Figure:
-    """The loss over the grid, and along contours of equal compute.
+    """Draws the loss over the grid, and along contours of equal compute.
 
     Args:
         means: loss of each cell.
@@ -204,7 +204,7 @@ class Look:
 
     @property
     def line(self) -> dict[str, Any]:
-        """For matplotlib."""
+        """Line style for matplotlib."""
         return {
             "color": self.color,
             "marker": self.marker,
@@ -217,7 +217,7 @@ class Look:
 
 
 def looks_of(labels: Sequence[str]) -> dict[str, Look]:
-    """A look for each method."""
+    """Returns a look for each method."""
     families = list(dict.fromkeys([*COLORS, *(label.partition(":")[0] for label in labels)]))
     count = len(COLORS)
     looks = {}
@@ -236,7 +236,7 @@ def fk_figure(
     gaps: Mapping[str, str],
     libraries: Sequence[str],
 ) -> Figure:
-    """Time a pose over the size of the batch, a line for each library; gaps are named."""
+    """Draws the time per pose over the batch size, one line per library; missing ones are named."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -300,7 +300,7 @@ def sweep_figure(
     rows: Sequence[Row],
     columns: Sequence[Column],
 ) -> Figure:
-    """Lines with intervals, one for each method, over conditions."""
+    """Draws lines with intervals over the conditions, one for each method."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -362,7 +362,7 @@ def sweep_figure(
 
 
 def _spread(column: Column, count: int) -> Callable[[float, int], float]:
-    """Moves the methods a little apart, so that intervals don't hide each other."""
+    """Shifts the methods slightly, so that their intervals don't hide each other."""
     if column.log:
         return lambda x, i: float(x * 1.012 ** (i - (count - 1) / 2))
     step = (max(column.places) - min(column.places)) / 300
@@ -421,8 +421,8 @@ class Panel(NamedTuple):
 
 
 def table_figure(panels: Sequence[Panel], labels: Sequence[str]) -> Figure:
-    """Dots with intervals, a row for each method and a panel for each metric; diamonds are the
-    paper's own figures."""
+    """Draws dots with intervals, a row for each method and a panel for each metric; diamonds are
+    the paper's own figures."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 

@@ -55,7 +55,7 @@ _INERTIAL: Final = (
     '<inertial><mass value="0.01"/><inertia ixx="1e-5" ixy="0" ixz="0" iyy="1e-5" iyz="0" '
     'izz="1e-5"/></inertial>'
 )
-"""Some readers refuse moving links without a mass."""
+"""Mass of links; some readers refuse moving links without one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class Urdf:
 
 
 def write_urdf(hand: Hand) -> Urdf:
-    """The hand's joints below the palm; coupled ones are joints like any other."""
+    """Writes the hand's joints below the palm; coupled joints are written like any other."""
     model, parts = hand.model, [f'<link name="{ROOT}"/>']
     palm = int(model.body(hand.spec.palm).id)
     at: dict[int, tuple[str, np.ndarray]] = {palm: (ROOT, np.eye(4))}
@@ -167,7 +167,7 @@ def _moved(position: Float[np.ndarray, "3"] | tuple[float, ...]) -> np.ndarray:
 
 
 AGREEMENT: Final = 1e-5
-"""Fingertips that differ by less are the same [m]; float32 is good to about 1e-7."""
+"""Largest difference of fingertips that count as equal [m]; float32 is good to about 1e-7."""
 
 OURS: Final = "smooth-operator"
 BOUNDED: Final = "smooth-operator, within limits"
@@ -184,12 +184,12 @@ _NEEDS: Final = {
     PYTORCH: (("torch", "pytorch_kinematics"), "pytorch-kinematics"),
     MUJOCO: (("mujoco",), "mujoco"),
 }
-"""Library -> modules that it needs, and the distribution that brings them."""
+"""Library -> modules that it needs, and the distribution that contains them."""
 
 LIBRARIES: Final = tuple(_NEEDS)
 
 Run = Callable[[], Any]
-"""Computes the fingertips of the prepared poses, and returns when they are there."""
+"""Computes the fingertips of the prepared poses, and waits for the result."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +212,7 @@ class Library:
 
 
 def missing(name: str) -> str | None:
-    """Why a library can't be used here, for a person; None if it can."""
+    """Reason why a library can't be used here; None if it can."""
     modules, distribution = _NEEDS[name]
     for module in modules:
         try:
@@ -228,7 +228,7 @@ def missing(name: str) -> str | None:
 
 
 def library_version(name: str) -> str:
-    """Version of the distribution; ``unknown`` where it has none."""
+    """Version of the distribution; ``unknown`` if it has none."""
     try:
         return version(_NEEDS[name][1])
     except PackageNotFoundError:
@@ -236,7 +236,7 @@ def library_version(name: str) -> str:
 
 
 def make_library(name: str, hand: Hand) -> Library:
-    """A library ready for a hand.
+    """Prepares a library for a hand.
 
     Args:
         name: one of ``LIBRARIES``, for which ``missing`` found nothing.
@@ -247,7 +247,7 @@ def make_library(name: str, hand: Hand) -> Library:
 
 
 def random_poses(hand: Hand, count: int, seed: int) -> Float[np.ndarray, "N n"]:
-    """(N, n) random positions of all joints [rad], within the limits, couplings respected."""
+    """Random positions (N, n) of all joints [rad], within limits and couplings."""
     low, high = hand.limits.T
     rng = np.random.default_rng(seed)
     return hand.full_configuration(rng.uniform(low, high, (count, len(low))))
@@ -405,10 +405,10 @@ def _pytorch(hand: Hand) -> Library:
 INSTALL: Final = 'python -m pip install "./research[fk]"'
 """Command that installs the compared libraries, in a clone."""
 SLICE_S: Final = 0.05
-"""A round repeats a call for so long [s], or makes one that takes longer."""
+"""Time for which a round repeats a call [s]; a longer call is made once."""
 
 CHECKED: Final = 200
-"""Poses that a library must agree on before it is timed."""
+"""Number of poses on which a library must agree before it is timed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -430,12 +430,12 @@ class Timing:
     others: float | None
 
     def rounds(self, library: str, batch: int) -> Samples:
-        """Time a pose in each round [ns]; all count, since those kept by their speed would differ
-        less than the machine does."""
+        """Time per pose in each round [ns]. All rounds count, because a selection by speed would
+        understate the variation of the machine."""
         return independent(self.per_pose[library][batch])
 
     def mean(self, library: str, batch: int) -> Estimate:
-        """Time a pose [ns], geometric, with an interval over rounds."""
+        """Geometric mean of the time per pose [ns], with an interval over rounds."""
         return typical(self.rounds(library, batch))
 
     def over(self, slow: str, fast: str, batch: int) -> Estimate:
@@ -444,7 +444,7 @@ class Timing:
 
 
 class FkLibraries:
-    """Ours, MJX, Pinocchio, PyTorch Kinematics and MuJoCo's C on the same poses."""
+    """Times our kinematics, MJX, Pinocchio, PyTorch Kinematics and MuJoCo's C on the same poses."""
 
     title = "Libraries of forward kinematics"
     claim = "MJX is fast enough even at large batch sizes, and was chosen for it"
@@ -492,7 +492,7 @@ class FkLibraries:
 
 
 def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
-    """Times what is installed and agrees; the other libraries are gaps with a reason."""
+    """Times the libraries that are installed and agree; the others are gaps with a reason."""
     gaps = {name: why for name in LIBRARIES if (why := missing(name)) is not None}
     library: Callable[[str], Library] = cache(lambda name: make_library(name, hand))
     here = [name for name in LIBRARIES if name not in gaps]
@@ -562,7 +562,7 @@ def time_libraries(context: ExperimentContext, hand: Hand) -> Timing:
 def rounds_of(
     runs: Mapping[str, Run], rounds: int, done: Callable[[], None]
 ) -> dict[str, list[float]]:
-    """Times of calls that take turns, so that noise of the machine hits all alike.
+    """Times of calls that take turns, so that noise of the machine affects all alike.
 
     Args:
         runs: name -> what is timed.

@@ -1,4 +1,4 @@
-"""Methods on degraded recordings, as cells; and what is measured of them."""
+"""Runs of methods on degraded recordings, and their figures."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ LEAD: Final = 20
 it has settled, from its neutral pose, is not counted."""
 
 FEWEST: Final = 12
-"""A recording of fewer frames has neither jitter nor lag worth the name."""
+"""Smallest number of frames for a meaningful jitter or lag."""
 
 
 @dataclass(frozen=True, eq=False)
 class DegradedRecording:
-    """A recording as seen, and as it was.
+    """A recording as the tracker shows it, and as it really was.
 
     Attributes:
         source: where it is from.
@@ -85,14 +85,14 @@ class DegradedRecording:
 
 
 def recording_of(source: Source) -> HandRecording:
-    """The frames of a source."""
+    """Reads the frames of a source."""
     if source.recording is None:
         raise RecordingError(f"{source.name}: {source.error}")
     return source.recording
 
 
 def middle(recording: HandRecording, frames: int) -> HandRecording:
-    """So many frames from the middle; all, where there are fewer."""
+    """Selects a number of frames from the middle; all if there are fewer."""
     start = max(0, (len(recording) - frames) // 2)
     return recording[start : start + frames]
 
@@ -100,7 +100,7 @@ def middle(recording: HandRecording, frames: int) -> HandRecording:
 def through_tracker(
     source: Source, clean: HandRecording, model: TrackerModel, noise: float = 0.0
 ) -> DegradedRecording:
-    """A recording behind a tracker with losses, and with noise as no real tracker has it.
+    """Simulates a tracker with losses and white noise, unlike that of real trackers.
 
     A lost frame stays in its place without a valid landmark, as a loop meets it that has to send a
     command anyway. The recording's own noise, where a real tracker made it, is in both.
@@ -129,7 +129,7 @@ def through_tracker(
 
 
 def at_rate(source: Source, rate_hz: float, seconds: float) -> DegradedRecording | None:
-    """The same motion at another frame rate.
+    """Resamples a motion at another frame rate.
 
     The built-in operator is recorded again, so that nothing is interpolated. Of another
     recording the frames nearest to the ticks are taken with their own stamps.
@@ -160,14 +160,14 @@ def at_rate(source: Source, rate_hz: float, seconds: float) -> DegradedRecording
 def nearest_frames(
     stamps: Float[np.ndarray, " T"], ticks: Float[np.ndarray, " S"]
 ) -> Int[np.ndarray, " U"]:
-    """Which frames are nearest to the ticks, each once."""
+    """Indices of the frames nearest to the ticks, each at most once."""
     after = np.searchsorted(stamps, ticks).clip(1, len(stamps) - 1)
     before_is_nearer = ticks - stamps[after - 1] < stamps[after] - ticks
     return np.unique(after - before_is_nearer)
 
 
 def led(recording: HandRecording) -> HandRecording:
-    """A recording with its first frame LEAD times in front, at its own rate."""
+    """Repeats the first frame of a recording LEAD times in front, at its own rate."""
     period = 1.0 / recording.rate_hz
     first = np.zeros(LEAD, int)
     led = _chosen(recording, np.concatenate([first, np.arange(len(recording))]), check=False)
@@ -189,10 +189,10 @@ def _chosen(
 
 
 LONGEST_S: Final = 0.25
-"""Longest delay that is looked for [s]; a result near it means that or more."""
+"""Longest delay of the search [s]; a result near it means this delay or a longer one."""
 
 EARLIEST_S: Final = 0.04
-"""Longest time by which the robot may be ahead of the human [s]; so a lag of nothing is no edge."""
+"""Longest lead of the robot in the search [s], so that a lag of zero is not at the edge."""
 
 _STEP_S: Final = 0.002
 _SHORTEST_S: Final = 0.2  # of overlap; less correlates by chance
@@ -203,7 +203,7 @@ def sub_frame_lag(
     robot: Float[np.ndarray, "T F 3"],
     stamps: Float[np.ndarray, " T"],
 ) -> tuple[float, float]:
-    """The delay that best aligns human and robot fingertip velocity, and how well it does.
+    """Delay that best aligns the fingertip velocities of human and robot, and its correlation.
 
     ``lag`` counts whole frames, refines by a parabola and
     says 0 for all that is under half a frame; at 15 Hz that is 33 ms. Here cubic splines are laid
@@ -259,10 +259,11 @@ PUBLISHED_SBR: Final = "sbr:paper"
 """Label of the paper's method with the paper's settings."""
 
 BASELINES: Final = ("dexpilot:published", "geort", "hybrid:published")
-"""Labels of the baselines of the paper's table, as their authors run them; GeoRT with our model."""
+"""Labels of the baselines in the paper's table, with their authors' settings; GeoRT with our
+model."""
 
 METHODS: Final = (PUBLISHED_SBR, *BASELINES, "sbr", "smooth", "ako", "joint_angle")
-"""Those of the paper's table as published, and ours."""
+"""Methods of the paper's table as published, and ours."""
 
 _EFFORT_MS: Final = {
     "sbr:paper": 20.0,
@@ -270,7 +271,7 @@ _EFFORT_MS: Final = {
     "dexpilot:published": 8.0,
     "hybrid:published": 8.0,
 }
-"""About how long a frame takes [ms], for the time that is left; 0.7 for others."""
+"""Approximate time of a frame [ms], to estimate the remaining time; 0.7 for others."""
 
 
 @dataclass(frozen=True)
@@ -286,12 +287,12 @@ class Field:
     gaps: Mapping[str, str]
 
     def note(self) -> str:
-        """The gaps as a sentence, empty where there are none."""
+        """Describes the missing methods in a sentence; empty without any."""
         return "".join(f" {label} is missing: {why}." for label, why in self.gaps.items())
 
 
 def field_of(context: ExperimentContext, names: Sequence[str] = METHODS) -> Field:
-    """Which of some methods can serve the hand."""
+    """Selects the methods that can serve the hand."""
     choices: dict[str, Choice] = {}
     gaps: dict[str, str] = {}
     hand = load_hand(context.hand, context.sources[0].side)
@@ -310,7 +311,7 @@ def field_of(context: ExperimentContext, names: Sequence[str] = METHODS) -> Fiel
 
 
 def effort_ms(label: str) -> float:
-    """About how long a frame takes on two cores [ms]."""
+    """Approximate time of a frame on two cores [ms]."""
     return _EFFORT_MS.get(label, 0.7)
 
 
@@ -321,7 +322,7 @@ def follow_job(
     degraded: DegradedRecording,
     seed: int = 0,
 ) -> Job[Compute]:
-    """A method on a degraded recording, as a cell: ``q`` (T, n) [rad] and ``status`` (T,)."""
+    """Job of a method on a degraded recording: ``q`` (T, n) [rad] and ``status`` (T,)."""
     source = replace(degraded.source, recording=degraded.seen, digest=degraded.digest)
     cell = Cell(source, context.hand, choice.method, choice.preset, choice.config)
 
@@ -359,7 +360,7 @@ def measure_following(
     alignment: AlignmentConfig,
     timing: bool = False,
 ) -> dict[str, float]:
-    """Figures of a method on a degraded recording, against the hand as it was.
+    """Measures a method on a degraded recording against the true hand.
 
     Returns:
         ``cosine_similarity`` (thumb to tips), ``motion_preservation``, ``flatness`` [m²],
@@ -428,7 +429,8 @@ _SIGNED_OR_BOUNDED: Final = (
     "correlation",
     "held",
 )
-"""Figures that are averaged as they are; the others are positive and differ manifold."""
+"""Figures with an arithmetic mean; the others are positive, vary widely and have a geometric
+mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -450,15 +452,16 @@ class Sweep:
     units: Mapping[str, str]
 
     def mean(self, label: str, condition: Any, metric: str) -> Estimate | None:
-        """With an interval, geometric for figures of smoothness; None where no recording has it."""
+        """Mean with an interval, geometric for figures of smoothness; None if no recording has
+        it."""
         return self._averaged(self.known(label, condition, metric), metric)
 
     def human_mean(self, condition: Any, metric: str) -> Estimate | None:
-        """The same of the human."""
+        """Mean of the human's figure."""
         return self._averaged(_known(self.human, (condition,), self.units, metric), metric)
 
     def known(self, label: str, condition: Any, metric: str) -> dict[str, list[float]]:
-        """Recording -> a figure by seed; recordings without it are left out."""
+        """Recording -> its figure by seed, without recordings that lack it."""
         return _known(self.measured, (label, condition), self.units, metric)
 
     def _averaged(self, values: Mapping[str, list[float]], metric: str) -> Estimate | None:
@@ -468,13 +471,13 @@ class Sweep:
         return over(self.samples(values))
 
     def samples(self, values: Mapping[str, Sequence[float]]) -> Samples:
-        """With the units of the recordings."""
+        """Samples with the units of the recordings."""
         return Samples(list(values.values()), [self.units[name] for name in values])
 
     def against(
         self, a: str, b: str, condition: Any, metric: str, kind: Contrast = "ratio"
     ) -> Estimate | None:
-        """One method against another, recording by recording; None where they can't be compared."""
+        """Compares two methods by recording; None if they can't be compared."""
         return self.compared(
             self.known(a, condition, metric), self.known(b, condition, metric), kind
         )
@@ -482,7 +485,7 @@ class Sweep:
     def compared(
         self, x: Mapping[str, list[float]], y: Mapping[str, list[float]], kind: Contrast
     ) -> Estimate | None:
-        """Figures of the recordings that are in both; None where there is none."""
+        """Samples of the recordings that both have; None if there are none."""
         both = [name for name in x if name in y]
         if not both:
             return None
@@ -507,7 +510,7 @@ def run_sweep(
     inputs: Mapping[tuple[Any, str], Sequence[DegradedRecording]],
     timing: bool = False,
 ) -> Sweep:
-    """Runs what is missing.
+    """Runs the missing cells of a sweep.
 
     Args:
         inputs: (condition, recording) -> one degraded recording for each seed.

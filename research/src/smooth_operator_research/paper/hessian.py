@@ -1,4 +1,4 @@
-"""Experiment ``hessian``: in which directions of the loss does a solver jitter?"""
+"""Experiment ``hessian``: jitter of solvers along the eigenvectors of the loss's Hessian."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ CHECKED_FRAMES: Final = 5
 """Frames of each recording whose Hessian is checked."""
 
 MATCHED: Final = 1.25
-"""Jitters within this factor of each other count as closely matched."""
+"""Jitters that differ by less than this factor count as closely matched."""
 
 
 class HessianDirections:
@@ -103,7 +103,7 @@ def hessian_figure(
     ranked: Sequence[dict[str, list[list[Float[np.ndarray, " m"]]]]],
     spectra: Sequence[Float[np.ndarray, "T m"]],
 ) -> Figure:
-    """Jitter by rank, without and with the velocity term, and the spectrum.
+    """Draws the jitter by rank, without and with the velocity term, and the spectrum.
 
     Args:
         ranked: for each, label -> recording -> seed -> (m,) jitter along each rank [rad].
@@ -188,7 +188,7 @@ def ranked_jitter(comparison: Comparison, vectors: list[Float[np.ndarray, "T m m
 def projected_jitter(
     q: Float[np.ndarray, "T m"], vectors: Float[np.ndarray, "T m m"]
 ) -> Float[np.ndarray, " m"]:
-    """Mean |second difference along each eigenvector of the frame in the middle| [rad].
+    """Mean absolute second difference along each eigenvector of the middle frame [rad].
 
     Args:
         q: (T, m) joint positions [rad].
@@ -202,7 +202,7 @@ def projected_jitter(
 def hessians(
     problem: Problem, q: Float[np.ndarray, "T m"]
 ) -> tuple[Float[np.ndarray, "T m m"], float]:
-    """Exact Hessians of the loss, without velocity term, and how far finite differences are off.
+    """Exact Hessians of the loss without velocity term, and the error of finite differences.
 
     Args:
         q: (T, m) where [rad].
@@ -238,7 +238,7 @@ def hessians(
 
 
 def _float64() -> contextlib.AbstractContextManager[Any]:
-    """JAX in float64 inside a ``with``, whatever this version of JAX spells it."""
+    """Context in which JAX uses float64, for all versions of JAX."""
     switch: Any = getattr(jax, "enable_x64", None)
     if callable(switch):
         context: contextlib.AbstractContextManager[Any] = switch(True)
@@ -277,7 +277,7 @@ def _share(comparison: Comparison, ranked: Ranked, label: str, ranks: slice) -> 
 
 
 def _thirds(ranked: Ranked) -> tuple[slice, slice]:
-    """The flattest and the stiffest third of the ranks."""
+    """Returns the flattest and the stiffest third of the ranks."""
     count = len(next(iter(ranked.values()))[0][0])
     third = max(count // 3, 1)
     return slice(0, third), slice(count - third, count)

@@ -25,7 +25,7 @@ COUNTS: Final = (4, 20)
 """Independent recordings."""
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
-"""Log ratios of so many independent recordings, with mean 0."""
+"""Draws log ratios of independent recordings with mean 0."""
 
 DRAWS: Final[dict[str, Draw]] = {
     "normal": lambda rng, n: rng.normal(0.0, 0.3, n),
@@ -35,29 +35,29 @@ DRAWS: Final[dict[str, Draw]] = {
         rng.normal(0.0, 0.1, n) * np.where(rng.random(n) < 0.1, 10.0, 1.0)
     ),
 }
-"""Differences between recordings; the spreads are about those of the experiments."""
+"""Distributions of differences between recordings, with spreads like those of the experiments."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Coverage of intervals, by simulation."""
+    """Settings of the simulation of coverage."""
 
     draws: int = 10_000
-    """Draws for each cell of the table."""
+    """Number of draws for each cell of the table."""
 
     counts: tuple[int, ...] = COUNTS
-    """Independent recordings, a column for each."""
+    """Numbers of independent recordings, one column each."""
 
 
 class Coverage(NamedTuple):
-    """Shares of intervals that hold the truth, and of draws in which a direction is shown."""
+    """Shares of intervals that contain the truth, and of draws in which a direction is shown."""
 
     covered: float
     shown: float
 
 
 def coverage(draw: Draw, count: int, draws: int, windows: int = 1, alone: bool = False) -> Coverage:
-    """Judges draws without any effect.
+    """Judges draws without an effect.
 
     Args:
         count: independent recordings.

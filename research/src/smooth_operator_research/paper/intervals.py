@@ -20,12 +20,12 @@ from jaxtyping import Float
 Contrast: TypeAlias = Literal["ratio", "change", "difference"]
 
 LEVEL: Final = 0.95
-"""Share of intervals that hold the truth."""
+"""Share of intervals that contain the truth."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """A figure of each recording and seed.
+    """Values of a figure for each recording and seed.
 
     Attributes:
         values: by recording, then by seed; a solver without chance has one seed.
@@ -48,7 +48,7 @@ class Samples:
 
 
 def independent(values: Sequence[float]) -> Samples:
-    """Samples of one value each that have nothing in common."""
+    """Makes independent samples of one value each."""
     return Samples([[value] for value in values], [str(i) for i in range(len(values))])
 
 
@@ -103,7 +103,7 @@ class Estimate:
         return min(ends), max(ends)
 
     def part_of(self, target: float, none: float, share: float) -> float:
-        """A figure part of the way from no effect to a target, on the scale of the points."""
+        """Value between no effect and a target, on the scale of the points."""
         a, b = (self._scaled(x) for x in (none, target))
         return self._shown(a + share * (b - a))
 
@@ -118,7 +118,7 @@ class Estimate:
         return self.shown()
 
     def shown(self, digits: int = 3, scale: float = 1.0, unit: str = "") -> str:
-        """As text: the figure, and its interval in brackets."""
+        """Formats the figure, with its interval in brackets."""
 
         def number(value: float) -> str:
             text = f"{scale * value:.{digits}g}"
@@ -135,7 +135,7 @@ def mean_of(samples: Samples) -> Estimate:
 
 
 def typical(samples: Samples) -> Estimate:
-    """Geometric mean over independent units, for positive figures that differ manifold.
+    """Geometric mean over independent units, for positive figures of very different size.
 
     Its ratio between two methods is their ``contrast``. Where a figure is zero there is no
     interval.
@@ -145,7 +145,7 @@ def typical(samples: Samples) -> Estimate:
 
 
 def contrast(a: Samples, b: Samples, kind: Contrast) -> Estimate:
-    """A against B, recording by recording: both stem from the same frames.
+    """Compares A with B by recording, since both come from the same frames.
 
     Args:
         a, b: samples of the same recordings in the same order.
@@ -156,7 +156,7 @@ def contrast(a: Samples, b: Samples, kind: Contrast) -> Estimate:
 
 
 def pooled(pairs: Sequence[tuple[Samples, Samples]], kind: Contrast) -> Estimate:
-    """The mean of several contrasts, as over solvers, unit by unit."""
+    """Averages several contrasts, such as those of solvers, unit by unit."""
     units = pairs[0][0].units
     if any(list(one.units) != list(units) for pair in pairs for one in pair):
         raise ValueError("figures of different recordings can't be compared")

@@ -21,8 +21,8 @@ LINE_SEARCH_FAILED: Final = (
     RuntimeError,
     getattr(nlopt, "runtime_error", RuntimeError),
 )
-"""Exceptions of NLopt after a failed line search, which the rounding of float32 can cause; which
-one depends on the version."""
+"""Exceptions of NLopt after a failed line search, which float32 rounding can cause; the type
+depends on the version."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def nlopt_minimise(
     limits: Float[np.ndarray, "m 2"],
     config: NloptConfig,
 ) -> SlsqpResult:
-    """Minimise within (m, 2) bounds from a start, which is clipped to them."""
+    """Minimises within bounds (m, 2) from a start, which is clipped to them."""
     low, high = limits[:, 0], limits[:, 1]
     best = np.clip(np.asarray(start, np.float64), low, high)
     lowest, evaluations = math.inf, 0

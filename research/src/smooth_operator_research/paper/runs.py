@@ -1,4 +1,5 @@
-"""Problems of recordings, and a solver over one, each frame begun at the answer to the last.
+"""Minimisation problems from recordings, and runs of a solver that starts each frame at the last
+solution.
 
 A problem has the targets of every frame, computed once for all solvers.
 
@@ -46,7 +47,7 @@ from smooth_operator_research.paper.compared_solvers import (
 )
 
 FEWEST_FRAMES: Final = 10
-"""A run of fewer usable frames has no jitter worth the name."""
+"""Smallest number of usable frames for a meaningful jitter."""
 
 _SETTLE_ROUNDS: Final = 6
 _SETTLE = SamplingConfig(samples=512, elites=48, cycles=8, sigma=0.4, draws="quasi")
@@ -91,14 +92,14 @@ class Problem:
 
     @cached_property
     def digest(self) -> str:
-        """Digest of all that the answers depend on."""
+        """Digest of everything that the solutions depend on."""
         total = hashlib.sha256(repr((self.objective.config, self.hand.name)).encode())
         for array in (self.vectors, self.weights, self.start, self.stamps, self.hand.limits):
             total.update(np.ascontiguousarray(array, "<f8").tobytes())
         return total.hexdigest()
 
     def goal(self, t: int, previous: Float[np.ndarray, " m"], velocity_weight: float) -> FrameGoal:
-        """The t-th frame after an answer."""
+        """Goal of frame t after a solution."""
         return FrameGoal(
             jnp.asarray(self.vectors[t], jnp.float32),
             jnp.asarray(self.weights[t], jnp.float32),
@@ -107,7 +108,7 @@ class Problem:
         )
 
     def tracking_loss(self, q: Float[np.ndarray, "T m"]) -> Float[np.ndarray, " T"]:
-        """First term of Eq. (1) at an answer to each frame."""
+        """First term of Eq. (1) at a solution of each frame."""
         layout, hand = self.objective.layout, self.hand
         moving = dict(
             zip(hand.tree.names, np.moveaxis(hand.landmark_positions(q), -2, 0), strict=True)
@@ -126,7 +127,7 @@ class Problem:
         return np.asarray(prices.sum(axis=-1))
 
     def cost(self, q: Float[np.ndarray, "T m"], velocity_weight: float) -> Float[np.ndarray, " T"]:
-        """All of Eq. (1) at an answer to each frame, each with the answer before it."""
+        """Eq. (1) at a solution of each frame, given the solution before it."""
         before = np.concatenate([self.start[None], q[:-1]])
         goal = FrameGoal(self.vectors, self.weights, before, velocity_weight)
         rest = self.objective.regularisation(np.asarray(q), goal).cost
@@ -136,7 +137,7 @@ class Problem:
 def make_problems(
     sources: Sequence[Source], hand: str, config: ObjectiveConfig, frames: int
 ) -> list[Problem]:
-    """Problems of the recordings that can be read.
+    """Makes the problems of the readable recordings.
 
     Args:
         sources: recordings.
@@ -147,7 +148,7 @@ def make_problems(
 
 
 def make_problem(source: Source, hand: str, config: ObjectiveConfig, frames: int) -> Problem:
-    """One of them."""
+    """Makes the problem of one recording."""
     recording = source.recording
     assert recording is not None  # of a source that could be read
     objective = _objective(hand, recording.side, config)
@@ -174,7 +175,7 @@ def make_problem(source: Source, hand: str, config: ObjectiveConfig, frames: int
 
 
 def unbroken(usable: Bool[np.ndarray, " T"], most: int) -> slice:
-    """The first run of ``most`` usable frames; the longest there is where none is that long."""
+    """First run of ``most`` usable frames; the longest run if none is that long."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]).astype(np.int8)))
     runs = [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
     whole = [run for run in runs if run[1] - run[0] >= most]
@@ -184,7 +185,7 @@ def unbroken(usable: Bool[np.ndarray, " T"], most: int) -> slice:
 
 @lru_cache(maxsize=16)
 def _objective(hand: str, side: str, config: ObjectiveConfig) -> SampledObjective:
-    """One for each hand and configuration: compiled programs are kept by it."""
+    """Objective of a hand and configuration; cached, because compiled programs belong to it."""
     return SampledObjective(load_hand(hand, side), config)
 
 
@@ -203,7 +204,7 @@ def _targets(
 def _settled(
     objective: SampledObjective, vectors: Float[np.ndarray, "K 3"], weights: Float[np.ndarray, " K"]
 ) -> Float[np.ndarray, " m"]:
-    """The minimum of the first frame: sampled wide, then descended, some times over."""
+    """Minimum of the first frame, by repeated wide sampling and descent."""
     run = _settling_program(objective)
     q = jnp.asarray(objective.hand.neutral, jnp.float32)
     for i in range(_SETTLE_ROUNDS):
@@ -236,16 +237,16 @@ def _settling_program(objective: SampledObjective) -> Callable[..., Array]:
 
 
 CHUNK: Final = 20
-"""Frames in one call of a program: few enough that Ctrl-C is heard and a bar moves."""
+"""Frames per call of a program; few, so that Ctrl-C and progress bars respond."""
 
 Arrays = dict[str, np.ndarray]
 Advance = Callable[[float], None]
-"""Called with the share of a cell that was done since the last call."""
+"""Function of the share of a cell that was done since the last call."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Answers of a solver to a problem.
+    """Solutions of a problem by a solver.
 
     Attributes:
         q: (T, m) its answers [rad].
@@ -261,16 +262,16 @@ class Run:
 
     @staticmethod
     def of(arrays: Arrays) -> Run:
-        """From a kept cell."""
+        """Restores a run from a stored cell."""
         return Run(**{**arrays, "others": float(arrays["others"])})  # type: ignore[arg-type]
 
     def arrays(self) -> Arrays:
-        """For a kept cell."""
+        """Arrays for a stored cell."""
         return {name: np.asarray(value) for name, value in vars(self).items()}
 
 
 def measure_run(problem: Problem, run: Run, velocity_weight: float) -> dict[str, float]:
-    """Figures of a run.
+    """Measures a run.
 
     Returns:
         ``loss``: mean tracking loss, the first term of Eq. (1); ``cost``: mean of all of it;
@@ -298,7 +299,7 @@ def run_solver(
     seed: int,
     advance: Advance = lambda share: None,
 ) -> Run:
-    """A solver over a recording.
+    """Runs a solver over a recording.
 
     Args:
         velocity_weight: w_v; the objective's own is not looked at.
@@ -366,7 +367,7 @@ def _compiled(
 
 @dataclass(eq=False)
 class _Program:
-    """A program, and whether it was compiled already."""
+    """A program, and a flag for whether it is compiled."""
 
     run: Callable[..., Any]
     warm: bool = False
@@ -374,7 +375,7 @@ class _Program:
 
 @lru_cache(maxsize=32)
 def _program(objective: SampledObjective, solver: CompiledSolver) -> _Program:
-    """Some frames as one compiled program, the same for all values of the knobs."""
+    """Compiled program for some frames, shared by all values of the knobs."""
 
     def program(q: Array, frames: Any, weight: Array, words: Array, knobs: Array) -> Any:
         def frame(q: Array, frame_data: tuple[Array, Array, Array]) -> Any:

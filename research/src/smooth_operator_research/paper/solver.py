@@ -1,4 +1,5 @@
-"""Experiments ``solver`` and ``velocity``: solvers on DexPilot's loss, also with the term."""
+"""Experiments ``solver`` and ``velocity``: solvers on DexPilot's loss, without and with a velocity
+term."""
 
 from __future__ import annotations
 
@@ -81,7 +82,7 @@ class Comparison:
         )
 
     def mean(self, label: str, metric: str) -> Estimate:
-        """Its geometric mean with an interval."""
+        """Geometric mean of a figure, with an interval."""
         return typical(self.samples(label, metric))
 
     @cached_property
@@ -94,7 +95,7 @@ class Comparison:
         }
 
     def others(self) -> float | None:
-        """The largest share of the cores that other processes took during a run."""
+        """Largest share of the cores that other processes used during a run."""
         shares = [run.others for own in self.runs.values() for seeds in own for run in seeds]
         finite = [share for share in shares if np.isfinite(share)]
         return max(finite) if finite else None
@@ -165,14 +166,15 @@ class Comparison:
 
 
 def compare_solvers(context: ExperimentContext, velocity_weight: float) -> Comparison:
-    """All solvers on DexPilot's loss; runs what is missing."""
+    """Compares all solvers on DexPilot's loss; runs the missing cells."""
     solver_grid = make_solver_grid(context, velocity_weight)
     term = f", w_v {velocity_weight:g}" if velocity_weight else ""
     return _compared(context, solver_grid, context.judged, velocity_weight, f"solvers{term}")
 
 
 def compare_as_printed(context: ExperimentContext) -> Comparison:
-    """Sampling and SLSQP on DexPilot's loss with a squared norm, as the supplement prints it."""
+    """Compares sampling and SLSQP on DexPilot's loss with a squared norm, as printed in the
+    supplement."""
     size = context.size
     sampling = Sampling(size.samples, size.cycles, most_cycles=size.cycles)
     solvers: list[Solver] = [
@@ -214,7 +216,7 @@ def _compared(
 
 
 def setup_of(comparison: Comparison, size: Size) -> str:
-    """The experiment in words."""
+    """Describes the setup of the experiment."""
     problems = comparison.problems
     hand = problems[0].hand
     frames = sum(len(problem) for problem in problems)
@@ -245,7 +247,7 @@ PAPER_REDUCTION: Final = -0.364
 """Change of jitter from SLSQP to sampling (supplement, figure of the base optimisation)."""
 
 LOSS_MARGIN: Final = 0.05
-"""Mean losses within this share of each other count as equal."""
+"""Mean losses that differ by less than this share count as equal."""
 
 
 _PANELS: Final = (
@@ -256,7 +258,8 @@ _PANELS: Final = (
 
 
 def comparison_figure(several: Sequence[Comparison]) -> Figure:
-    """Dots with intervals: a row for each solver, a panel for each figure; logarithmic.
+    """Draws dots with intervals on logarithmic axes: a row for each solver, a panel for each
+    figure.
 
     Args:
         several: one, or the one without and the one with a velocity term.
@@ -307,7 +310,7 @@ def comparison_figure(several: Sequence[Comparison]) -> Figure:
 
 
 class SolverSwap:
-    """Sampling, RMSProp, SLSQP and Newton on one loss."""
+    """Compares sampling, RMSProp, SLSQP and Newton on one loss."""
 
     title = "The solver swapped, the loss unchanged"
     claim = "at equal loss, sampling has 36.4 % less joint jitter than SLSQP"
@@ -354,12 +357,12 @@ def changes_of(comparison: Comparison, metric: str) -> dict[str, Estimate]:
 
 
 def against(changes: dict[str, Estimate]) -> str:
-    """Relative changes as text, each with what it is against."""
+    """Formats relative changes, each with its reference."""
     return "; ".join(f"{percent(one)} against {label}" for label, one in changes.items())
 
 
 def percent(change: Estimate) -> str:
-    """A relative change as text."""
+    """Formats a relative change."""
     return change.shown(3, 100.0, " %")
 
 
@@ -434,14 +437,14 @@ def tuning_table(comparison: Comparison) -> Table:
 VELOCITY_WEIGHT: Final = 0.05
 PAPER_FACTOR: Final = 7.18
 PAPER_LOSS: Final = 0.0232
-"""Jitter without over with the term, and what the term adds to the loss, in the paper."""
+"""The paper's ratio of jitter without to with the term, and the loss that the term adds."""
 
 COMPARABLE: Final = 1.25
-"""Jitters within this factor of each other count as comparable."""
+"""Jitters that differ by less than this factor count as comparable."""
 
 
 class VelocityTerm:
-    """All solvers with and without w_v = 0.05."""
+    """Compares all solvers with and without w_v = 0.05."""
 
     title = "A velocity term added"
     claim = "w_v = 0.05 divides jitter by 7.18 for 0.0232 more loss; gradient solvers then compare"
@@ -475,7 +478,7 @@ class VelocityTerm:
 
 
 def _of_the_paper(comparison: Comparison) -> list[str]:
-    """The solvers that the paper's average is over: not our own, nor its sampler tuned by us."""
+    """Solvers in the paper's average: without our own, and without the sampler that we tuned."""
     return [
         SAMPLING,
         comparison.solver_grid.batched("slsqp"),
@@ -483,17 +486,8 @@ def _of_the_paper(comparison: Comparison) -> list[str]:
     ]
 
 
-def _common(without: Comparison, held: Comparison) -> list[str]:
-    """Solvers that are in both: a tuned one may be in one of them only."""
-    return [label for label in without.runs if label in held.runs]
-
-
 def _factor(without: Comparison, held: Comparison, label: str) -> Estimate:
     return contrast(without.samples(label, "jitter"), held.samples(label, "jitter"), "ratio")
-
-
-def _added(without: Comparison, held: Comparison, label: str) -> Estimate:
-    return contrast(held.samples(label, "loss"), without.samples(label, "loss"), "difference")
 
 
 def _factor_verdict(factor: Estimate) -> Verdict:
@@ -542,9 +536,12 @@ def _table(without: Comparison, held: Comparison) -> Table:
             without.mean(label, "jitter").shown(3, 1e3),
             held.mean(label, "jitter").shown(3, 1e3),
             _factor(without, held, label).shown(3),
-            _added(without, held, label).shown(3),
+            contrast(
+                held.samples(label, "loss"), without.samples(label, "loss"), "difference"
+            ).shown(3),
         )
-        for label in _common(without, held)
+        for label in without.runs
+        if label in held.runs  # a tuned solver may be in only one of them
     ]
     return Table(
         "What the velocity term does",

@@ -1,4 +1,4 @@
-"""Which solvers compete, with step sizes that were tuned on frames which are not judged."""
+"""The competing solvers, with step sizes tuned on frames that are not judged."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class Point:
 
     @property
     def budget(self) -> int:
-        """N x L: candidates a frame, as the paper counts them."""
+        """N x L: number of candidates per frame, as in the paper."""
         return self.samples * self.cycles
 
     def __str__(self) -> str:
         return f"N = {self.samples:,}, L = {self.cycles}"
 
     def solver(self, most_cycles: int) -> Sampling:
-        """Algorithm 1 of this size, in the program that all L of this N share."""
+        """Algorithm 1 of this size, in the program that all L of the same N share."""
         return Sampling(self.samples, self.cycles, most_cycles=most_cycles)
 
 
@@ -122,7 +122,7 @@ class SolverGrid:
 
 
 def make_solver_grid(context: ExperimentContext, velocity_weight: float) -> SolverGrid:
-    """The solvers at some size; those with a step size are tuned for the objective.
+    """Makes the solvers for a size, and tunes those with a step size for the objective.
 
     The cost that they are tuned for is the objective's own mean, never jitter.
     """

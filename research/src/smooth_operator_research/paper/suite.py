@@ -1,4 +1,4 @@
-"""Running experiments: look everything up, compute, write."""
+"""Runs experiments: checks the request, computes, and writes the results."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ class Settings:
 
     @property
     def how_much(self) -> Size:
-        """The size."""
+        """Size of the experiments."""
         return SIZES[self.size]
 
 
 def load_recordings(settings: Settings) -> list[Source]:
-    """The recordings that can be read."""
+    """Reads the readable recordings."""
     words = settings.recordings
     if not words:
         words = settings.how_much.recordings
@@ -83,7 +83,7 @@ def run_experiments(
     done: Callable[[str, Outcome], None] = lambda name, outcome: None,
     note: Note = no_note,
 ) -> list[tuple[str, Outcome]]:
-    """Runs the experiments one after the other, and writes each as soon as it is done.
+    """Runs the experiments one after another, and writes each result as soon as it is complete.
 
     Args:
         sources: result of ``load_recordings``.

@@ -1,4 +1,4 @@
-"""Experiments ``noise`` and ``rate``: methods behind a worse tracker, and at more frame rates."""
+"""Experiments ``noise`` and ``rate``: methods with a worse tracker, and at several frame rates."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from smooth_operator_research.paper.intervals import Estimate
 from smooth_operator_research.paper.verdicts import Direction, Equality, Verdict, judge
 
 NOISE: Final = 1e-3
-"""Noise that verdicts are given at [m]: a glove's or a good camera's; or the nearest there is."""
+"""Noise of the verdicts [m], that of a glove or a good camera, or the nearest available."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Condition:
 
 
 class TrackerNoise:
-    """Noise from 0 to 5 mm, drop-outs from 0 to 20 %."""
+    """Compares methods at noise from 0 to 5 mm and drop-outs from 0 to 20 %."""
 
     title = "Tracker noise and drop-outs"
     claim = "ours: who stays smooth behind a worse tracker? The paper: SBR is a low-pass filter"
@@ -134,7 +134,7 @@ CONTROL_HZ: Final = 30.0
 
 
 class FrameRate:
-    """The same motion at several frame rates; smoothness free of the rate, lag in milliseconds."""
+    """Compares methods at several frame rates: smoothness independent of the rate, lag in ms."""
 
     title = "Frame rate"
     claim = "ours: at which rate is who smooth, and who late? The paper: smooth and responsive"
@@ -250,7 +250,7 @@ _RATE_NOTE: Final = (
 
 
 def _table(sweep: Sweep, conditions: Sequence[Any], title: str) -> Table:
-    """A row for each method and condition, of trackers or of frame rates [Hz]."""
+    """Table with a row for each method and condition (tracker or frame rate [Hz])."""
     tracker = isinstance(conditions[0], Condition)
     headers = _NOISE_HEADERS if tracker else _RATE_HEADERS
     rows = []
@@ -269,7 +269,7 @@ def _at(conditions: Sequence[Condition], noise: float) -> Condition:
 
 
 def compared(sweep: Sweep, condition: Any, metric: str, kind: Any = "ratio") -> dict[str, Estimate]:
-    """The paper's SBR against each baseline of the paper that is here."""
+    """Compares the paper's SBR with each available baseline of the paper."""
     estimates = {
         name: sweep.against(PUBLISHED_SBR, name, condition, metric, kind) for name in BASELINES
     }
@@ -277,22 +277,22 @@ def compared(sweep: Sweep, condition: Any, metric: str, kind: Any = "ratio") -> 
 
 
 def listed(estimates: dict[str, Estimate]) -> str:
-    """Ratios by name, as text."""
+    """Formats ratios by name."""
     return ", ".join(f"{name} × {e.shown(3)}" for name, e in estimates.items())
 
 
 def listed_changes(estimates: dict[str, Estimate]) -> str:
-    """Differences by name, as text."""
+    """Formats differences by name."""
     return ", ".join(f"{name} {signed(e)}" for name, e in estimates.items())
 
 
 def signed(change: Estimate, unit: str = "") -> str:
-    """A difference as text."""
+    """Formats a difference."""
     return ("+" if change.value > 0 else "") + change.shown(3, 1.0, unit)
 
 
 def not_compared(claim: str, paper: str, sweep: Sweep) -> Verdict:
-    """Verdict without the paper's SBR or without all its rivals."""
+    """Verdict if the paper's SBR or all its rivals are missing."""
     absent = ", ".join(n for n in (PUBLISHED_SBR, *BASELINES) if n not in sweep.labels)
     note = f"{absent or 'Nothing to compare'} missing on this hand."
     return Verdict(claim, paper, "not measured", "not shown", note)
@@ -301,7 +301,7 @@ def not_compared(claim: str, paper: str, sweep: Sweep) -> Verdict:
 def compared_verdict(
     claim: str, paper: str, figure: str, sweep: Sweep, ratios: dict[str, Estimate]
 ) -> Verdict:
-    """SBR's figure over those of the baselines, claimed to be below 1."""
+    """Verdict on the ratio of SBR's figure to those of the baselines, claimed to be below 1."""
     if not ratios:
         return not_compared(claim, paper, sweep)
     held = judge(Direction(1.0, upwards=False), list(ratios.values()))

@@ -1,4 +1,4 @@
-"""Experiment ``table``: the paper's benchmark of methods, its six metrics in its layout."""
+"""Experiment ``table``: the paper's benchmark of methods, with its six metrics and its layout."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from smooth_operator_research.paper.verdicts import Direction, Verdict, judge
 
 
 def table_quality(cell: Cell, advance: object) -> dict[str, np.ndarray]:
-    """Metrics of a cell by both definitions, ``sound`` and ``paper``, each as JSON."""
+    """Metrics of a cell by the definitions ``sound`` and ``paper``, each as JSON."""
     todo = _plan(cell)
     outcome = execute(replace(todo, recording=led(todo.recording)), built_for(todo))
     trace, metrics = measure(todo, settled(outcome))
@@ -54,7 +54,7 @@ def table_quality(cell: Cell, advance: object) -> dict[str, np.ndarray]:
 
 
 def settled(outcome: Execution) -> Execution:
-    """Without the frames of the lead."""
+    """Removes the frames of the lead."""
     commands = outcome.commands
     reduced = replace(
         commands,
@@ -69,7 +69,7 @@ def settled(outcome: Execution) -> Execution:
 def table_latency(
     cells: Sequence[Cell], frames: int, advance: Callable[[float], None]
 ) -> dict[str, np.ndarray]:
-    """Median latency of each cell [ms], and the share of the cores that others took."""
+    """Median latency of each cell [ms], and the share of the cores that other processes used."""
     for cell in cells:  # compiled before the machine is watched
         built_for(_plan(cell))
     latencies = measure_latency(cells, frames, 0, lambda cell: advance(1 / len(cells)))
@@ -93,7 +93,7 @@ PAPERS: Final = {
     "hybrid:published": "Hybrid",
     "sbr:paper": "SBR",
 }
-"""Our label -> the paper's, in the order of its columns; all but GeoRT as published."""
+"""Our label -> the paper's label, in the order of its columns; all except GeoRT as published."""
 
 METHODS: Final = (*PAPERS, "sbr", "keyvector", "ako", "joint_angle")
 LATENCY: Final = "latency_ms.p50"
@@ -113,7 +113,7 @@ _BOUNDS: Final = {
 }
 
 Definition = str
-"""``paper`` or ``sound``, of the metrics."""
+"""Definition of the metrics, ``paper`` or ``sound``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ class Benchmark:
     others: float | None
 
     def each(self, definition: Definition, label: str, metric: Metric) -> dict[str, float]:
-        """A figure by recording; those without it are left out."""
+        """Figure by recording, without recordings that lack it."""
         own = self.values.get((definition, label, metric.name), {})
         return {name: own[name] for name in self.units if name in own}
 
@@ -148,7 +148,7 @@ class Benchmark:
         return over(self._samples(own)) if own else None
 
     def better(self, definition: Definition, a: str, b: str, metric: Metric) -> Estimate | None:
-        """By how much a method is better than another, recording by recording: positive is better.
+        """Advantage of a method over another by recording; positive is better.
 
         For a figure that is to be small it is the share by which the other's is larger, else a
         difference in the metric's unit; for one whose goal is 1 of the distance from it.
@@ -165,7 +165,7 @@ class Benchmark:
         return contrast(others, mine, "change") if down else contrast(mine, others, "difference")
 
     def winners(self, definition: Definition, metric: Metric, labels: Sequence[str]) -> set[str]:
-        """The best of some methods, as tables print figures."""
+        """Best of some methods, by the printed figures."""
         means = [self.mean(definition, label, metric) for label in labels]
         lines = [
             Line(label, {metric.name: None if mean is None else mean.value})
@@ -175,7 +175,8 @@ class Benchmark:
 
 
 class BenchmarkTable:
-    """The methods of the paper as published, and ours, by the paper's definitions and by ours."""
+    """Compares the methods of the paper as published, and ours, by the paper's definitions and by
+    ours."""
 
     title = "The six metrics"
     claim = "SBR is best in cosine similarity, motion preservation and flatness"
@@ -226,7 +227,7 @@ class BenchmarkTable:
 
 
 def measure_benchmark(context: ExperimentContext, field: Field) -> Benchmark:
-    """Quality of all methods on all recordings, then their latency alone; what is missing of it."""
+    """Measures the missing cells: quality of all methods on all recordings, then their latency."""
     size = context.size
     cells = {
         (source.name, label): Cell(
@@ -299,7 +300,7 @@ def _cut(source: Source, frames: int) -> Source:
 
 
 def _verdict(benchmark: Benchmark, metric: Metric, papers: Sequence[str]) -> Verdict:
-    """Does the paper's order of its four methods show here?"""
+    """Verdict on the paper's order of its four methods."""
     paper = {label: PAPER_TABLE[PAPERS[label]][metric.name] for label in papers}
     order = sorted(papers, key=lambda label: -merit(metric, paper[label]))
     pairs = {

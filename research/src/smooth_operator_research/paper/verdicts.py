@@ -56,7 +56,7 @@ class Judge(Protocol):
     """Judges a part of a claim."""
 
     def __call__(self, estimate: Estimate, *, among: int = 1) -> Held:
-        """The verdict on one of ``among`` parts."""
+        """Judges one of ``among`` parts."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Direction:
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect is there, and about as large as claimed or larger.
+    """An effect exists and is about as large as claimed, or larger.
 
     Attributes:
         none: its value where there is no effect.
@@ -125,7 +125,7 @@ class Equality:
 
 
 def judge(judging: Judge, estimates: Sequence[Estimate], missing: int = 0) -> Held:
-    """The verdict on a claim of one part or several.
+    """Judges a claim of one or several parts.
 
     Args:
         judging: judges a part.

@@ -42,11 +42,11 @@ from smooth_operator_research.physics.page import interval_drawings
 from smooth_operator_research.physics.results import Figure, MeasureResults, Row
 
 WORLDS: Final = 100
-"""Perturbed worlds of each task and tracker."""
+"""Number of perturbed worlds of each task and tracker."""
 
 QUICK_WORLDS: Final = 5
 PRACTISED: Final = ("headset", "camera")
-"""Trackers with which the operator has practised; with mimic nothing is gained behind a glove."""
+"""Trackers with which the operator has practised; on mimic, practice with a glove gains nothing."""
 
 STAYS_S: Final = 2.0
 """The operator stays in the last pose for so long [s]: a goal must be met for half a second, and
@@ -55,7 +55,7 @@ what hangs between two fingertips swings for a while before."""
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """Demonstration, scene and landmarks that all worlds of a task and hand share."""
+    """Demonstration, scene and landmarks shared by all worlds of a task and hand."""
 
     demonstration: Demonstration
     scene: Scene
@@ -126,7 +126,7 @@ class Demonstrations:
         return tuple(f"{task} {tracker}" for task in TASKS for tracker in settings.trackers)
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
-        """World 0, which is unperturbed, and as many perturbed ones as are asked for."""
+        """World 0, which is unperturbed, and the requested number of perturbed worlds."""
         count = settings.count(WORLDS, QUICK_WORLDS)
         return [
             Unit(f"world {number}", key=[settings.seed, number], data=(number, settings.seed))
@@ -134,7 +134,7 @@ class Demonstrations:
         ]
 
     def run(self, case: Case) -> Measured:
-        """One trial."""
+        """Runs one trial."""
         name, tracker = case.condition.split()
         task = _task(name, case.hand_name, case.side, tracker)
         number, seed = case.unit.data
@@ -181,7 +181,7 @@ class Demonstrations:
         return Measured(row, _clip(case, world.scene(task.scene), result.trace))
 
     def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
-        """Success, 0.5 or more, and time of each method."""
+        """Draws success (a score of at least 0.5) and time of each method."""
         return interval_drawings(self.name, results, self.figures[1:4], colors)
 
 
@@ -194,7 +194,7 @@ def _task(name: str, hand_name: str, side: Side, tracker: str | None = None) -> 
 
 @lru_cache(maxsize=16)
 def _practised(task: _Task, retargeter: Retargeter, tracker: str) -> DemonstrationLandmarks:
-    """What the operator shows after practising; kept in the process for the next world."""
+    """Motion of the operator after practice, cached in the process for the next world."""
     return DemonstrationLandmarks(practised(task.demonstration, retargeter, tracker))
 
 
@@ -213,14 +213,15 @@ def _own_score(name: str, hand_name: str, side: Side, number: int, seed: int) ->
 
 
 def _tip_error_mm(hand: Hand, demonstration: Demonstration, trace: TrialTrace) -> float:
-    """Mean over fingers and frames since the first command."""
+    """Mean distance of commanded and demonstrated fingertips over fingers and frames since the
+    first command [mm]."""
     poses = np.stack([demonstration.pose(time + PERIOD_S) for time in trace.times])
     apart = hand.tips(trace.commands) - hand.tips(hand.full_configuration(poses))
     return 1e3 * float(np.nanmean(np.linalg.norm(apart, axis=-1)))
 
 
 def _quantities(world: Perturbation) -> Row:
-    """The perturbed quantities, for those who look for causes of failure."""
+    """The perturbed quantities, to find causes of failure."""
     return {
         "shift_x_mm": 1e3 * float(world.shift[0]),
         "shift_y_mm": 1e3 * float(world.shift[1]),
@@ -233,7 +234,7 @@ def _quantities(world: Perturbation) -> Row:
 
 
 def _clip(case: Case, scene: Scene, trace: TrialTrace) -> Clip:
-    """The human, the hand where physics has it, and the outlines of things."""
+    """Clip of the human, the simulated hand and the outlines of objects."""
     parts = ScenePhysics(case.hand, scene).parts()
     at, turn = scene.mount.palm
     corners: list[Float[np.ndarray, "t 8 3"]] = []
@@ -256,7 +257,7 @@ _EDGES: Final = [(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b).bi
 
 
 def _box(part: ScenePart) -> Float[np.ndarray, "8 3"]:
-    """(8, 3) corners of a shape's bounding box, in the frame that the shape is placed in [m]."""
+    """Corners (8, 3) of a shape's bounding box, in the frame of the shape's placement [m]."""
     if part.kind == "box":
         half = np.array(part.size)
     else:

@@ -1,4 +1,4 @@
-"""A grasp of a robot hand tried on an object in physics: held, pushed, let go."""
+"""Grasps of a robot hand on an object in physics: hold, push, release."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ from smooth_operator_research.physics.results import Figure, MeasureResults, Row
 HOLD_S: Final = 1.0
 """Time for which the object must be held [s]."""
 GRACE_S: Final = 0.2
-"""The hand must have the object so long after the human's tightest moment [s]."""
+"""Deadline for holding the object, after the human's tightest moment [s]."""
 REST_S: Final = HOLD_S + GRACE_S + 0.05
-"""Rest of the human at the tightest moment [s]."""
+"""Time for which the human rests at the tightest moment [s]."""
 PUSH_N: Final = 0.3
 """[N]"""
 OPEN_S: Final = 0.15
-"""The object must be free so long after the human has opened [s]."""
+"""Deadline for releasing the object, after the human has opened [s]."""
 HYSTERESIS: Final = 0.003
-"""The human has opened where the skins are farther apart than the object's width by this [m]."""
+"""The human has opened when the skin distance exceeds the object's width by this [m]."""
 
 _GRIP_N: Final = 0.2  # thumb and finger press so hard [N]...
 _GRIP_S: Final = 0.05  # ... for so long before the object is let go [s]
@@ -84,7 +84,7 @@ class RobotGrasp:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobotPinch(RobotGrasp):
-    """The same of a pinch.
+    """Commands of the robot in a pinch, and times of the human's.
 
     Attributes:
         finger: which finger pinches, as an index of ``Hand.fingers``.
@@ -126,7 +126,7 @@ class GraspResult:
 
 
 def try_pinch(physics: PinchPhysics, pinch: RobotPinch) -> GraspResult:
-    """Do a pinch with an object.
+    """Tries a pinch with an object.
 
     The object appears between the pads when they are as far apart as it is wide, on the last way
     to closing. Somebody holds it loosely until both pads press on it, or until ``GRACE_S`` after
@@ -140,7 +140,7 @@ def try_pinch(physics: PinchPhysics, pinch: RobotPinch) -> GraspResult:
 
 
 def try_power_grasp(physics: PowerGraspPhysics, grasp: RobotGrasp) -> GraspResult:
-    """Grasp an object with the whole hand.
+    """Tries to grasp an object with the whole hand.
 
     It lies in the open palm from the beginning. Somebody holds it loosely until ``GRACE_S`` after
     the human's tightest moment; all else is as in ``try_pinch``.
@@ -151,7 +151,8 @@ def try_power_grasp(physics: PowerGraspPhysics, grasp: RobotGrasp) -> GraspResul
 
 
 def _close(run: _Run[PinchPhysics], closing: float | None) -> float:
-    """Until the pads are as near as the object is wide; how much wider they stay [m]."""
+    """Waits until the pad distance equals the object's width; returns the remaining difference
+    [m]."""
     width = run.physics.thing.width
     before, least = -1.0, np.inf
     if closing is None:
@@ -171,7 +172,7 @@ _Physics = TypeVar("_Physics", bound=GraspPhysics)
 
 
 class _Run(Generic[_Physics]):
-    """One trial, stage after stage.
+    """One trial with its stages.
 
     Args:
         waits: the object is handed over when the time is up, not when both sides press on it.
@@ -189,11 +190,11 @@ class _Run(Generic[_Physics]):
 
     @property
     def time(self) -> float:
-        """By the grasp's clock [s]."""
+        """Time on the clock of the grasp [s]."""
         return self._start + self.physics.time - self._zero
 
     def result(self) -> GraspResult:
-        """All that follows once the object is there."""
+        """Runs the stages after the object has appeared."""
         if not self.hand_over():
             return GraspResult(True, dropped=self._gripped)
         held = self.hold()
@@ -212,7 +213,8 @@ class _Run(Generic[_Physics]):
         return GraspResult(True, True, False, free is not None, delay, 0.0, force, limit)
 
     def hand_over(self) -> bool:
-        """Until both sides press on the object; False if it is lost before the hold begins."""
+        """Waits until both sides press on the object; False if it is lost before the hold
+        begins."""
         pressed = 0.0
         for step in self.until(self.grasp.tight + GRACE_S):
             pressed = pressed + step if self.physics.grip > _GRIP_N else 0.0
@@ -224,7 +226,7 @@ class _Run(Generic[_Physics]):
         return all(self._has(step) for step in self.until(self.grasp.tight))
 
     def hold(self) -> bool:
-        """Gravity, then pushes; whether the object stays."""
+        """Applies gravity and pushes; True if the object stays."""
         physics = self.physics
         axes, begin = physics.axes, self.time
         pushes = [sign * PUSH_N * axes[:, k] for k in range(3) for sign in (1.0, -1.0)]
@@ -245,7 +247,7 @@ class _Run(Generic[_Physics]):
         return stays
 
     def release(self, deadline: float) -> float | None:
-        """Until the object is free; when that was [s]; None if not by the deadline."""
+        """Waits until the object is free; returns the time [s], or None after the deadline."""
         lost = 0.0
         for step in self.until(deadline + _LOST_S):
             lost = 0.0 if self.physics.grip > 0.0 else lost + step
@@ -254,12 +256,12 @@ class _Run(Generic[_Physics]):
         return None
 
     def _has(self, step: float) -> bool:
-        """True if both sides press, brief gaps aside."""
+        """True if both sides press, apart from brief gaps."""
         self._lost = 0.0 if self.physics.grip > 0.0 else self._lost + step
         return self._lost < _LOST_S
 
     def until(self, end: float) -> Iterator[float]:
-        """Let time pass in steps of the physics, with the commands that are due."""
+        """Advances the physics in steps, with the commands that are due."""
         physics, grasp = self.physics, self.grasp
         while self.time < end - 1e-9:
             while self._frame < len(grasp.stamps) and grasp.stamps[self._frame] <= self.time + 1e-9:
@@ -272,7 +274,7 @@ class _Run(Generic[_Physics]):
 def grasp_figures(
     grasps: str, owner: str, things: Sequence[GraspObject], *more: Figure
 ) -> tuple[Figure, ...]:
-    """The figures of a measure of grasps.
+    """Figures of a measure of grasps.
 
     Args:
         grasps: noun of what a recording has.
@@ -329,11 +331,11 @@ _UNITS, _QUICK_UNITS = 5, 1
 _GRASP_S: Final = 10.0  # about as much work as so much of a recording [s]
 
 Commanded: TypeAlias = Callable[[GraspObject], RobotGrasp | None]
-"""The robot's grasp with an object; None where the human could not take that."""
+"""The robot's grasp with an object; None if the human could not take the object."""
 
 
 class GraspMeasure(ABC):
-    """A measure of the grasps that recordings have, each tried on objects in physics."""
+    """Measure that tries each grasp of the recordings on objects in physics."""
 
     unit = "recording"
     name: str
@@ -343,21 +345,21 @@ class GraspMeasure(ABC):
     grasps: ClassVar[str]
     """Column with the number of grasps."""
     absent: ClassVar[str]
-    """The refusal of recordings without such grasps; ``{}`` are their names."""
+    """Message for recordings without such grasps; ``{}`` are their names."""
     drawn: ClassVar[int]
     """Number of figures that the report draws."""
     physics: ClassVar[type[GraspPhysics]]
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
-        """Nothing is varied."""
+        """No conditions are varied."""
         return ("",)
 
     @abstractmethod
     def find(self, recording: HandRecording) -> Sequence[HumanGrasp]:
-        """The human's grasps in a recording."""
+        """Finds the human's grasps in a recording."""
 
     def usable(self, case: Case, recording: HandRecording) -> Sequence[Any]:
-        """Those that the robot hand can try."""
+        """Selects the grasps that the robot hand can try."""
         return self.find(recording)
 
     @abstractmethod
@@ -369,7 +371,7 @@ class GraspMeasure(ABC):
         commands: Float[np.ndarray, "P n"],
         moments: Float[np.ndarray, " T"],
     ) -> tuple[Commanded, dict[str, float]]:
-        """The robot's side of one grasp, and further figures, whose means are reported.
+        """The robot's part of one grasp, and further figures, whose means are reported.
 
         Args:
             grasp: one of ``usable``.
@@ -383,7 +385,7 @@ class GraspMeasure(ABC):
         """Tries a grasp on the object of a physics."""
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
-        """The recordings with such grasps; where none is named, built-in operators."""
+        """Recordings with such grasps; built-in operators if none is named."""
         count = settings.count(_UNITS, _QUICK_UNITS)
         names = settings.recordings or [f"{SYNTHETIC}:{settings.seed + k}" for k in range(count)]
         requests = [
@@ -433,7 +435,7 @@ class GraspMeasure(ABC):
         return Measured(row, Clip(longer.stamps, human, commands))
 
     def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
-        """The first figures of each method."""
+        """Draws the first figures of each method."""
         return interval_drawings(self.name, results, self.figures[: self.drawn], colors)
 
 
@@ -441,7 +443,7 @@ class GraspMeasure(ABC):
 def physics_with(
     kind: type[GraspPhysics], hand_name: str, side: Side, thing: GraspObject
 ) -> GraspPhysics:
-    """A hand and an object; the same for all recordings and methods."""
+    """Physics of a hand and an object, shared by all recordings and methods."""
     return kind(load_hand(hand_name, side), thing)
 
 
@@ -454,7 +456,7 @@ def of_side(recording: HandRecording, side: Side) -> HandRecording:
 
 
 def grasp_row(tried: Mapping[str, Sequence[GraspResult]]) -> Row:
-    """Figures of all trials; those of an object by its name."""
+    """Figures of all trials, and those of each object by its name."""
     every = [result for results in tried.values() for result in results]
     judged = [result.let_go for result in every if result.let_go is not None]
     held = [result for result in every if result.held]
@@ -524,7 +526,7 @@ class PinchHold(GraspMeasure):
         return find_pinches(recording)
 
     def usable(self, case: Case, recording: HandRecording) -> Sequence[HumanPinch]:
-        """See ``GraspMeasure``: with fingers that the hand has, at the robot's size."""
+        """See ``GraspMeasure``: pinches with fingers that the hand has, at the robot's size."""
         pinches = [p for p in find_pinches(recording) if p.finger in case.hand.fingers]
         if not pinches:
             raise RecordingError(

@@ -1,4 +1,4 @@
-"""A hand under physics that is handed an object: between two fingertips, or into the palm."""
+"""Physics of a hand that gets an object between two fingertips or in the palm."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _HOLLOW: Final = 0.3  # of a handle's and a ball's volume is material
 
 @dataclass(frozen=True)
 class GraspObject:
-    """Something to hold; it is taken across its width.
+    """Object to hold; it is grasped across its width.
 
     The object's frame: x along its width, z along its length, the origin where it is gripped.
 
@@ -53,7 +53,7 @@ class GraspObject:
 
     @property
     def mass(self) -> float:
-        """[kg]; polystyrene's density (handle and ball are hollow), and 2 g at least."""
+        """Mass [kg]: density of polystyrene (handle and ball are hollow), and at least 2 g."""
         return max(_DENSITY * self._volume, _LIGHTEST)
 
     @property
@@ -69,7 +69,7 @@ class GraspObject:
         }[self.kind]
 
     def add_to(self, body: mujoco.MjsBody) -> None:
-        """Give a body the object's shape."""
+        """Adds the object's shape to a body."""
         half, geom = self.width / 2, mujoco.mjtGeom
         at, kind, size = {
             "sphere": (0.0, geom.mjGEOM_SPHERE, (half,)),
@@ -101,7 +101,8 @@ POWER_GRASP_OBJECTS: Final = (
     GraspObject("ball", 0.045),
     GraspObject("ball", 0.065),
 )
-"""For the whole hand: as wide as the handles of tools, and balls up to a tennis ball's size."""
+"""Objects for the whole hand: as wide as tool handles, and balls up to the size of a tennis
+ball."""
 
 GRASP_OBJECTS: Final = tuple(
     GraspObject(kind, 1e-3 * width)
@@ -121,7 +122,7 @@ GRASP_OBJECTS: Final = tuple(
 
 @dataclass(frozen=True, eq=False)
 class GraspScene(Scene):
-    """A hand, palm down and high over the floor, and an object that somebody holds.
+    """A hand, palm down and high above the floor, and an object that a person holds.
 
     Attributes:
         thing: what is held.
@@ -132,15 +133,15 @@ class GraspScene(Scene):
     thing: GraspObject
 
     def add_platform(self, world: mujoco.MjSpec) -> None:
-        """Nothing: it is in the hand, or on the floor."""
+        """Adds nothing: the object is in the hand or on the floor."""
 
     def add_object(self, body: mujoco.MjsBody) -> None:
-        """The object."""
+        """Adds the object."""
         self.thing.add_to(body)
 
 
 def grasp_scene(hand: Hand, thing: GraspObject) -> GraspScene:
-    """A hand, palm down, and what it is to hold."""
+    """Makes the scene of a hand, palm down, and an object to hold."""
     at = mount(hand, up=(0, 0, -1), forward=(1, 0, 0), wrist=(0.0, 0.0, _HIGH))
     start = np.array([0.0, 0.0, 2 * _HIGH])
     return GraspScene(
@@ -157,17 +158,18 @@ _BIT: Final = 1 << 14
 """Contact bit of the shapes that may touch the object."""
 
 _TURNS: Final = 12
-"""Directions of a long object about the line between the pads that are tried."""
+"""Directions of a long object to try, about the line between the pads."""
 
 _DRAG: Final = (5.0, 2e-3)
-"""While somebody holds the object it resists: force per speed [N s/m], torque per spin [N m s]."""
+"""Resistance of the object while a person holds it: force per speed [N s/m], torque per angular
+velocity [N m s]."""
 
 _FAR: Final = 1.0  # [m]
 _ROOM: Final = 0.03  # enough [m]
 
 
 class PadGap(NamedTuple):
-    """Two fingertips' pads.
+    """Pads of two fingertips.
 
     Attributes:
         distance: between their surfaces [m]; negative where they overlap.
@@ -179,7 +181,7 @@ class PadGap(NamedTuple):
 
 
 class GraspPhysics(HandPhysics, ABC):
-    """A hand and an object that a person hands over to it.
+    """A hand and an object that a person gives to it.
 
     Args:
         timestep: step of the physics [s].
@@ -206,24 +208,24 @@ class GraspPhysics(HandPhysics, ABC):
     @property
     @abstractmethod
     def grip(self) -> float:
-        """With how much force the object is pressed from both sides, the weaker one [N]."""
+        """Force on the object from the weaker of both sides [N]."""
 
     def let_go(self) -> None:
-        """The object is free."""
+        """Releases the object."""
         self._carry(False)
 
     def push(self, force: Float[np.ndarray, "3"]) -> None:
-        """From now on a force acts at the object's centre (3,) [N], in the world."""
+        """Sets the force (3,) at the object's centre [N], in the world."""
         self._data.xfrc_applied[self._object, :3] = force
 
     @property
     def position(self) -> Float[np.ndarray, "3"]:
-        """(3,) where the object is gripped, in the world [m]."""
+        """Position (3,) of the grip on the object, in the world [m]."""
         return np.array(self._data.xpos[self._object])
 
     @property
     def axes(self) -> Float[np.ndarray, "3 3"]:
-        """Columns: the object's axes in the world, its width first."""
+        """The object's axes in the world as columns, the width first."""
         return np.array(self._data.xmat[self._object]).reshape(3, 3)
 
     @property
@@ -232,7 +234,8 @@ class GraspPhysics(HandPhysics, ABC):
         return float(np.max(np.abs(self._data.actuator_force) / self._limits))
 
     def _stand(self, pose: Float[np.ndarray, " n"], touching: Collection[int]) -> None:
-        """At rest in a pose, the object out of the way; only some shapes can touch it."""
+        """Puts the hand at rest in a pose, with the object out of the way; only some shapes can
+        touch it."""
         model = self._built.model
         self.time = self._due = 0.0
         self.command(pose)
@@ -246,7 +249,7 @@ class GraspPhysics(HandPhysics, ABC):
         self._carry(True)
 
     def _room(self, apart_from: Collection[int] = ()) -> float:
-        """Distance of the object from the shapes of the hand but some [m]; ``_ROOM`` at most."""
+        """Distance of the object from the hand's other shapes [m]; at most ``_ROOM``."""
         model, data = self._built.model, self._data
         mujoco.mj_kinematics(model, data)
         near = [
@@ -337,7 +340,7 @@ class PinchPhysics(GraspPhysics):
         return self.gap().distance
 
     def appear(self) -> None:
-        """Put the object between the pads; from now on it can be touched.
+        """Puts the object between the pads and enables its contacts.
 
         Somebody holds it loosely: it has no weight, and yields to the pads against a drag.
         """
@@ -364,13 +367,13 @@ class PinchPhysics(GraspPhysics):
 
     @property
     def pinch(self) -> tuple[float, float]:
-        """With how much force thumb and finger press on the object [N]."""
+        """Forces of thumb and finger on the object [N]."""
         force, *_ = self._touching.read(self._data)
         return float(force[0]), float(force[self._finger])
 
 
 def frame_of(x: Float[np.ndarray, "3"], z: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4"]:
-    """Quaternion w x y z of a frame with these two axes, (3,) each, at right angles."""
+    """Quaternion w x y z of a frame with these two perpendicular axes, (3,) each."""
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, np.stack([x, np.cross(z, x), z], axis=1).ravel())
     return quaternion
@@ -380,17 +383,17 @@ _CLEAR: Final = 0.001  # between the object and the hand where it appears [m]
 _FROM: Final = 0.16  # in front of the palm, where the way to it begins [m]
 _STEP: Final = 0.002  # of that way [m]
 _ALONG: Final = (0.0, -0.01, 0.01, -0.02, 0.02, -0.03, 0.03)
-"""Places along the fingers' direction, from the row of the finger bases [m]."""
+"""Places to try along the fingers' direction, from the row of the finger bases [m]."""
 _ASIDE: Final = (0.0, -0.01, -0.02, -0.03, -0.04)
-"""Places towards the thumb [m]; a long object may have to lie next to it."""
+"""Places to try towards the thumb [m]; a long object may have to lie next to it."""
 _YAWS: Final = (0.0, np.radians(20.0), np.radians(-20.0))
-"""Turns of a long object in front of the palm [rad]."""
+"""Rotations of a long object to try in front of the palm [rad]."""
 _WORTH: Final = 0.2
-"""Gain in distance to the palm that each metre off the middle must bring."""
+"""Smallest gain in distance to the palm per metre off the middle."""
 
 
 class PowerGraspPhysics(GraspPhysics):
-    """A hand and an object that a person lays into its palm; all of the hand can touch it.
+    """A hand and an object that a person lays into its palm; every part of the hand can touch it.
 
     Args:
         timestep: step of the physics [s].
@@ -415,7 +418,7 @@ class PowerGraspPhysics(GraspPhysics):
         self._stand(pose, self._touching.own)
 
     def appear(self) -> float:
-        """Lay the object into the palm; from now on it can be touched.
+        """Lays the object into the palm and enables its contacts.
 
         It comes from the front, across the palm, to where it is nearest to the palm without
         touching the hand. Somebody holds it loosely: it has no weight, and yields against a drag.
@@ -449,7 +452,7 @@ class PowerGraspPhysics(GraspPhysics):
         palmar: Float[np.ndarray, "3"],
         turn: Float[np.ndarray, "4"],
     ) -> float:
-        """Distance to a place that the object reaches from the front [m]."""
+        """Distance from the front to the resting place of the object [m]."""
         depth = _FROM
         while depth > -_FROM:
             self._put(place + (depth - _STEP) * palmar, turn)

@@ -13,28 +13,28 @@ from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import HandRecording
 
 CLOSED: Final = 0.015
-"""Thumb and finger pinch when their tips come nearer than this [m]..."""
+"""Tip distance below which a pinch begins [m]; it ends above the next constant."""
 OPENED: Final = 0.025
-"""... until they are farther apart than this [m]."""
+"""Tip distance above which a pinch ends [m]."""
 LEAST_S: Final = 0.1
-"""A pinch is closed for at least so long [s]."""
+"""Shortest time for which a pinch is closed [s]."""
 NEAR_MISS: Final = 0.005
-"""A pinch that stays wider than the recording's tightest one by more than this is none [m]."""
+"""Largest excess of a pinch's width over the recording's tightest pinch [m]."""
 WIDE: Final = 0.06
-"""A pinch is looked at from where the skins were last so far apart [m], else from where they were
-farthest apart since an earlier pinch..."""
+"""A pinch's window starts at the last frame with this skin distance [m], otherwise at the widest
+frame since an earlier pinch."""
 BEFORE_S: Final = 1.5
-"""... and for so long before it closes at most [s]."""
+"""Longest time of the window before the pinch closes [s]."""
 AFTER_S: Final = 1.5
-"""Until so long after it has opened [s]."""
+"""Time of the window after the pinch has opened [s]."""
 
 
 class HumanGrasp(Protocol):
-    """A grasp: it has a frame in which the hand is closed most."""
+    """A grasp, with the frame in which the hand is closed most."""
 
     @property
     def tight(self) -> int:
-        """An index of the recording."""
+        """Index of that frame in the recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,17 +65,16 @@ class HumanPinch:
     width: Float[np.ndarray, " T"]
 
     def of_size(self, scale: float) -> HumanPinch:
-        """The same of a hand that is so many times as large: ``contact`` and ``width`` differ."""
+        """The pinch of a scaled hand: ``contact`` and ``width`` differ."""
         return replace(self, contact=scale * self.contact, width=scale * self.width)
 
     @property
     def opening_before(self) -> float:
-        """Distance of the skins where the pinch is looked at from [m]: what is as wide could
-        be taken."""
+        """Skin distance at the start of the window [m]: the largest width of an object to grasp."""
         return float(self.width[self.first])
 
     def opening(self, width: float) -> int | None:
-        """From which frame on the skins are farther apart than a width [m]; None if they never are.
+        """First frame from which the skin distance exceeds a width [m]; None if it never does.
 
         What they do while the pinch is closed is tracking noise where it does not open the pinch.
         """
@@ -86,7 +85,7 @@ class HumanPinch:
 
 
 def find_pinches(recording: HandRecording) -> list[HumanPinch]:
-    """Every pinch of a recording, in order of time.
+    """Finds all pinches of a recording, in order of time.
 
     Closed and opened by hysteresis in the distance of the tips. Of pinches of several fingers at
     one time the tightest counts.
@@ -115,7 +114,7 @@ def find_pinches(recording: HandRecording) -> list[HumanPinch]:
 def with_holds(
     recording: HandRecording, grasps: Sequence[HumanGrasp], seconds: float
 ) -> tuple[HandRecording, Float[np.ndarray, " T"]]:
-    """A recording in which the hand rests at each grasp's tightest moment.
+    """Inserts a rest of the hand at each grasp's tightest moment.
 
     Args:
         seconds: how long it rests; the frame is repeated at the recording's rate.
@@ -190,7 +189,7 @@ def _window(
 
 
 def _tightest(pinches: Sequence[HumanPinch], gaps: Float[np.ndarray, "T 4"]) -> list[HumanPinch]:
-    """Without those in which another finger is nearer to the thumb."""
+    """Removes pinches in which another finger is nearer to the thumb."""
     return [
         pinch
         for pinch in pinches
@@ -199,12 +198,12 @@ def _tightest(pinches: Sequence[HumanPinch], gaps: Float[np.ndarray, "T 4"]) -> 
 
 
 BENT: Final = 0.65
-"""The hand is closed where no finger is straighter than this..."""
+"""Straightness of all fingers below which the hand is closed; it opens above the next constant."""
 STRAIGHT: Final = 0.85
-"""... until all are straighter than this."""
+"""Straightness of all fingers above which the hand is open."""
 LOOSER: Final = 0.1
-"""The human holds the object until the fingers are straighter by this than they are at most bent,
-on average."""
+"""Mean increase of straightness, from the most bent pose, at which the human releases the
+object."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +227,7 @@ class HumanClosing:
 
 
 def find_closings(recording: HandRecording) -> list[HumanClosing]:
-    """Every closing of the hand in a recording, in order of time."""
+    """Finds all closings of the hand in a recording, in order of time."""
     straight = finger_straightness(recording)
     bent, stamps = straight.mean(axis=1), recording.stamps
     spans = _closed_spans(straight)
@@ -256,7 +255,7 @@ def find_closings(recording: HandRecording) -> list[HumanClosing]:
 
 
 def finger_straightness(recording: HandRecording) -> Float[np.ndarray, "T 4"]:
-    """Distance from base to tip of index to pinky, as a share of the length of their bones.
+    """Distance from base to tip of index to pinky, divided by the length of their bones.
 
     Returns:
         (T, 4); 1 for a straight finger, NaN where a landmark of it is not known.
@@ -270,7 +269,7 @@ def finger_straightness(recording: HandRecording) -> Float[np.ndarray, "T 4"]:
 
 
 def _closed_spans(straight: Float[np.ndarray, "T 4"]) -> list[tuple[int, int]]:
-    """From the frame in which all fingers are bent to the one in which all are straight."""
+    """Spans from a frame with all fingers bent to the next with all fingers straight."""
     spans: list[tuple[int, int]] = []
     begin: int | None = None
     for frame, (least, most) in enumerate(

@@ -1,4 +1,4 @@
-"""Interface of a measure of ``bench --physics``, and the cases that it is run on.
+"""Interface of a measure of ``bench --physics``, and its cases.
 
 A measure is a class without arguments, named in ``physics.suite``. The framework makes the
 cases (each hand, method, condition and independent unit), runs them in workers, keeps what came of
@@ -83,7 +83,7 @@ class PhysicsSettings:
             tracker_model(tracker)
 
     def count(self, default: int, quick: int) -> int:
-        """Number of units that a measure takes.
+        """Number of units of a measure.
 
         Args:
             default: where nothing is said.
@@ -117,7 +117,7 @@ class Unit:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One thing to run: a unit in a condition, a hand, a method.
+    """One run: a unit in a condition, a hand, a method.
 
     Attributes:
         measure: name of the measure.
@@ -165,7 +165,7 @@ class Case:
 
     @property
     def label(self) -> str:
-        """For a person."""
+        """Human-readable label."""
         condition = f", {self.condition}" if self.condition else ""
         where = f"{self.hand_name} {self.side}, {self.method_label}{condition}"
         return f"{where}, {self.unit.name}"
@@ -176,7 +176,7 @@ class Case:
         return load_hand(self.hand_name, self.side)
 
     def commands(self, recording: HandRecording) -> CommandTrajectory:
-        """The commands of the method for a recording, from a fresh state.
+        """Commands of the method for a recording, from a fresh state.
 
         The compiled program is kept in the process for the next case of this hand and method.
         """
@@ -184,7 +184,7 @@ class Case:
         return execute(todo, built_for(todo)).commands
 
     def retargeter(self, tracker: str | None = None) -> Retargeter:
-        """The method, compiled, for a loop that steps it; kept in the process as well.
+        """Compiled method for a loop that steps it; cached in the process.
 
         Args:
             tracker: kind of tracker that the loop has, whose pinch gaps are known.
@@ -268,10 +268,10 @@ class Measure(Protocol):
     figures: tuple[Figure, ...]
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
-        """Values of what is varied, as tracker noise or a task; a table for each."""
+        """Values of the varied quantity, such as tracker noise or task; each has a table."""
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
-        """The independent units; all hands, methods and conditions take the same ones."""
+        """The independent units, shared by all hands, methods and conditions."""
 
     def run(self, case: Case) -> Measured:
         """Runs one case. Deterministic: the same case gives the same row."""
@@ -291,7 +291,7 @@ _ABSENT: Final = -(2**31)
 
 
 def clip_record(clip: Clip) -> dict[str, Any]:
-    """A clip with a JSON form, at 30 frames a second."""
+    """Converts a clip to JSON values, at 30 frames per second."""
     stamps = clip.stamps
     count = min(len(stamps), max(2, int((stamps[-1] - stamps[0]) * RATE_HZ) + 1))
     times = np.linspace(stamps[0], stamps[-1], count)
@@ -308,7 +308,7 @@ def clip_record(clip: Clip) -> dict[str, Any]:
 
 
 def clip_of_record(record: dict[str, Any]) -> Clip:
-    """The clip of ``clip_record``, thinned."""
+    """Restores the thinned clip of ``clip_record``."""
     arrays = {
         name: None if record[name] is None else _unpacked(record[name], scale)
         for name, scale in _SCALES.items()

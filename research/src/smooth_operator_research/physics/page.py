@@ -42,12 +42,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _ROW: Final = 0.24  # of a method [inch]
+_FACTS: Final = ("name", "unit", "goal", "meaning", "share")
 
 
 def interval_drawings(
     name: str, results: MeasureResults, figures: Sequence[Figure], colors: Mapping[str, str]
 ) -> list[Drawing]:
-    """A plot for each condition: a panel for each figure, a row for each hand and method.
+    """Makes a plot for each condition, with a panel for each figure and a row for each hand and
+    method.
 
     Args:
         name: name of the measure; the files begin with it.
@@ -189,7 +191,7 @@ def _section(outcome: MeasureOutcome, plots: Plots, colors: Mapping[str, str], h
 
 
 def _table(outcome: MeasureOutcome, lines: Sequence[Line], colors: Mapping[str, str]) -> Html:
-    """A row for each method with all figures; the best of each column has a star."""
+    """Table with a row for each method; the best value of each column has a star."""
     figures = outcome.measure.figures
     rows = [
         [name_cell(name, colors[name], "; ".join(line.failed)), *map(escape, cells)]
@@ -248,7 +250,10 @@ def write_files(settings: PhysicsSettings, outcomes: Sequence[MeasureOutcome]) -
                 "name": outcome.measure.name,
                 "definition": outcome.measure.definition,
                 "unit": outcome.measure.unit,
-                "figures": [_facts(figure) for figure in outcome.measure.figures],
+                "figures": [
+                    {name: getattr(figure, name) for name in _FACTS}
+                    for figure in outcome.measure.figures
+                ],
                 "summary": summary_rows(outcome),
                 "rows": outcome.results.rows,
             }
@@ -277,7 +282,7 @@ def summary_rows(outcome: MeasureOutcome) -> list[dict[str, Any]]:
 
 
 def difference_rows(outcome: MeasureOutcome) -> list[dict[str, Any]]:
-    """Each figure of each method less that of each method after it, unit by unit."""
+    """Differences of each figure between each method and each method after it, unit by unit."""
     results = outcome.results
     return [
         {
@@ -298,10 +303,6 @@ def difference_rows(outcome: MeasureOutcome) -> list[dict[str, Any]]:
 def _where(outcome: MeasureOutcome, panel: Sequence[str]) -> dict[str, str]:
     names = ("measure", "hand", "side", "condition")
     return dict(zip(names, (outcome.measure.name, *panel), strict=True))
-
-
-def _facts(figure: Any) -> dict[str, Any]:
-    return {name: getattr(figure, name) for name in ("name", "unit", "goal", "meaning", "share")}
 
 
 def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -1,4 +1,5 @@
-"""Measure 1: motions that the robot hand itself makes play the human, so every target is exact."""
+"""Measure 1: the human motion is a motion of the robot hand itself, so every target is
+reachable."""
 
 from __future__ import annotations
 
@@ -32,11 +33,11 @@ from smooth_operator_research.physics.results import Figure, MeasureResults
 KNOT_S: Final = 0.4
 """Time between two knots of the spline [s]; half of its inverse, 1.25 Hz, bounds the band."""
 PINCH_SHARE: Final = 1 / 3
-"""Share of the key poses in which the thumb meets a finger."""
+"""Share of key poses in which the thumb touches a finger."""
 PINCH_GAP: Final = 0.02
 """Tips closer than this are a pinch [m]."""
 TOUCH: Final = 1e-3
-"""Deepest overlap of a pose that a real hand could take [m]."""
+"""Largest overlap in a pose that a real hand could take [m]."""
 
 _DRAWS: Final = 30  # key poses that are tried in turn where the way to one collides
 _NARROWING: Final = 15  # of them, the last, come nearer and nearer to the pose before
@@ -140,13 +141,13 @@ def spline(control: list[np.ndarray], per_knot: int) -> Float[np.ndarray, "T m"]
 
 
 def depth_of(hand: Hand, joints: Float[np.ndarray, "T m"]) -> float:
-    """Deepest self-penetration of some poses [m]; 0 where the model has no shapes that collide."""
+    """Deepest self-penetration of some poses [m]; 0 if the model has no collision shapes."""
     depths = penetration_depths(hand, hand.full_configuration(joints))
     return 0.0 if depths is None else float(depths.max())
 
 
 class _KeyPoses:
-    """Random poses of a hand that do not collide, and such in which the thumb meets a finger."""
+    """Random collision-free poses of a hand, and poses in which the thumb touches a finger."""
 
     def __init__(self, hand: Hand, rng: np.random.Generator) -> None:
         self.hand, self._rng = hand, rng
@@ -160,7 +161,7 @@ class _KeyPoses:
         return bool(self._found)
 
     def free(self, count: int = 1) -> Float[np.ndarray, "k m"]:
-        """Poses that do not collide, or the least bad of some."""
+        """Collision-free poses, or the best of some."""
         poses = self._rng.uniform(self._low, self._high, (_DRAWS // 3 * count, len(self._low)))
         depths = penetration_depths(self.hand, self.hand.full_configuration(poses))
         worse = np.zeros(len(poses)) if depths is None else np.maximum(depths, TOUCH)
@@ -206,7 +207,8 @@ class _KeyPoses:
         return chosen
 
     def _gap(self, pose: np.ndarray, finger: int) -> tuple[np.ndarray, np.ndarray]:
-        """From the thumb's tip to the finger's, (b, 3) [m], and how joints move it, (b, 3, m)."""
+        """Vectors (b, 3) from the thumb's tip to the finger's [m], and their derivatives (b, 3, m)
+        by the joints."""
         size = pose.shape[1]
         probes = np.concatenate([np.zeros((1, size)), _PROBE * np.eye(size)])
         tips = self.hand.tips(self.hand.full_configuration(pose[:, None] + probes))
@@ -215,7 +217,7 @@ class _KeyPoses:
         return apart[:, 0], jacobian
 
     def _touching(self, paths: Float[np.ndarray, "k s m"]) -> Float[np.ndarray, "k m"]:
-        """The last pose of each path before it collides; a path begins free of collision."""
+        """Last collision-free pose of each path; a path begins free of collision."""
         every = self.hand.full_configuration(paths.reshape(-1, paths.shape[-1]))
         depths = penetration_depths(self.hand, every)
         if depths is None:
@@ -239,11 +241,11 @@ SECONDS: Final = 8.0
 QUICK_SECONDS: Final = 3.0
 RATE_HZ: Final = 100.0
 WARM_UP_S: Final = 0.5
-"""Time left out at the beginning [s]: the hand starts at its neutral pose, and so do methods."""
+"""Time left out at the beginning [s], because hand and methods start at the neutral pose."""
 CLEAN: Final = "clean"
 """Condition in which fingertips do not shake."""
 EXACT: Final = 0.5e-3
-"""A frame is exact where no fingertip is further off than this [m]."""
+"""A frame is exact if the error of every fingertip is at most this [m]."""
 
 _UNITS, _QUICK_UNITS = 5, 2
 _MOST_LAG = 30  # frames
@@ -300,7 +302,7 @@ def _asked(hand: Hand, motion: JointMotion, seed: int, tracker: str | None) -> A
 
 @lru_cache(maxsize=8)
 def _motion(hand_name: str, side: Side, seed: int, duration: float) -> JointMotion:
-    """The same for all methods, which come one after the other."""
+    """Motion of a seed, cached for the methods, which run one after another."""
     return joint_motion(load_hand(hand_name, side), seed, duration=duration, rate_hz=RATE_HZ)
 
 
@@ -384,7 +386,7 @@ class ReachableMotion:
     )
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
-        """Without shake, and with that of each tracker."""
+        """No shake, and the shake of each tracker."""
         return (CLEAN, *settings.trackers)
 
     def units(self, settings: PhysicsSettings) -> Sequence[Unit]:
@@ -411,14 +413,14 @@ class ReachableMotion:
         return Measured(row, Clip(request.recording.stamps, human, commands.joint_positions))
 
     def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
-        """Fingertip error, pinch gap error and lag of each method."""
+        """Draws fingertip error, pinch gap error and lag of each method."""
         return interval_drawings(self.name, results, self.figures[:4], colors)
 
 
 def motion_figures(
     hand: Hand, request: AskedMotion, joints: Float[np.ndarray, "T n"]
 ) -> dict[str, float | int | str | None]:
-    """The figures of one motion; the first half second is left out.
+    """Measures one motion without its first half second.
 
     Args:
         joints: (T, n) what it was commanded [rad].
@@ -427,7 +429,10 @@ def motion_figures(
     tips = hand.tips(joints)
     off = (tips - request.tips)[warm:]
     error = np.linalg.norm(off, axis=-1)
-    gaps, human_gaps = (_thumb_gaps(points)[warm:] for points in (tips, request.tips))
+    gaps, human_gaps = (
+        np.linalg.norm(points[warm:, 1:] - points[warm:, :1], axis=-1)
+        for points in (tips, request.tips)
+    )
     pinched = human_gaps < PINCH_GAP
     apart = np.abs(gaps - human_gaps)[pinched]
     period = float(np.median(np.diff(request.recording.stamps)))
@@ -457,14 +462,8 @@ def _warm(request: AskedMotion) -> int:
     return int(np.searchsorted(stamps, stamps[0] + WARM_UP_S))
 
 
-def _thumb_gaps(tips: Float[np.ndarray, "T F 3"]) -> Float[np.ndarray, "T f"]:
-    """Distance of each finger's tip from the thumb's [m]."""
-    gaps: np.ndarray = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=-1)
-    return gaps
-
-
 def lag_frames(human: Float[np.ndarray, "T F 3"], robot: Float[np.ndarray, "T F 3"]) -> float:
-    """By how many frames one motion trails another.
+    """Delay of one motion behind another in frames.
 
     The whole number of frames with the smallest mean squared distance, and the fraction that the
     remaining distance makes along the asked velocity, by least squares. What is exact has lag 0.

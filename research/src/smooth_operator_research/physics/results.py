@@ -1,4 +1,4 @@
-"""Rows of a measure and what they come to: each figure with its interval over independent units."""
+"""Rows of a measure, and their summary: each figure with its interval over independent units."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def wilson(successes: float, trials: float) -> tuple[float, float]:
 
 
 def summarise(figure: Figure, rows: Iterable[Mapping[str, Any]]) -> Summary:
-    """A figure over rows; those without it, failures too, are left out."""
+    """Summarises a figure over rows, without rows that lack it and failures."""
     measured = [row for row in rows if row.get(figure.name) is not None]
     if figure.share:
         good = sum(float(row[figure.name]) for row in measured)
@@ -118,7 +118,7 @@ class Line:
 
 
 Difference: TypeAlias = dict[str, Summary]
-"""Name of a figure -> by how much one method exceeds another."""
+"""Name of a figure -> difference of two methods."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +151,7 @@ class MeasureResults:
         return [r for r in own if method is None or row_method(r) == method]
 
     def lines(self, panel: tuple[str, str, str]) -> list[Line]:
-        """A table: a line for each method."""
+        """Lines of a table, one for each method."""
         lines = []
         for method in dict.fromkeys(row_method(row) for row in self.of(panel)):
             rows = self.of(panel, method)
@@ -162,7 +162,7 @@ class MeasureResults:
         return lines
 
     def differences(self, panel: tuple[str, str, str], against: str) -> dict[str, Difference]:
-        """By how much each other method's figures exceed those of one, unit by unit.
+        """Differences of each other method's figures from those of one method, unit by unit.
 
         Both methods had the same units, so that what units have in common cancels. A share is taken
         within each unit.
@@ -206,7 +206,7 @@ def _difference(a: Mapping[str, float | None], b: Mapping[str, float | None]) ->
 
 
 def best_of(lines: Sequence[Line], figure: Figure) -> str | None:
-    """The method that is best by a figure; None where it has no direction or all are alike.
+    """Best method by a figure; None if the figure has no direction or all are equal.
 
     Where less is better, the nearest to 0 is best: a lag may be below 0.
     """
@@ -224,7 +224,7 @@ def best_of(lines: Sequence[Line], figure: Figure) -> str | None:
 def table_rows(
     lines: Sequence[Line], figures: Sequence[Figure], *, intervals: bool = True
 ) -> list[list[str]]:
-    """A row of text for each method: its name and its figures, ``*`` behind the best of each."""
+    """Rows of text, one per method: its name and its figures, with ``*`` after the best of each."""
     best = [best_of(lines, figure) for figure in figures]
     rows = []
     for line in lines:

@@ -1,4 +1,4 @@
-"""Running the cases of measures in workers, each result kept as soon as it is there."""
+"""Runs the cases of measures in workers, and stores each result as soon as it is complete."""
 
 from __future__ import annotations
 
@@ -50,18 +50,18 @@ MEASURES: Final[dict[str, tuple[str, str]]] = {
     "grasp": ("grasp_measures", "PowerGrasp"),
     "operators": ("virtual_operators", "VirtualOperators"),
 }
-"""Name -> module of this package and class in it, in the order of the report. A new measure is a
+"""Name -> module of this package and class in it, in the order of the report. A new measure needs a
 file and a line here."""
 
 
 def measure_names() -> tuple[str, ...]:
-    """The measures whose module is there."""
+    """Names of the available measures."""
     home = "smooth_operator_research.physics"
     return tuple(n for n, (module, _) in MEASURES.items() if find_spec(f"{home}.{module}"))
 
 
 def find_measure(name: str) -> Measure:
-    """A measure by its name."""
+    """Finds a measure by its name."""
     if name not in measure_names():
         raise UnknownNameError("measure", name, measure_names())
     module, kind = MEASURES[name]
@@ -71,11 +71,11 @@ def find_measure(name: str) -> Measure:
 
 COMMAND: Final = "bench --physics"
 CASES: Final = "cases.jsonl"
-"""File of the kept results, a line for each case."""
+"""File of the stored results, one line per case."""
 
 
 _CODE: Final = ("physics", "demonstrations", "virtual_operator", "simulation", "synthetic")
-"""Folders that a row depends on besides the methods, here or in ``smooth_operator``."""
+"""Folders, here or in ``smooth_operator``, on which a row depends besides the methods."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ class MeasureOutcome:
 
 
 def plan_cases(settings: PhysicsSettings) -> dict[str, list[Case]]:
-    """All that is to be run, measure by measure; reads recordings, writes nothing."""
+    """Plans the cases of each measure; reads recordings, writes nothing."""
     check_folder(settings.output, COMMAND, f"an earlier {COMMAND}")
     planned: dict[str, list[Case]] = {}
     for name in settings.measures or measure_names():
@@ -127,7 +127,7 @@ def run_cases(
     planned: Mapping[str, Sequence[Case]],
     reporter: Reporter | None = None,
 ) -> list[MeasureOutcome]:
-    """Runs all cases but those that an earlier run in the folder has finished.
+    """Runs all cases that an earlier run in the folder has not finished.
 
     A case that fails has a reason in place of figures, and the rest goes on. A run that is stopped
     loses only the cases that it was at.
@@ -217,6 +217,6 @@ def _row(case: Case, result: JobResult[Case]) -> Row:
 
 
 def failed_rows(outcomes: Iterable[MeasureOutcome]) -> Iterator[Row]:
-    """The rows that have a reason in place of figures."""
+    """Rows that have a reason in place of figures."""
     for outcome in outcomes:
         yield from (row for row in outcome.results.rows if row["status"] != "ok")

@@ -1,4 +1,4 @@
-"""Is the physics right? Pads, energy, slip, creep, and results at half the step, each measured.
+"""Validity of the physics: pads, energy, slip, creep, and results at half the step.
 
 ``python -m smooth_operator_research.physics.validity`` prints the table of
 ``research/docs/physics-measures.md``.
@@ -40,7 +40,7 @@ TIGHT: Final = (
 
 
 class Pinched(NamedTuple):
-    """A world of two pads that press on an object from both sides, on slides along x.
+    """World of two pads that press on an object from both sides, on slide joints along x.
 
     Attributes:
         model: the world; its two motors are the pads' forces towards each other [N].
@@ -53,7 +53,7 @@ class Pinched(NamedTuple):
     body: int
 
     def run(self, seconds: float, pull: float = 0.0) -> None:
-        """Let time pass with a force along -z on the object [N]."""
+        """Advances time with a force along -z on the object [N]."""
         self.data.xfrc_applied[self.body, 2] = -pull
         for _ in range(round(seconds / self.model.opt.timestep)):
             mujoco.mj_step(self.model, self.data)
@@ -85,7 +85,7 @@ def _world(step: float) -> mujoco.MjSpec:
 def _built(
     world: mujoco.MjSpec, thing: GraspObject, height: float, pads: tuple[str, ...]
 ) -> Pinched:
-    """The world with an object at a height [m]."""
+    """Builds the world with an object at a height [m]."""
     body = world.worldbody.add_body(name=OBJECT, pos=(0.0, 0.0, height))
     body.add_freejoint(name=OBJECT)
     thing.add_to(body)
@@ -95,7 +95,7 @@ def _built(
 
 
 def pinched(thing: GraspObject, force: float) -> Pinched:
-    """An object at rest between two pads that press with a force each [N]."""
+    """Places an object at rest between two pads that each press with a force [N]."""
     world = _world(STEP_S)
     for sign, name in zip((-1.0, 1.0), _PADS, strict=True):
         away = sign * (thing.width / 2 + _RADIUS)
@@ -114,7 +114,8 @@ def pinched(thing: GraspObject, force: float) -> Pinched:
 
 
 def indentation(force: float, thing: GraspObject) -> float:
-    """Depth of a pad that presses with a force [N] in an object's face, by point of contact [m]."""
+    """Depth of a pad that presses with a force [N] into an object's face, by point of contact
+    [m]."""
     world = pinched(thing, force)
     world.model.opt.gravity[:] = 0.0
     world.run(_SETTLE_S)
@@ -150,7 +151,7 @@ def energy_gain(thing: GraspObject, height: float = 0.05) -> tuple[float, float]
 
 
 def slip_ratio(force: float, thing: GraspObject) -> float:
-    """The pull at which an object slips between two pads, over friction times normal force."""
+    """Force at which an object slips between two pads, divided by friction times normal force."""
     world = pinched(thing, force)
     world.run(_SETTLE_S)
     weight = 9.81 * thing.mass
@@ -163,7 +164,7 @@ def slip_ratio(force: float, thing: GraspObject) -> float:
 
 
 def creep(force: float, thing: GraspObject, seconds: float = 10.0) -> float:
-    """Way that an object sinks through two pads that hold it [m], from 0.05 s after they press."""
+    """Distance that a held object sinks between two pads [m], from 0.05 s after they press."""
     world = pinched(thing, force)
     world.run(0.05)
     before = float(world.data.xpos[world.body, 2])
@@ -172,7 +173,7 @@ def creep(force: float, thing: GraspObject, seconds: float = 10.0) -> float:
 
 
 def mimic_pinch(thing: GraspObject, step: float) -> GraspResult:
-    """The mimic hand closes on an object in 0.4 s, holds it for 1.3 s, and opens."""
+    """Closes the mimic hand on an object in 0.4 s, holds for 1.3 s, and opens."""
     hand = load_hand("mimic_p050")
     wide, tight = hand.full_configuration(WIDE), hand.full_configuration(TIGHT)
     stamps = np.arange(0.0, 3.0, 0.01)

@@ -1,4 +1,4 @@
-"""Measure 4: virtual operators, who look and correct, do the tasks of the study."""
+"""Measure 4: virtual operators, who watch and correct, do the tasks of the study."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class VirtualOperators:
         ]
 
     def run(self, case: Case) -> Measured:
-        """Some trials of one person, after free movement with the method."""
+        """Runs some trials of one person, after free movement with the method."""
         number, seed = case.unit.data
         task, kind = case.condition.split()
         tracker = tracker_model(kind)
@@ -89,5 +89,5 @@ class VirtualOperators:
         )
 
     def draw(self, results: MeasureResults, colors: Mapping[str, str]) -> Sequence[Drawing]:
-        """Success and time of each method and task."""
+        """Draws success and time of each method and task."""
         return interval_drawings(self.name, results, self.figures[:3], colors)

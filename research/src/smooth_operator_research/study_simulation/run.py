@@ -1,4 +1,4 @@
-"""Runs the trials of a plan in workers, keeps each, and writes what ``study analyze`` reads."""
+"""Runs the trials of a plan in workers, stores each, and writes the input of ``study analyze``."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from smooth_operator_study.store.export import QUESTIONNAIRE_COLUMNS, TRIAL_COLU
 
 MOST_OPERATORS: Final = 1000
 PREFIX: Final = "simulated-"
-"""Begins the codes of virtual operators, so that no row of theirs is taken for a person's."""
+"""Prefix of the codes of virtual operators, which distinguishes their rows from those of people."""
 
 _CHUNK: Final = 5
-"""Trials of a block that a worker does in one go: what a stop can lose."""
+"""Number of trials that a worker does at once; a stop can lose them."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class SimulationSettings:
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """Some trials of a block, in turn.
+    """Some consecutive trials of a block.
 
     Attributes:
         settings: how the plan is simulated.
@@ -97,7 +97,7 @@ class Chunk:
 
     @property
     def key(self) -> dict[str, Any]:
-        """Key of the trials: all that they depend on, with a JSON form."""
+        """Key of the trials: everything that they depend on, as JSON values."""
         block, protocol = self.block, self.settings.plan.protocol
         return {
             "operator": block.operator,
@@ -120,7 +120,7 @@ class Chunk:
 
 
 def plan_for(plan: Plan, operators: int | None) -> Plan:
-    """The plan for so many operators; the plan itself where these are its own."""
+    """Plan for a number of operators; the plan itself if it has that number."""
     if operators is None:
         if not plan.enrolled:
             raise StudyError("the plan has no operators; give their number with --operators")
@@ -139,7 +139,7 @@ def chunks(settings: SimulationSettings) -> Iterator[Chunk]:
 
 
 def simulate_chunk(chunk: Chunk) -> list[dict[str, Any]]:
-    """Rows of some trials; what a worker does."""
+    """Simulates some trials in a worker; returns their rows."""
     key = chunk.key
     familiar = _familiar(
         key["person"],
@@ -198,13 +198,13 @@ def _familiar(
 
 
 LOG: Final = "simulated-trials.jsonl"
-"""Finished trials, some of a block on each line; by it a stopped run goes on."""
+"""File of finished trials, some of a block per line, from which a stopped run continues."""
 
 NOTICE: Final = (
     "Simulated operators, a model of how people look and correct: no person took part, and no "
     "person is replaced. Workload (NASA-TLX) is not simulated and left empty."
 )
-"""Stands in the output and in the files."""
+"""Warning in the output and in the files."""
 
 _DETAILS: Final = (
     *TRIAL_COLUMNS,
@@ -218,7 +218,7 @@ _DETAILS: Final = (
 )
 
 Report: TypeAlias = Callable[[int, int], None]
-"""Called with the trials that are done, and all."""
+"""Function of the numbers of finished trials and of all trials."""
 
 
 def simulate_study(
@@ -229,7 +229,7 @@ def simulate_study(
     report: Report | None = None,
     note: Note = no_note,
 ) -> list[dict[str, Any]]:
-    """Simulates every trial; goes on where an earlier run in the same folder stopped.
+    """Simulates every trial; continues an earlier run in the same folder.
 
     Args:
         folder: keeps what is done, and gets the tables; must exist.
@@ -328,7 +328,7 @@ def _write(settings: SimulationSettings, folder: Path, rows: Sequence[dict[str, 
 
 
 def _plain(person: dict[str, Any]) -> dict[str, Any]:
-    """A person's figures without the anatomy's tables."""
+    """Parameters of a person without the tables of anatomy."""
     length = person.pop("anatomy")["hand_length"]
     return {"hand_length": length} | {
         name: value.tolist() if hasattr(value, "tolist") else value

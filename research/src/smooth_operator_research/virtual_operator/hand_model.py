@@ -1,4 +1,4 @@
-"""A person's hand that follows fingertip goals: inverse kinematics within its joint ranges.
+"""Hand of a person that follows fingertip goals by inverse kinematics within its joint ranges.
 
 There are two. ``human``: published human anatomy with the person's bone lengths and human joint
 ranges. ``matched``: the kinematics of the robot hand at human size, each bone 10 % longer or
@@ -43,7 +43,7 @@ class SeenTips:
         self._offsets = np.array([offset for _, offset in named])
 
     def read(self) -> Float[np.ndarray, "f 3"]:
-        """(f, 3) in the palm frame now [m], thumb first."""
+        """Current fingertips (f, 3) in the palm frame [m], thumb first."""
         data = self._physics.data
         turns = data.xmat[self._bodies].reshape(-1, 3, 3)
         world = data.xpos[self._bodies] + np.einsum("fij,fj->fi", turns, self._offsets)
@@ -85,14 +85,14 @@ class HandPoints:
 
 
 Body: TypeAlias = Literal["matched", "human"]
-"""Whose kinematics a person's hand has."""
+"""Kinematics of a person's hand."""
 
 _NUDGE: Final = 1e-5  # of an angle, for derivatives [rad]
 _TIP_M: Final = 0.002  # a fingertip's error counts in units of this [m]
 _POSTURE: Final = 3.0  # an angle's distance from the relaxed hand counts in units of this [rad]
 _MOTION: Final = 0.5  # and that from the last angle in units of this [rad]
 _FASTEST: Final = 15.0
-"""Fastest turn of a finger joint [rad/s]; ours, in the order of the fastest finger movements."""
+"""Highest speed of a finger joint [rad/s]; our choice, similar to the fastest finger movements."""
 
 
 class HandModel(ABC):
@@ -120,7 +120,7 @@ class HandModel(ABC):
 
 
 def hand_model(person: Person, hand: Hand, body: Body = "matched") -> HandModel:
-    """The hand of a person who drives a robot hand."""
+    """Makes the hand of a person who drives a robot hand."""
     return HumanHand(person, hand.spec.side) if body == "human" else MatchedHand(person, hand)
 
 
@@ -182,14 +182,15 @@ class MatchedHand(HandModel):
 
 
 def _length(hand: Hand, points: Float[np.ndarray, "21 3"]) -> float:
-    """Wrist to middle fingertip along the bones, or to that of the second finger [m]."""
+    """Length from wrist to middle fingertip, or to that of the second finger, along the bones
+    [m]."""
     row = FINGERS.index(hand.fingers[min(2, len(hand.fingers) - 1)])
     chain = points[[0, *range(BASES[row], BASES[row] + 4)]]
     return float(np.linalg.norm(np.diff(chain, axis=0), axis=1).sum())
 
 
 class ReachingHand:
-    """A hand whose fingertips go where they are wanted, as far as joints and their speed allow.
+    """A hand whose fingertips move to goals within the limits of joint positions and speeds.
 
     Attributes:
         angles: (m,) joint angles [rad].
@@ -201,13 +202,13 @@ class ReachingHand:
 
     @property
     def landmarks(self) -> Float[np.ndarray, "21 3"]:
-        """(21, 3) of the hand as it is [m]."""
+        """Current landmarks (21, 3) of the hand [m]."""
         return self._model.landmarks(self.angles)[0]
 
     def reach(
         self, tips: Float[np.ndarray, "5 3"], seconds: float, rounds: int = 1
     ) -> Float[np.ndarray, "21 3"]:
-        """Move the fingertips towards goals.
+        """Moves the fingertips towards goals.
 
         Args:
             tips: (5, 3) thumb first [m]; NaN for a finger that stays relaxed.
@@ -239,13 +240,13 @@ class ReachingHand:
 
 
 _NEAR_M: Final = 0.004
-"""A fingertip that comes this near reaches a place [m]."""
+"""Distance at which a fingertip counts as having reached a place [m]."""
 
 _ROUNDS: Final = 40
 _MOST: Final = np.radians(42.0)  # a grip is this far from a face's normal at most [rad]
 _ASIDE: Final = np.radians(50.0)  # and from the line from the relaxed thumb to the finger [rad]
 _AROUND: Final = np.radians(100.0)
-"""A thumb that goes further around the object meets it with its other links [rad]."""
+"""Largest angle of the thumb around the object [rad]; beyond it, other links touch the object."""
 _SHORTEST: Final = np.radians(5.0)
 _STEP: Final = np.radians(5.0)
 
@@ -294,7 +295,7 @@ class GripReach:
         return float(np.linalg.norm(points[list(TIPS)][rows] - goals[rows], axis=1).max())
 
     def edge_pinch(self, x: float, y: float, top: float, gap: float) -> tuple[int, float]:
-        """Finger and place along the edge where it and the thumb can pinch a card best.
+        """Finger and place along the edge at which it and the thumb can best pinch a card.
 
         Args:
             x: place of the pinch [m].
@@ -356,7 +357,7 @@ class GripReach:
     def _ranges(
         self, centre: Float[np.ndarray, "3"], width: float, wide: float
     ) -> dict[int, tuple[float, float]]:
-        """Finger -> least and greatest angle at which it and the thumb grip from both sides."""
+        """Finger -> smallest and largest angle at which it and the thumb grip from both sides."""
         key = tuple(np.round(centre, 2))
         if key not in self._turns:
             angles = np.arange(-np.pi, np.pi, _STEP)
@@ -389,7 +390,7 @@ class GripReach:
     def across(
         self, centre: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
     ) -> Float[np.ndarray, "3"]:
-        """(3,) horizontal direction across a handle, to the thumb's side."""
+        """Horizontal direction (3,) across a handle, to the thumb's side."""
         direction = np.cross(axis, [0.0, 0.0, 1.0])
         direction /= np.linalg.norm(direction)
         side = (self.relaxed[0] - self.relaxed[1:3].mean(axis=0)) @ direction
@@ -402,7 +403,7 @@ class GripReach:
         along: Float[np.ndarray, "3"],
         width: float,
     ) -> tuple[int, int, float]:
-        """Finger opposite the thumb, the second finger, and how far along the handle that is [m].
+        """Finger opposite the thumb, the second finger, and its distance along the handle [m].
 
         Args:
             centre: middle of the grip [m].
@@ -449,7 +450,8 @@ _RIDGE: Final = 0.05  # pulls the local fit to the fit over all, where movements
 
 
 class InternalModel:
-    """Own fingertips for wanted robot fingertips, by locally weighted affine regression.
+    """Maps goals of the robot's fingertips to the person's own fingertips, by locally weighted
+    affine regression.
 
     Args:
         robot: (n, f, 3) fingertips that were seen, in the robot's palm frame [m].
@@ -476,7 +478,8 @@ class InternalModel:
         self._rest = self._own - self._inputs @ self._global
 
     def own_tips(self, robot: Float[np.ndarray, "f 3"]) -> Float[np.ndarray, "5 3"]:
-        """(5, 3) in the frame of the person's landmarks [m]; NaN for fingers the robot lacks."""
+        """Fingertips (5, 3) in the frame of the person's landmarks [m]; NaN for fingers that the
+        robot lacks."""
         away = ((self._robot - robot[:, None]) ** 2).sum(axis=-1)
         nearest = away.min(axis=1, keepdims=True)  # outside of what was tried, its border counts
         weight = np.exp(-0.5 * (away - nearest) / _KERNEL_M**2)
@@ -496,7 +499,7 @@ class InternalModel:
 def familiarise(
     model: HandModel, retargeter: Retargeter, tracker: TrackerModel, seed: int = 0
 ) -> InternalModel:
-    """Move freely with a retargeter behind a tracker, and learn."""
+    """Learns the model by free movement with a retargeter and a tracker."""
     hand, rng = retargeter.hand, np.random.default_rng([seed, 0xFA])
     reach = rng.uniform(0.02, 0.98, (POSTURES, len(model.relaxed)))
     postures = np.concatenate([[model.relaxed], model.lower + (model.upper - model.lower) * reach])

@@ -1,4 +1,4 @@
-"""A person at the tracker: intends, looks with a delay, corrects, and tries again.
+"""A person at the tracker, who plans, watches with a delay, corrects, and tries again.
 
 The parts are: what the person does with the object (``strategies.py``), tremor and motor noise and
 the person's figures (``person.py``), the hand (``hand_model.py``), and here delay and correction
@@ -46,15 +46,16 @@ from smooth_operator_research.virtual_operator.strategies import (
 T = TypeVar("T")
 
 SPEED_LIMIT: Final = 0.10
-"""Fastest correction of a fingertip [m/s]: corrective submovements of some 10 to 20 mm last 150 to
-200 ms (Meyer et al. 1988)."""
+"""Highest speed of a fingertip's correction [m/s]: corrective submovements of 10 to 20 mm last 150
+to 200 ms (Meyer et al. 1988)."""
 
 REACH_LIMIT: Final = 0.015
-"""Largest correction [m]; ours: a fingertip that does not follow further can't go there."""
+"""Largest correction [m]; our choice: a fingertip that does not follow so far can't reach the
+goal."""
 
 
 class DelayedView(Generic[T]):
-    """A line of images: what comes out is as old as the delay.
+    """Queue of images that delays them.
 
     Args:
         delay_s: delay of what is seen [s].
@@ -66,11 +67,11 @@ class DelayedView(Generic[T]):
         self._latest: T | None = None
 
     def show(self, time: float, image: T) -> None:
-        """An image of a moment, later than the last one."""
+        """Adds the image of a moment, later than the last one."""
         self._waiting.append((time, image))
 
     def latest(self, time: float) -> T | None:
-        """The newest image that is at least as old as the delay; None before the first."""
+        """Newest image that is at least as old as the delay; None before the first."""
         while self._waiting and self._waiting[0][0] <= time - self._delay + 1e-9:
             self._latest = self._waiting.popleft()[1]
         return self._latest
@@ -100,7 +101,7 @@ class CrossoverCorrection:
         self.value: Float[np.ndarray, "*n 3"] = np.zeros(shape)
 
     def update(self, error: Float[np.ndarray, "*n 3"], seconds: float) -> Float[np.ndarray, "*n 3"]:
-        """Integrate for a while.
+        """Integrates over an interval.
 
         Args:
             error: (..., 3) wanted minus seen [m], as old as the person's delay.
@@ -123,7 +124,7 @@ def _at_most(vector: Float[np.ndarray, "*n 3"], most: float) -> Float[np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """The scene at one moment, and goals of the fingertips then."""
+    """Scene and goals of the fingertips at one moment."""
 
     time: float
     obs: Observation
@@ -132,7 +133,7 @@ class _Image:
 
 
 class VirtualOperator:
-    """The hand of a person who does a trial; a ``LandmarkSource``.
+    """Hand of a person who does a trial; a ``LandmarkSource``.
 
     Args:
         practised: trials of the task before this one, with any retargeter.
@@ -189,7 +190,7 @@ class VirtualOperator:
         self.body.reach(self._own(self._goal), np.inf, rounds=40)
 
     def observe(self, time: float, state: SceneState, physics: ScenePhysics) -> None:
-        """Look at the robot; to be called as often as the scene is scored.
+        """Observes the robot; call it as often as the scene is scored.
 
         Args:
             time: since 'go' [s].
@@ -208,7 +209,7 @@ class VirtualOperator:
         self._view.show(time, _Image(time, obs, self._foreseen, self._error(obs)))
 
     def _error(self, obs: Observation) -> Float[np.ndarray, "f 3"]:
-        """(f, 3) how far fingertips are from where they should be, as far as it is corrected."""
+        """Errors (f, 3) of the fingertips that the person corrects."""
         error, step = np.zeros_like(obs.tips), self._step
         if step is None or step.via:
             return error
@@ -219,7 +220,8 @@ class VirtualOperator:
     def landmarks(
         self, time: float, state: SceneState, physics: ScenePhysics
     ) -> Float[np.ndarray, "21 3"]:
-        """(21, 3) of the person's hand [m], the wrist at the origin; see ``LandmarkSource``."""
+        """Landmarks (21, 3) of the person's hand [m], with the wrist at the origin; see
+        ``LandmarkSource``."""
         seconds = 0.0 if np.isnan(self._last) else max(0.0, time - self._last)
         self._last = time
         before = self._goal
@@ -232,18 +234,18 @@ class VirtualOperator:
         return self.body.reach(self._own(self._goal, noise), max(seconds, 1e-3))
 
     def restart(self) -> None:
-        """The object was put back."""
+        """Restarts after a reset of the object."""
         self._scorer = self._task.scorer(self._scene)
 
     def _own(
         self, goal: Float[np.ndarray, "f 3"], noise: Float[np.ndarray, "f 3"] | float = 0.0
     ) -> Float[np.ndarray, "5 3"]:
-        """(5, 3) where the person's own fingertips go for the robot's, in the world."""
+        """Goals (5, 3) of the person's own fingertips for those of the robot, in the world."""
         palm = (goal - self._at) @ self._turn
         return self._model.own_tips(palm + self._correction.value + self._misjudged + noise)
 
     def _proceed(self, time: float, image: _Image) -> None:
-        """Go on with the step, or begin the next."""
+        """Continues the step, or begins the next."""
         if self._strategy is None:
             self._strategy = STRATEGIES[self._task.name](self._scene, self._reach, image.obs)
             self._begin(next(self._strategy), time, image.obs)
@@ -262,7 +264,7 @@ class VirtualOperator:
                 self.gave_up = True
 
     def _over(self, step: Step, time: float, image: _Image, used: list[int]) -> bool:
-        """True if what the step is for is seen, or the person waits no longer."""
+        """True if the person sees the goal of the step, or stops waiting."""
         waited = time - self._since - self._duration
         if step.until is not None and image.time >= self._since and step.until(image.obs):
             return True
@@ -280,7 +282,7 @@ class VirtualOperator:
         return share * share * (3.0 - 2.0 * share)
 
     def _begin(self, step: Step, time: float, obs: Observation) -> None:
-        """Set out for the aims of a step."""
+        """Starts moving to the aims of a step."""
         self._step, self._since, self._from = step, time, self._goal
         ends = step.aims(1.0, obs)
         ways = [float(np.linalg.norm(aim - self._goal[finger])) for finger, aim in ends.items()]

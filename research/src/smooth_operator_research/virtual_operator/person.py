@@ -17,11 +17,12 @@ from smooth_operator.landmarks import FINGERS
 from smooth_operator.synthetic.hand_anatomy import HandAnatomy, draw_anatomy
 
 PHASE_MARGIN: Final = np.radians(35.0)
-"""Least phase margin of the visual loop [rad]. People lower their gain where the delay is long
+"""Smallest phase margin of the visual loop [rad]. People lower their gain where the delay is long
 (McRuer and Jex 1967); 35 degrees is the lower end of what they keep in tracking."""
 
 _EXTRA_DELAY_S: Final = 0.05
-"""Delay of retargeting and servos that a person allows for in the choice of the gain [s]; ours."""
+"""Delay of retargeting and servos that a person considers when choosing the gain [s]; our
+choice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,7 @@ class Person:
     anatomy: HandAnatomy
 
     def practised(self, trials: float) -> float:
-        """Share of a beginner's time or error that is left after so many trials.
+        """Share of a beginner's time or error that remains after a number of trials.
 
         The power law of practice with earlier experience, (1 + n / E)^-a, where E is the experience
         that a person has before the first trial, in trials. E is 5 (ours): two minutes of free
@@ -80,12 +81,12 @@ class Person:
 
 
 def largest_crossover(delay_s: float) -> float:
-    """Gain at which the visual loop has just its least phase margin [rad/s]."""
+    """Gain at which the visual loop has its smallest phase margin [rad/s]."""
     return float((np.pi / 2 - PHASE_MARGIN) / (delay_s + _EXTRA_DELAY_S))
 
 
 def draw_person(number: int, seed: int = 0) -> Person:
-    """A person, the same for the same number and seed."""
+    """Draws a person, the same for the same number and seed."""
     if number < 0 or seed < 0:
         raise ConfigError(f"number and seed of a person must be 0 or more, not {number} and {seed}")
     rng = np.random.default_rng([seed, number, 0x0E])
@@ -129,16 +130,16 @@ TREMOR_HZ: Final = (8.0, 12.0)
 """Band of physiological tremor of the finger (Elble and Koller 1990)."""
 
 _CORRELATED_S: Final = 0.1
-"""Correlation time of the noise of a movement [s]; ours: about one submovement."""
+"""Correlation time of the noise of a movement [s]; our choice: about one submovement."""
 
 _FORGOTTEN_S: Final = 1.0
-"""Time constant with which proprioception takes such an error back [s]; ours."""
+"""Time constant with which proprioception corrects such an error [s]; our choice."""
 
 _TONES: Final = 4  # of the tremor, for each finger and axis
 
 
 class MotorNoise:
-    """Displacement of fingertips about where the person wants them.
+    """Displacement of fingertips from the person's goals.
 
     Args:
         share: standard deviation at the end of a movement over its length.
@@ -158,7 +159,7 @@ class MotorNoise:
     def update(
         self, time: float, moved: Float[np.ndarray, "f 3"], seconds: float
     ) -> Float[np.ndarray, "f 3"]:
-        """The displacement now.
+        """Advances the noise; returns the displacement.
 
         Args:
             time: now [s].

@@ -41,22 +41,23 @@ PAD_M: Final = 0.004
 """From a fingertip's landmark to the surface of its pad [m]."""
 
 PRESS_M: Final = 0.002
-"""Depth beyond the object's surface to which a person presses in the first attempt [m]; ours."""
+"""Depth beyond the object's surface to which a person presses in the first attempt [m]; our
+choice."""
 
 OPEN_M: Final = 0.010
-"""Width by which open fingers are away from a surface [m]; people open 10 to 20 mm wider than the
-object when they reach for it (Jeannerod 1984)."""
+"""Distance of open fingers from a surface [m]; people open 10 to 20 mm wider than the object when
+they reach for it (Jeannerod 1984)."""
 
 CLOSING_S: Final = 1.0
-"""Duration of a grip's closing [s]: slow, so that little is overshot within the visual delay."""
+"""Duration of closing a grip [s]; slow, to limit the overshoot within the visual delay."""
 
 _SEEK_M: Final = 0.006  # so far beyond the place where contact is expected fingers look for it [m]
 
 STROKE_S: Final = 1.0
-"""Least duration of a movement with the object [s]; ours."""
+"""Shortest duration of a movement with the object [s]; our choice."""
 
 Aims: TypeAlias = dict[int, Float[np.ndarray, "3"]]
-"""Finger -> where its tip is to go, in the world [m]; fingers that are left out relax."""
+"""Finger -> goal of its tip in the world [m]; other fingers relax."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,7 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A person's next movement.
+    """Next movement of a person.
 
     Attributes:
         aims: share of the movement from 0 to 1, and what is seen -> where fingertips go.
@@ -109,7 +110,7 @@ class Step:
 
 
 Strategy: TypeAlias = Generator[Step, Observation, None]
-"""Steps of a person; it ends when the person gives up."""
+"""Generator of a person's steps; it ends when the person gives up."""
 
 
 def still(aims: Aims) -> Callable[[float, Observation], Aims]:
@@ -132,7 +133,7 @@ class Closing:
         self.contact: Aims = {}
 
     def __call__(self, share: float, obs: Observation) -> Aims:
-        """Aims of the step; remembers what is seen to touch."""
+        """Aims of the step; remembers which fingers were seen to touch."""
         for finger in self._wide:
             if finger not in self.contact and obs.touches(finger):
                 self.contact[finger] = obs.tips[finger].copy()
@@ -149,12 +150,12 @@ class Closing:
         return len(self.contact) == len(self._wide)
 
     def pressed(self, press: float) -> Aims:
-        """Goals of fingers that press to a depth beyond the contact [m], seen or expected."""
+        """Goals of fingers that press to a depth beyond the seen or expected contact [m]."""
         expected = {f: p + self._opened * self._inward[f] for f, p in self._wide.items()}
         return {f: p + press * self._inward[f] for f, p in (expected | self.contact).items()}
 
     def step(self) -> Step:
-        """The step: slow, until all fingers have been seen to touch."""
+        """The step: a slow movement until all fingers have been seen to touch."""
         return Step(
             self,
             lambda obs: self.complete,
@@ -166,24 +167,24 @@ class Closing:
 
 
 def along(start: Aims, end: Aims) -> Callable[[float, Observation], Aims]:
-    """A straight way of fingertips; for steps with ``path``."""
+    """Straight path of fingertips, for steps with ``path``."""
     return lambda share, obs: {f: place + share * (end[f] - place) for f, place in start.items()}
 
 
 def turned(aims: Aims, centre: Float[np.ndarray, "3"], angle: float) -> Aims:
-    """Fingertips turned about the vertical through a place."""
+    """Rotates fingertips about the vertical through a place."""
     cosine, sine = np.cos(angle), np.sin(angle)
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     return {finger: centre + turn @ (place - centre) for finger, place in aims.items()}
 
 
 def moved(aims: Aims, by: Float[np.ndarray, "3"]) -> Aims:
-    """The aims, moved [m]."""
+    """Translates the aims [m]."""
     return {finger: place + by for finger, place in aims.items()}
 
 
 def again(obs: Observation, reset: bool = False) -> Generator[Step, Observation, Observation]:
-    """Open the hand after an attempt, and ask for a reset if the object can't be worked on."""
+    """Opens the hand after an attempt, and requests a reset if the object can't be reached."""
     reset = reset or bool(obs.scorer.assessment.stuck)
     return (yield Step(lambda share, s: {}, longest_s=0.5, attempt=True, reset=reset))
 
@@ -199,7 +200,7 @@ _STICKS_OUT: Final = 0.025  # of the card over the edge, before it is pinched [m
 
 
 def card_strategy(scene: CardScene, reach: GripReach, obs: Observation) -> Strategy:
-    """Press on the card, draw it over the edge, pinch it, pull it off.
+    """Presses on the card, draws it over the edge, pinches it and pulls it off.
 
     Args:
         obs: at the start.
@@ -284,13 +285,13 @@ def card_strategy(scene: CardScene, reach: GripReach, obs: Observation) -> Strat
 
 
 def _with_thumb(step: Step, place: Float[np.ndarray, "3"]) -> Step:
-    """The step, with the thumb at a place meanwhile."""
+    """The step, with the thumb at a place."""
     aims = step.aims
     return replace(step, aims=lambda share, obs: {THUMB: place, **aims(share, obs)})
 
 
 def _clear(obs: Observation, seconds: float) -> bool:
-    """True if the card has been in the pinch alone for so long."""
+    """True if only the pinch has held the card for the required time."""
     since = obs.scorer.pinched
     return since is not None and obs.state.time - since >= seconds
 
@@ -309,7 +310,7 @@ _STOPS: Final = np.radians(3.0)  # a stroke ends so long before the goal [rad]
 
 
 def cube_strategy(scene: CubeScene, reach: GripReach, obs: Observation) -> Strategy:
-    """Grip the cube, turn it as far as the fingers reach, let go, and again until it is turned.
+    """Grips the cube, turns it as far as the fingers reach and releases it, until it is turned.
 
     Args:
         obs: at the start.
@@ -384,7 +385,7 @@ def _angle(obs: Observation, centre: Float[np.ndarray, "3"], finger: int) -> flo
 
 
 def _normals(obs: Observation) -> Float[np.ndarray, "4"]:
-    """(4,) directions of the cube's vertical faces about the vertical [rad]."""
+    """Directions (4,) of the cube's vertical faces about the vertical [rad]."""
     turn = rotation(obs.state.quaternion)
     axes = [turn[:, k] for k in range(3) if abs(turn[2, k]) < 0.7]
     heading = float(np.arctan2(axes[0][1], axes[0][0]))
@@ -396,7 +397,8 @@ _LOOSENS_M: Final = 0.0002  # by so much the grip is loosened between two looks 
 
 
 def screwdriver_strategy(scene: ScrewdriverScene, reach: GripReach, obs: Observation) -> Strategy:
-    """Take the handle between thumb and fingers, loosen until the blade hangs, and hold.
+    """Takes the handle between thumb and fingers, loosens the grip until the blade hangs, and
+    holds.
 
     Args:
         obs: at the start.
@@ -454,4 +456,4 @@ STRATEGIES: Final[dict[str, Callable[[Any, GripReach, Observation], Strategy]]] 
     "cube": cube_strategy,
     "screwdriver": screwdriver_strategy,
 }
-"""Task -> how people do it."""
+"""Task -> strategy."""

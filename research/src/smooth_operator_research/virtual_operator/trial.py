@@ -1,4 +1,4 @@
-"""A trial that a virtual operator does: the person, the tracker, a retargeter, the physics."""
+"""Trial of a virtual operator: the person, the tracker, a retargeter, the physics."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from smooth_operator_research.virtual_operator.operator import VirtualOperator
 from smooth_operator_research.virtual_operator.person import Person
 
 LOOKS_HZ: Final = 100.0
-"""Looks of scorer and person at the scene a second [Hz]."""
+"""Rate at which scorer and person look at the scene [Hz]."""
 
 LEAD_S: Final = 1.0
-"""So long the person holds the open hand before 'go' [s]."""
+"""Time for which the person holds the open hand before 'go' [s]."""
 
 _SERVO_LAG_S: Final = 0.016
 """Lag of a critically damped servo of 20 Hz: 2 / (2 pi 20 Hz) [s]."""
@@ -43,7 +43,7 @@ _SERVO_LAG_S: Final = 0.016
 
 @dataclass(frozen=True, eq=False)
 class Familiar:
-    """A person who knows a retargeter from free movement.
+    """A person who has learnt a retargeter by free movement.
 
     Attributes:
         person: who.
@@ -65,7 +65,7 @@ def make_familiar(
     body: Body = "matched",
     seed: int = 0,
 ) -> Familiar:
-    """Have a person move freely with a retargeter behind a tracker."""
+    """Lets a person move freely with a retargeter and a tracker."""
     model = hand_model(person, retargeter.hand, body)
     learnt = familiarise(model, retargeter, tracker, seed)
     return Familiar(person, retargeter, model, learnt)
@@ -103,7 +103,7 @@ def simulate_trial(
     variation: ObjectVariation | None = None,
     trace: bool = False,
 ) -> OperatorTrial:
-    """Have a person do a trial with a retargeter.
+    """Lets a person do a trial with a retargeter.
 
     Args:
         tracker: tracker that the person is before; its seed does not matter.
@@ -142,7 +142,7 @@ def simulate_trial(
 
 
 class _Tracked:
-    """A person before a tracker."""
+    """A person observed by a tracker."""
 
     def __init__(
         self,

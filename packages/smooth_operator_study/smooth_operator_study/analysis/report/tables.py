@@ -409,7 +409,7 @@ def _logarithms(analysis: Analysis, scope: str) -> list[str]:
     told = (
         f"gives different decisions for {', '.join(other)}" if other else "gives the same decisions"
     )
-    return [f"times are skewed, and the model of their logarithms (Other readings) {told}"]
+    return [f"times are skewed, and the model of their logarithms (Further analyses) {told}"]
 
 
 def _alike(analysis: Analysis, outcome: Outcome, scope: str) -> list[str]:

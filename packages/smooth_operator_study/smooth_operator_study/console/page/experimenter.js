@@ -74,7 +74,7 @@ const actions = {
     const since = stopped.at ?? moment(); // the time of the question does not count
     const send = actions.sender('task', 'block', 'trial');
     const doubt = contradiction(link.state, line);
-    if (doubt && !await ask('The simulation says something else', doubt, [], 'Score it all the same')) return;
+    if (doubt && !await ask('The simulation says something else', doubt, [], 'Score it anyway')) return;
     send('score', { line }, { since });
   },
   /** Asks a question, and sends the answer for the operator and the place at the time of the question. */
@@ -83,15 +83,15 @@ const actions = {
     const answer = await ask(title, text, fields, yes);
     if (answer) send(what, fieldsOf(answer));
   },
-  voidTrial: () => actions.inquire('void', PLACE, 'Void this trial', 'For a reason that is not the operator’s. It will be done again.', [REASON], 'Void'),
+  voidTrial: () => actions.inquire('void', PLACE, 'Void this trial', 'Use this if the cause is not the operator. The trial will be repeated.', [REASON], 'Void'),
   pause: () => actions.inquire('pause', PLACE, 'Pause the clock',
-    'For a fault that is not the operator’s. The time until the clock goes on does not count.', [REASON], 'Pause'),
+    'Use this for a fault that is not the operator’s. The time until you resume does not count.', [REASON], 'Pause'),
   endBlock: () => actions.inquire('end_block', PLACE.slice(0, 2), `End block ${link.state.now.block} of ${link.state.now.task} now?`,
-    'What is left of it is not done, its questionnaires included. The next block follows.', [REASON], 'End the block'),
-  recalibrate: () => actions.inquire('recalibrate', ['task'], 'Calibrate again', 'Calibrate, then enter the file. It is loaded into the running hand.',
+    'Its remaining trials and questionnaires are skipped. The next block follows.', [REASON], 'End the block'),
+  recalibrate: () => actions.inquire('recalibrate', ['task'], 'Calibrate again', 'Calibrate, then enter the file. It is loaded into the running teleoperation.',
     [{ name: 'detail', label: 'Calibration file or note', required: true, maxLength: 400 }], 'Calibrated'),
   withdraw: () => actions.inquire('withdraw', [], `Operator ${link.state.now.operator} withdraws`,
-    'No further step is due. A trial that runs becomes void. To delete the data: smooth-operator study erase.', [
+    'There are no further steps, and a running trial becomes void. To delete the data, use smooth-operator study erase.', [
       { name: 'keep', label: 'The data so far', type: 'select', options: [
         { value: 'keep', text: 'is kept and may be analysed' }, { value: 'leave', text: 'is left out of the analysis' }] },
       { name: 'reason', label: 'Reason, if given' }], 'Withdraw', ({ keep: choice, reason }) => ({ keep: choice === 'keep', reason })),
@@ -100,7 +100,7 @@ const actions = {
     const { study } = link.state;
     const { rubric } = study.tasks.find((task) => task.name === block.task);
     const answer = await ask(`Amend trial ${trial.trial} of ${block.task}, block ${block.block}`,
-      `It was scored ${trial.line}, ${trial.score}, in ${trial.time_s.toFixed(1)} s. The log keeps that.`, [
+      `It was scored ${trial.line}, ${trial.score}, in ${trial.time_s.toFixed(1)} s. The log keeps this score.`, [
         { name: 'line', label: 'Line of the rubric', type: 'select', options: rubric.map((line) => ({
           value: line.name, text: `${line.name}: ${trial.resets ? Math.min(line.score, study.reset_cap) : line.score}`, selected: line.name === trial.line })) },
         { name: 'time', label: 'Time [s]', type: 'number', min: '0', step: 'any', value: String(trial.time_s), required: true },
@@ -111,16 +111,16 @@ const actions = {
     send('amend', { task: block.task, block: block.block, trial: trial.trial, line: answer.line,
       ...(time === trial.time_s ? {} : { time_s: time }), reason: answer.reason, who: answer.who });
   },
-  endFamiliarisation: () => actions.inquire('end_familiarisation', PLACE.slice(0, 2), 'End free movement now?', 'Its time is not over yet.', [], 'End it'),
+  endFamiliarisation: () => actions.inquire('end_familiarisation', PLACE.slice(0, 2), 'End free movement now?', 'The planned time is not over yet.', [], 'End it'),
   undo() {
     const last = link.state?.now?.undoable;
     if (!last || !part('undo').matches(':enabled')) return;
-    actions.inquire('undo', [], `Take back event ${last.number}?`, `${last.text}. It counts no more; the log keeps it.`,
+    actions.inquire('undo', [], `Undo event ${last.number}?`, `${last.text}. It will no longer count, but stays in the log.`,
       [{ name: 'reason', label: 'Reason (kept in the log)' }], 'Undo', ({ reason }) => ({ number: last.number, reason }));
   },
   async enrol() {
     const tasks = link.state.study.tasks;
-    const answer = await ask('Enrol an operator', 'A code, never a name: who it is stands on paper.', [
+    const answer = await ask('Enrol an operator', 'Use a code, never a name. Keep the list of names on paper.', [
       { name: 'code', label: 'Code', required: true, pattern: CODE, maxLength: 64 },
       ...tasks.map((task) => ({ name: `task:${task.name}`, label: `${task.name}: ${task.title}`, type: 'checkbox', checked: true })),
     ], 'Enrol');
@@ -134,11 +134,11 @@ const actions = {
 function draw() {
   const { state } = link;
   const chip = part('link');
-  chip.textContent = link.connected ? (link.outbox.length ? 'saving …' : 'connected') : link.everConnected ? 'cut off' : 'connecting';
+  chip.textContent = link.connected ? (link.outbox.length ? 'saving …' : 'connected') : link.everConnected ? 'disconnected' : 'connecting';
   chip.dataset.kind = link.connected ? (link.outbox.length ? 'idle' : 'good') : 'bad';
   show('lost', !link.connected && link.everConnected,
-    link.pending ? 'Cut off from the console. What you entered is kept here, and sent as soon as it is back.'
-      : 'Cut off from the console. Trying to come back; the clocks go on.');
+    link.pending ? 'Disconnected from the console. What you entered is kept here and will be sent when the connection is back.'
+      : 'Disconnected from the console. Reconnecting; the clocks keep running.');
   const trouble = link.trouble || state?.trouble || '';
   show('store', trouble, link.trouble ? `Not saved: ${trouble}. Trying again.` : `Nothing can be saved now: ${trouble}.`);
   part('drop').hidden = !link.trouble;
@@ -156,7 +156,7 @@ function draw() {
   drawScored(part('scored'), state, actions, blocked);
   const last = state.now?.undoable;
   part('undo').disabled = blocked || !last;
-  part('undo-what').textContent = last ? `Undo takes back #${last.number}: ${last.text}` : '';
+  part('undo-what').textContent = last ? `Undo cancels #${last.number}: ${last.text}` : '';
   part('enrol').disabled = !link.connected;
   tick();
 }

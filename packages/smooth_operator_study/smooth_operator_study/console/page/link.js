@@ -1,7 +1,7 @@
 // WebSocket of a page. It reconnects after every loss, and stores commands until they are acknowledged.
 //
-// A command is in localStorage until the server answers, so that a closed page or a killed server
-// loses nothing. It is sent again with the same token, and the store accepts a token once.
+// A command stays in localStorage until the server answers, so that a closed page or a killed server
+// loses nothing. It is sent again with the same token, and the store accepts each token only once.
 
 const SILENCE = 5000; // ms without a message; the server sends one every second
 const AGAIN = 2500; // ms until a command that could not be written is sent again
@@ -71,7 +71,7 @@ export class Link extends EventTarget {
     return moment() + this.offset;
   }
 
-  /** Sends a command. since: time of the command by the clock of the page; now if left out. */
+  /** Sends a command. since: time of the command by the page's clock; by default now. */
   command(what, operator, fields = {}, { after = null, since = moment() } = {}) {
     const entry = { token: token(), do: what, operator, fields, after, since };
     this.outbox.push(entry);

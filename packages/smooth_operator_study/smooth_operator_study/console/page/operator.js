@@ -1,4 +1,4 @@
-// The operator's page: shows the form or questionnaire that is due, and else a text to wait.
+// The operator's page: shows the form or questionnaire that is due, or asks the operator to wait.
 
 import { fill, h, part } from './dom.js';
 import { form } from './form.js';
@@ -14,10 +14,10 @@ let refusal = '';
 function draw() {
   const { state } = link;
   const chip = part('link');
-  chip.textContent = link.connected ? 'connected' : link.everConnected ? 'cut off' : 'connecting';
+  chip.textContent = link.connected ? 'connected' : link.everConnected ? 'disconnected' : 'connecting';
   chip.dataset.kind = link.connected ? 'good' : link.everConnected ? 'bad' : 'idle';
   part('lost').hidden = link.connected || !link.everConnected;
-  const trouble = link.trouble ? 'Your answers could not be saved yet. Please tell the experimenter; this page tries again.' : refusal;
+  const trouble = link.trouble ? 'Your answers could not be saved yet. Please tell the experimenter. This page will try again.' : refusal;
   part('refused').hidden = !trouble;
   if (part('refused').textContent !== trouble) part('refused').textContent = trouble;
   if (!state?.what) return;
@@ -66,6 +66,6 @@ link.addEventListener('done', () => {
   setTimeout(draw, THANKS + 50);
 });
 link.addEventListener('refused', ({ detail }) => {
-  refusal = `Not taken: ${detail.answer.error}`;
+  refusal = `Not accepted: ${detail.answer.error}`;
 });
 link.addEventListener('change', draw);

@@ -29,7 +29,7 @@ const STEPS = {
     return [
       h('h2', {}, 'Calibration'),
       h('p', {}, 'Calibrate tracker and hand to the operator, with the live page or smooth-operator calibrate. ',
-        state.teleop && 'A file of it is loaded into the running hand.'),
+        state.teleop && 'If you give a file, it is loaded into the running teleoperation.'),
       h('p', {}, h('label', { for: 'detail' }, 'Calibration file or note'), detail),
       h('div', { class: 'row' },
         main('Calibrated', 'Space', blocked, () => send(detail.value.trim())),
@@ -42,7 +42,7 @@ const STEPS = {
       h('p', { class: 'condition' }, now.condition),
       h('p', {}, state.teleop ? 'Starting the block sets the running robot to this method.'
         : 'Set the robot to this method, then start the block.',
-        state.study.rate_hz && ` It is sent ${state.study.rate_hz} commands a second.`),
+        state.study.rate_hz && ` It gets ${state.study.rate_hz} commands per second.`),
       h('div', { class: 'row' }, main('Start block', 'Space', blocked,
         () => actions.send('start_block', actions.place('task', 'block')))),
     ];
@@ -61,7 +61,7 @@ const STEPS = {
       h('h2', {}, 'Free movement'),
       h('p', { class: 'clock', role: 'timer', 'data-until': String(until) }),
       h('progress', { 'aria-label': 'Free movement', max: state.study.familiarisation_s, value: 0, 'data-until': String(until) }),
-      h('p', { class: 'soft' }, 'Ends by itself.'),
+      h('p', { class: 'soft' }, 'It ends automatically.'),
       h('div', { class: 'row' }, button('End now', { key: 'E', id: 'end', kind: 'quiet', disabled: blocked, onclick: actions.endFamiliarisation })),
     ];
   },
@@ -78,7 +78,7 @@ const STEPS = {
     const waiting = actions.link.pending;
     const sim = state.teleop?.trial;
     const over = sim?.phase === 'done';
-    const fixed = now.undone_time_s ?? (over ? sim.time_s : null); // measured already
+    const fixed = now.undone_time_s ?? (over ? sim.time_s : null); // already measured
     const stopped = actions.stopped.at !== null;
     const limit = now.limit_s ?? state.teleop?.limit_s ?? null;
     return [
@@ -86,13 +86,13 @@ const STEPS = {
       h('p', { class: `clock ${stopped || fixed !== null ? 'stopped' : ''}`, role: 'timer', 'aria-live': 'off',
         ...(fixed !== null ? {} : { 'data-since': String(now.since + now.paused_ms), 'data-tenths': '', 'data-stoppable': '', 'data-limit': String(limit ?? 0) }) },
       fixed === null ? '' : clock(fixed, true)),
-      h('p', { class: 'soft' }, now.undone_time_s !== null ? 'The time stays as it was measured; score the trial again.'
+      h('p', { class: 'soft' }, now.undone_time_s !== null ? 'The measured time stays; score the trial again.'
         : stopped ? 'The clock is stopped. Choose a line of the rubric.'
           : limit ? `Time limit ${seconds(limit)}${now.limit_s ? '' : ', of the simulation'}.` : 'No time limit.'),
-      now.resets > 0 && h('p', { class: 'notice' }, `The object was put back: at most ${now.reset_cap} from here.`),
+      now.resets > 0 && h('p', { class: 'notice' }, `The object was reset, so the score is at most ${now.reset_cap}.`),
       sim && proposal(now, sim, actions, waiting),
       h('div', { class: 'row' },
-        fixed === null && button(stopped ? 'Clock goes on' : 'Stop the clock', { key: 'Space', id: 'stop', kind: stopped ? 'quiet' : 'main', disabled: waiting, onclick: actions.stop }),
+        fixed === null && button(stopped ? 'Resume the clock' : 'Stop the clock', { key: 'Space', id: 'stop', kind: stopped ? 'quiet' : 'main', disabled: waiting, onclick: actions.stop }),
         button('Object reset', { key: 'R', id: 'reset', kind: 'quiet', disabled: waiting || !actions.link.connected || now.resets_left === 0,
           onclick: () => actions.send('reset', actions.place('task', 'block', 'trial')) }),
         button('Pause', { key: 'P', id: 'pause', kind: 'quiet', disabled: waiting || !actions.link.connected, onclick: actions.pause }),
@@ -104,9 +104,9 @@ const STEPS = {
     return [
       h('h2', {}, `Trial ${now.trial} of ${now.trials}: paused`),
       h('p', { class: 'clock stopped', role: 'timer' }, clock((now.since - now.started - now.paused_ms) / 1000, true)),
-      h('p', { class: 'soft' }, 'Paused for ', h('span', { role: 'timer', 'data-since': String(now.since) }), '. That does not count.'),
+      h('p', { class: 'soft' }, 'Paused for ', h('span', { role: 'timer', 'data-since': String(now.since) }), '. This time does not count.'),
       h('div', { class: 'row' },
-        main('Clock goes on', 'Space', blocked, () => actions.send('resume', actions.place('task', 'block', 'trial'))),
+        main('Resume the clock', 'Space', blocked, () => actions.send('resume', actions.place('task', 'block', 'trial'))),
         button('Object reset', { key: 'R', id: 'reset', kind: 'quiet', disabled: blocked || now.resets_left === 0,
           onclick: () => actions.send('reset', actions.place('task', 'block', 'trial')) }),
         button('Void', { key: 'V', id: 'void', kind: 'quiet', disabled: blocked, onclick: actions.voidTrial })),
@@ -114,19 +114,19 @@ const STEPS = {
   },
   form(now, state) {
     return [h('h2', {}, `Form: ${now.form}`),
-      h('p', {}, 'The operator fills it in on the tablet. This page goes on by itself.'), ...tablet(state)];
+      h('p', {}, 'The operator fills it in on the tablet. This page continues automatically.'), ...tablet(state)];
   },
   refused(now) {
     return [h('h2', {}, 'Consent refused'),
-      h('p', {}, `Operator ${now.operator} did not agree to take part, so nothing can start. If it was a slip, undo it; the form is asked once more.`)];
+      h('p', {}, `Operator ${now.operator} did not agree to take part, so nothing can start. If this was a mistake, undo it; the form is then shown again.`)];
   },
   withdrawn(now) {
     return [h('h2', {}, 'Withdrawn'),
-      h('p', {}, `Operator ${now.operator} takes no further part; the data is ${now.withdrawn.keep ? 'kept' : 'left out of the analysis, and its rows are free for whoever is enrolled next'}. ${now.withdrawn.reason}`)];
+      h('p', {}, `Operator ${now.operator} has withdrawn; the data is ${now.withdrawn.keep ? 'kept' : 'left out of the analysis, and its rows are free for the next operator to enrol'}. ${now.withdrawn.reason}`)];
   },
   questionnaire(now, state) {
     return [h('h2', {}, 'Questionnaire'),
-      h('p', {}, `The operator fills in NASA-TLX (${POINTS[now.point] ?? now.point}) on the tablet. This page goes on by itself.`),
+      h('p', {}, `The operator fills in NASA-TLX (${POINTS[now.point] ?? now.point}) on the tablet. This page continues automatically.`),
       ...tablet(state)];
   },
   break(now, state, actions, blocked) {
@@ -134,11 +134,11 @@ const STEPS = {
       h('h2', {}, 'Break'),
       h('p', { class: 'clock', role: 'timer', 'aria-live': 'off', 'data-since': String(now.since), 'data-limit': String(state.study.break_s) }),
       h('p', { class: 'soft' }, `Planned: ${seconds(state.study.break_s)}. Next: ${now.task ? `block ${now.block} of ${now.blocks}` : 'the end'}.`),
-      h('div', { class: 'row' }, main('Go on', 'Space', blocked, () => actions.send('end_break'))),
+      h('div', { class: 'row' }, main('Continue', 'Space', blocked, () => actions.send('end_break'))),
     ];
   },
   done(now) {
-    return [h('h2', {}, 'Done'), h('p', {}, `Operator ${now.operator} has done everything. Everything is saved.`)];
+    return [h('h2', {}, 'Done'), h('p', {}, `Operator ${now.operator} has finished. All data is saved.`)];
   },
 };
 
@@ -172,7 +172,7 @@ function rubric(now, actions, off) {
     h('span', {}, h('strong', {}, line.name), h('span', {}, line.text)))));
 }
 
-/** Offers a break where the plan has one. */
+/** Offers a break if the plan has one here. */
 function rest(now, state) {
   return now.break_due && h('p', { class: 'notice' }, `Offer a break of ${seconds(state.study.break_s)} (B).`);
 }
@@ -190,12 +190,12 @@ function aside(now, actions, blocked) {
 function tablet({ links, pages }) {
   const there = pages.operator > 0;
   return [
-    h('p', { class: there ? 'notice good' : 'notice' }, there ? 'The operator’s page is open.' : 'The operator’s page is open nowhere yet.'),
+    h('p', { class: there ? 'notice good' : 'notice' }, there ? 'The operator’s page is open.' : 'The operator’s page is not open yet.'),
     h('div', { class: 'tablet' },
       links.qr && h('img', { src: '/operator.svg', alt: 'QR code of the operator’s page', width: '180', height: '180' }),
       h('p', {}, h('a', { href: links.operator, target: '_blank', rel: 'noopener' }, links.operator.replace(/\?.*/, '')),
-        h('br'), h('span', { class: 'soft' }, links.qr ? 'Scan it with the tablet. This link opens the questionnaires only.'
-          : 'Only this machine reaches it; start with --host 0.0.0.0 for a tablet.'))),
+        h('br'), h('span', { class: 'soft' }, links.qr ? 'Scan this code with the tablet. The link opens only the questionnaires.'
+          : 'Only this machine can open it; start with --host 0.0.0.0 to use a tablet.'))),
   ];
 }
 

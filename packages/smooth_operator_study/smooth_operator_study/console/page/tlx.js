@@ -1,4 +1,4 @@
-// NASA-TLX: six scales, none of which has a mark until it is touched.
+// NASA-TLX: six scales. A scale has no mark until the operator touches it.
 
 import { fill, h } from './dom.js';
 import { keep, stored } from './link.js';
