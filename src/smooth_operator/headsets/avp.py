@@ -52,7 +52,8 @@ def avp_frame(
     """A hand in the project's conventions.
 
     Args:
-        joints: transforms from joint to wrist [m]; NaN where missing.
+        joints: transforms from joint to wrist [m]; NaN if missing.
+        wrist: transform from wrist to world.
         stamp: stamp of the frame [s], or None.
 
     Returns:
@@ -65,9 +66,7 @@ def avp_frame(
         raise RecordingError(f"a hand must have 25 or 27 joints, not {len(joints)}")
     axes = _WRISTS[side]
     poses = to_ours(_poses(joints[:JOINTS]), axes, axes)
-    tracked: np.ndarray = np.any(
-        poses[:, :3], axis=1
-    )  # NaN counts as something, and is invalid anyway
+    tracked: np.ndarray = np.any(poses[:, :3], axis=1)  # also for NaN, which is invalid anyway
     tracked[0] = True
     if not tracked[1:].any():
         return None
@@ -91,7 +90,7 @@ def avp_frame(
 
 
 def _poses(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 7"]:
-    """Poses of matrices; NaN for a matrix that is no rigid transform."""
+    """Poses of matrices; NaN for a matrix that is not a rigid transform."""
     good = is_rigid(matrices)
     poses = np.full((len(matrices), 7), np.nan)
     poses[good] = from_matrices(matrices[good])
@@ -101,7 +100,7 @@ def _poses(matrices: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 7"]:
 METHOD: Final = "/handtracking.HandTrackingService/StreamHandUpdates"
 PORT: Final = 12_345
 MOST_BYTES: Final = 65_536
-"""Longest accepted message; one of the app has 4,000 bytes."""
+"""Size of the longest accepted message; the app's have 4,000 bytes."""
 
 _MOST_JOINTS: Final = 64
 _CELLS: Final = [f"m{row}{column}" for row in range(4) for column in range(4)]
@@ -115,7 +114,7 @@ _MESSAGES: Final[dict[str, dict[str, str | None]]] = {
 
 @cache
 def _message_class() -> tuple[Any, type[Exception]]:
-    """The class of a ``HandUpdate``, and what it raises at a message that is none."""
+    """The class of a ``HandUpdate``, and its error for another message."""
     try:
         from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
     except ModuleNotFoundError as error:
@@ -123,24 +122,20 @@ def _message_class() -> tuple[Any, type[Exception]]:
     kinds = descriptor_pb2.FieldDescriptorProto
     file = descriptor_pb2.FileDescriptorProto(name="handtracking.proto", syntax="proto3")
     for name, members in _MESSAGES.items():
-        made = file.message_type.add(name=name)
+        message_type = file.message_type.add(name=name)
         for number, (member, kind) in enumerate(members.items(), 1):
-            field = made.field.add(name=member, number=number, type_name=kind)
+            field = message_type.field.add(name=member, number=number, type_name=kind)
             field.type = kinds.TYPE_MESSAGE if kind else kinds.TYPE_FLOAT
             many = member == "jointMatrices"
             field.label = kinds.LABEL_REPEATED if many else kinds.LABEL_OPTIONAL
-    pool = descriptor_pool.DescriptorPool()  # not the common one, where avp_stream may have its own
+    pool = descriptor_pool.DescriptorPool()  # the common one may have the messages of avp_stream
     pool.Add(file)
     update = pool.FindMessageTypeByName("HandUpdate")
     return message_factory.GetMessageClass(update), message.DecodeError
 
 
 def read_hands(data: bytes, stamp: float | None = None) -> tuple[HandFrame, ...]:
-    """Hands of a message that the headset has seen, left first.
-
-    Args:
-        data: an encoded ``HandUpdate``.
-        stamp: stamp of the frames [s], which a message lacks.
+    """Hands of an encoded ``HandUpdate`` that the headset has seen, left first.
 
     Raises:
         RecordingError: the message is damaged, or a hand has too few joints.

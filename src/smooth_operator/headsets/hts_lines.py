@@ -8,8 +8,8 @@ The app sends two lines of text for each hand, and one for the head::
 
 A wrist or head is x y z [m] and a quaternion x y z w in Unity's world (left-handed, y up, z
 forward); landmarks are 21 x 3 [m] in the wrist's axes, in the project's order, 0 0 0 for a missing
-joint. With the app's debug option, ``| f = 17 | t = 5312345678`` stands before the colon: number of
-the frame, and time of sending by the headset's clock [ns].
+joint. The app's debug option adds ``| f = 17 | t = 5312345678`` before the colon: number of the
+frame, and time of sending by the headset's clock [ns].
 
 Source: ``CONNECTIONS.md`` and ``HandLandmarkStreamer.cs`` of wengmister/hand-tracking-streamer, and
 the parser of wengmister/hand-tracking-sdk 1.1.0.
@@ -33,7 +33,7 @@ from smooth_operator.types import HandFrame, Side, as_side
 WORLD: Final = "hts"
 """Name of the world frame: the headset's floor-level origin."""
 MAX_LINE: Final = 4096
-"""Longest accepted line [bytes]; one of the app has 600."""
+"""Size of the longest accepted line [bytes]; the app's have 600."""
 
 Kind: TypeAlias = Literal["wrist", "landmarks", "pose"]
 
@@ -70,20 +70,13 @@ class HtsLine:
 
 
 def begins_line(data: bytes | bytearray) -> bool:
-    """True if some bytes can be the beginning of a line of the app.
-
-    ``HEAD`` also begins an HTTP request, so the kind of the line is checked, too.
-    """
+    """True if some bytes can be the beginning of a line of the app, and not of an HTTP request."""
     words = " ".join(data.decode("ascii", "replace").lower().split(None, 2)[:2])
     return any(each.startswith(words) or words.startswith(each) for each in _BEGINNINGS)
 
 
 def parse_line(data: bytes | str) -> HtsLine:
-    """Read a line.
-
-    Raises:
-        RecordingError: the line is not one of the app's, or cut off.
-    """
+    """Reads a line; raises RecordingError for a line that is cut off or not one of the app's."""
     if len(data) > MAX_LINE:
         raise RecordingError(f"a line of {len(data)} bytes is too long; at most {MAX_LINE}")
     text = data if isinstance(data, str) else data.decode("utf-8", "replace")
@@ -108,7 +101,7 @@ def parse_line(data: bytes | str) -> HtsLine:
 
 def _values(text: str, count: int, what: str) -> Float[np.ndarray, " n"]:
     words = [word.strip() for word in text.strip().strip(",").split(",")]
-    if len(words) == 2 * count:  # an app in a language with decimal commas: "0,25, 1,06"
+    if len(words) == 2 * count:  # decimal commas, as in "0,25, 1,06"
         words = [word.strip() for word in text.strip().strip(",").split(", ")]
     if len(words) != count:
         raise RecordingError(
@@ -118,32 +111,25 @@ def _values(text: str, count: int, what: str) -> Float[np.ndarray, " n"]:
     bad = next((word for word in words if _NUMBER.fullmatch(word) is None), None)
     if bad is not None:
         raise RecordingError(f"'{what}' must have {count} numbers, but one is {brief(bad)}")
-    return np.array([_number(word) for word in words])
-
-
-def _number(word: str) -> float:
-    return float(word.replace(",", ".").replace("∞", "inf"))
+    return np.array([float(word.replace(",", ".").replace("∞", "inf")) for word in words])
 
 
 class HtsHands:
     """Joins the lines of a wrist and of its landmarks to frames.
 
-    The line of the landmarks follows that of the wrist and completes the frame. A wrist belongs to
-    landmarks of the same number, or, without numbers, within 50 ms; it is used for one frame.
+    A wrist comes first. It belongs to one line of landmarks with the same number or, without
+    numbers, within 50 ms.
     """
 
     def __init__(self) -> None:
         self._wrists: dict[Side, tuple[HtsLine, float]] = {}
 
     def add(self, line: HtsLine, received: float) -> HandFrame | None:
-        """Add a line.
-
-        Args:
-            received: time of receipt [s].
+        """Adds a line with its time of receipt [s].
 
         Returns:
-            the hand after the line of its landmarks, else None. Its stamp is None if the line has
-            none; its pose is NaN without a wrist.
+            the hand after the line of its landmarks, else None. Its stamp may be None; its pose is
+            NaN without a wrist.
 
         Raises:
             RecordingError: landmarks in another unit than metres.
@@ -170,18 +156,12 @@ def hts_frame(
     side: Side,
     stamp: float | None,
 ) -> HandFrame:
-    """A hand in the project's conventions.
+    """A hand in the project's conventions, with landmarks in the wrist's axes.
 
     Args:
         points: landmarks from the app, in Unity's wrist axes [m].
         wrist: x y z [m] and quaternion x y z w in Unity's world; None if lost.
         stamp: stamp of the frame [s], or None.
-
-    Returns:
-        the hand with landmarks in the wrist's axes.
-
-    Raises:
-        RecordingError: landmarks in another unit than metres.
     """
     landmarks = points @ WRIST_AXES["unity"].T
     valid = np.isfinite(landmarks).all(axis=1)

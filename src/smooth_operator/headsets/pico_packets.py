@@ -3,7 +3,7 @@
 The app connects to the PC service's TCP port 63901 and sends packets, little-endian:
 
 ======  ===============  =====================================================================
-byte    type             holds
+byte    type             content
 ======  ===============  =====================================================================
 0       1 byte           0x3F
 1       1 byte           command: 0x19 connection, 0x6C version, 0x23 heartbeat, 0x6D function
@@ -25,8 +25,8 @@ The 26 joints are OpenXR's in its order, in its axes: right-handed, x right, y u
 
 Source: ``TrackingData.cs``, ``TcpHandler.cs`` and ``NetCMD.cs`` of
 XR-Robotics/XRoboToolkit-Unity-Client, ``PackageHandle.cs`` of its Quest edition. The PC service's
-own description calls the frame left-handed and adds that z is the reverse of Unity's, which makes
-it right-handed; ``unity`` reads one that is not.
+own description calls the frame left-handed, but with a z opposite to Unity's, which makes it
+right-handed. The axes ``unity`` are left-handed.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ PORT: Final = 63_901
 WORLD: Final = "pico"
 """Name of the world frame: the pose of the headset at the start of the app."""
 MOST_BYTES: Final = 60_000
-"""Longest accepted body; everything that the app can track has half of it."""
+"""Size of the longest accepted body; all data that the app can track have half of it."""
 
 Axes: TypeAlias = Literal["openxr", "unity"]
 """Axes of the joints."""
@@ -70,10 +70,9 @@ _WXYZ: Final = [0, 1, 2, 6, 3, 4, 5]
 
 
 def split_packets(buffer: bytearray) -> list[bytes]:
-    """Remove complete packets from the front of a buffer, which keeps the rest.
+    """Removes complete packets from the front of a buffer, which keeps the rest.
 
-    Data that do not begin with a packet are returned as one piece, so that ``read_packet`` refuses
-    them: TCP loses nothing, so they are of another protocol.
+    Data without a packet at the beginning are one piece, which ``read_packet`` refuses.
     """
     packets = []
     while buffer:
@@ -93,7 +92,7 @@ def begins_packet(data: bytes | bytearray) -> bool:
 
 
 def _size(buffer: bytes | bytearray) -> int | None:
-    """Size of the first packet [bytes]; 0 if not known yet; None if there is no packet."""
+    """Size of the first packet [bytes]; 0 if unknown so far; None if there is no packet."""
     if buffer[0] != HEAD:
         return None
     if len(buffer) < _HEADER.size:
@@ -107,11 +106,11 @@ def _size(buffer: bytes | bytearray) -> int | None:
 
 @dataclass(frozen=True, eq=False)
 class PicoHands:
-    """Hands of a packet; without any for a packet of another function.
+    """Hands of a packet; none for a packet of another function.
 
     Attributes:
         frames: visible hands, left first, with the stamp ``stamp``.
-        stamp: Unix time by the headset's clock [s]; None if it is missing.
+        stamp: Unix time by the headset's clock [s], or None.
     """
 
     frames: tuple[HandFrame, ...] = ()
@@ -119,11 +118,7 @@ class PicoHands:
 
 
 def read_packet(data: bytes, axes: Axes = "openxr") -> PicoHands:
-    """Read a packet.
-
-    Raises:
-        RecordingError: the data are no packet, or its hands can't be read.
-    """
+    """Reads a packet; raises RecordingError for other data, or for unreadable hands."""
     size = _size(data) if data else None
     if size is None or size != len(data):
         raise RecordingError(

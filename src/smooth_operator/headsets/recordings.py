@@ -6,7 +6,7 @@
 - Hand Tracking Streamer's lines as received (``nc -lu 9000 > hands.hts``); they have stamps with
   the app's debug option, else they need a rate.
 
-Frames without a new measurement of the hand are left out.
+The readers skip frames without a new measurement of the hand.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from smooth_operator.io import documents
 from smooth_operator.types import HandFrame, HandRecording, Side
 
 MOST_LINE: Final = 65_536
-"""Longest accepted line of JSON [bytes]; one with both hands has 8,000."""
+"""Size of the longest accepted line of JSON [bytes]; one with both hands has 8,000."""
 
 _SIDES: Final[tuple[tuple[str, Side], ...]] = (("leftHand", "left"), ("rightHand", "right"))
 _THUMB: Final = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
@@ -45,7 +45,7 @@ _NAMES: Final = (
 _FRAME_BYTES: Final = 4096
 """Memory of a frame with its arrays [bytes]."""
 _LABEL: Final = re.compile(rb"(?=(?:Right|Left) (?:wrist|landmarks)|Head pose)")
-_NUMBER: Final = {int, float}  # excludes bool, a subclass of int
+_NUMBER: Final = {int, float}  # without bool, a subclass of int
 
 
 class _Collected:
@@ -79,22 +79,14 @@ class _Collected:
             self._allowance.take(frame.side, len(frames) * _FRAME_BYTES)
 
     def damaged(self, error: Exception) -> None:
-        """Count a damaged line.
-
-        Raises:
-            RecordingError: the error is about the memory for the whole file.
-        """
+        """Counts a damaged line; raises an error about the memory for the whole file."""
         if isinstance(error, TooLargeError):
             raise error
         self._damaged += 1
         self._reason = str(error)
 
     def recording(self, rate: float | None, form: str) -> HandRecording:
-        """Recording of the requested hand, or of the only one.
-
-        Raises:
-            RecordingError: there is none, or there are both without a request.
-        """
+        """Recording of the requested hand, or of the only one."""
         sides = self._seen()
         if len(sides) > 1:
             raise RecordingError(
@@ -110,9 +102,6 @@ class _Collected:
         """Recordings of the hands in the file, each with its own frames, by one clock.
 
         Without stamps, hands between two frames of the same side belong to one moment.
-
-        Raises:
-            RecordingError: there is no hand, or there are neither stamps nor a rate.
         """
         sides = self._seen()
         if all(frame.stamp is not None for side in sides for frame in self._frames[side]):
@@ -123,11 +112,7 @@ class _Collected:
         return {side: self._made(side, stamps[side], form) for side in sides}
 
     def _seen(self) -> list[Side]:
-        """Sides of the hands in the file.
-
-        Raises:
-            RecordingError: there is none.
-        """
+        """Sides of the hands in the file, at least one."""
         sides = [side for side, frames in self._frames.items() if frames]
         if not sides:
             which = "hand" if self._side is None else f"{self._side} hand"
@@ -164,11 +149,7 @@ def _stacked(frames: list[HandFrame], name: str) -> np.ndarray | None:
 def read_avp_recording(
     path: Path, rate: float | None, side: Side | None, layout: str | None
 ) -> HandRecording:
-    """A hand of Tracking Streamer's ``tracking.jsonl``; arguments as ``read_recording``.
-
-    Raises:
-        RecordingError: there is no such hand in it, or there are both and ``side`` is None.
-    """
+    """A hand of Tracking Streamer's ``tracking.jsonl``; see ``read_recording``."""
     return _avp(path, side).recording(rate, "avp")
 
 
@@ -206,11 +187,7 @@ def _avp_hand(message: dict[str, Any], key: str, side: Side) -> HandFrame | None
 def read_hts_lines(
     path: Path, rate: float | None, side: Side | None, layout: str | None
 ) -> HandRecording:
-    """A hand of a file of Hand Tracking Streamer's lines; arguments as ``read_recording``.
-
-    Raises:
-        RecordingError: there is no such hand in it, or there are both and ``side`` is None.
-    """
+    """A hand of a file of Hand Tracking Streamer's lines; see ``read_recording``."""
     return _hts(path, side).recording(rate, "hts")
 
 

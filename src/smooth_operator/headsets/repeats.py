@@ -1,4 +1,4 @@
-"""Filter for hands that an app sends repeatedly without a new measurement."""
+"""Filter for hands that an app repeats without a new measurement."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from smooth_operator.types import HandFrame, Side
 class Repeats:
     """Passes only new measurements of hands.
 
-    Some apps send the last values also while the headset has lost the hand. Two measurements of a
-    visible hand are never equal to the last bit.
+    Some apps repeat the last values while the headset has lost the hand. Two measurements of a
+    visible hand are never equal in each bit.
 
     Args:
-        wrist: True to take a wrist that is equal to the last bit, while the fingers move, for lost;
-            False for an app that rounds it.
+        wrist: True if also an equal wrist is lost while the fingers move; False for an app that
+            rounds it.
     """
 
     def __init__(self, wrist: bool = False) -> None:

@@ -11,8 +11,8 @@ from typing import Final
 LOCAL: Final = ("localhost", "127.0.0.1", "::1")
 """Names of this machine for itself."""
 
-# Reserved for documentation (RFC 5737, RFC 3849). Connecting a UDP socket sends nothing, but the
-# system chooses the interface of the default route.
+# Addresses for documentation (RFC 5737, RFC 3849). To connect a UDP socket sends nothing, but the
+# system selects the interface of the default route.
 _ELSEWHERE: Final = ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1"))
 
 
@@ -34,8 +34,7 @@ def lan_addresses(host: str = "0.0.0.0") -> tuple[str, ...]:
     """Addresses of this machine on its networks, that of the default route first.
 
     Args:
-        host: ``0.0.0.0`` for IPv4, ``::`` for IPv4 and IPv6. An IPv6 address may change every day,
-            and the certificate with it, so they need the request.
+        host: ``0.0.0.0`` for IPv4, ``::`` for IPv4 and IPv6, whose addresses may change each day.
     """
     families = _ELSEWHERE if host == "::" else _ELSEWHERE[:1]
     addresses: list[str] = []

@@ -1,16 +1,15 @@
 """Checks of requests to a page's server: form, origin, host, token.
 
-A server that only this machine can reach needs no token. Other pages in the same browser could
-connect to its WebSocket; the checks of ``Origin`` and ``Host`` refuse them. If other machines can
-reach the server, a page's address has a token; the response sets a cookie and redirects to the
-address without the token.
+A server that only this machine can reach needs no token; the checks of ``Origin`` and ``Host``
+refuse other pages of the same browser. On a network, the address of the page has a token; the
+response sets a cookie and redirects to the address without the token.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import http
-import ipaddress
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
@@ -18,7 +17,7 @@ from itertools import chain
 from typing import Any, Final
 from urllib.parse import parse_qs, urlsplit
 
-from smooth_operator.web.addresses import LOCAL
+from smooth_operator.web.addresses import is_local
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class TokenAuth:
 
 
 def same_secret(secret: str, expected: str) -> bool:
-    """True if two secrets are equal, in a time that does not depend on the difference."""
+    """True if two secrets are equal, in a time that does not depend on their difference."""
     return hmac.compare_digest(secret.encode(), expected.encode())
 
 
@@ -101,14 +100,11 @@ def _cookie_name(role: str, port: Any) -> str:
 
 
 _ONCE: Final = ("Origin", "Cookie", "Upgrade", "Accept-Encoding")
-"""Headers, besides ``Host``, that must not come twice, since servers here read them."""
+"""Headers that the servers here read, besides ``Host``; none may come twice."""
 
 
 def well_formed(request: Any) -> bool:
-    """True if a request has one host, no repeated header that is read, and a valid path.
-
-    Browsers and programs send such requests; others would raise an exception later.
-    """
+    """True if a request has one host, no repeated header that is read, and a valid path."""
     values = [request.headers.get_all(name) for name in ("Host", *_ONCE)]
     try:
         urlsplit(request.path)
@@ -119,10 +115,7 @@ def well_formed(request: Any) -> bool:
 
 
 def same_origin(request: Any) -> bool:
-    """True if no page of another origin sent the request.
-
-    Programs send no origin; a browser sends that of the page that connects.
-    """
+    """True unless a page of another origin sent the request; programs send no origin."""
     origins, hosts = (request.headers.get_all(name) for name in ("Origin", "Host"))
     if len(hosts) != 1 or len(origins) > 1:
         return False
@@ -135,23 +128,9 @@ def same_origin(request: Any) -> bool:
 def names_this_machine(request: Any) -> bool:
     """True if the request's host is a loopback address or ``localhost``.
 
-    Another name that an attacker points at this machine would have their own page's origin.
+    An attacker's name for this machine would have the origin of the attacker's page.
     """
-    name = _name_of("".join(request.headers.get_all("Host")))
-    return (name or "") in LOCAL or is_loopback(name)
-
-
-def is_loopback(host: str | None) -> bool:
-    """True for a numeric loopback address."""
-    try:
-        return ipaddress.ip_address(host or "").is_loopback
-    except ValueError:
-        return False
-
-
-def _name_of(host: str) -> str | None:
-    """Name in a ``Host`` header, without the port."""
-    try:
-        return urlsplit(f"//{host}").hostname
-    except ValueError:
-        return None
+    with contextlib.suppress(ValueError):
+        name = urlsplit(f"//{''.join(request.headers.get_all('Host'))}").hostname or ""
+        return is_local(name)
+    return False

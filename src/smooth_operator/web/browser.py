@@ -18,10 +18,10 @@ _FILE_S: Final = 60.0
 
 
 def open_page(url: str) -> None:
-    """Open a page in the browser, if there is a desktop.
+    """Opens a page in the browser, if there is a desktop.
 
-    Any user of this machine can see the arguments of a browser's process. An address with a token
-    is therefore passed in a file that only its owner can read, and that redirects to the page.
+    All users of this machine can read a process's arguments, so an address with a token is in a
+    file of this user, which redirects to the page.
     """
     if not has_desktop():
         return
@@ -33,11 +33,7 @@ def open_page(url: str) -> None:
 
 
 def leading_to(url: str) -> Path:
-    """Write a file that redirects to a page; only its owner can read it, for a minute.
-
-    Raises:
-        OSError: the file can't be written.
-    """
+    """Writes a file of this user that redirects to a page and exists for a minute."""
     handle, name = tempfile.mkstemp(prefix="smooth-operator-", suffix=".html")  # mode 0600
     file = Path(name)
     shown = html.escape(url)
@@ -62,7 +58,7 @@ def leading_to(url: str) -> Path:
 
 def has_desktop() -> bool:
     """True if a browser would open a window."""
-    # without a display, webbrowser starts a text browser that takes over the terminal
+    # without a display, webbrowser starts a text browser in the terminal
     if sys.platform in ("win32", "darwin"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

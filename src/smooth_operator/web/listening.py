@@ -12,15 +12,11 @@ from functools import partial
 from typing import Any, Final
 
 _REFUSED_IN_A_ROW: Final = 100
-"""Connections that one call of accept may refuse, so that a flood leaves time for other work."""
+"""Number of connections that one call of accept may refuse; a flood leaves time for other work."""
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Open a listening socket.
-
-    Args:
-        host: an address of this machine; ``0.0.0.0`` or ``::`` for all.
-        port: port; 0 for any free one.
+    """Opens a listening socket; port 0 is any free one.
 
     Raises:
         OSError: the address is not one of this machine's, or the port is in use.
@@ -38,12 +34,12 @@ def listen(host: str, port: int) -> socket.socket:
 class LimitedListener(socket.socket):
     """A listening socket that limits the number of open connections.
 
-    Connections above the limits are closed before anything is read or allocated for them, also for
-    TLS. A connection waits until the server calls ``served``. Among the waiting connections of one
-    address, the oldest is closed for the newest, so that half-open ones don't lock out an address.
+    It closes connections above the limits before TLS. A connection waits until the server calls
+    ``served``. If too many connections of an address wait, the oldest is closed, so that half-open
+    ones don't lock the address out.
 
     Args:
-        listening: a listening socket; it is taken over.
+        listening: a listening socket, which this object replaces.
         most: largest number of open connections.
         most_of_one: largest number from one address.
         most_waiting: largest number of waiting connections from one address.
@@ -123,20 +119,16 @@ class _Counted(socket.socket):
 def quiet_options(name: str) -> dict[str, Any]:
     """Options of ``websockets.asyncio.server.serve`` with which bad requests print nothing.
 
-    Errors of a client (no HTTP, a request that ends early, a message on which the handler fails) go
-    to a logger, with a traceback. The library's own logger has no handler, so that Python would
-    print them in the operator's terminal.
-
-    Args:
-        name: name of the logger, to which a program may add a handler.
+    Errors of a client go to the logger ``name`` with a traceback. The library's own logger has no
+    handler, so Python would print them in the operator's terminal.
     """
     from websockets.asyncio.server import ServerConnection
 
     class Connection(ServerConnection):
-        """A connection that joins its pending writes to one.
+        """A connection that joins its pending writes.
 
-        A client may be gone when its thousands of pings are answered, and asyncio prints a line for
-        each write to a lost connection, from the fifth on.
+        asyncio prints a line for each write to a lost connection, such as the answers to the pings
+        of a client that is gone.
         """
 
         def send_data(self) -> None:

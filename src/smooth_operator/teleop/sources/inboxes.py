@@ -1,7 +1,7 @@
 """Sockets for the messages of sources: UDP, TCP, ZeroMQ and gRPC.
 
-A web page may connect to any port of its user's computer and send arbitrary data after the header
-of an HTTP request, so a TCP connection whose first bytes are not of the protocol is closed.
+A web page can send any data after an HTTP header to any port of its user's computer. So an inbox
+closes a TCP connection whose first bytes do not belong to the protocol.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from smooth_operator.teleop.sources.payload import MAX_BYTES
 from smooth_operator.web.listening import listen
 
 Message: TypeAlias = tuple[Any, ...]
-"""A received message in one part or several: bytes, or objects of its library. Or a single error,
-for a connection that the inbox has closed since it uses another protocol."""
+"""A received message in one or several parts: bytes, or objects of its library. Or a single error,
+for a connection that the inbox has closed because of another protocol."""
 
 NEWEST: Final = 8
-"""Number of newest messages that are read of those that came together. With two hands that
-alternate, and a broken message between, each hand still gets its newest frame."""
+"""Number of newest messages to read of those that came together. It is enough for the newest frame
+of each of two hands, also with broken messages between."""
 
 _AT_ONCE: Final = 10_000
-"""Messages that are emptied in one go, so that a flood can't keep a source from stopping."""
+"""Number of messages in one call of ``receive``, so that a source can stop in a flood."""
 
 
 class Inbox(ABC):
@@ -37,27 +37,27 @@ class Inbox(ABC):
 
     Attributes:
         address: address to which it listens or is connected, with the real port for a port 0.
-        problem: reason why nothing can come, for an inbox that connects; empty without a problem.
+        problem: reason why no message can come; empty without a problem.
     """
 
     address: str
     problem = ""
 
     def sockets(self) -> list[socket.socket]:
-        """Sockets for which ``receive`` waits, if one can wait for them together with others."""
+        """Sockets for which ``receive`` waits, if ``select`` can wait for them."""
         return []
 
     @abstractmethod
     def receive(self, timeout: float) -> list[Message]:
-        """Wait for messages up to ``timeout`` [s], and return the newest few in order.
+        """Waits up to ``timeout`` [s], and returns the newest messages in order.
 
         Raises:
-            SourceError: the socket gave up.
+            SourceError: the socket failed.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Close the socket."""
+        """Closes the socket."""
 
 
 class UdpInbox(Inbox):
@@ -93,7 +93,7 @@ class UdpInbox(Inbox):
         self.address = f"udp://{name}:{bound}"
 
     def sockets(self) -> list[socket.socket]:
-        """The one socket."""
+        """The socket."""
         return [self._socket]
 
     def receive(self, timeout: float) -> list[Message]:
@@ -103,12 +103,12 @@ class UdpInbox(Inbox):
         newest: deque[Message] = deque(maxlen=NEWEST)
         for _ in range(_AT_ONCE):
             try:
-                # One byte more than is read, so that what is cut off is seen to be too long.
+                # One byte more than the limit, so that a message that was cut off is refused.
                 data, where = self._socket.recvfrom(MAX_BYTES + 1)
                 newest.append((data, str(where[0]).encode()))
             except (BlockingIOError, InterruptedError):
                 break
-            except ConnectionError:  # Windows: an earlier peer is gone, which is nothing to us
+            except ConnectionError:  # Windows reports that an earlier peer is gone
                 continue
             except OSError as error:
                 raise SourceError(f"{self.address} can't be read: {error}") from error
@@ -125,20 +125,19 @@ Begins: TypeAlias = Callable[[bytearray], bool]
 """True if the data on a connection so far can be the beginning of its first message."""
 
 _CONNECTIONS: Final = 8
-"""Connections at a time. Beyond, one that never sent a message is closed, or else the one that has
-been silent for the longest."""
+"""Number of connections at a time. For one more, an old one without a message is closed, or else
+the one that has been silent for the longest time."""
 _CHUNK: Final = 65_536
-_READS: Final = 64  # reads of one connection in one go, so that a flood can't hold the others up
+_READS: Final = 64  # reads of one connection in one go, so that a flood can't delay the others
 _NEWEST_PARTS: Final = 16
-"""Number of newest messages that are read of those that came together: both hands of a few
-frames, in parts."""
+"""Number of newest messages to read of those that came together: both hands of a few frames."""
 
 
 class TcpInbox(Inbox):
     """A listening socket and the connections to it.
 
     A message is its bytes, the address of its sender, and the number of the connection; or the
-    error, for a connection that was closed since it uses another protocol.
+    error, for a connection that was closed because of another protocol.
 
     Args:
         host: address to listen on.
@@ -188,7 +187,7 @@ class TcpInbox(Inbox):
         return [*refusals, *newest]
 
     def close(self) -> None:
-        """Close all connections and the port."""
+        """Closes all connections and the port."""
         for connection in list(self._clients):
             self._drop(connection)
         self._listening.close()
@@ -201,15 +200,15 @@ class TcpInbox(Inbox):
             self._opened += 1
             self._clients[connection] = _Client(str(where[0]), self._opened)
         if len(self._clients) > _CONNECTIONS:
-            # A headset that slept leaves connections that never end, and a flood of others brings
-            # connections that say nothing: these go first, but for the one that has just come.
+            # A headset that slept leaves connections that never end. In a flood, those without a
+            # message are closed first, except the one that has just come.
             *earlier, _ = self._clients
             silent = (one for one in earlier if self._clients[one].new)
             self._drop(next(silent, earlier[0]))
 
     def _read(self, connection: socket.socket, client: _Client) -> list[Message]:
         messages: list[Message] = []
-        # The order in the table is that of the last word, for the one to close.
+        # The table has the order of the last messages, for the choice of the one to close.
         self._clients[connection] = self._clients.pop(connection)
         for _ in range(_READS):
             try:
@@ -231,8 +230,8 @@ class TcpInbox(Inbox):
             messages += [(data, *client.mark) for data in self._split(client.buffer)]
             client.new = client.new and not messages
             if len(client.buffer) > MAX_BYTES:
-                # No message ends: it is another protocol. What has come is refused where it is
-                # read, with its first bytes.
+                # No message ends, so it is another protocol. The reader refuses this data and
+                # reports its first bytes.
                 messages.append((bytes(client.buffer[: MAX_BYTES + 1]), *client.mark))
                 self._drop(connection)
                 break
@@ -253,7 +252,7 @@ class _Client:
 
 
 class Together(Inbox):
-    """Several inboxes as one."""
+    """Several inboxes with sockets as one."""
 
     def __init__(self, inboxes: Sequence[Inbox]) -> None:
         self._inboxes = inboxes
@@ -267,13 +266,13 @@ class Together(Inbox):
         return [message for inbox in self._inboxes for message in inbox.receive(0.0)]
 
     def close(self) -> None:
-        """Closes them all."""
+        """Closes all inboxes."""
         for inbox in self._inboxes:
             inbox.close()
 
 
 def split_lines(buffer: bytearray) -> list[bytes]:
-    """Whole lines, without empty ones."""
+    """Removes complete lines from the front of a buffer, and returns those that are not empty."""
     end = buffer.rfind(b"\n") + 1
     lines = bytes(buffer[:end]).split(b"\n")
     del buffer[:end]
@@ -281,19 +280,16 @@ def split_lines(buffer: bytearray) -> list[bytes]:
 
 
 Pattern: TypeAlias = Literal["sub", "pull"]
-"""The socket: ``sub`` for publishers (PUB), ``pull`` for those that push (PUSH)."""
+"""The socket: ``sub`` for publishers (PUB), ``pull`` for senders that push (PUSH)."""
 
-# What is not read for a while piles up to here; beyond, the sender's messages are dropped. Fewer
-# would be worse: the rest then waits, older and older, in the network's own buffers.
+# Length of the queue. With a shorter one, messages would get old in the buffers of the network.
 _QUEUE: Final = 256
-_LARGEST: Final = 1 << 17  # a sender of more is disconnected before it fills the memory [bytes]
-_RECONNECT_MS: Final = (50, 500)  # first and longest wait for a publisher that is not there
+_LARGEST: Final = 1 << 17  # longest message; the sender of a longer one is disconnected [bytes]
+_RECONNECT_MS: Final = (50, 500)  # first and longest wait for a missing publisher
 
 
 class ZmqInbox(Inbox):
-    """An open ZeroMQ socket with its own context.
-
-    Connecting needs no publisher: it may start later, and start again.
+    """An open ZeroMQ socket with its own context. A publisher may start later, and start again.
 
     Args:
         feature: name of the user, for the message if pyzmq is missing.
@@ -317,11 +313,23 @@ class ZmqInbox(Inbox):
         pattern: Pattern = "sub",
         topic: str = "",
     ) -> None:
-        self._zmq = zmq = load_zmq(feature)
-        self._context = zmq.Context()
-        self._socket = self._context.socket(zmq.SUB if pattern == "sub" else zmq.PULL)
         try:
-            self._set_up(pattern, topic)
+            import zmq
+        except ImportError as error:
+            raise MissingExtraError(feature, "zmq") from error
+        self._zmq: Any = zmq
+        self._context = zmq.Context()
+        self._socket: Any = self._context.socket(zmq.SUB if pattern == "sub" else zmq.PULL)
+        try:
+            self._socket.setsockopt(zmq.LINGER, 0)
+            self._socket.setsockopt(zmq.RCVHWM, _QUEUE)
+            self._socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST)
+            self._socket.setsockopt(zmq.RECONNECT_IVL, _RECONNECT_MS[0])
+            self._socket.setsockopt(zmq.RECONNECT_IVL_MAX, _RECONNECT_MS[1])
+            # Without it, the socket would wait forever after a failure of the publisher's machine.
+            self._socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+            if pattern == "sub":
+                self._socket.setsockopt_string(zmq.SUBSCRIBE, topic)
             (self._socket.bind if bind else self._socket.connect)(address)
         except zmq.ZMQError as error:
             self.close()
@@ -329,20 +337,9 @@ class ZmqInbox(Inbox):
                 f"ZeroMQ can't {'listen on' if bind else 'connect to'} {address!r} ({error}); an "
                 "address looks like tcp://127.0.0.1:5557"
             ) from error
-        endpoint = self._socket.getsockopt(zmq.LAST_ENDPOINT).rstrip(b"\0").decode()
-        self.address = endpoint if bind and endpoint else address
-
-    def _set_up(self, pattern: Pattern, topic: str) -> None:
-        zmq = self._zmq
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.RCVHWM, _QUEUE)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, _LARGEST)
-        self._socket.setsockopt(zmq.RECONNECT_IVL, _RECONNECT_MS[0])
-        self._socket.setsockopt(zmq.RECONNECT_IVL_MAX, _RECONNECT_MS[1])
-        # Without this, the socket would wait endlessly after the publisher's machine or cable died.
-        self._socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
-        if pattern == "sub":
-            self._socket.setsockopt_string(zmq.SUBSCRIBE, topic)
+        endpoint: Any = self._socket.getsockopt(zmq.LAST_ENDPOINT)
+        bound = endpoint.rstrip(b"\0").decode()
+        self.address = bound if bind and bound else address
 
     def receive(self, timeout: float) -> list[Message]:
         """Returns the newest messages; see ``Inbox``."""
@@ -365,29 +362,15 @@ class ZmqInbox(Inbox):
         self._context.term()
 
 
-def load_zmq(feature: str) -> Any:
-    """The module ``zmq``.
-
-    Raises:
-        MissingExtraError: pyzmq is not installed.
-    """
-    try:
-        import zmq
-    except ImportError as error:
-        raise MissingExtraError(feature, "zmq") from error
-    return zmq
-
-
 _RETRY_S: Final = (0.2, 2.0)  # first and longest wait before another try
-_SILENT_S: Final = 3.0  # a stream that says nothing for so long is begun again: the headset slept
+_SILENT_S: Final = 3.0  # silence after which the inbox starts the stream again: the headset slept
 _WORDS: Final = 200
 
 
 class GrpcInbox(Inbox):
     """A stream of encoded messages from a method with an empty request.
 
-    A message is its bytes and the number of the connection. Nothing is decoded, so no generated
-    code is needed.
+    A message is its bytes and the number of the connection.
 
     Args:
         feature: name of the user, for the message if grpcio is missing.
@@ -395,10 +378,6 @@ class GrpcInbox(Inbox):
         address: HOST:PORT of the server, which may start later.
         method: path of the method: ``/package.Service/Method``.
         longest: size of the longest accepted message [bytes].
-
-    Attributes:
-        address: the argument.
-        problem: reason why there is no stream; empty while there is one.
 
     Raises:
         MissingExtraError: grpcio is not installed.
@@ -434,7 +413,7 @@ class GrpcInbox(Inbox):
         return messages
 
     def close(self) -> None:
-        """Ends the stream and waits for its thread a while."""
+        """Ends the stream and waits for its thread, 5 s at most."""
         self._closing.set()
         call = self._call
         if call is not None:
@@ -451,7 +430,7 @@ class GrpcInbox(Inbox):
             wait = min(2.0 * wait, _RETRY_S[1])
 
     def _listen(self, connection: bytes) -> bool:
-        """Receives one stream until it ends; true if a message came."""
+        """Receives one stream until it ends; True if a message came."""
         grpc, heard = self._grpc, False
         options = [
             ("grpc.max_receive_message_length", self._longest),

@@ -1,8 +1,7 @@
 """Base of live sources, and the mailbox with the newest frame of each hand.
 
-A source runs on its own thread and posts received frames into a mailbox with one place per hand. A
-frame that was not taken is overwritten by the next one, so there is no queue, and the loop always
-answers the newest.
+A source runs on its own thread and posts frames into a mailbox with one place for each hand. The
+next frame overwrites one that was not taken, so the loop always answers the newest.
 """
 
 from __future__ import annotations
@@ -24,18 +23,15 @@ from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.types import HandFrame, Side
 
 Clock: TypeAlias = Callable[[], float]
-"""Seconds that never go back: ``time.perf_counter``."""
+"""Monotonic clock [s], such as ``time.perf_counter``."""
 
 LATEST_STAMP_S: Final = 1e11
-"""Stamps are seconds and below this, the year 5138 of Unix time [s]; larger ones are of another
-unit."""
+"""Bound of stamps, the year 5138 of Unix time [s]; larger ones have another unit."""
 JUMP_S: Final = 1.0
-"""Jump of the stamps from which on the tracker was restarted or set its clock [s]: back from the
-newest stamp, or ahead of the time since its reception."""
+"""Jump of the stamps at which a tracker counts as restarted [s]: back from the newest stamp, or
+ahead of the time since its reception."""
 
-
-_GAPS: Final = 5
-"""Number of times between frames for the median, a tracker's period; few, since trackers change."""
+_GAPS: Final = 5  # times between frames for the median, the period of a tracker
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +41,10 @@ class Arrival:
     Attributes:
         frame: the hand; its stamp is by the tracker's clock, or ``received`` if it had none.
         received: time of reception of its last byte, by the loop's clock [s].
-        session: number of the tracker's start; stamps of another session may restart. It
-            increases with each start that the source reports, and with each jump of the stamps
-            (``JUMP_S``).
-        speed: seconds of its stamps per second of the loop's clock, which differ for a recording
-            that is played slower or faster.
+        session: number of the tracker's start, with which stamps may restart. It increases with
+            each start that the source reports, and with each jump of the stamps (``JUMP_S``).
+        speed: seconds of its stamps per second of the loop's clock; not 1 for a recording at
+            another speed.
     """
 
     frame: HandFrame
@@ -74,10 +69,8 @@ class Mailbox:
         received: number of posted frames.
         received_of: side -> number of posted frames.
         overwritten: number of frames that were replaced before they were taken.
-        stop: emergency stop of the loop that takes the frames, for sources whose operator can press
-            one; set by the loop.
-        mode: state of that loop, to show to the operator: a ``Mode`` or ``compiling``; empty
-            without a loop.
+        stop: emergency stop of the loop, for sources with a stop button; set by the loop.
+        mode: returns the state of the loop, a ``Mode`` or ``compiling``; empty without a loop.
     """
 
     def __init__(self, clock: Clock = time.perf_counter) -> None:
@@ -102,16 +95,7 @@ class Mailbox:
         session: int = 0,
         speed: float = 1.0,
     ) -> Arrival:
-        """Post a frame.
-
-        Args:
-            received: time of reception [s]; by default now.
-            session: number of the tracker's start, as far as the source knows.
-            speed: see ``Arrival``.
-
-        Returns:
-            the arrival in the mailbox.
-        """
+        """Posts a frame; see ``Arrival`` for the arguments. Returns its arrival."""
         at = self.clock() if received is None else received
         with self._arrived:
             self.received += 1
@@ -129,28 +113,26 @@ class Mailbox:
         return arrival
 
     def take(self, side: Side) -> Arrival | None:
-        """Take the newest frame of a hand; None if none came since the last call."""
+        """Takes the newest frame of a hand; None without a frame since the last call."""
         with self._arrived:
             return self._newest.pop(side, None)
 
     def newest(self, side: Side) -> Arrival | None:
-        """The arrival that ``take`` would return, left in the mailbox."""
+        """The arrival that ``take`` would return; it stays in the mailbox."""
         with self._arrived:
             return self._newest.get(side)
 
     def following(self, side: Side) -> float | None:
-        """Expected time of the next frame of a hand, from the last few [s]; None before there are
-        two."""
+        """Expected time of the next frame of a hand [s]; None before the second frame."""
         with self._arrived:
             gaps = self._gaps.get(side)
             return self._latest[side] + median(gaps) if gaps else None
 
     def sleep(self, timeout: float, received: int | None = None) -> None:
-        """Sleep up to a timeout, until ``wake``, or until a frame is posted.
+        """Sleeps up to a timeout [s] or until ``wake``.
 
         Args:
-            timeout: longest time [s].
-            received: value of ``received`` above which a frame ends the sleep; None for no frame.
+            received: number of frames; another number also ends the sleep. None ignores frames.
         """
         with self._arrived:
             self._arrived.wait_for(
@@ -160,18 +142,14 @@ class Mailbox:
             self._woken = False
 
     def wait(self, sides: Collection[Side], timeout: float) -> bool:
-        """Sleep until a frame of one of some hands is here, up to a timeout [s].
-
-        Returns:
-            True if there is a frame.
-        """
+        """Sleeps up to a timeout [s] until a frame of one of the hands is here; True if it is."""
         with self._arrived:
             self._arrived.wait_for(lambda: self._woken or self._has(sides), timeout)
             self._woken = False
             return self._has(sides)
 
     def wake(self) -> None:
-        """End the current or the next ``wait`` or ``sleep`` without a frame."""
+        """Ends the current or the next ``wait`` or ``sleep``."""
         with self._arrived:
             self._woken = True
             self._arrived.notify_all()
@@ -186,13 +164,13 @@ class _Sessions:
     def __init__(self) -> None:
         self._reported: int | None = None
         self._jumps = 0
-        # The newest, so that one late frame does not make the next one look like a restart.
+        # those of the newest stamp: after one late frame, the next one is not a restart
         self._stamp = self._received = 0.0
 
     def of(self, stamp: float, received: float, reported: int) -> int:
         """The session of a frame."""
         if not abs(stamp) < LATEST_STAMP_S:
-            return reported + self._jumps  # it is refused, and nothing follows from it
+            return reported + self._jumps  # the loop refuses the frame
         ahead = stamp - self._stamp
         jumped = ahead < -JUMP_S or ahead - (received - self._received) > JUMP_S
         if reported != self._reported:
@@ -210,9 +188,8 @@ class SourceHealth:
     """Health of a source.
 
     Attributes:
-        state: ``waiting`` for its tracker; ``running``; ``ended`` without further frames;
-            ``failed`` with an error.
-        detail: a sentence for a person: the address on which it listens, or the error.
+        state: ``waiting`` for its tracker, ``running``, ``ended``, or ``failed`` with an error.
+        detail: a sentence for a person, such as the address or the error.
     """
 
     state: Literal["waiting", "running", "ended", "failed"]
@@ -227,36 +204,37 @@ class LiveSource(Protocol):
         """Name for a person, in a few words."""
 
     def prepare(self) -> None:
-        """Open everything that ``start`` needs, before anything slow is done; optional.
+        """Optionally opens everything that ``start`` needs, with the same errors.
 
-        Raises:
-            SourceError, RecordingError, MissingExtraError, ConfigError: as ``start``.
+        It reports errors before the slow work of a run.
         """
 
     def start(self, mailbox: Mailbox) -> None:
-        """Begin to post frames, and return immediately.
+        """Starts to post frames; returns immediately.
 
         Raises:
-            SourceError: it can't be opened: no such camera, a port in use.
+            SourceError: it can't be opened, such as a missing camera or a port in use.
             MissingExtraError: a library that it needs is not installed.
         """
 
     def stop(self) -> None:
-        """Stop posting and close everything; a second call does nothing."""
+        """Stops posting and closes everything; a second call does nothing."""
 
     def health(self) -> SourceHealth:
         """Health of the source, at any time, from any thread."""
 
 
 def source_gaps(source: LiveSource) -> Mapping[str, float]:
-    """Gaps that a source's tracker leaves where thumb and finger touch, finger -> gap [palm
-    lengths]: its attribute ``pinch_gaps``, which only a source with known gaps has."""
+    """Finger -> distance from the thumb in a pinch, as the source's tracker sees it [palm lengths].
+
+    Only a source with known gaps has the attribute ``pinch_gaps``.
+    """
     gaps: Mapping[str, float] = getattr(source, "pinch_gaps", NO_GAPS)
     return gaps
 
 
 class ThreadedSource(ABC):
-    """A source with its own thread, on which a subclass's ``run`` runs.
+    """A source whose method ``run`` has a thread of its own.
 
     Subclasses are frozen dataclasses of settings; their state is in ``Running``.
     """
@@ -268,30 +246,30 @@ class ThreadedSource(ABC):
 
     @abstractmethod
     def run(self, running: Running) -> None:
-        """Post frames until ``running.stopping`` is set, or there are no more.
+        """Posts frames until ``running.stopping`` is set, or until the last frame.
 
-        An exception becomes the health ``failed``, with the error as the detail.
+        An exception becomes the health ``failed`` with the error as the detail.
         """
 
     def open(self) -> None:  # noqa: B027  (most sources need nothing before their thread)
-        """Get hold of what is needed, before the thread starts; errors reach the caller."""
+        """Opens what the thread needs; errors reach the caller."""
 
     def prepare(self) -> None:
-        """Open it ahead of ``start``; see ``LiveSource``."""
+        """Opens the source before ``start``; see ``LiveSource``."""
         self.open()
         object.__setattr__(self, "_prepared", True)
 
     def start(self, mailbox: Mailbox) -> None:
-        """Begin; see ``LiveSource``."""
+        """Starts; see ``LiveSource``."""
         if not self.__dict__.pop("_prepared", False):
             self.open()
         running = Running(mailbox, self.label)
-        # The settings are frozen, the state of a running source is not.
+        # The settings are frozen, unlike the state of a running source.
         object.__setattr__(self, "_running", running)
         running.begin(self.run)
 
     def stop(self) -> None:
-        """Stop; see ``LiveSource``."""
+        """Stops; see ``LiveSource``."""
         running: Running | None = getattr(self, "_running", None)
         if running is not None:
             running.end()
@@ -306,9 +284,8 @@ class Running:
     """A started source: its thread, its mailbox, its health.
 
     Attributes:
-        mailbox: mailbox of the frames.
         stopping: event that ends the source; ``stopping.wait(seconds)`` sleeps.
-        health: may be replaced by the thread at any time.
+        health: health, which the thread may replace.
     """
 
     def __init__(self, mailbox: Mailbox, label: str) -> None:
@@ -319,17 +296,17 @@ class Running:
         self._thread: threading.Thread | None = None
 
     def begin(self, run: Callable[[Running], None]) -> None:
-        """Run on a thread."""
+        """Starts the thread."""
 
         def guarded() -> None:
             try:
-                # What a message holds may be of any size; what overflows is refused, without a word
-                # of NumPy's on the terminal.
+                # Numbers of a message may overflow. The readers refuse them, and NumPy's warnings
+                # would disturb the terminal.
                 with np.errstate(all="ignore"):
                     run(self)
             except SmoothOperatorError as error:
                 self.health = SourceHealth("failed", str(error))
-            except Exception as error:  # a library's: the loop must go on, and say what happened
+            except Exception as error:  # of a library: the loop must go on and show it
                 self.health = SourceHealth("failed", f"{type(error).__name__}: {error}")
             else:
                 if self.health.state != "failed":
@@ -340,7 +317,7 @@ class Running:
         self._thread.start()
 
     def end(self, timeout: float = 5.0) -> None:
-        """Request the end, and wait for it up to a timeout [s]."""
+        """Requests the end, and waits for it up to a timeout [s]."""
         self.stopping.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(timeout)
@@ -352,14 +329,11 @@ _Item = TypeVar("_Item")
 def on_time(
     due: Iterable[tuple[float, _Item]], clock: Clock, stopping: threading.Event
 ) -> Iterator[tuple[float, _Item]]:
-    """Yield items when they are due; late ones immediately, in order.
+    """Yields the delay [s] of each item and the item when it is due; late ones immediately.
 
     Args:
-        due: (time since the start [s], item), times not decreasing.
-        clock: monotonic clock [s]. The start is the time of the first item, which may take a while.
-
-    Yields:
-        delay of the item [s], and the item.
+        due: (time since the start [s], item) in order. The start is the time at which the first
+            item is there.
     """
     items = iter(due)
     first = list(itertools.islice(items, 1))

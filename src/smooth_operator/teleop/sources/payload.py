@@ -4,14 +4,12 @@ A message is one of
 
 - 21 x 3 numbers, little-endian float32 (252 bytes) or float64 (504 bytes), row by row;
 - JSON: ``{"stamp": 12.5, "side": "right", "landmarks": [[x, y, z], ...], "valid": [true, ...]}``,
-  where only ``landmarks`` is needed; or ``{"hands": [...]}`` with several of them; or the
-  landmarks alone.
+  where only ``landmarks`` is needed; or ``{"hands": [...]}`` with several hands; or the landmarks
+  alone.
 
-In place of 21 landmarks there may be 25 (MANUS, WebXR) or 26 (OpenXR), which are mapped; in place
-of a row x y z, an object, a row with a quaternion or a 4 x 4 matrix (``point_forms``). ``wrist`` is
-the pose of the wrist in the frame ``world``; 26 rows with quaternions hold one, in OpenXR's axes
-(y up), which is converted. Nothing here waits, has state or unpickles: bytes become hand frames, or
-an error with the reason.
+Instead of 21 landmarks there may be 25 (MANUS, WebXR) or 26 (OpenXR). Instead of a row x y z there
+may be an object, a row with a quaternion, or a 4 x 4 matrix. ``wrist`` is the pose of the wrist in
+the frame ``world``. 26 rows with quaternions contain it, too, in OpenXR's axes (y up).
 """
 
 from __future__ import annotations
@@ -35,14 +33,14 @@ from smooth_operator.teleop.sources.live import LATEST_STAMP_S
 from smooth_operator.types import HandFrame, Side, as_side
 
 MAX_BYTES: Final = 65_536
-"""Longest accepted message; both hands of the most verbose bridge need a third of it."""
+"""Size of the longest accepted message; both hands of the most verbose bridge need a third."""
 
 _BINARY: Final = {
     count * 3 * size: (count, f"<f{size}") for count in schema.NODE_LAYOUTS for size in (4, 8)
 }
 _SHARED: Final = ("stamp", "timestamp", "session", "world")
 TRACKER_WORLD: Final = "tracker"
-"""Name of the world frame of a wrist in a message that does not name it."""
+"""Name of the world frame of a wrist in a message without a name."""
 
 _OPENXR_WRIST: Final = schema.FROM_OPENXR_26[0]
 _WHERE: Final = "the message"
@@ -65,11 +63,11 @@ class Reading:
 
 @dataclass(frozen=True)
 class Forms:
-    """Format of messages, as far as it does not follow from them.
+    """Settings of the format of messages.
 
     Attributes:
         layout: order of the landmarks in a message of 21; None for the project's own.
-        stamp_unit: unit of its stamps.
+        stamp_unit: unit of the stamps.
         quaternion: order of the quaternion in rows of 7.
         matrix: order of 4 x 4 matrices; ``auto`` decides by their row or column 0 0 0 1.
     """
@@ -81,12 +79,7 @@ class Forms:
 
 
 class PayloadReader:
-    """Reads the messages of one stream.
-
-    Args:
-        side: side, as in ``read_payload``.
-        forms: format of the messages.
-    """
+    """Reader of the messages of one stream; arguments as for ``read_payload``."""
 
     def __init__(self, side: Side | None, forms: Forms) -> None:
         self._side, self._forms = side, forms
@@ -96,7 +89,7 @@ class PayloadReader:
         """Hands of the next message.
 
         Raises:
-            RecordingError: as ``read_payload``, or the stamps are in another unit by their pace.
+            RecordingError: as ``read_payload``, or the pace of the stamps shows another unit.
         """
         readings = read_payload(
             data, side=self._side, received=received, **dataclasses.asdict(self._forms)
@@ -119,11 +112,11 @@ def read_payload(
     Args:
         side: side of a message without one; None refuses such a message.
         received: time of receipt [s], the stamp of a message without one.
+        forms: attributes of ``Forms``.
 
     Raises:
-        RecordingError: the message can't be read: it is too long or of an unknown size, has broken
-            JSON, a wrong shape, an impossible stamp, no side, or landmarks in another unit (with
-            the likely factor).
+        RecordingError: the message can't be read; with the reason, and for another unit with the
+            likely factor.
     """
     check_size(data)
     settings = Forms(**forms)
@@ -132,7 +125,7 @@ def read_payload(
         try:
             message = parse_json(data)
         except RecordingError:
-            if binary is None:  # of 128 messages of numbers, one starts with such a byte
+            if binary is None:  # one of 128 messages of numbers starts with such a byte
                 raise
         else:
             return _read_json(message, side, received, settings)
@@ -149,11 +142,7 @@ def read_payload(
 
 
 def check_size(data: bytes) -> None:
-    """Refuse a message that is empty or too long.
-
-    Raises:
-        RecordingError: with the size and the bound.
-    """
+    """Raises RecordingError for a message that is empty or too long."""
     if not data:
         raise RecordingError("the message is empty")
     if len(data) > MAX_BYTES:
@@ -161,11 +150,7 @@ def check_size(data: bytes) -> None:
 
 
 def parse_json(data: bytes | str) -> Any:
-    """The value of a JSON text.
-
-    Raises:
-        RecordingError: it is not JSON.
-    """
+    """Value of a JSON text; raises RecordingError for another text."""
     try:
         return documents.parse_json(data)
     except DocumentError as error:
@@ -187,8 +172,8 @@ def hand_frame(
     """Hand frame from a tracker's points.
 
     Args:
-        points: (n, 3) positions [m], n being 21, 25, 26 or 27; NaN for a missing one. All zeros
-            are a tracker's "no hand".
+        points: (n, 3) positions [m] with n = 21, 25, 26 or 27; NaN for missing ones. All zeros mean
+            that the tracker has no hand.
         stamp: stamp of the frame [s].
         valid: flags of the points, or of the 21 landmarks.
         orientations: quaternions wxyz of the points, of any length.
@@ -211,7 +196,7 @@ def hand_frame(
     flags = np.isfinite(landmarks).all(axis=1)
     if valid is not None:
         flags &= _flags(valid, len(points), rows)
-    if not landmarks.any():  # NaN counts as something here, and is invalid anyway
+    if not landmarks.any():  # also True for NaN, which is invalid anyway
         flags[:] = False
     check_palm(landmarks, flags, _WHERE)
     return HandFrame(
@@ -227,11 +212,7 @@ def hand_frame(
 
 
 def read_side(label: Any, otherwise: Side | None) -> Side:
-    """Side in a message, or else the known side.
-
-    Raises:
-        RecordingError: the message names something else, or neither side is known.
-    """
+    """Side in a message, or ``otherwise``; raises RecordingError for a wrong or missing side."""
     if label is None:
         return _checked_side(otherwise)
     try:
@@ -290,11 +271,7 @@ def _read_hand(
 
 
 def read_wrist(message: Mapping[str, Any]) -> dict[str, Any]:
-    """``wrist`` and ``world`` of a message, for ``hand_frame``; empty without a wrist.
-
-    Raises:
-        RecordingError: the wrist is not 7 numbers.
-    """
+    """``wrist`` and ``world`` of a message for ``hand_frame``; empty without a wrist."""
     wrist = _beside(message, "wrist", (7,))
     return {} if wrist is None else {"wrist": wrist, "world": _world(message)}
 
@@ -344,7 +321,7 @@ MatrixOrder: TypeAlias = Literal["auto", "rows", "columns"]
 
 _AXES: Final = ("x", "y", "z")
 _LAST: Final = np.array([0.0, 0.0, 0.0, 1.0])
-_CLOSE: Final = 1e-3  # of the last row; trackers send float32 and rounded text
+_CLOSE: Final = 1e-3  # tolerance of the last row, since trackers send float32 and rounded text
 
 
 def read_points(
@@ -357,17 +334,18 @@ def read_points(
     """Points, and their orientations if the form has them.
 
     Args:
-        value: JSON value: n rows of x y z; objects ``{"x": , "y": , "z": }`` (MediaPipe; other keys
-            are left alone); rows of x y z and a quaternion; 4 x 4 matrices, as rows of rows or 16
-            numbers each; or all numbers of x y z in one row. A row that is null is missing.
+        value: JSON value: n rows of x y z; objects with x, y and z (MediaPipe); rows of x y z and a
+            quaternion; 4 x 4 matrices, as rows or 16 numbers each; or all numbers in one row. Null
+            is a missing row.
         what: name of the value, for messages.
         quaternion: order of the quaternion in rows of 7.
+        matrix: order of the matrices.
 
     Returns:
-        (n, 3) positions [m], NaN for a missing one, and (n, 4) quaternions wxyz or None.
+        (n, 3) positions [m], NaN for missing ones, and (n, 4) quaternions wxyz or None.
 
     Raises:
-        RecordingError: the value has none of these forms, or a matrix is no rigid transform.
+        RecordingError: the value has another form, or a matrix is not a rigid transform.
     """
     if isinstance(value, list) and any(isinstance(row, dict) for row in value):
         return _of_objects(value, what), None
@@ -395,8 +373,7 @@ def points_of_matrices(
     """Positions and quaternions wxyz of transforms; NaN where a matrix has NaN.
 
     Raises:
-        RecordingError: 0 0 0 1 is not at the place for ``order`` (with ``auto``, at neither place),
-            or an upper left part is no rotation.
+        RecordingError: 0 0 0 1 is not in the row or column of ``order``, or a matrix is not rigid.
     """
     whole = np.isfinite(matrices).all(axis=(1, 2))
     complete = matrices[whole]
@@ -432,11 +409,7 @@ def points_of_matrices(
 
 
 def read_numbers(value: Any, what: str) -> Float[np.ndarray, "..."]:
-    """Numbers of a JSON value as an array; null is NaN.
-
-    Raises:
-        RecordingError: the value has something else than numbers, or rows of different lengths.
-    """
+    """Numbers of a JSON value as an array, with NaN for null; raises RecordingError otherwise."""
     try:
         return np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -444,7 +417,7 @@ def read_numbers(value: Any, what: str) -> Float[np.ndarray, "..."]:
 
 
 def short(value: Any) -> str:
-    """A value as a text of up to 60 characters, for messages."""
+    """A value as a text of at most 60 characters, for messages."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -485,13 +458,10 @@ _NAMES: Final = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns
 
 
 def read_stamp(message: Mapping[str, Any], unit: StampUnit = "s") -> float | None:
-    """Stamp of a message [s]; None if it has none.
-
-    Args:
-        message: the message, with ``stamp`` or ``timestamp``.
+    """``stamp`` or ``timestamp`` of a message [s]; None without a stamp.
 
     Raises:
-        RecordingError: the stamp is no finite number, or far above any clock in this unit; the
+        RecordingError: the stamp is not a finite number, or far above any clock in this unit; the
             error names the setting ``stamp_unit``.
     """
     stamp = message.get("stamp", message.get("timestamp"))
@@ -501,7 +471,7 @@ def read_stamp(message: Mapping[str, Any], unit: StampUnit = "s") -> float | Non
         raise RecordingError(
             f"the timestamp must be a finite number of seconds, not {short(stamp)}"
         )
-    seconds = float(stamp / _PARTS[unit])  # a whole number of ns is divided without rounding first
+    seconds = float(stamp / _PARTS[unit])  # Python divides a whole number of ns exactly
     if abs(seconds) < LATEST_STAMP_S:
         return seconds
     likely = next((u for u, n in _PARTS.items() if abs(stamp) / n < LATEST_STAMP_S), None)
@@ -523,11 +493,7 @@ def _finite(value: int | float) -> bool:
 
 
 class StampPace:
-    """Detects a wrong unit of stamps by their pace, since no bound on their values can.
-
-    Args:
-        unit: declared unit of the stamps.
-    """
+    """Detects another unit of stamps than the declared one by their pace."""
 
     WINDOW_S: Final = 1.0
     """Time of receipt over which the pace is measured [s]."""
@@ -539,15 +505,11 @@ class StampPace:
         self._wrong: dict[Side, str] = {}
 
     def check(self, side: Side, stamp: float, received: float) -> None:
-        """Check a stamp.
-
-        Args:
-            stamp: the stamp [s].
-            received: time of receipt [s].
+        """Takes a stamp and its time of receipt [s].
 
         Raises:
             RecordingError: over the last window the stamps ran about 10^3, 10^6 or 10^9 times too
-                fast or too slowly, which another unit explains. The message names the setting.
+                fast or too slowly, as in another unit. The message names the setting.
         """
         start, at, count = self._windows.setdefault(side, (stamp, received, 0))
         self._windows[side] = (start, at, count + 1)

@@ -28,11 +28,9 @@ _DEFAULT_PERIOD_S = 0.01  # between the rounds of a recording of a single frame
 
 @dataclass(frozen=True)
 class Replay(ThreadedSource):
-    """Plays a recording at its own pace.
+    """Plays a recording with its own stamps, at any speed.
 
-    Stamps are those of the recording, also at another speed. In a loop each round is a session of
-    its own, since the hand jumps from the last frame to the first, but stamps keep increasing: a
-    round starts one frame period after the end of the previous one.
+    In a loop, stamps increase, and each round is a session, since the hand jumps to its start.
 
     Attributes:
         path: any file that ``smooth-operator retarget`` reads.
@@ -67,12 +65,12 @@ class Replay(ThreadedSource):
         return f"replay of {self.path.name}"
 
     def open(self) -> None:
-        """Read the recording here, where its errors reach the caller."""
+        """Reads the recording; errors reach the caller."""
         recording = read_recording(self.path, rate=self.rate, side=self.side, layout=self.layout)
         object.__setattr__(self, "_recording", recording)
 
     def run(self, running: Running) -> None:
-        """Post the frames when they are due."""
+        """Posts the frames when they are due."""
         recording: HandRecording = getattr(self, "_recording")  # noqa: B009  (set in open())
         running.health = SourceHealth("running", f"{len(recording)} frames")
         clock = running.mailbox.clock
@@ -80,7 +78,7 @@ class Replay(ThreadedSource):
             running.mailbox.post(frame, session=session, speed=self.speed)
 
     def _due(self, recording: HandRecording) -> Iterator[tuple[float, tuple[HandFrame, int]]]:
-        """Time at which each frame is due [s], the frame and its round."""
+        """Time of each frame [s], the frame and its round."""
         first = float(recording.stamps[0])
         single = len(recording) < 2
         period = recording.duration + (_DEFAULT_PERIOD_S if single else 1.0 / recording.rate_hz)
@@ -99,25 +97,24 @@ _HANDS_AT: Final[dict[Side, np.ndarray]] = {
 
 @dataclass(frozen=True)
 class SyntheticSource(ThreadedSource):
-    """Live source with a synthetic person in front of a synthetic tracker.
+    """A synthetic person in front of a synthetic tracker.
 
-    Both hands belong to one person and mirror each other; their trackers lose different frames.
+    The hands mirror each other; their trackers lose different frames.
 
     Attributes:
         seed: seed of the person, the motion and the tracker's losses.
-        tracker: tracker that sees the person: ``glove``, ``headset`` or ``camera``; None for a
-            perfect one.
+        tracker: ``glove``, ``headset`` or ``camera``; None for a perfect tracker.
         rate: frame rate of each hand [Hz]; None for the tracker's own.
         side: ``right``, ``left`` or ``both``.
-        gestures: names joined by ``+``, as ``pinch_index+spread``; by default all of them.
+        gestures: names joined by ``+``, as ``pinch_index+spread``; None for all.
         speed: tempo of the operator, 1 is natural.
-        frame_loss: share of frames that never come, in bursts; None for the tracker's own.
-        landmark_loss: share of landmarks that are missing, in bursts.
+        frame_loss: share of lost frames, in bursts; None for the tracker's own.
+        landmark_loss: share of missing landmarks, in bursts.
         rate_jitter: standard deviation of a frame's time over the period; None for the tracker's
             own.
         duration: length of the motion [s]; None for an endless one.
         wrist: standard deviation of each coordinate of the wrist in the room [m], 1 m up and 0.4 m
-            ahead; 0 is a tracker without a wrist. The landmarks do not move with it.
+            ahead; 0 for a tracker without a wrist. The landmarks do not move with it.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -138,7 +135,7 @@ class SyntheticSource(ThreadedSource):
 
     def __post_init__(self) -> None:
         sides_of(self.side)
-        self._operators()  # which check the rest
+        self._operators()  # checks the other settings
         check_range("wrist", self.wrist, 0.0, 0.3, "m")
         if self.duration is not None:
             check_range("duration", self.duration, 1.0 / self._rate, 1e9, "s")
@@ -154,15 +151,19 @@ class SyntheticSource(ThreadedSource):
 
     @property
     def pinch_gaps(self) -> Mapping[str, float]:
-        """Gaps that the tracker is known to leave in pinches."""
+        """Known gaps of the tracker in pinches; see ``source_gaps``."""
         return known_gaps(self.tracker)
 
     def run(self, running: Running) -> None:
-        """Post the frames when they are due."""
+        """Posts the frames when they are due."""
         hands = " and ".join(sides_of(self.side))
         running.health = SourceHealth("running", f"{hands} hand at {self._rate:g} Hz")
         clock = running.mailbox.clock
-        wrists = self._wrists()
+        turn = 4.0 * self.wrist  # [rad] for [m]: 0.2 rad for 5 cm
+        wrists = {
+            side: WristMotion(self.wrist, turn, self.seed + k)
+            for k, side in enumerate(sides_of(self.side))
+        }
         for _, frame in on_time(self._due(), clock, running.stopping):
             if self.wrist:
                 pose = wrists[frame.side].pose_at(frame.time)
@@ -175,27 +176,21 @@ class SyntheticSource(ThreadedSource):
         for frame in heapq.merge(*streams, key=lambda frame: frame.time):
             yield frame.time, frame
 
-    def _wrists(self) -> dict[Side, WristMotion]:
-        turn = 4.0 * self.wrist  # [rad] for [m]: 0.2 rad for 5 cm
-        sides = sides_of(self.side)
-        return {side: WristMotion(self.wrist, turn, self.seed + k) for k, side in enumerate(sides)}
-
     def _operators(self) -> list[SyntheticOperator]:
-        names = tuple(self.gestures.split("+")) if self.gestures else GESTURES
-        return [self._operator(side, names, k) for k, side in enumerate(sides_of(self.side))]
-
-    def _operator(self, side: Side, gestures: tuple[str, ...], number: int) -> SyntheticOperator:
-        return SyntheticOperator(
-            seed=self.seed,
-            side=side,
-            rate_hz=self.rate,
-            gestures=gestures,
-            speed=self.speed,
-            tracker=tracker_model(
-                self.tracker,
-                self.seed + number,
-                frame_loss=self.frame_loss,
-                landmark_loss=self.landmark_loss,
-                rate_jitter=self.rate_jitter,
-            ),
-        )
+        return [
+            SyntheticOperator(
+                seed=self.seed,
+                side=side,
+                rate_hz=self.rate,
+                gestures=tuple(self.gestures.split("+")) if self.gestures else GESTURES,
+                speed=self.speed,
+                tracker=tracker_model(
+                    self.tracker,
+                    self.seed + number,
+                    frame_loss=self.frame_loss,
+                    landmark_loss=self.landmark_loss,
+                    rate_jitter=self.rate_jitter,
+                ),
+            )
+            for number, side in enumerate(sides_of(self.side))
+        ]

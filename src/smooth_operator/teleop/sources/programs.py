@@ -1,7 +1,7 @@
 """Sources that receive other programs' messages: landmarks, headset apps, MANUS glove bridges.
 
-``udp`` and ``zmq`` take landmarks; ``hts`` (Quest), ``pico`` and ``avp`` (Vision Pro; extra
-``avp``) those of headset apps; ``manus`` the 25 nodes of a raw skeleton, in several forms.
+``udp`` and ``zmq`` receive landmarks; ``hts`` (Quest), ``pico`` and ``avp`` (Vision Pro; extra
+``avp``) messages of headset apps; ``manus`` the 25 nodes of a raw skeleton, in several forms.
 
 The main form is that of ``ManusZmqBridge`` (the program of the MANUS recordings), with three more
 fields::
@@ -9,10 +9,10 @@ fields::
     RIGHT {"glove_id": 3064964832, "side": "right", "session": "a1", "stamp": 12.505,
            "nodes": [{"id": 0, "pos": [x, y, z], "quat": [w, x, y, z]}, ...]}
 
-Other bridges send these forms: both hands in one message; nodes as 25 rows of x y z
-and a quaternion; the ROS 2 message ``ManusGlove`` as JSON (``raw_nodes`` with a ``pose`` each); and
-lines of ``glove id, 25 x (x, y, z, qx, qy, qz, qw)`` separated by commas, of one hand or two, as
-the Bidex bridge pushes them. ``docs/how-to/manus.md`` has an example of each.
+Other forms are: both hands in one message; nodes as 25 rows of x y z and a quaternion; the ROS 2
+message ``ManusGlove`` as JSON (``raw_nodes`` with a ``pose`` each); and the lines of the Bidex
+bridge, ``glove id, 25 x (x, y, z, qx, qy, qz, qw)`` separated by commas, of one hand or two.
+``docs/how-to/manus.md`` has an example of each.
 """
 
 from __future__ import annotations
@@ -64,6 +64,7 @@ from smooth_operator.teleop.sources.stream import (
     only_side,
 )
 from smooth_operator.types import Side
+from smooth_operator.web.addresses import LOCAL
 
 
 @dataclass(frozen=True)
@@ -71,12 +72,12 @@ class LandmarkStream(StreamSource):
     """Source with one hand per message, in the forms of ``smooth_operator.teleop.sources.payload``.
 
     Attributes:
-        side: side of messages without one, and the only one in use; with ``both`` each message
+        side: the only side in use, also that of messages without one; with ``both`` each message
             must have its side.
         layout: order of the landmarks in a message of 21, by its name in ``LAYOUTS``.
         stamp_unit: unit of the stamps in JSON.
         quaternion: order of the quaternion in rows of 7.
-        matrix: order of 4 x 4 matrices: row by row or column by column; ``auto`` decides by the
+        matrix: order of 4 x 4 matrices, row by row or column by column; ``auto`` decides by the
             place of 0 0 0 1.
 
     Raises:
@@ -96,7 +97,7 @@ class LandmarkStream(StreamSource):
         layout_order(self.layout)
 
     def data_of(self, message: Message) -> bytes:
-        """The bytes of a message that hold the hand: its first part."""
+        """The part of a message with the hand."""
         data: bytes = message[0]
         return data
 
@@ -111,8 +112,8 @@ class LandmarkStream(StreamSource):
 class UdpSource(LandmarkStream):
     """Source with one hand per datagram; see ``LandmarkStream``.
 
-    Everybody who can send to the port moves the hand, since UDP has no passwords. By default the
-    source therefore listens on this machine only.
+    UDP has no passwords, so anyone who can send to the port moves the hand. By default the source
+    listens on this machine only.
 
     Attributes:
         port: port to listen on; 0 for any free one, see ``endpoint``.
@@ -162,7 +163,7 @@ class ZmqSource(LandmarkStream):
         )
 
     def data_of(self, message: Message) -> bytes:
-        """The last part, without a topic that is not a part."""
+        """The last part of a message, without the topic."""
         data: bytes = message[-1]
         if len(message) == 1 and self.topic:
             data = data.removeprefix(self.topic.encode()).lstrip(b" ")
@@ -170,25 +171,24 @@ class ZmqSource(LandmarkStream):
 
 
 Transport: TypeAlias = Literal["both", "udp", "tcp"]
-"""Transport of the app; ``both`` listens to both."""
+"""Transport of the app."""
 
 UDP_PORT: Final = 9000
 TCP_PORT: Final = 8000
-"""The app's own ports."""
+"""Default ports of the app."""
 
 
 @dataclass(frozen=True)
 class HtsSource(StreamSource):
     """Both hands from the Quest app Hand Tracking Streamer, over Wi-Fi or a cable.
 
-    Everybody who can send to the ports moves the hand, since the app has no passwords. By default
-    the source therefore listens on this machine only, which is enough for a cable (``adb reverse
-    tcp:8000 tcp:8000``).
+    The app has no passwords, so anyone who can send to the ports moves the hand. By default the
+    source listens on this machine only, for a cable (``adb reverse tcp:8000 tcp:8000``).
 
     Attributes:
         host: address to listen on; ``0.0.0.0`` for the whole network, which Wi-Fi needs.
-        port: port to listen on; None for those of the app: 9000 for UDP, 8000 for TCP. 0 for any
-            free one.
+        port: port to listen on; 0 for any free one; None for 9000 (UDP) and 8000 (TCP), the ports
+            of the app.
         transport: ``udp``, ``tcp``, or ``both``.
         side: hands to use.
 
@@ -208,8 +208,8 @@ class HtsSource(StreamSource):
 
     @property
     def hint(self) -> str:
-        """Advice while nothing has come."""
-        if self.host in ("127.0.0.1", "localhost", "::1"):
+        """Advice before the first message."""
+        if self.host in LOCAL:
             return ", this computer only (by cable); for Wi-Fi use hts:0.0.0.0"
         return "; in the app, set this computer's address, the port and the protocol"
 
@@ -235,14 +235,14 @@ class HtsSource(StreamSource):
 
         def read(message: Message, received: float) -> Sequence[Reading]:
             data, host, *connection = message
-            line = hts_lines.parse_line(data)  # only a valid line chooses the sender
+            line = hts_lines.parse_line(data)  # before the check: only a valid line has a sender
             sender.check(host, received)
             frame = hands.add(line, received)
             if frame is None:
                 return ()
             stamped = frame.stamp is not None
             frame = frame if stamped else replace(frame, stamp=received)
-            # Another connection is another start of the app.
+            # A new connection is a new start of the app.
             return (Reading(frame, stamped, b" ".join((host, *connection)).decode()),)
 
         return read
@@ -263,18 +263,16 @@ class _UdpLines(UdpInbox):
 
 @dataclass(frozen=True)
 class PicoSource(StreamSource):
-    """Both hands from the PICO app XRoboToolkit, which connects to this program as to its service.
+    """Both hands from the PICO app XRoboToolkit; this program replaces its PC service.
 
-    The app's PC service must not run on this computer at the same time, since both use one port.
-    Everybody who can connect moves the hand, since the app has no passwords. By default the source
-    therefore listens on this machine only.
+    The PC service must not run at the same time, since both use one port. The app has no passwords,
+    so anyone who can connect moves the hand. By default the source listens on this machine only.
 
     Attributes:
         host: address to listen on; ``0.0.0.0`` for the whole network, which a headset needs.
         port: TCP port; the app connects only to 63901.
         side: hands to use.
-        axes: axes of the joints: ``openxr``, right-handed, or ``unity``, left-handed, for an app
-            that sends them so.
+        axes: axes of the joints: ``openxr``, right-handed, or ``unity``, left-handed.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -292,8 +290,8 @@ class PicoSource(StreamSource):
 
     @property
     def hint(self) -> str:
-        """Advice while nothing has come."""
-        if self.host in ("127.0.0.1", "localhost", "::1"):
+        """Advice before the first message."""
+        if self.host in LOCAL:
             return ", this computer only; for a headset on the network use pico:0.0.0.0"
         return "; in the app, enter this computer's address, then switch on Hand and Send"
 
@@ -308,7 +306,7 @@ class PicoSource(StreamSource):
 
         def read(message: Message, received: float) -> Sequence[Reading]:
             data, host, connection = message
-            packet = pico_packets.read_packet(data, self.axes)  # a bad packet selects no sender
+            packet = pico_packets.read_packet(data, self.axes)  # a bad packet has no sender
             sender.check(host, received)
             stamped, session = packet.stamp is not None, f"{host.decode()} {connection.decode()}"
             return [
@@ -324,10 +322,9 @@ class PicoSource(StreamSource):
 class AvpSource(StreamSource):
     """Both hands from a Vision Pro with the app Tracking Streamer, over Wi-Fi.
 
-    This program connects to the headset, and reconnects after the headset was asleep. The app sends
-    neither the time of a measurement nor the visibility of a hand: a stamp is the time of receipt,
-    and an unchanged hand is no new frame, so that a lost hand falls silent. An unchanged wrist
-    is not valid while the fingers move.
+    This program connects to the headset, again and again while it sleeps. The app sends no time and
+    no visibility: the stamp is the time of receipt, an unchanged hand is lost, and an unchanged
+    wrist is not valid while the fingers move.
 
     Attributes:
         address: address of the headset, as the app shows it.
@@ -355,7 +352,7 @@ class AvpSource(StreamSource):
         return f"Tracking Streamer (Vision Pro) at {self.address}"
 
     def connect(self) -> Inbox:
-        """Begins to connect; the headset need not be there yet."""
+        """Starts to connect, also without a headset."""
         host = f"[{self.address}]" if ":" in self.address else self.address
         method, longest = avp.METHOD, avp.MOST_BYTES
         return GrpcInbox("the source 'avp'", "avp", f"{host}:{self.port}", method, longest)
@@ -387,19 +384,16 @@ _IN_ORDER: Final = list(range(NODES))
 def read_manus(
     data: bytes, *, gloves: Mapping[str, Side], side: Side | None, received: float
 ) -> tuple[Reading, ...]:
-    """Read a message.
+    """Hands of a message; empty for a message of joint angles.
 
     Args:
         data: the message; several parts are joined with spaces.
-        gloves: glove id, as the bridge prints it -> side, for bridges that send no sides.
+        gloves: glove id in the bridge's notation -> side, for bridges that send no sides.
         side: side of a message with neither a side nor a glove in ``gloves``; None refuses it.
         received: time of receipt [s], the stamp of a message without one.
 
-    Returns:
-        hands of the message; empty for one of joint angles alone.
-
     Raises:
-        RecordingError: the message can't be read, with the reason.
+        RecordingError: the message can't be read; with the reason.
     """
     check_size(data)
     topic_match = _TOPIC.match(data)
@@ -412,7 +406,7 @@ def read_manus(
 
 
 def _hands(message: Any) -> list[Mapping[str, Any]]:
-    """Hands of a message, each with the common fields of the message."""
+    """Objects of the hands of a message, with the common fields of the message."""
     hands: Any = message
     if isinstance(message, dict):
         shared = {k: message[k] for k in ("stamp", "timestamp", "session", "world") if k in message}
@@ -434,11 +428,7 @@ def _hands(message: Any) -> list[Mapping[str, Any]]:
 def read_glove(
     message: Mapping[str, Any], gloves: Mapping[str, Side], side: Side | None, received: float
 ) -> Reading:
-    """Read one hand, an object of JSON with ``nodes``; see ``read_manus``.
-
-    Raises:
-        RecordingError: it can't be read, with the reason.
-    """
+    """Reads one hand, a JSON object with ``nodes``; see ``read_manus``."""
     key = next((key for key in ("nodes", "raw_nodes", "data") if key in message), None)
     if key is None:
         raise RecordingError(
@@ -448,7 +438,7 @@ def read_glove(
     try:
         stamp = read_stamp(message)
     except RecordingError:
-        if "stamp" in message:  # ours; a bridge's 'timestamp' may be the SDK's packed date
+        if "stamp" in message:  # unlike 'timestamp', it is never the SDK's packed date
             raise
         stamp = None
     frame = hand_frame(
@@ -462,7 +452,7 @@ def read_glove(
 
 
 def _side(label: Any, glove: Any, gloves: Mapping[str, Side], otherwise: Side | None) -> Side:
-    if str(glove).lower() in gloves:  # the user knows better than a bridge that is starting
+    if str(glove).lower() in gloves:  # a bridge that is starting may send a wrong side
         return gloves[str(glove).lower()]
     if str(label).lower() in ("unknown", "none", ""):
         label = None
@@ -477,7 +467,7 @@ def _side(label: Any, glove: Any, gloves: Mapping[str, Side], otherwise: Side | 
 def _read_nodes(
     nodes: Any, key: str, order: Any
 ) -> tuple[Float[np.ndarray, "25 3"], Float[np.ndarray, "25 4"] | None]:
-    """Positions and quaternions wxyz of the nodes, at the index of their id."""
+    """Positions and quaternions wxyz of the nodes, in the order of their ids."""
     if not isinstance(nodes, list) or not nodes:
         raise RecordingError(f"'{key}' must be a list of {NODES} nodes")
     if isinstance(nodes[0], dict):
@@ -510,7 +500,7 @@ def _read_nodes(
 def _split(
     rows: Float[np.ndarray, "25 c"],
 ) -> tuple[Float[np.ndarray, "25 3"], Float[np.ndarray, "25 4"] | None]:
-    """Positions and quaternions, None where no node has one."""
+    """Positions and quaternions; None if no node has a quaternion."""
     quaternions = rows[:, 3:]
     tracked = quaternions.shape[1] == 4 and bool(np.isfinite(quaternions).any())
     return rows[:, :3], quaternions if tracked else None
@@ -567,11 +557,7 @@ def _read_csv(
 
 
 def glove_sides(right: str | None, left: str | None) -> dict[str, Side]:
-    """Glove id, in small letters -> side, for the gloves whose side the user names.
-
-    Raises:
-        ConfigError: both are one glove.
-    """
+    """Glove id in lower case -> side; raises ConfigError if both are one glove."""
     if right is not None and right == left:
         raise ConfigError(f"right_glove and left_glove are both {right!r}")
     gloves: tuple[tuple[str | None, Side], ...] = ((right, "right"), (left, "left"))
@@ -585,7 +571,7 @@ class ManusStream(StreamSource):
     Attributes:
         address: address of the bridge, which may start later.
         side: hands to use. With one hand, messages without a side count as that hand.
-        right_glove: id of the right glove, for a bridge that sends no sides.
+        right_glove: id of the right glove, for a bridge without sides.
         left_glove: id of the left glove.
         pattern: ``sub`` for bridges that publish, ``pull`` for those that push (Bidex).
         bind: listen on the address, for a bridge that connects.
@@ -611,7 +597,7 @@ class ManusStream(StreamSource):
         return f"MANUS gloves at {self.address}"
 
     def connect(self) -> Inbox:
-        """Open the socket."""
+        """Opens the socket."""
         return ZmqInbox("the source 'manus'", self.address, bind=self.bind, pattern=self.pattern)
 
     def reader(self) -> Reader:

@@ -1,4 +1,4 @@
-"""Sources that receive messages: their base, and the way from messages to the mailbox."""
+"""Base of the sources that receive messages, and the way from a message to the mailbox."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Hands: TypeAlias = Literal["right", "left", "both"]
 """Hands that a source uses."""
 
 Reader: TypeAlias = Callable[[Message, float], Sequence[Reading]]
-"""Reads the hands of a message that came at a time by the loop's clock [s]."""
+"""Reads the hands of a message and its time of receipt by the loop's clock [s]."""
 
 SILENCE_S: Final = 1.0
 """Time without a message after which a source waits for its tracker [s]."""
@@ -34,7 +34,7 @@ def sides_of(hands: str) -> tuple[Side, ...]:
     """The sides of ``right``, ``left`` or ``both``.
 
     Raises:
-        ConfigError: it is none of them.
+        ConfigError: it is another text.
     """
     if hands not in _SIDES:
         raise ConfigError(f"side must be 'right', 'left' or 'both', not {hands!r}")
@@ -45,16 +45,6 @@ def only_side(hands: str) -> Side | None:
     """The side of ``right`` or ``left``; None for ``both``."""
     sides = sides_of(hands)
     return sides[0] if len(sides) == 1 else None
-
-
-def check_port(port: int | None) -> None:
-    """Refuse an invalid port; None stands for a default.
-
-    Raises:
-        ConfigError: the port is outside 0 to 65535.
-    """
-    if port is not None and not 0 <= port <= 65_535:
-        raise ConfigError(f"port must be 0 to 65535, not {port}")
 
 
 class StreamSource(ThreadedSource):
@@ -68,7 +58,9 @@ class StreamSource(ThreadedSource):
 
     def __post_init__(self) -> None:
         sides_of(self.side)
-        check_port(getattr(self, "port", None))
+        port = getattr(self, "port", None)
+        if port is not None and not 0 <= port <= 65_535:
+            raise ConfigError(f"port must be 0 to 65535, not {port}")
 
     @abstractmethod
     def connect(self) -> Inbox:
@@ -90,7 +82,7 @@ class StreamSource(ThreadedSource):
 
     @property
     def hint(self) -> str:
-        """Advice before the first message: a clause that begins with a sign, or empty."""
+        """Advice before the first message, after a comma or semicolon; empty without advice."""
         return ""
 
     @property
@@ -104,7 +96,7 @@ class StreamSource(ThreadedSource):
         object.__setattr__(self, "_inbox", self.connect())
 
     def run(self, running: Running) -> None:
-        """Receive messages until the end."""
+        """Receives messages until the end."""
         inbox: Inbox = getattr(self, "_inbox")  # noqa: B009  (set in open(), past the frozen fields)
         read = self.reader()
         try:
@@ -113,8 +105,8 @@ class StreamSource(ThreadedSource):
                 messages = inbox.receive(_POLL_S)
                 received = running.mailbox.clock()
                 for number, message in enumerate(messages):
-                    # Messages that came together have an order: a stamp that is the time of receipt
-                    # must increase, or the loop takes the newest frame for a repeated one.
+                    # Stamps of messages that came together must differ, or the loop takes the
+                    # newest frame for a repeated one.
                     receiver.take(message, received + number * _APART_S)
                 if not messages:
                     receiver.silent(inbox.problem)
@@ -125,16 +117,16 @@ class StreamSource(ThreadedSource):
 class MessageReceiver:
     """Reads messages and posts their hands.
 
-    A message that can't be read is counted, and the health has the last reason; it does not end the
-    source. A hand's session increases when its tracker was restarted: the tracker sends a new
-    ``session``, or begins or ceases to stamp. The mailbox detects jumps of the stamps, and the loop
-    refuses stamps that repeat or go back a little.
+    An unreadable message does not end the source: the health has their number and the last reason.
+    The session of a hand increases when its tracker sends a new ``session``, or starts or ends to
+    stamp. The mailbox detects jumps of the stamps, and the loop refuses stamps that repeat or go
+    back a little.
 
     Args:
         running: the started source.
         where: address of the source, for the health.
         sides: sides of the hands in use.
-        read: reads a message.
+        read: reader of a message.
         hint: advice before the first message, for the health.
     """
 
@@ -162,16 +154,12 @@ class MessageReceiver:
         running.health = SourceHealth("waiting", f"listening on {where}{hint}")
 
     def take(self, message: Message, received: float) -> None:
-        """Reads a message and posts its hands.
-
-        Args:
-            received: time of receipt, by the loop's clock [s].
-        """
+        """Reads a message and posts its hands; ``received`` is by the loop's clock [s]."""
         if isinstance(message[0], RecordingError):
             self.refused += 1
             self._refusal = str(message[0])[:_MAX_REASON]
             self._running.health = SourceHealth(self._running.health.state, self._detail())
-            self.silent()  # which such a connection does not end
+            self.silent()  # a refused connection does not end a silence
             return
         self.messages += 1
         self._last = received
@@ -188,7 +176,7 @@ class MessageReceiver:
         )
 
     def silent(self, problem: str = "") -> None:
-        """Report a time without messages, or the reason why none can come."""
+        """Reports a time without messages, or the reason why no message can come."""
         if problem:
             self._running.health = SourceHealth("waiting", problem)
             return
@@ -233,7 +221,7 @@ class MessageReceiver:
 class OneSender:
     """Accepts only the first address that sends, until it has been silent for a second.
 
-    Programs at one address count as one sender, since an app may open a socket for each hand.
+    An app may open a socket for each hand, so all programs at an address are one sender.
     """
 
     def __init__(self) -> None:
@@ -241,18 +229,11 @@ class OneSender:
         self._last = 0.0
 
     def check(self, host: bytes, received: float) -> None:
-        """Check the sender of a message.
-
-        Args:
-            received: time of receipt [s].
-
-        Raises:
-            RecordingError: it is another address than the accepted one.
-        """
+        """Raises RecordingError for a message from another address at a time of receipt [s]."""
         if self._host not in (None, host) and received - self._last <= SILENCE_S:
-            heard = (self._host or b"").decode()
+            first = (self._host or b"").decode()
             raise RecordingError(
-                f"{host.decode()} also sends, and is ignored while {heard} sends; stop one "
+                f"{host.decode()} also sends, and is ignored while {first} sends; stop one "
                 "of them, or use a different port for each"
             )
         self._host, self._last = host, received

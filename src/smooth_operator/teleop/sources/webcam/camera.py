@@ -1,4 +1,4 @@
-"""Reader of cameras (newest picture only, with reconnection) and of video files, by OpenCV."""
+"""Cameras (newest picture only, with reconnection) and video files, by OpenCV."""
 
 from __future__ import annotations
 
@@ -21,10 +21,9 @@ SYSTEM_LIBRARIES: Final = (
     "It needs system libraries: sudo apt install libgl1 libglib2.0-0 libxcb1 libegl1 "
     "libgles2 (Debian, Ubuntu)"
 )
-"""What OpenCV and MediaPipe need on a Linux without a desktop."""
+"""Libraries for OpenCV and MediaPipe on a Linux without a desktop."""
 
-_FAILURES: Final[list[str]] = []
-"""Why OpenCV could not be loaded in this process, once it could not."""
+_FAILURES: Final[list[str]] = []  # the error of this process's first import of OpenCV
 
 
 def opencv() -> Any:
@@ -32,7 +31,7 @@ def opencv() -> Any:
 
     Raises:
         MissingExtraError: it is not installed.
-        SourceError: it is installed, but can't be loaded; with the libraries that it needs.
+        SourceError: it can't be loaded; with the libraries that it needs.
     """
     if _FAILURES:
         raise SourceError(_FAILURES[0])
@@ -42,8 +41,8 @@ def opencv() -> Any:
     except ModuleNotFoundError as error:
         raise MissingExtraError("reading a camera or a video", "webcam") from error
     except ImportError as error:
-        # OpenCV's loader leaves its folder on the path, where its `typing` hides Python's own from
-        # every process that is started later.
+        # OpenCV's loader leaves its folder on the path, where its `typing` hides Python's own in
+        # each later process.
         sys.path[:] = path
         advice = (
             SYSTEM_LIBRARIES
@@ -58,8 +57,7 @@ def opencv() -> Any:
 RETRY_S: Final = 1.0
 """Pause between attempts to open a camera again [s]."""
 
-# OpenCV comes without types that mypy may rely on.
-Capture: TypeAlias = Any
+Capture: TypeAlias = Any  # OpenCV has no types for mypy
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ class Picture:
     Attributes:
         pixels: blue, green, red.
         time: time of reading, by the loop's clock [s].
-        session: number of reconnections of the camera before.
+        session: number of earlier reconnections of the camera.
     """
 
     pixels: UInt8[ndarray, "h w 3"]
@@ -78,7 +76,7 @@ class Picture:
 
 
 class Camera:
-    """Reads a camera on its own thread, so that no picture waits in a queue.
+    """A camera and the thread that reads it, so that no picture waits in a queue.
 
     Args:
         name: number, device or address of the camera.
@@ -88,10 +86,10 @@ class Camera:
 
     Raises:
         MissingExtraError: OpenCV is not installed.
-        SourceError: there is no such camera, or it gives no picture.
+        SourceError: there is no such camera, or it delivers no picture.
 
     Attributes:
-        lost: True while the camera is lost and its reconnection is tried.
+        lost: True while the camera is lost and the thread tries to open it again.
     """
 
     def __init__(self, name: int | str, width: int, height: int, rate: float) -> None:
@@ -107,14 +105,14 @@ class Camera:
         self._thread.start()
 
     def newest(self, timeout: float) -> Picture | None:
-        """Take the newest picture; None if none comes within a timeout [s]."""
+        """Takes the newest picture; None if there is none within a timeout [s]."""
         with self._came:
             self._came.wait_for(lambda: self._newest is not None, timeout)
             picture, self._newest = self._newest, None
             return picture
 
     def close(self) -> None:
-        """Release the camera; a second call does nothing."""
+        """Releases the camera; a second call does nothing."""
         self._stopping.set()
         self._thread.join(5.0)
 
@@ -142,12 +140,7 @@ class Camera:
 
 
 def open_camera(name: int | str, width: int, height: int, rate: float) -> Capture:
-    """A camera that gives pictures.
-
-    Raises:
-        MissingExtraError: OpenCV is not installed.
-        SourceError: there is none, or it gives no picture; with what was tried.
-    """
+    """Opens a camera that delivers pictures."""
     cv2 = opencv()
     capture = cv2.VideoCapture(name)
     if capture.isOpened():
@@ -169,7 +162,7 @@ def open_camera(name: int | str, width: int, height: int, rate: float) -> Captur
 
 
 def _advice(cv2: Any, name: int | str) -> str:
-    """Advice on a camera that does not open: interfaces and devices here."""
+    """Advice for a camera that can't be opened, with the interfaces and devices of this machine."""
     backends = cv2.videoio_registry.getCameraBackends()
     tried = ", ".join(cv2.videoio_registry.getBackendName(b) for b in backends)
     advice = f"Interfaces that were tried: {tried or 'none'}."
@@ -194,28 +187,21 @@ def _advice(cv2: Any, name: int | str) -> str:
     return advice
 
 
-SUFFIXES: Final = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
-"""Suffixes of files that are taken for videos."""
-
-
 def is_video(path: Path) -> bool:
-    """True if a file is a video, by its name."""
-    return path.suffix.lower() in SUFFIXES
+    """True if a file has the suffix of a video."""
+    return path.suffix.lower() in (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
 
 
 class VideoFile:
-    """A video that is being read.
-
-    Args:
-        path: the file.
+    """An open video file.
 
     Raises:
         MissingExtraError: OpenCV is not installed.
-        SourceError: there is no such file, or it holds no video.
+        SourceError: there is no such file, or it is not a video.
 
     Attributes:
-        rate: pictures per second, by the file.
-        count: number of pictures, by the file; 0 if unknown.
+        rate: picture rate in the file [Hz].
+        count: number of pictures in the file; 0 if unknown.
     """
 
     def __init__(self, path: Path) -> None:
@@ -237,16 +223,16 @@ class VideoFile:
         self._grabbed = True
 
     def advance(self) -> float | None:
-        """Go to the next picture without unpacking it.
+        """Goes to the next picture without unpacking it.
 
         Returns:
-            its time in the video [s], always later than the last; None at the end.
+            its time in the video [s], which always increases; None at the end.
         """
         if not (self._grabbed or self._capture.grab()):
             return None
         self._grabbed = False
         time = float(self._capture.get(self._time_ms)) * 1e-3
-        if time <= self._time:  # some files have no times, or stand still
+        if time <= self._time:  # some files have no times, or repeat one
             time = self._time + 1.0 / self.rate
         self._time = time
         return time
@@ -257,5 +243,5 @@ class VideoFile:
         return pixels if there else None
 
     def close(self) -> None:
-        """Close the file; a second call does nothing."""
+        """Closes the file; a second call does nothing."""
         self._capture.release()

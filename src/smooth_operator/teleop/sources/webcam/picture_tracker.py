@@ -1,4 +1,4 @@
-"""Tracker of hands in pictures, for cameras and videos: hand frames from pictures."""
+"""Tracker of hands in the pictures of cameras and videos, by MediaPipe."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ Points: TypeAlias = Literal["world", "picture"]
 
 @dataclass(frozen=True, kw_only=True)
 class PictureConfig:
-    """Settings of the search for hands in pictures.
+    """Settings of the tracker of hands in pictures.
 
     Attributes:
-        mirrored: True for mirrored pictures, such as selfie views; they are turned back first.
+        mirrored: True for mirrored pictures, such as selfie views; the tracker turns them back.
         max_hands: largest number of hands, 1 or 2.
         confidence: smallest confidence of the tracker in a hand, 0 to 1.
         points: ``world``, the tracker's own positions in metres; ``picture``, its positions in the
-            picture, scaled to the size of those.
+            picture, at the same size.
         model: the hand-landmarker file; None for the published one, downloaded once.
     """
 
@@ -59,10 +59,7 @@ class PictureConfig:
 
 
 class PictureTracker:
-    """Finds the hands in one picture after the other.
-
-    Args:
-        config: the settings.
+    """Finds the hands in successive pictures.
 
     Raises:
         MissingExtraError: MediaPipe is not installed.
@@ -78,36 +75,31 @@ class PictureTracker:
         self._tracks: Mapping[Side, Track] = {}
 
     def frames(self, pixels: UInt8[np.ndarray, "h w 3"], time: float) -> list[HandFrame]:
-        """Hands of a picture, at most one of each side.
-
-        Args:
-            time: time of the picture [s]; becomes the stamp.
+        """Hands of a picture at a time [s], which is their stamp; at most one of each side.
 
         Raises:
             SourceError: MediaPipe failed.
         """
         colours = self._cv2.cvtColor(pixels, self._cv2.COLOR_BGR2RGB)
         turned = self._cv2.flip(colours, 1) if self._config.mirrored else colours
-        hands_seen = self._landmarker.find(turned, time)
-        hands, self._tracks = assign_sides(hands_seen, self._tracks, time)
+        detections = self._landmarker.find(turned, time)
+        hands, self._tracks = assign_sides(detections, self._tracks, time)
         return [
             HandFrame(landmarks_of(hand, self._config.points), time, side, valid=hand.inside)
             for side, hand in hands.items()
         ]
 
     def close(self) -> None:
-        """Give everything back; a second call does nothing."""
+        """Closes the model; a second call does nothing."""
         self._landmarker.close()
 
 
 def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
-    """A hand's landmarks [m], about its centre, in a right-handed frame.
-
-    x points to the right in the picture, y down and z away from the camera.
+    """Landmarks about the hand's centre [m]: x right in the picture, y down, z off the camera.
 
     Args:
-        points: see ``PictureConfig``. In the picture, fingertips are placed more precisely, so
-            touching ones come closer; but depth is flattened, so bones change their length more.
+        points: see ``PictureConfig``. In the picture, fingertips are more precise, but depth is
+            flatter, so the lengths of bones vary more.
     """
     if points == "world":
         return hand.world
@@ -118,11 +110,11 @@ def landmarks_of(hand: SeenHand, points: Points) -> Float[np.ndarray, "21 3"]:
 
 
 MEMORY_S: Final = 0.3
-"""Time for which the place of a hand is remembered [s]."""
+"""Time for which the tracker remembers the place of a hand [s]."""
 REACH: Final = 1.5
-"""Distance that a hand may have moved since, in lengths of its palm."""
+"""Distance that a hand may move in this time, in lengths of its palm."""
 PATIENCE: Final = 8
-"""Number of successive pictures in which a label must contradict the continuity to be believed."""
+"""Number of successive pictures with a contradicting label after which the label counts."""
 SAME: Final = 0.5
 """Distance below which two detections are one hand, in lengths of the palm."""
 
@@ -136,10 +128,9 @@ class SeenHand:
     Attributes:
         label: side by the tracker.
         score: confidence in the side, 0 to 1.
-        world: (21, 3) positions about the hand's centre [m]; x to the right in the picture, y
-            down, z away from the camera, which is a right-handed frame.
-        picture: (21, 3) positions in the picture, as shares of its width, width and width; y is
-            down, z away from the camera and about the wrist.
+        world: (21, 3) positions about the hand's centre [m]: x right in the picture, y down, z away
+            from the camera.
+        picture: (21, 3) positions in the picture, all as shares of its width; z is about the wrist.
         inside: (21,) True for a landmark within the picture.
     """
 
@@ -179,7 +170,7 @@ class Track:
 def assign_sides(
     detections: Iterable[SeenHand], tracks: Mapping[Side, Track], time: float
 ) -> tuple[dict[Side, SeenHand], dict[Side, Track]]:
-    """Assign sides to the hands of a picture.
+    """Assigns sides to the hands of a picture.
 
     Args:
         tracks: last place of each hand; empty at the start.
@@ -189,8 +180,12 @@ def assign_sides(
         side -> hand, at most one of each; and the new tracks.
     """
     recent = {s: t for s, t in tracks.items() if 0.0 <= time - t.time <= MEMORY_S}
+    distinct: list[SeenHand] = []
+    for hand in sorted(detections, key=lambda h: -h.score):
+        if all(_distance(hand, other.centre) > SAME for other in distinct):
+            distinct.append(hand)
     chosen: dict[Side, tuple[SeenHand, Track]] = {}
-    for hand in _without_duplicates(detections):
+    for hand in distinct:
         side, doubts = _side_of(hand, recent)
         track = Track(hand.centre, time, doubts)
         rival = chosen.get(side)
@@ -198,14 +193,6 @@ def assign_sides(
             chosen[side] = hand, track
     hands = {side: hand for side, (hand, _) in chosen.items()}
     return hands, recent | {side: track for side, (_, track) in chosen.items()}
-
-
-def _without_duplicates(detections: Iterable[SeenHand]) -> list[SeenHand]:
-    distinct: list[SeenHand] = []
-    for hand in sorted(detections, key=lambda h: -h.score):
-        if all(_distance(hand, other.centre) > SAME for other in distinct):
-            distinct.append(hand)
-    return distinct
 
 
 def _side_of(hand: SeenHand, recent: Mapping[Side, Track]) -> tuple[Side, int]:
@@ -217,14 +204,14 @@ def _side_of(hand: SeenHand, recent: Mapping[Side, Track]) -> tuple[Side, int]:
         return hand.label, 0
     if own is not None and _distance(hand, own.centre) <= REACH:  # both were near: hands cross
         return hand.label, 0
-    # It stands where the other hand was: the label flipped, unless it insists.
+    # The other hand was here, so the label is wrong, unless it repeats.
     if was.doubts + 1 >= PATIENCE:
         return hand.label, 0
     return other, was.doubts + 1
 
 
 def _rank(hand: SeenHand, side: Side, recent: Mapping[Side, Track]) -> tuple[bool, float]:
-    """Rank of a hand for a side: a known hand first, then by confidence."""
+    """Rank of a hand for a side: first a known hand, then by confidence."""
     was = recent.get(side)
     return was is not None and _distance(hand, was.centre) <= REACH, hand.score
 
@@ -239,9 +226,7 @@ _stderr = threading.Lock()
 
 
 class HandLandmarker:
-    """MediaPipe's landmarker for a stream of pictures, which follows hands between pictures.
-
-    For one thread at a time.
+    """MediaPipe's landmarker for a stream of pictures, for one thread at a time.
 
     Args:
         model: the ``.task`` file.
@@ -257,7 +242,7 @@ class HandLandmarker:
         with _without_noise():
             self._mediapipe, vision, base_options = _mediapipe()
             options = vision.HandLandmarkerOptions(
-                # As bytes: on Windows its own loader fails on paths that are not plain ASCII.
+                # As bytes, since on Windows its own loader fails for paths that are not ASCII.
                 base_options=base_options(model_asset_buffer=model.read_bytes()),
                 running_mode=vision.RunningMode.VIDEO,
                 num_hands=max_hands,
@@ -277,14 +262,14 @@ class HandLandmarker:
                     "right file"
                 ) from error
             self._last_ms = -1
-            self.find(np.zeros((64, 64, 3), np.uint8), 0.0)  # the first is slow, and noisy
+            self.find(np.zeros((64, 64, 3), np.uint8), 0.0)  # the first call is slow and prints
 
     def find(self, picture: UInt8[np.ndarray, "h w 3"], time: float) -> list[SeenHand]:
         """The hands of a picture.
 
         Args:
             picture: red, green, blue; not mirrored.
-            time: time of the picture [s]; where it goes back, or stands, a millisecond is taken.
+            time: time of the picture [s]; if it does not increase, a millisecond is added.
 
         Raises:
             SourceError: MediaPipe failed.
@@ -306,11 +291,11 @@ class HandLandmarker:
         ]
 
     def close(self) -> None:
-        """Give everything back; a second call does nothing."""
+        """Closes the model; a second call does nothing."""
         try:
             self._landmarker.close()
-        except RuntimeError:  # the interpreter ends, and MediaPipe's own thread has gone before
-            self._landmarker._handle = None  # or it would try again, and complain
+        except RuntimeError:  # MediaPipe's own thread has ended with the interpreter
+            self._landmarker._handle = None  # or it would try again, and print an error
 
 
 def _seen_hand(label: Any, world: Any, flat: Any, aspect: float) -> SeenHand:
@@ -343,8 +328,9 @@ def _without_noise() -> Iterator[None]:
     with _stderr:
         with contextlib.suppress(Exception):  # it may be closed, or None
             sys.stderr.flush()
-        real = _duplicate(2)
-        if real is None:  # there is no standard error
+        try:
+            real = os.dup(2)
+        except OSError:  # there is no standard error
             yield
             return
         with tempfile.TemporaryFile() as aside:
@@ -362,13 +348,6 @@ def _without_noise() -> Iterator[None]:
                 os.close(real)
 
 
-def _duplicate(descriptor: int) -> int | None:
-    try:
-        return os.dup(descriptor)
-    except OSError:
-        return None
-
-
 SWITCH: Final = "SMOOTH_OPERATOR_HAND_MODEL"
 """Environment variable: path of the model file."""
 
@@ -377,7 +356,7 @@ MODEL_URL: Final = (
     "hand_landmarker.task"
 )
 MODEL_SHA256: Final = "fbc2a30080c3c557093b5ddfc334698132eb341044ccee322ccf8bcf3607cde1"
-"""SHA-256 of version 1 as it is published there, 7,819,105 bytes."""
+"""SHA-256 of the published version 1, 7,819,105 bytes."""
 
 _LARGEST: Final = 64 * 2**20
 _CHUNK: Final = 2**16
@@ -388,7 +367,7 @@ Progress: TypeAlias = Callable[[int, int | None], None]
 
 
 def model_cache() -> Path:
-    """Path of the downloaded model; it need not exist."""
+    """Path of the downloaded model, which may not exist."""
     return user_cache() / "models" / "hand_landmarker.task"
 
 
@@ -401,18 +380,17 @@ def hand_model(
 ) -> Path:
     """Path of the model: the file of the user, that of ``SWITCH``, or the published one.
 
-    A file of the user must be a hand landmarker. A downloaded file must have the hash, also later
-    in the cache; a damaged one there is downloaded again.
+    A damaged file in the cache is downloaded again.
 
     Args:
         file: path of the user's file.
         url: address of the published file.
         sha256: hash of the published file.
-        progress: called in a download; by default a line on standard error, if that is a terminal.
+        progress: called in a download; None for a line in a terminal's standard error.
 
     Raises:
-        SourceError: there is no such file, or it is no hand landmarker; it can't be downloaded, or
-            the download is not the published file.
+        SourceError: there is no such file, or it is not a hand landmarker; it can't be downloaded,
+            or the download is not the published file.
         OutputError: the download can't be stored.
     """
     named = file or Path(os.environ.get(SWITCH, "").strip())
@@ -425,7 +403,7 @@ def hand_model(
 
 
 def _checked(path: Path, origin: str) -> Path:
-    """A file of the user, checked to be a hand landmarker."""
+    """The user's file, if it is a hand landmarker."""
     if not path.is_file():
         raise SourceError(
             f"{origin}: there is no file {str(path)!r}; set the path of a "
@@ -453,7 +431,7 @@ def _sha256_of(path: Path) -> str | None:
 
 
 def _fetch(url: str, sha256: str, target: Path, progress: Progress) -> None:
-    """Download a file atomically."""
+    """Downloads a file atomically."""
     try:
         make_private(target.parent)
     except OSError as error:

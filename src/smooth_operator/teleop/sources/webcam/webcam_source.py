@@ -1,4 +1,4 @@
-"""The sources ``webcam`` and ``video``: bare hands, seen by a camera."""
+"""The sources ``webcam`` and ``video``: bare hands in front of a camera."""
 
 from __future__ import annotations
 
@@ -29,33 +29,32 @@ class _Pictures(PictureConfig, ThreadedSource):
 
     @property
     def pinch_gaps(self) -> Mapping[str, float]:
-        """Gaps that the tracker leaves in pinches; see ``source_gaps``."""
+        """Known gaps of the tracker in pinches; see ``source_gaps``."""
         return MEDIAPIPE if self.points == "world" else NO_GAPS
 
     def stop(self) -> None:
-        """Stop; see ``LiveSource``."""
+        """Stops; see ``LiveSource``."""
         super().stop()
         atexit.unregister(self.stop)
 
     def _hold(self, pictures: Camera | VideoFile, tracker: PictureTracker) -> None:
-        """Keep what was opened for the thread."""
-        # the settings are frozen, this is none
+        """Stores the opened objects for the thread."""
         object.__setattr__(self, "_opened", (pictures, tracker))
-        atexit.register(self.stop)  # a thread in native code must not meet the interpreter's end
+        atexit.register(self.stop)  # a thread in native code crashes at the interpreter's end
 
 
 @dataclass(frozen=True)
 class Webcam(_Pictures):
-    """A camera.
+    """A camera. Further settings are those of ``PictureConfig``.
 
-    A stamp is the time when its picture was read, by the clock of the loop; a frame counts as
-    received when its hand is found. Further settings are those of ``PictureConfig``.
+    A stamp is the time when a picture was read, by the loop's clock. A frame is received when its
+    hand is detected.
 
     Attributes:
         camera: its number, counted from 0; or a device, or an address such as ``rtsp://...``.
-        width: width of the picture that is asked for [pixels].
-        height: height of the picture that is asked for [pixels].
-        rate: pictures per second that are asked for [Hz].
+        width: requested width of the picture [pixels].
+        height: requested height of the picture [pixels].
+        rate: requested picture rate [Hz].
     """
 
     camera: int | str = 0
@@ -75,7 +74,7 @@ class Webcam(_Pictures):
         return f"camera {self.camera}"
 
     def open(self) -> None:
-        """Load the model and open the camera; errors reach the caller."""
+        """Loads the model and opens the camera; errors reach the caller."""
         tracker = PictureTracker(self)
         try:
             camera = Camera(self.camera, self.width, self.height, self.rate)
@@ -85,7 +84,7 @@ class Webcam(_Pictures):
         self._hold(camera, tracker)
 
     def run(self, running: Running) -> None:
-        """Post the hands of the newest picture, again and again."""
+        """Posts the hands of the newest picture, again and again."""
         camera, tracker = self.__dict__.pop("_opened")
         with contextlib.closing(tracker), contextlib.closing(camera):
             while not running.stopping.is_set():
@@ -103,16 +102,15 @@ class Webcam(_Pictures):
 
 @dataclass(frozen=True)
 class Video(_Pictures):
-    """A video file, as if it were a camera.
+    """A video file. Further settings are those of ``PictureConfig``.
 
-    A stamp is the time of its picture in the video. A picture that is due before the last one is
-    done with is left out, as with a camera. Further settings are those of ``PictureConfig``.
+    A stamp is the time of a picture in the video. A late tracker skips pictures, as with a camera.
 
     Attributes:
         path: the file.
-        speed: how many times as fast as it was taken.
-        every: leave no picture out, and rather fall behind.
-        loop: begin again at the end.
+        speed: playback seconds per second.
+        every: skip no picture; a late tracker delays the video.
+        loop: start over at the end.
     """
 
     path: Path
@@ -131,7 +129,7 @@ class Video(_Pictures):
         return f"video {self.path.name}"
 
     def open(self) -> None:
-        """Open the file and load the model; errors reach the caller."""
+        """Opens the file and loads the model; errors reach the caller."""
         video = VideoFile(self.path)
         try:
             tracker = PictureTracker(self)
@@ -141,7 +139,7 @@ class Video(_Pictures):
         self._hold(video, tracker)
 
     def run(self, running: Running) -> None:
-        """Post the hands of each picture when it is due."""
+        """Posts the hands of each picture when it is due."""
         video, tracker = self.__dict__.pop("_opened")
         with contextlib.closing(tracker):
             session, counts = 0, Counter[str]()
@@ -187,7 +185,7 @@ class Video(_Pictures):
 
 
 def _say(running: Running, frames: list[HandFrame]) -> None:
-    """Keep the health up to date; who shows it names the source."""
+    """Updates the health."""
     sides = " and ".join(sorted(frame.side for frame in frames))
     detail = f"{sides} hand in the picture" if sides else "no hand in the picture"
     if running.health.detail != detail or running.health.state != "running":
@@ -201,20 +199,20 @@ def track_video(
     config: PictureConfig | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> HandRecording:
-    """Track one hand through a video file.
+    """Tracks one hand in a video file.
 
     Args:
-        side: which hand; the one that is seen more often if left out.
-        config: how it is found; ``PictureConfig()`` if left out.
-        progress: called with the pictures done and, as far as the file says, those there are.
+        side: side of the hand; None for the one in more pictures.
+        config: settings of the tracker; None for ``PictureConfig()``.
+        progress: called with the number of pictures done and the total, as the file gives it.
 
     Returns:
-        a frame for each picture, NaN and not valid where the hand is not seen.
+        a frame for each picture, NaN and not valid without the hand.
 
     Raises:
         MissingExtraError: MediaPipe is not installed.
-        SourceError: the video can't be read, or the model not be had.
-        RecordingError: the hand is on no picture.
+        SourceError: the video can't be read, or the model can't be loaded.
+        RecordingError: the hand is in no picture.
 
     Example:
         >>> recording = track_video("clip.mp4", side="right")  # doctest: +SKIP
@@ -232,7 +230,7 @@ def track_video(
             stamps.append(time)
             if progress is not None:
                 progress(len(stamps), max(video.count, len(stamps)))
-    counts = Counter(each_side for hands in pictures for each_side in hands)
+    counts = Counter(one for hands in pictures for one in hands)
     chosen = side or (counts.most_common(1)[0][0] if counts else "right")
     if not counts[chosen]:
         others = f", but a {next(iter(counts))} hand is on {counts.total()}" if counts else ""

@@ -3,21 +3,21 @@
 Text messages are JSON objects with a ``type``; hands are binary (``.packet``).
 
 ===========  ========================================================================  ============
-from page    holds                                                                     answered by
+from page    content                                                                   answer
 ===========  ========================================================================  ============
 ``hello``    ``protocol``: 1; ``code``                                                 ``welcome``
-``ping``     ``at``: by the page's clock [s]; ``round_trip`` and ``offset`` [s] as it  ``pong``
-             estimates them so far, or null; ``tracking``: whether the headset tracks
-``stop``     nothing: an emergency stop; to be repeated until ``pong`` says *stopped*
+``ping``     ``at``: time by the page's clock [s]; ``round_trip`` and ``offset`` [s],  ``pong``
+             or null; ``tracking``: true while the headset tracks
+``stop``     nothing; the page repeats it until ``pong`` has the mode *stopped*
 ===========  ========================================================================  ============
 
-``welcome`` has the ``session``; ``pong`` brings ``at`` back with ``host``, the time by the clock of
-this side [s], ``rate``, the moments with a hand that arrive here [Hz], and ``mode``, the state of
-the loop (``Mailbox.mode``). ``offset`` is host clock
-minus page clock, taken from the fastest of the last rounds (as NTP does: RFC 5905, 8 and 10):
-``stamp + offset`` is the time of a frame by the host's clock, to within half the round trip.
+``welcome`` has the ``session``; ``pong`` has ``at`` again, ``host``, the time by the host's clock
+[s], ``rate``, the frames with a hand that arrive here [Hz], and ``mode``, the state of the loop
+(``Mailbox.mode``). ``offset`` is host clock minus page clock, from the fastest of the last rounds
+(as in NTP: RFC 5905, 8 and 10): ``stamp + offset`` is the time of a frame by the host's clock, to
+within half the round trip.
 
-The first message must be ``hello``. What is refused is closed with one of the codes below.
+The first message must be ``hello``. A refused connection is closed with one of the codes below.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ REPLACED: Final = 4409
 LOCKED: Final = 4429
 
 _HELLO_WITHIN: Final = 5.0
-_BAD_IN_A_ROW: Final = 50  # then it is no page of ours, or one of another version
+_BAD_IN_A_ROW: Final = 50  # unreadable messages after which the link is closed
 _RATE_OVER: Final = 1.0
 
 
@@ -65,15 +65,15 @@ class LinkState:
     Attributes:
         address: address of the headset; None if none is connected.
         session: number of this connection, from 1 on; 0 before the first.
-        tracking: whether the headset's page says that it tracks.
-        frames: hand frames received since the source was started.
-        bad: messages that could not be read.
-        skipped: moments that the page did not send, since the link was behind.
-        refused: wrong pairing codes.
-        rate_hz: moments received in the last second in which a hand was seen.
-        round_trip_s: there and back, as the page measures it; NaN if unknown.
-        clock_offset_s: this machine's clock minus the page's; NaN if unknown. A frame's stamp
-            plus this is its time by this machine's clock, to within half a round trip.
+        tracking: True while the headset's page tracks.
+        frames: number of hand frames since the start of the source.
+        bad: number of unreadable messages.
+        skipped: number of frames that the page did not send, since the link was late.
+        refused: number of wrong pairing codes.
+        rate_hz: frames with a hand in the last second.
+        round_trip_s: round trip as the page measures it; NaN if unknown.
+        clock_offset_s: this machine's clock minus the page's; NaN if unknown. It turns a stamp into
+            a time by this machine's clock, to within half a round trip.
     """
 
     address: str | None = None
@@ -89,12 +89,7 @@ class LinkState:
 
 
 class Link:
-    """Connection to a headset; a newer connection replaces it.
-
-    Args:
-        mailbox: mailbox of the frames.
-        pairing: check of pairing codes.
-    """
+    """Connection to a headset; a newer connection replaces it."""
 
     def __init__(self, mailbox: Mailbox, pairing: Pairing) -> None:
         self._mailbox = mailbox
@@ -113,7 +108,7 @@ class Link:
         return replace(self._state, refused=self._pairing.refused, rate_hz=self._rate())
 
     async def serve(self, connection: ServerConnection) -> None:
-        """Serve one page until it leaves or is closed."""
+        """Serves one page until it leaves or is closed."""
         from websockets.exceptions import ConnectionClosed
 
         address = str((connection.remote_address or ("unknown",))[0])
@@ -141,7 +136,7 @@ class Link:
                 self._begin(None)
 
     async def _paired(self, connection: ServerConnection, address: str) -> bool:
-        """True if the first message is a greeting with the right code; if not, it is closed."""
+        """True if the first message greets with the right code; otherwise closes the link."""
         try:
             hello = await asyncio.wait_for(connection.recv(), _HELLO_WITHIN)
         except TimeoutError:
@@ -175,7 +170,7 @@ class Link:
             farewell.add_done_callback(self._farewells.discard)
 
     def _begin(self, address: str | None) -> None:
-        """Forget what the last page measured."""
+        """Resets the state for a new page."""
         state = self._state
         state.address, state.tracking = address, False
         state.round_trip_s = state.clock_offset_s = float("nan")
@@ -224,8 +219,8 @@ class Link:
         self._bad_in_a_row += 1
 
     def _rate(self) -> float:
-        """Moments with a hand that came within the last second [Hz]."""
-        with contextlib.suppress(RuntimeError):  # one came in while they were counted
+        """Frames with a hand in the last second [Hz]."""
+        with contextlib.suppress(RuntimeError):  # a frame came during the count
             since = self._clock() - _RATE_OVER
             return sum(at > since for at in self._received) / _RATE_OVER
         return float(len(self._received))
@@ -248,17 +243,17 @@ _SIDES: Final[tuple[tuple[int, Side], ...]] = ((1, "left"), (2, "right"))
 _LANDMARKS: Final = np.array(FROM_WEBXR_25)
 _METACARPALS: Final = np.array(METACARPALS_WEBXR_25)
 _WXYZ: Final = np.array([6, 3, 4, 5])
-_FAR: Final = 100.0  # [m] from where the headset started; no room is that large
+_FAR: Final = 100.0  # farther from the headset's start than any room is large [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Packet:
-    """One moment.
+    """One XR frame.
 
     Attributes:
-        number: number of the XR frame.
-        stamp: by the page's clock [s].
-        frames: those of the hands that the headset sees, left first.
+        number: number of the frame.
+        stamp: time by the page's clock [s].
+        frames: visible hands, left first.
     """
 
     number: int
@@ -267,11 +262,7 @@ class Packet:
 
 
 def read_packet(message: bytes) -> Packet:
-    """A message of the page.
-
-    Raises:
-        RecordingError: it is none.
-    """
+    """Reads a message of the page; raises RecordingError for another one."""
     if len(message) < HEADER.size or message[:4] != MAGIC:
         raise RecordingError(f"expected a message that begins with {MAGIC!r}, got {message[:4]!r}")
     _, number, stamp, hands, space = HEADER.unpack_from(message)
@@ -312,18 +303,18 @@ Verdict: TypeAlias = Literal["paired", "wrong", "locked"]
 
 DIGITS: Final = 6
 WINDOW: Final = 60.0
-"""Seconds for which a wrong code is remembered."""
+"""Time for which a wrong code counts [s]."""
 PER_ADDRESS: Final = 5
-"""Wrong codes from one address within the window; more are not even looked at."""
+"""Number of wrong codes in this time that locks their address."""
 IN_ALL: Final = 30
-"""The same from all addresses: at this pace half of a million codes take eleven days."""
+"""Number that locks all addresses; half of a million codes then take eleven days."""
 
 
 class Pairing:
-    """Compares pairing codes, with limits on wrong ones.
+    """Check of pairing codes, with limits on wrong ones.
 
     Args:
-        code: letters and digits; by default six random digits.
+        code: letters and digits; None for six random digits.
         clock: monotonic clock [s].
 
     Raises:
@@ -331,7 +322,7 @@ class Pairing:
     """
 
     def __init__(self, code: str | None, clock: Callable[[], float] = time.monotonic) -> None:
-        self.code = draw_code() if code is None else plain(code)
+        self.code = f"{secrets.randbelow(10**DIGITS):0{DIGITS}}" if code is None else plain(code)
         check_code(self.code)
         self.refused = 0
         self._clock = clock
@@ -339,11 +330,11 @@ class Pairing:
 
     @property
     def spoken(self) -> str:
-        """The code as a person reads it out: in groups of three."""
+        """The code in groups of three."""
         return " ".join(self.code[i : i + 3] for i in range(0, len(self.code), 3))
 
     def check(self, code: str, address: str) -> Verdict:
-        """Check the code of a client, and the number of wrong ones from its address."""
+        """Checks the code of a client, and the number of wrong codes from its address."""
         now = self._clock()
         while self._wrong and now - self._wrong[0][0] > WINDOW:
             self._wrong.popleft()
@@ -358,17 +349,8 @@ class Pairing:
         return "wrong"
 
 
-def draw_code() -> str:
-    """A random code of six digits."""
-    return f"{secrets.randbelow(10**DIGITS):0{DIGITS}}"
-
-
 def check_code(code: str) -> None:
-    """Refuse a code that is too easy to guess, or hard to type.
-
-    Raises:
-        ConfigError: the code is refused; the message has the rule.
-    """
+    """Raises ConfigError for a code that is easy to guess, or hard to type."""
     code = plain(code)
     if not (DIGITS <= len(code) <= 64 and code.isascii() and code.isalnum()):
         raise ConfigError(f"a pairing code is {DIGITS} to 64 letters and digits, not {code!r}")

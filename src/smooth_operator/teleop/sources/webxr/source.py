@@ -1,7 +1,4 @@
-"""The source ``webxr``: hands from the browser of a headset.
-
-The page and its WebSocket are on one HTTPS port, in an asyncio loop of the source's thread.
-"""
+"""The source ``webxr``: hands from a headset's browser; page and WebSocket share a port."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
 from smooth_operator.errors import MissingExtraError, SourceError
@@ -39,8 +36,7 @@ from smooth_operator.teleop.sources.webxr.link import (
 from smooth_operator.web.addresses import names_of, page_addresses
 from smooth_operator.web.auth import same_origin
 from smooth_operator.web.files import answer_with, page_files, shielded
-from smooth_operator.web.listening import LimitedListener, quiet_options
-from smooth_operator.web.listening import listen as web_listen
+from smooth_operator.web.listening import LimitedListener, listen, quiet_options
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -52,27 +48,10 @@ SOCKET_PATH: Final = "/link"
 MOST_CONNECTIONS: Final = 64
 MOST_OF_ONE_ADDRESS: Final = 24
 MOST_WAITING: Final = 12
-"""A page takes seven at most, and a connection whose TLS is not yet agreed on 0.3 MB."""
+"""A page needs seven at most; a connection before the end of its TLS handshake takes 0.3 MB."""
 _HANDSHAKE_S: Final = 5.0
-"""Time that each of TLS, the request and the greeting may take [s]."""
+"""Longest time of TLS, of the request, and of the greeting [s]."""
 _LOOK_EVERY: Final = 0.05  # [s]
-
-
-def listen(host: str, port: int) -> LimitedListener:
-    """Open the listening socket.
-
-    Raises:
-        SourceError: the address is not one of this machine's, or the port is taken.
-    """
-    try:
-        return LimitedListener(
-            web_listen(host, port), MOST_CONNECTIONS, MOST_OF_ONE_ADDRESS, MOST_WAITING
-        )
-    except OSError as error:
-        raise SourceError(
-            f"can't listen on {host!r} port {port}: {error.strerror or error}; name another port "
-            "(port=...), or host=127.0.0.1 for this machine, host=0.0.0.0 for its networks"
-        ) from error
 
 
 async def serve(
@@ -82,19 +61,14 @@ async def serve(
     link: Link,
     watch: Callable[[], bool],
 ) -> None:
-    """Serve the page and the link until ``watch`` returns False.
+    """Serves the page and the link until ``watch``, called 20 times a second, returns False."""
+    from websockets.asyncio.server import serve as serve_sockets
 
-    Args:
-        certificate: the certificate; its public part is offered for download.
-        watch: called 20 times a second; False ends the serving.
-
-    Raises:
-        MissingExtraError: websockets is not installed.
-    """
-    websockets = _websockets()
     site = page_files("smooth_operator.web") | page_files(__package__)
     site["/"] = site["/index.html"]
-    site["/colors.js"] = (_colors().encode(), "text/javascript; charset=utf-8")
+    colors = [list(bytes.fromhex(code.removeprefix("#"))) for code in FINGER_COLORS]
+    module = f"export const FINGER_COLORS = {json.dumps(colors)};\n"  # 0 to 255
+    site["/colors.js"] = (module.encode(), "text/javascript; charset=utf-8")
     site["/certificate.crt"] = (certificate.public, "application/x-x509-ca-cert")
 
     def answer(connection: ServerConnection, request: Request) -> Response | None:
@@ -108,60 +82,38 @@ async def serve(
             return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
         return answer_with(connection, *site[path])
 
-    async with websockets(
+    async with serve_sockets(
         link.serve,
         sock=listening,
         ssl=context,
         process_request=shielded(answer),
-        compression=None,  # it would cost more time than the bytes that it saves
+        compression=None,  # it takes more time than it saves
         max_size=MAX_BYTES + 64,
         ssl_handshake_timeout=_HANDSHAKE_S,
         open_timeout=_HANDSHAKE_S,
         close_timeout=1.0,
         ping_interval=2.0,
         ping_timeout=5.0,
-        **quiet_options("smooth_operator.webxr"),  # browsers try, give up, come with plain HTTP
+        **quiet_options("smooth_operator.webxr"),  # browsers give up, or try plain HTTP
     ):
         while watch():
             await asyncio.sleep(_LOOK_EVERY)
 
 
-def _colors() -> str:
-    """The module ``colors.js``: a colour (red, green, blue) [0..255] for each finger."""
-    colors = [list(bytes.fromhex(code.removeprefix("#"))) for code in FINGER_COLORS]
-    return f"export const FINGER_COLORS = {json.dumps(colors)};\n"
-
-
-def _websockets() -> type:
-    try:
-        from websockets.asyncio.server import serve as found
-    except ImportError as error:
-        raise MissingExtraError("a headset's browser as source", "webxr") from error
-    return found
-
-
-def secure_context(certificate: Certificate) -> ssl.SSLContext:
-    """TLS context of a server with a certificate."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    context.load_cert_chain(certificate.file)
-    return context
-
-
 VALID: Final = datetime.timedelta(days=365)  # Apple allows 825 days at most
 _MOST_BYTES: Final = 100_000
-_SPARE: Final = datetime.timedelta(days=1)  # one that runs out today would do so while it is used
+_SPARE: Final = datetime.timedelta(days=1)  # shortest validity of a stored certificate
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """A certificate that is ready for use.
+    """A stored certificate.
 
     Attributes:
-        file: key and certificate, PEM; only this user may read it.
+        file: key and certificate, PEM; only this user can read it.
         public: the certificate alone, PEM.
         expires: time of its expiry.
-        fingerprint: SHA-256, as browsers show it.
+        fingerprint: SHA-256 in the notation of browsers.
     """
 
     file: Path
@@ -182,12 +134,11 @@ def get_certificate(
 ) -> Certificate:
     """Certificate for some names: the stored one, or a new one.
 
-    Each set of names has its own file, so that a headset does not ask again when a laptop
-    alternates between two networks.
+    Each set of names has a file, so that a laptop can alternate between two networks.
 
     Args:
         folder: folder of the certificates; None for a folder of this run.
-        now: time with time zone; by default the current one.
+        now: time with time zone; None for the current one.
 
     Raises:
         MissingExtraError: cryptography is not installed.
@@ -232,7 +183,7 @@ def _make_private(folder: Path) -> None:
 
 
 def _read(file: Path, now: datetime.datetime) -> Certificate | None:
-    """Stored certificate; None if missing, damaged, readable by others or about to expire."""
+    """Stored certificate; None if it is missing, damaged, readable by others or about to expire."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes, serialization
 
@@ -254,7 +205,7 @@ def _read(file: Path, now: datetime.datetime) -> Certificate | None:
 
 def _write(file: Path, text: bytes) -> None:
     temporary = file.with_name(f".{file.name}.{secrets.token_hex(4)}")
-    # Private from its first byte on; in place of an older file in one step.
+    # Private from its first byte on; replaces an older file in one step.
     handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     try:
         with os.fdopen(handle, "wb") as out:
@@ -276,6 +227,7 @@ def _make(names: Sequence[str], now: datetime.datetime) -> bytes:
     key = ec.generate_private_key(ec.SECP256R1())
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "smooth-operator headset page")])
     public = key.public_key()
+    subtrees = [_name(name, ipaddress.ip_network) for name in names]
     usage = {
         name: name in ("digital_signature", "key_cert_sign")
         for name in (
@@ -290,19 +242,19 @@ def _make(names: Sequence[str], now: datetime.datetime) -> bytes:
             "decipher_only",
         )
     }
-    built = (
+    certificate = (
         x509.CertificateBuilder()
         .subject_name(subject)
         .issuer_name(subject)
         .public_key(public)
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - datetime.timedelta(days=1))  # headsets whose clock is behind
+        .not_valid_before(now - datetime.timedelta(days=1))  # clocks of headsets may be late
         .not_valid_after(now + VALID)
         .add_extension(x509.SubjectAlternativeName([_name(n) for n in names]), critical=False)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(x509.KeyUsage(**usage), critical=True)
         .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
-        .add_extension(x509.NameConstraints([_subtree(n) for n in names], None), critical=True)
+        .add_extension(x509.NameConstraints(subtrees, None), critical=True)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(public), critical=False)
         .sign(key, hashes.SHA256())
     )
@@ -311,23 +263,14 @@ def _make(names: Sequence[str], now: datetime.datetime) -> bytes:
         serialization.PrivateFormat.PKCS8,
         serialization.NoEncryption(),
     )
-    return private + built.public_bytes(serialization.Encoding.PEM)
+    return private + certificate.public_bytes(serialization.Encoding.PEM)
 
 
-def _name(name: str) -> x509.GeneralName:
+def _name(name: str, parse: Callable[[str], Any] = ipaddress.ip_address) -> x509.GeneralName:
     from cryptography import x509
 
     try:
-        return x509.IPAddress(ipaddress.ip_address(name))
-    except ValueError:
-        return x509.DNSName(name)
-
-
-def _subtree(name: str) -> x509.GeneralName:
-    from cryptography import x509
-
-    try:
-        return x509.IPAddress(ipaddress.ip_network(name))
+        return x509.IPAddress(parse(name))
     except ValueError:
         return x509.DNSName(name)
 
@@ -336,9 +279,9 @@ def _subtree(name: str) -> x509.GeneralName:
 class WebXr(ThreadedSource):
     """Both hands from a headset's browser: Quest, Vision Pro, PICO.
 
-    Serves a page over HTTPS that streams the 25 joints of each hand back. Nobody gets past the
-    page without the pairing code. Stamps are by the headset's clock; ``link`` has the offset
-    to this machine's. A new connection is a new session, and the newest one is listened to.
+    Serves a page over HTTPS, which sends the 25 joints of each hand after pairing with a code.
+    Stamps are by the headset's clock; ``link`` has the offset to this machine's. A new connection
+    is a new session and replaces the last one.
 
     Attributes:
         host: address to listen on; ``127.0.0.1`` is this machine only (a headset on a cable),
@@ -377,7 +320,7 @@ class WebXr(ThreadedSource):
         return LinkState() if link is None else link.state
 
     def open(self) -> None:
-        """Make the certificate and take the port."""
+        """Makes the certificate and takes the port."""
         try:
             import websockets.asyncio.server  # noqa: F401
         except ImportError as error:
@@ -385,17 +328,27 @@ class WebXr(ThreadedSource):
         folder = certificate_folder()
         certificate = get_certificate(names_of(self.host), folder)
         try:
-            context = secure_context(certificate)
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            context.minimum_version = ssl.TLSVersion.TLSv1_2
+            context.load_cert_chain(certificate.file)
         finally:
             if folder is None:
                 shutil.rmtree(certificate.file.parent, ignore_errors=True)
-        listening = listen(self.host, self.port)
+        try:
+            port = listen(self.host, self.port)
+        except OSError as error:
+            raise SourceError(
+                f"can't listen on {self.host!r} port {self.port}: {error.strerror or error}; name "
+                "another port (port=...), or host=127.0.0.1 for this machine, host=0.0.0.0 for its "
+                "networks"
+            ) from error
+        listening = LimitedListener(port, MOST_CONNECTIONS, MOST_OF_ONE_ADDRESS, MOST_WAITING)
         addresses = page_addresses(self.host, listening.getsockname()[1])
         opened = _Opened(listening, certificate, context, Pairing(self.code), addresses)
         object.__setattr__(self, "_opened", opened)
 
     def run(self, running: Running) -> None:
-        """Serve until it is to end."""
+        """Serves the page until the end."""
         opened: _Opened = getattr(self, "_opened")  # noqa: B009  (set by open)
         link = Link(running.mailbox, opened.pairing)
         object.__setattr__(self, "_link", link)
