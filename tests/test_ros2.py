@@ -203,40 +203,6 @@ def test_another_process_gets_joints_mode_and_wrists(peer, domain, hand):
     assert json.dumps(wrist["header"]["stamp"]) in stamps  # wrist and fingers bear one stamp
 
 
-def test_controllers_get_the_actuated_joints_by_their_names(peer, domain):
-    hand = load_hand("mimic_p050")
-    assert len(hand.actuated) < len(hand.joint_names)
-    tick = make_tick(hand, 7)
-    actuated = dict(zip(hand.joint_names, tick.command.joint_positions.tolist(), strict=True))
-    names = list(hand.actuated_names)
-    for kind in ("JointTrajectory", "Float64MultiArray", "JointState"):
-        peer.order(domain=domain, subscribe=f"rt/{kind}", type=kind)
-    first, *_, last = names
-    sinks = [
-        Ros2Sink(
-            "/JointTrajectory", "trajectory", prefix="r_", duration=0.125, domain=domain, **LOCAL
-        ),
-        Ros2Sink("/Float64MultiArray", "array", domain=domain, **LOCAL),
-        Ros2Sink("/JointState", joints=f"{last} {first[:-1]}*", domain=domain, **LOCAL),
-    ]
-    for sink in sinks:  # three participants in one process, in one domain
-        sink.open({"right": hand}, {})
-    for sink in sinks:
-        send_until(sink, tick, lambda sink=sink: peer.of(f"rt{sink.topic}"))
-    trajectory, array, state = (peer.of(f"rt{sink.topic}")[-1] for sink in sinks)
-    assert trajectory["joint_names"] == [f"r_{name}" for name in names]
-    (point,) = trajectory["points"]
-    assert point["positions"] == [actuated[name] for name in names]
-    assert point["velocities"] == []
-    assert point["time_from_start"] == {"sec": 0, "nanosec": 125_000_000}
-    assert trajectory["header"]["stamp"] == {"sec": 0, "nanosec": 0}  # from now on
-    assert array["data"] == [actuated[name] for name in names]
-    assert state["name"][:2] == [last, first]
-    assert state["position"] == [actuated[name] for name in state["name"]]
-    for sink in sinks:
-        sink.close()
-
-
 class Recorded:
     """A transport that keeps what is published: topic -> messages."""
 
@@ -261,6 +227,30 @@ def recorded(monkeypatch) -> Recorded:
     transport = Recorded()
     monkeypatch.setattr(sink_module, "Transport", lambda endpoint: transport)
     return transport
+
+
+def test_controllers_get_the_actuated_joints_by_their_names(hand, recorded):
+    assert len(hand.actuated) < len(hand.joint_names)
+    tick = make_tick(hand, 7)
+    actuated = dict(zip(hand.joint_names, tick.command.joint_positions.tolist(), strict=True))
+    names = list(hand.actuated_names)
+    first, *_, last = names
+    sinks = [
+        Ros2Sink("/trajectory", "trajectory", prefix="r_", duration=0.125),
+        Ros2Sink("/array", "array"),
+        Ros2Sink("/state", joints=f"{last} {first[:-1]}*"),
+    ]
+    for sink in sinks:
+        sink.connect({"right": hand}, {}).deliver(tick)
+    trajectory, array, state = (recorded.sent[sink.topic][-1] for sink in sinks)
+    assert trajectory.joint_names == [f"r_{name}" for name in names]
+    (point,) = trajectory.points
+    assert point.positions == [actuated[name] for name in names]
+    assert (point.velocities, point.time_from_start) == ([], ros.Duration(0, 125_000_000))
+    assert trajectory.header.stamp == ros.Time(0, 0)  # from now on
+    assert array.data == [actuated[name] for name in names]
+    assert state.name[:2] == [last, first]
+    assert state.position == [actuated[name] for name in state.name]
 
 
 def test_rate_is_the_most_and_a_new_mode_is_never_left_out(hand, recorded):

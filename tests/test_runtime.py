@@ -86,11 +86,6 @@ def test_a_step_is_reached_without_overshoot(hand):
     assert arrived < needed + 5 * PERIOD
 
 
-def test_a_margin_that_leaves_nothing_is_refused(hand):
-    with pytest.raises(ConfigError, match="margin"):
-        Limiter(hand, LimitsConfig(margin=2.0))
-
-
 @pytest.mark.parametrize(
     "make",
     [
@@ -476,16 +471,6 @@ def test_a_short_gap_blends_as_long_as_the_gap(retargeter, motion):
     back = stage.play(frames[120:200])
     blending = sum(tick.mode is Mode.BLENDING for tick in back)
     assert blending == pytest.approx(0.21 / PERIOD, abs=2)
-
-
-def test_another_method_takes_over_smoothly(hand, retargeter, motion):
-    stage, frames = Stage(retargeter), list(motion)
-    stage.play(frames[:100])
-    other = Retargeter(hand, method="geort")
-    other.warm_up()
-    stage.pipeline.switch(other)
-    assert modes(stage.play(frames[100:250])) == [Mode.BLENDING, Mode.TRACKING]
-    within(hand, LOOP.limits, stage.q, PERIOD)
 
 
 def test_whoever_looks_during_a_switch_sees_a_method_with_its_own_state(hand, motion, monkeypatch):

