@@ -104,7 +104,7 @@ def request(folder: Path, output: Path, **more: Any) -> DatasetRequest:
 
 
 def make(request: DatasetRequest, reporter: Reporter | None = None) -> Summary:
-    return make_dataset(request, reporter, asked=ASKED)
+    return make_dataset(request, reporter, resolved=ASKED)
 
 
 class Counting(Reporter):
@@ -414,7 +414,7 @@ def test_sources_of_every_kind(folder, tmp_path):
     assert names(folder / "a.pair.npz", folder / "a.pair.npz") == ["a", "a~2"]
     part = find_items([f"{folder / 'a.pair.npz'}@5:25"], layout=LAYOUT).items[0]
     whole = find_items([str(folder / "a.pair.npz")], layout=LAYOUT).items[0]
-    assert (part.name, part.frames, part.asked == whole.asked) == ("a", "5:25", False)
+    assert (part.name, part.frames, part.settings_key == whole.settings_key) == ("a", "5:25", False)
     with pytest.raises(ConfigError, match="frames must be a range"):
         find_items([f"{folder / 'a.pair.npz'}@half"], layout=LAYOUT)
     listed = folder / "list.csv"

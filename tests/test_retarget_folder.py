@@ -101,7 +101,7 @@ def do(
     again: bool = False,
     **more: Any,
 ) -> Summary:
-    return make_dataset(wanted(folder, output, **more), reporter, asked=asked, again=again)
+    return make_dataset(wanted(folder, output, **more), reporter, resolved=asked, again=again)
 
 
 def contents(output: Path) -> Bytes:

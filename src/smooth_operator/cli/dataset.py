@@ -25,7 +25,7 @@ def dataset(options: Dataset) -> None:
 def make_shown(
     request: DatasetRequest,
     *,
-    asked: RetargetRequest | None = None,
+    resolved: RetargetRequest | None = None,
     again: bool = False,
     quiet: bool,
     json: bool,
@@ -38,7 +38,7 @@ def make_shown(
     start_jax(one_thread=False)
     try:
         with folder_for(request.output):
-            summary = make_dataset(request, Progressing(quiet), asked=asked, again=again)
+            summary = make_dataset(request, Progressing(quiet), resolved=resolved, again=again)
     except KeyboardInterrupt:
         raise stopped(request.output) from None
     if json:

@@ -181,7 +181,7 @@ def retarget_folder(options: Retarget) -> None:
             workers=options.workers,
             cluster=options.cluster,
         ),
-        asked=request,
+        resolved=request,
         again=options.overwrite,
         quiet=options.quiet,
         json=options.json,

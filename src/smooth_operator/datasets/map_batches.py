@@ -82,8 +82,10 @@ class RetargetClips:
     ) -> None:
         with one_thread(os.getpid()) as start_threads:
             reading = reading or ReadingOptions()
-            asked = make_request(**request, side=side or reading.side, rate=reading.rate)
-            self._recipe = Recipe(checked(asked), frame, mano=reading.mano, objects=reading.objects)
+            resolved = make_request(**request, side=side or reading.side, rate=reading.rate)
+            self._recipe = Recipe(
+                checked(resolved), frame, mano=reading.mano, objects=reading.objects
+            )
             self._limits = NO_LIMITS if limits is None else Limits(**limits)
             start_threads()
 

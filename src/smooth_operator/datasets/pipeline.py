@@ -214,7 +214,7 @@ def make_dataset(
     request: DatasetRequest,
     reporter: Reporter | None = None,
     *,
-    asked: RetargetRequest | None = None,
+    resolved: RetargetRequest | None = None,
     again: bool = False,
 ) -> Summary:
     """Makes a data set, or a shard of one. Continues where a run was stopped.
@@ -225,7 +225,7 @@ def make_dataset(
     Args:
         request: sources, robot hand, limits, format and output.
         reporter: shows the progress.
-        asked: resolved request that replaces hand, method, settings and frames of ``request``, for
+        resolved: request that replaces hand, method, settings and frames of ``request``, for
             example with the description of a hand.
         again: True to retarget finished clips, too.
 
@@ -237,7 +237,7 @@ def make_dataset(
     """
     reporter = Reporter() if reporter is None else reporter
     shard = _checked_share(request)
-    recipe = Recipe.of(request, asked)
+    recipe = Recipe.of(request, resolved)
     writing = WritingOptions(
         rate=request.fps, videos=request.videos, shard_mb=request.shard_mb, loose=request.loose
     )
@@ -392,9 +392,9 @@ def _finished(store: Store, items: Sequence[Item], recipe: Recipe) -> dict[str, 
     by_name = {item.name: item for item in items}
     usual = recipe.request.rate
 
-    def accept(name: str, asked: str, files: tuple[SourceFile, ...], rate: float | None) -> bool:
+    def accept(name: str, settings: str, files: tuple[SourceFile, ...], rate: float | None) -> bool:
         item = by_name.get(name)
-        if item is None or item.asked != asked or rate not in (None, item.rate or usual):
+        if item is None or item.settings_key != settings or rate not in (None, item.rate or usual):
             return False
         return unchanged(item, files)
 

@@ -111,19 +111,19 @@ class Recipe:
     objects: Path | None = None
 
     @classmethod
-    def of(cls, request: DatasetRequest, asked: RetargetRequest | None = None) -> Recipe:
+    def of(cls, request: DatasetRequest, resolved: RetargetRequest | None = None) -> Recipe:
         """The recipe of a data set.
 
         Args:
-            asked: resolved request that replaces hand, method and settings of ``request``.
+            resolved: request that replaces hand, method and settings of ``request``.
 
         Raises:
             SmoothOperatorError: a setting is not valid.
         """
-        if asked is None:
-            asked = make_request(**request.settings(), side=request.side, rate=request.rate)
+        if resolved is None:
+            resolved = make_request(**request.settings(), side=request.side, rate=request.rate)
         return cls(
-            checked(asked),
+            checked(resolved),
             request.frame,
             request.with_objects,
             request.device,

@@ -192,7 +192,7 @@ class Item:
     size: int = field(default=0, compare=False)
 
     @property
-    def asked(self) -> str:
+    def settings_key(self) -> str:
         """Digest of the settings of the item: those of its list, and its part of the file."""
         part = "" if self.ref is None else self.ref.key
         return key_digest([self.layout, part, self.task, self.side, self.rate, self.frames])[:16]

@@ -87,7 +87,7 @@ Results: TypeAlias = dict[str, Result | str]
 """Name of item -> its result, or the reason why there is none."""
 
 Accept: TypeAlias = Callable[[str, str, tuple[SourceFile, ...], float | None], bool]
-"""Function of an item's name, ``asked``, files and rate: True if its result is still valid."""
+"""Function of an item's name, settings key, files and rate: True if its result is still valid."""
 
 
 @dataclass(eq=False)
@@ -109,7 +109,7 @@ class Store:
                 with _Pack(path) as pack:
                     for position, item in enumerate(pack.index["items"]):
                         files = tuple(SourceFile(**file) for file in item["files"])
-                        done = accept(item["item"], item["asked"], files, item["rate"])
+                        done = accept(item["item"], item["settings"], files, item["rate"])
                         if done and _shown(item["clips"]):
                             packs[item["item"]] = _pack_entry(path, position, item["clips"])
             except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
@@ -144,7 +144,7 @@ class Store:
         try:
             pack = self._open.get(stored.pack)
             if pack is None:
-                self.close()  # items are asked for in the order of the packs
+                self.close()  # items are read in the order of the packs
                 pack = self._open[stored.pack] = _Pack(stored.pack)
             return pack.clips(stored.position)
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
@@ -210,7 +210,11 @@ def write_pack(
                     with pack.open(zipfile.ZipInfo(f"{number}/{name}.npy", _DATE), "w") as member:
                         np.lib.format.write_array(member, values, allow_pickle=False)
                 number += 1
-            facts = {"asked": source.item.asked, "files": source.files, "rate": source.rate}
+            facts = {
+                "settings": source.item.settings_key,
+                "files": source.files,
+                "rate": source.rate,
+            }
             index.append({"item": source.item.name, **facts, "clips": clips})
         content = to_json({"items": index, "configs": [*configs]})
         pack.writestr(zipfile.ZipInfo(INDEX, _DATE), content)

@@ -173,7 +173,7 @@ def _read_clip(item: Item, ref: ClipRef, clip: Clip, name: str, recipe: Recipe) 
         files = tuple(replace(_file(path), path=_shown(path, item.root)) for path in paths)
     # The reader of plain recordings says whether it needed the rate.
     rate = clip.meta.get(RATE) if clip.layout == "files" else item.rate or recipe.request.rate
-    key = clip_key(recipe, ref.layout, ref.key or name, item.asked, files, rate)
+    key = clip_key(recipe, ref.layout, ref.key or name, item.settings_key, files, rate)
     task = clip.task if item.task is None else item.task
     clip = with_side(clip, item.side)
     clip = replace(clip, name=name, task=task, source=tuple(Path(file.path) for file in files))

@@ -251,14 +251,14 @@ class Order:
 
     Attributes:
         request: the request for it.
-        asked: resolved hand, method and settings of its commands.
+        resolved: hand, method and settings of its commands.
         writing: options of the format.
         items: name and result of each finished item, sorted by name.
         store: folder of the packs.
     """
 
     request: DatasetRequest
-    asked: RetargetRequest
+    resolved: RetargetRequest
     writing: WritingOptions
     items: Sequence[tuple[str, Result]]
     store: Path
@@ -499,7 +499,9 @@ def _fitted(order: Order) -> WritingOptions:
     sides: set[Side] = {side for pack in packs for side in pack.sides}
     return replace(
         writing,
-        joints={side: order.asked.load_hand(side).joint_names for side in SIDES if side in sides},
+        joints={
+            side: order.resolved.load_hand(side).joint_names for side in SIDES if side in sides
+        },
         camera=any(pack.camera for pack in packs),
         objects=min(writing.objects, max((pack.objects for pack in packs), default=0)),
     )
@@ -552,7 +554,7 @@ def _mark(order: Order, *, whole: bool) -> None:
 
 def _account(order: Order, summary: Summary, figures: FigureTable) -> None:
     """Writes ``report.json`` and ``report.html``."""
-    request = order.asked
+    request = order.resolved
     content = {
         **summary.as_json(),
         "hand": request.hand_name,
