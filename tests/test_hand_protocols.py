@@ -355,19 +355,19 @@ def test_revo2_says_who_stalls_and_knows_its_side(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "build",
+    ("build", "other"),
     [
-        lambda t: InspireDevice(t, "x"),
-        lambda t: LinkerDevice(t, "x", "l20"),
-        lambda t: AllegroDevice(t, "x"),
-        lambda t: AbilityDevice(t, "x", 460800, 0x50),
-        lambda t: WujiDevice(t, "", 10.0),
-        lambda t: Revo2Device(t, "x", 460800),
+        (lambda t: InspireDevice(t, "x"), "wuji_right"),
+        (lambda t: LinkerDevice(t, "x", "l20"), "wuji_right"),
+        (lambda t: AllegroDevice(t, "x"), "wuji_right"),
+        (lambda t: AbilityDevice(t, "x", 460800, 0x50), "wuji_right"),
+        (lambda t: WujiDevice(t, "", 10.0), "ability_right"),
+        (lambda t: Revo2Device(t, "x", 460800), "wuji_right"),
     ],
 )
-def test_a_table_of_another_hand_is_refused(build):
+def test_a_table_of_another_hand_is_refused(build, other):
     with pytest.raises(ConfigError, match="actuators, not"):
-        build(table("orca_right"))
+        build(table(other))
 
 
 def calls(kind: type) -> dict[str, list[str]]:
