@@ -101,24 +101,11 @@ def engaged(config: WristConfig | None = None) -> Stage:
     return stage
 
 
-KINDS = [
-    "go",
-    "go",
-    "go",
-    "go",
-    "still",
-    "flip",
-    "lost",
-    "none",
-    "teleport",
-    "pause",
-    "stop",
-    "released",
-    "restart",
-    "world",
-    "far",
-    "reversed",
-]
+KINDS = (
+    *["go"] * 4,
+    *("still", "flip", "lost", "none", "teleport", "pause", "stop", "released"),
+    *("restart", "world", "far", "reversed"),
+)
 MOVES = st.lists(
     st.tuples(
         st.one_of(st.floats(1e-4, 0.03), st.sampled_from([0.01, 0.01, 1 / 72, 0.0014, 0.2, 2.0])),

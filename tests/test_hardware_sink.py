@@ -163,17 +163,9 @@ def test_one_hand_has_one_lock_whatever_it_is_called(one, other, tmp_path, monke
 def test_other_hands_have_other_locks(tmp_path, monkeypatch):
     monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
     buses = (
-        "wuji:1",
-        "wuji:2",
-        "tcp:127.0.0.1:6000",
-        "tcp:127.0.0.1:6001",
-        "tcp:127.0.0.2:6000",
-        "can:virtual:a",
-        "can:virtual:b",
-        "COM3",
-        "COM4",
-        str(tmp_path / "a"),
-        str(tmp_path / "b"),
+        *("wuji:1", "wuji:2", "can:virtual:a", "can:virtual:b", "COM3", "COM4"),
+        *("tcp:127.0.0.1:6000", "tcp:127.0.0.1:6001", "tcp:127.0.0.2:6000"),
+        *(str(tmp_path / name) for name in "ab"),
     )
     locks = [BusLock(bus) for bus in buses]
     for lock in locks:

@@ -152,11 +152,8 @@ def test_the_rate_is_what_another_program_asks_for(stage):
 def test_the_status_tells_what_runs(stage):
     stage.do("method", method="joint_angle")
     seen = stage.do("status")
-    assert (seen["method"], seen["preset"], seen["hand"]) == (
-        "joint_angle",
-        "default",
-        "mimic_p050",
-    )
+    used = [seen[name] for name in ("method", "preset", "hand")]
+    assert used == ["joint_angle", "default", "mimic_p050"]
     assert (seen["sides"], seen["blind"], seen["busy"]) == (["right"], True, ["status"][:0])
     assert seen["source"]["state"] == "running"
     assert {sink["label"].split()[0] for sink in seen["sinks"]} == {"mujoco", "record"}
@@ -342,23 +339,10 @@ def test_blind_the_panel_has_no_switch(stage):
 
 def test_blind_the_terminal_does_not_name_it(capsys, tmp_path):
     record = tmp_path / "take.mcap"
+    sinks = ["--sink", f"record:{record}", "table", "--control", "tcp://127.0.0.1:*"]
+    method = ["--method", "joint_angle", "--blind", "--no-view", "--duration", "0.4"]
     with contextlib.suppress(SystemExit):
-        main(
-            [
-                "teleop",
-                "--method",
-                "joint_angle",
-                "--blind",
-                "--no-view",
-                "--duration",
-                "0.4",
-                "--sink",
-                f"record:{record}",
-                "table",
-                "--control",
-                "tcp://127.0.0.1:*",
-            ]
-        )
+        main(["teleop", *method, *sinks])
     printed = "".join(capsys.readouterr())
     assert "compiling the method for mimic_p050" in printed
     assert "joint_angle" not in printed
@@ -412,12 +396,8 @@ def test_a_trial_from_begin_to_record(stage):
     with pytest.raises(RemoteRefusedError, match="one reset"):
         stage.do("reset")
     done = stage.do("trial", finish=True, side="right")
-    assert (done["phase"], done["ended"], done["line"], done["score"]) == (
-        "done",
-        "finished",
-        "not-done",
-        0.0,
-    )
+    result = [done[name] for name in ("phase", "ended", "line", "score")]
+    assert result == ["done", "finished", "not-done", 0.0]
     assert done["time_s"] == done["elapsed_s"] > 0.2
     assert done["text"]
     path = stage.folder / "trials" / "screwdriver-001.npz"

@@ -225,17 +225,13 @@ def build_source(text: str, hands: Hands | None = None) -> LiveSource:
                 f"{text!r} is a file; a source is written NAME:ARGUMENT, so write {word}:{text}"
             )
     source = build_component(SOURCES, text)
-    if hands is not None and _takes_hands(source):
+    from smooth_operator.teleop.sources.stream import Hands
+
+    if hands is not None and get_type_hints(type(source)).get("side") == Hands:
         settings = SOURCES.split(text)[1].split(",")
         if not any(part.startswith("side=") for part in settings):
             source = dataclasses.replace(source, side=hands)
     return cast("LiveSource", source)
-
-
-def _takes_hands(source: object) -> bool:
-    from smooth_operator.teleop.sources.stream import Hands
-
-    return bool(get_type_hints(type(source)).get("side") == Hands)
 
 
 def _word_for(path: Path) -> str | None:

@@ -442,7 +442,9 @@ class ArmController:
         if hand is not None and np.isfinite(hand).all():
             self._hand = hand
         dt = max(dt, 1e-4)
-        goal = None if stop else _target(target)
+        goal = None
+        if not stop and target is not None and np.isfinite(target).all():
+            goal = matrix_of(target) if np.linalg.norm(target[3:]) >= 1e-6 else None
         state = "stopped" if stop else "holding" if goal is None else "following"
         if goal is None:
             self.limiter.rest(dt)
@@ -574,12 +576,6 @@ class _Box(mink.Limit):
     ) -> mink.limits.Constraint:
         del configuration
         return mink.limits.Constraint(G=self._rows, h=np.concatenate([self.high, -self.low]) * dt)
-
-
-def _target(pose: Float[np.ndarray, "7"] | None) -> Matrix | None:
-    if pose is None or not np.isfinite(pose).all() or np.linalg.norm(pose[3:]) < 1e-6:
-        return None
-    return matrix_of(pose)
 
 
 def _approach(

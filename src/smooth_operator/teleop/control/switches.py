@@ -125,7 +125,8 @@ def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
                 return
             for key in pressed:
                 try:
-                    actions.get(key, _nothing)()
+                    if action := actions.get(key):
+                        action()
                 except Exception as error:  # the next key may be a stop
                     print(f"error: {type(error).__name__}: {error}", file=sys.stderr)
 
@@ -137,10 +138,6 @@ def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
         finally:
             done.set()
             thread.join(1.0)
-
-
-def _nothing() -> None:
-    """Action of a key without a meaning."""
 
 
 @contextlib.contextmanager

@@ -404,7 +404,10 @@ class LogWriter:
         try:
             yield
         except OSError as error:
-            raise self._failed(error) from error
+            stream, self._stream = self._stream, None
+            if stream is not None:
+                _close_at(stream, self._whole_bytes)
+            raise output_error(self.path, error) from error
 
     def _check_open(self) -> None:
         if self._writer is not None and self._stream is None:
@@ -412,12 +415,6 @@ class LogWriter:
                 f"can't write {str(self.path)!r}: the log is closed, or stopped after an "
                 "error; open a new log"
             )
-
-    def _failed(self, error: OSError) -> OutputError:
-        stream, self._stream = self._stream, None
-        if stream is not None:
-            _close_at(stream, self._whole_bytes)
-        return output_error(self.path, error)
 
 
 def _nanoseconds(stamp: float) -> int:

@@ -9,7 +9,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
@@ -280,15 +280,12 @@ def topic_name(template: str, feature: str, **words: str) -> str:
     except (KeyError, IndexError, ValueError, AttributeError):
         topic = ""
     if not _TOPIC.fullmatch(topic) or "__" in topic:
+        placeholders = " and ".join(f"{{{word}}}" for word in words)
         raise ConfigError(
             f"{feature}: {template!r} can't be a topic name; expected words of letters, "
-            f"digits and _ separated by /; the placeholders {_listed(words)} are allowed"
+            f"digits and _ separated by /; the placeholders {placeholders} are allowed"
         )
     return topic
-
-
-def _listed(words: Collection[str]) -> str:
-    return " and ".join(f"{{{word}}}" for word in words)
 
 
 def describe(error: Exception) -> str:

@@ -84,7 +84,6 @@ class RemoteTeleop:
         return answer
 
     def _still_busy(self) -> bool:
-        """True if the teleoperation reports that it is busy."""
         return bool(self._exchange(_BUSY, lambda: False).get("busy"))
 
     def _exchange(self, message: bytes, patient: Callable[[], bool]) -> dict[str, Any]:

@@ -321,12 +321,10 @@ ADDED: Final = ("receive", "solve", "limit", "send")
 
 def added_latency(log: Log) -> Float[np.ndarray, " F"]:
     """Time from frame to command, for each command that answers a frame [ms]."""
-    stages = [log.stages_ms[name] for name in ADDED if name in log.stages_ms]
-    if not stages:
+    if "solve" not in log.stages_ms:
         return np.empty(0)
-    total = np.nansum(stages, axis=0)
-    answered = np.isfinite(log.stages_ms.get("solve", np.full(len(total), np.nan)))
-    return np.asarray(total[answered])
+    total = np.nansum([log.stages_ms[name] for name in ADDED if name in log.stages_ms], axis=0)
+    return np.asarray(total[np.isfinite(log.stages_ms["solve"])])
 
 
 def log_timing(log: Log) -> dict[str, Any]:

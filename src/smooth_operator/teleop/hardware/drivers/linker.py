@@ -202,17 +202,6 @@ class LinkerDevice(HandDevice):
             raise WrongAnswerError(
                 f"linker: the hand did not answer frame 0x{missing[0]:02X} within {_TIMEOUT:g} s"
             )
-        return self._reading()
-
-    def _collect(self, bus: CanBus, deadline: float, fields: list[int] | None = None) -> None:
-        """Take frames of the hand until all requested ones are there, or until a time."""
-        for identifier, data in bus.until(deadline):
-            if identifier == self._identifier and data:
-                self._answers[data[0]] = data[1:]
-            if fields is not None and all(kind in self._answers for kind in fields):
-                return
-
-    def _reading(self) -> Reading:
         positions: list[int] = []
         for kind, motors in self._model.positions.items():
             values = self._answers.pop(kind)
@@ -221,17 +210,21 @@ class LinkerDevice(HandDevice):
                     f"linker: frame 0x{kind:02X} of the hand has {len(values)} values, not {motors}"
                 )
             positions += values[:motors]
-        temperatures = self._gathered(self._model.temperatures)
+        heat = b"".join(self._answers.get(kind, b"") for kind in self._model.temperatures)
+        whole = len(heat) >= self._model.motors
         return Reading(
             positions=np.array(positions, float),
-            temperatures=temperatures,
+            temperatures=np.array([*heat[: self._model.motors]], float) if whole else None,
             errors=self._errors(),
         )
 
-    def _gathered(self, kinds: tuple[int, ...]) -> Float[np.ndarray, " a"] | None:
-        values = b"".join(self._answers.get(kind, b"") for kind in kinds)
-        count = self._model.motors
-        return np.array(list(values[:count]), float) if kinds and len(values) >= count else None
+    def _collect(self, bus: CanBus, deadline: float, fields: list[int] | None = None) -> None:
+        """Take frames of the hand until all requested ones are there, or until a time."""
+        for identifier, data in bus.until(deadline):
+            if identifier == self._identifier and data:
+                self._answers[data[0]] = data[1:]
+            if fields is not None and all(kind in self._answers for kind in fields):
+                return
 
     def _errors(self) -> tuple[str, ...]:
         codes = b"".join(self._answers.get(kind, b"") for kind in self._model.faults)

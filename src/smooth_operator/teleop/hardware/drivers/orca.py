@@ -148,18 +148,14 @@ class OrcaDevice(HandDevice):
         hand = self._connected()
         pose = dict(zip(self._table.names, commands.tolist(), strict=True))
         with self._bus("writing"):
-            if not self._powered:
-                self._switch_on(hand)
+            if not self._powered:  # a motor that has restarted has no limit
+                limits = self._table.limits[np.isfinite(self._table.limits)]
+                most = float(limits.min()) if len(limits) else hand.config.max_current
+                hand.set_max_current(most)
+                if silent := hand.enable_torque():
+                    raise WrongAnswerError(f"orca: the motors {silent} can't be switched on")
             hand.set_joint_positions(pose)
         self._powered = True
-
-    def _switch_on(self, hand: Any) -> None:
-        """Set limit and torque. A motor that has restarted has no limit."""
-        limits = self._table.limits[np.isfinite(self._table.limits)]
-        hand.set_max_current(float(limits.min()) if len(limits) else hand.config.max_current)
-        silent = hand.enable_torque()
-        if silent:
-            raise WrongAnswerError(f"orca: the motors {silent} can't be switched on")
 
     def relax(self) -> None:
         """Switch the torque off."""
