@@ -9,10 +9,9 @@ from trees import float64
 from smooth_operator import load_hand
 from smooth_operator.baselines.ako import AkoObjectiveConfig, NormKeyvectors
 from smooth_operator.errors import ConfigError
-from smooth_operator.retargeting.objective import Objective
+from smooth_operator.retargeting.objective import FrameGoal, Keyvectors, Objective, RobotVectors
 from smooth_operator.retargeting.sbr.published import KEYVECTORS, ObjectiveConfig
 from smooth_operator.retargeting.targets import KeyvectorLayout
-from smooth_operator.retargeting.terms import FrameGoal, Keyvectors, RobotVectors
 
 TRANSITION = 0.02
 

@@ -7,6 +7,7 @@ from trees import float64
 
 from smooth_operator import Retargeter, load_hand
 from smooth_operator.errors import ConfigError
+from smooth_operator.retargeting.objective import FrameGoal, RobotVectors
 from smooth_operator.retargeting.smooth import SMOOTH_PRECISE, SmoothConfig
 from smooth_operator.retargeting.smooth_terms import (
     FingertipPosition,
@@ -14,7 +15,6 @@ from smooth_operator.retargeting.smooth_terms import (
     SelfCollisionConfig,
 )
 from smooth_operator.retargeting.targets import KeyvectorLayout
-from smooth_operator.retargeting.terms import FrameGoal, RobotVectors
 from smooth_operator_research.physics.reachable_motion import reachable_motion
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from smooth_operator import Retargeter, load_hand, method_config
 from smooth_operator.hands.hand import fingerprint
-from smooth_operator.retargeting.program import shared_program
+from smooth_operator.retargeting.retargeter import shared_program
 from smooth_operator.synthetic import SyntheticOperator
 
 

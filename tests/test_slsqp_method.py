@@ -17,9 +17,9 @@ from smooth_operator.baselines.slsqp_method import (
 )
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
-from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.synthetic import SyntheticOperator
 
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")

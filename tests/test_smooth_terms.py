@@ -16,9 +16,8 @@ from smooth_operator.hands.capsules import MOST, capsule_pairs, parts_apart, seg
 from smooth_operator.hands.finger_circles import spread_joints
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.retargeting.levenberg import damped_newton
-from smooth_operator.retargeting.method import FrameClock
-from smooth_operator.retargeting.objective import Objective
-from smooth_operator.retargeting.program import tick_after, ticks_of
+from smooth_operator.retargeting.objective import FrameGoal, Objective, VectorSlopes
+from smooth_operator.retargeting.program import FrameClock, tick_after, ticks_of
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.smooth_terms import (
@@ -30,7 +29,6 @@ from smooth_operator.retargeting.smooth_terms import (
     SelfCollisionConfig,
 )
 from smooth_operator.retargeting.targets import CloseTargets
-from smooth_operator.retargeting.terms import FrameGoal, VectorSlopes
 
 NO_GOAL = FrameGoal(np.zeros((0, 3)), np.zeros(0), np.zeros(0), 0.0)
 HANDS = ("mimic_p050", "leap_hand", "shadow_hand", "inspire_hand")

@@ -13,8 +13,8 @@ from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_con
 from smooth_operator.baselines.ako import AkoObjectiveConfig
 from smooth_operator.geometry import AnyArray
 from smooth_operator.retargeting import LeastSquaresTerm, ObjectiveConfig
+from smooth_operator.retargeting.objective import FrameGoal, JointCost, JointTerm, smooth_l1
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
-from smooth_operator.retargeting.terms import FrameGoal, JointCost, JointTerm, smooth_l1
 
 
 @dataclass(frozen=True)

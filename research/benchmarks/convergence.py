@@ -20,6 +20,7 @@ import numpy as np
 from smooth_operator.benchmark.recordings import load_sources, parse_request
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.retargeting.levenberg import STILL, damped_newton
+from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator.retargeting.presets import method_config
 from smooth_operator.retargeting.program import align_frame, ticks_of
 from smooth_operator.retargeting.retargeter import Retargeter
@@ -31,15 +32,26 @@ SPREAD: Final = 0.3
 SAME: Final = 0.05  # largest difference of a joint between ends in one minimum [rad]
 
 
-def descent(method: Smooth, iterations: int, still: float) -> Callable[..., Any]:
+class Posed(Smooth):
+    """``smooth`` that keeps the goal of a frame and does not solve it."""
+
+    goal: FrameGoal
+
+    def solve(self, goal: FrameGoal, *_: Any) -> Any:
+        """Returns the last command."""
+        self.goal = goal
+        return goal.previous
+
+
+def descent(method: Posed, iterations: int, still: float) -> Callable[..., Any]:
     """Compiles a function from start, state, landmarks, validity and ticks to final pose and
     cost."""
 
     def run(start: Any, state: Any, landmarks: Any, valid: Any, ticks: Any) -> Any:
         aligned = align_frame(method, method.config.alignment, landmarks, valid).aligned
-        frame = method._observed(state, aligned, ticks)
-        goal = frame.goal
-        limits = frame_limits(method.hand, goal.vectors[: len(frame.places)])
+        method.step(state, aligned, ticks)
+        goal = method.goal
+        limits = frame_limits(method.hand, goal.vectors[: len(method.hand.fingers)])
         return damped_newton(
             lambda one: method.objective.value_grad_hess(one, goal),
             lambda few: method.objective.values(few, goal),
@@ -63,8 +75,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     recording = load_sources([parse_request(options.recording)])[0].recording
     assert recording is not None  # a recording that can't be read is an error before
     hand = load_hand(options.hand)
-    method = method_config("smooth").build(hand)
-    assert isinstance(method, Smooth)
+    config = method_config("smooth")
+    assert isinstance(config, SmoothConfig)
+    method = Posed(hand, config)
     runs = [descent(method, *settings) for settings in SETTINGS]
     retargeter, rng = Retargeter(hand), np.random.default_rng(0)
     state, rows = retargeter.init(), []
@@ -73,8 +86,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         state, result = retargeter.step(state, frame)
         if number not in options.frames:
             continue
+        q = np.asarray(result.command.joint_positions)[list(hand.actuated)]
         noise = rng.normal(0.0, SPREAD, (options.starts, len(hand.limits)))
-        starts = np.clip(result.command.joint_positions + noise, *hand.limits.T).astype(np.float32)
+        starts = np.clip(q + noise, *hand.limits.T).astype(np.float32)
         inputs = (before, np.float32(frame.landmarks), frame.valid, ticks_of([frame.time])[0])
         ends = [[run(start, *inputs) for start in starts] for run in runs]
         poses = np.array([[np.asarray(q) for q, _ in one] for one in ends])

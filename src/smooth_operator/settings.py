@@ -58,7 +58,7 @@ def check_numbers(
     prefix: str = "",
     *,
     positive: Iterable[str] = (),
-    not_negative: Iterable[str] = (),
+    not_negative: Iterable[str] | None = None,
     finite: Iterable[str] = (),
 ) -> None:
     """Check fields of a configuration. None and traced values are accepted.
@@ -69,7 +69,7 @@ def check_numbers(
     Args:
         prefix: prefix of a field's name in the message.
         positive: names of fields that must be positive.
-        not_negative: names of fields that must not be negative.
+        not_negative: names of fields that must not be negative; None for all other numbers.
         finite: names of fields that may have either sign.
 
     Raises:
@@ -81,6 +81,8 @@ def check_numbers(
             raise ConfigError(
                 f"{prefix}{name} must be positive and at most {LARGEST:g}, not {value}"
             )
+    if not_negative is None:
+        not_negative = [name for name in vars(config) if name not in (*positive, *finite)]
     for names, low in ((not_negative, 0.0), (finite, -LARGEST)):
         for name in names:
             check_range(f"{prefix}{name}", getattr(config, name), low, LARGEST)

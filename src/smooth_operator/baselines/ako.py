@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -19,10 +19,7 @@ from jaxtyping import Array, Float
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyArray
 from smooth_operator.landmarks import WRIST
-from smooth_operator.retargeting.sbr.published import ObjectiveConfig, StatelessTargets
-from smooth_operator.retargeting.targets import Targets, VectorLayout, tips_of
-from smooth_operator.retargeting.terms import (
-    TINY_AREA,
+from smooth_operator.retargeting.objective import (
     FrameGoal,
     JointCost,
     JointTerm,
@@ -32,7 +29,11 @@ from smooth_operator.retargeting.terms import (
     smooth_l1,
     smooth_l1_slopes,
 )
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig, StatelessTargets
+from smooth_operator.retargeting.targets import Targets, VectorLayout, tips_of
 from smooth_operator.settings import check_numbers
+
+_TINY_AREA: Final = 1e-12  # so that a length has a derivative at 0 [m^2]
 
 
 @dataclass(frozen=True)
@@ -85,8 +86,7 @@ class AkoTargets(StatelessTargets[PinchLayout]):
 
     def __post_init__(self) -> None:
         lengths = ("switch_distance", "switch_scale", "release")
-        weights = ("w_thumb_wrist", "w_wrist", "w_pinch", "w_distal", "contact")
-        check_numbers(self, "targets.", positive=lengths, not_negative=weights)
+        check_numbers(self, "targets.", positive=lengths)
         if not self.contact < self.release:
             raise ConfigError(
                 f"pinch distances must satisfy 0 <= contact < release, not contact={self.contact}, "
@@ -128,13 +128,13 @@ class NormKeyvectors(Keyvectors):
     def price(self, error: Sequence[Array], weight: Array) -> Array:
         """See ``Keyvectors``."""
         x, y, z = error
-        length = jnp.sqrt(x * x + y * y + z * z + TINY_AREA)
+        length = jnp.sqrt(x * x + y * y + z * z + _TINY_AREA)
         return smooth_l1(weight * length, self.transition)
 
     def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
         """See ``VectorTerm``; exact but on the kink of smooth-L1."""
         weights = jnp.asarray(goal.weights)
-        length = jnp.sqrt((errors * errors).sum(axis=-1) + TINY_AREA)
+        length = jnp.sqrt((errors * errors).sum(axis=-1) + _TINY_AREA)
         unit = errors / length[:, None]
         slope, second = smooth_l1_slopes(weights * length, self.transition)
         along = unit[:, :, None] * unit[:, None, :]

@@ -28,6 +28,7 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.host_method import HostMethod
 from smooth_operator.retargeting.method import Compiling, MethodOutput, ObjectiveMethodConfig
+from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
 from smooth_operator.retargeting.sbr.published import (
     DexPilotTargets,
@@ -36,7 +37,6 @@ from smooth_operator.retargeting.sbr.published import (
 )
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.targets import Targets
-from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.settings import check_choice, check_numbers
 
 
@@ -64,7 +64,7 @@ class SlsqpMethodConfig(ObjectiveMethodConfig):
     optimality: float = 1e-4
 
     def __post_init__(self) -> None:
-        check_numbers(self, not_negative=("optimality",))
+        check_numbers(self)
         check_choice(self, "start", ("previous", "published_angles"))
 
     def build(self, hand: Hand) -> SlsqpMethod:

@@ -182,4 +182,4 @@ def keyvectors(
         (T, K, 3) [m].
     """
     layout = KeyvectorLayout(FINGERS[: tips.shape[1]])  # only the number of fingers counts here
-    return layout.among([wrist, *np.moveaxis(tips, 1, 0)])
+    return layout.among(np.concatenate([wrist[:, None], tips], axis=1))

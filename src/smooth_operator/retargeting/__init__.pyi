@@ -2,6 +2,8 @@ from smooth_operator.retargeting.method import Method as Method
 from smooth_operator.retargeting.method import MethodConfig as MethodConfig
 from smooth_operator.retargeting.method import MethodOutput as MethodOutput
 from smooth_operator.retargeting.method import ObjectiveMethodConfig as ObjectiveMethodConfig
+from smooth_operator.retargeting.objective import FrameGoal as FrameGoal
+from smooth_operator.retargeting.objective import LeastSquaresTerm as LeastSquaresTerm
 from smooth_operator.retargeting.objective import Objective as Objective
 from smooth_operator.retargeting.presets import method_config as method_config
 from smooth_operator.retargeting.presets import method_names as method_names
@@ -13,5 +15,3 @@ from smooth_operator.retargeting.sbr.sampled import SampledObjective as SampledO
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig as SamplingConfig
 from smooth_operator.retargeting.sbr.sampling import sample_minimise as sample_minimise
 from smooth_operator.retargeting.start import start_jax as start_jax
-from smooth_operator.retargeting.terms import FrameGoal as FrameGoal
-from smooth_operator.retargeting.terms import LeastSquaresTerm as LeastSquaresTerm

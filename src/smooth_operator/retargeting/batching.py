@@ -1,12 +1,12 @@
-"""Many recordings in one compiled program: side by side in lanes, and frame after frame in time.
+"""Many recordings in one compiled program: parallel lanes, and frame after frame in time.
 
-A frame alone is a small program: entering it and its many short operations takes longer than its
-arithmetic. Here one operation is that of all lanes (``jax.vmap``), and a call of the program is a
-block of frames. A lane takes one recording after another, each from a
-fresh state, so recordings of any length fill it; times between frames are each recording's own.
+The program of one frame is small: the call and its many short operations take longer than its
+arithmetic. Here each operation covers all lanes (``jax.vmap``), and one call processes a block of
+frames. A lane takes one recording after another, each from a fresh state, so recordings of any
+length and rate fill it.
 
-A recording's result depends on nothing but the recording, the retargeter and the number of lanes:
-not on the other recordings, their order, or the lane. It is that of ``Retargeter.run`` but for
+The result of a recording depends only on the recording, the retargeter and the number of lanes: not
+on the other recordings, their order, or the lane. It equals that of ``Retargeter.run`` except for
 rounding.
 """
 
@@ -17,7 +17,6 @@ import itertools
 import multiprocessing
 import os
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -39,13 +38,13 @@ from smooth_operator.retargeting.program import FrameState, RetargetState, align
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 LANES: Final = 8
-"""Lanes on a CPU. More save little."""
+"""Number of lanes on a CPU. More lanes save little."""
 
 LANES_GPU: Final = 1024
-"""Lanes on a GPU."""
+"""Number of lanes on a GPU."""
 
 BLOCK: Final = 64
-"""Frames of each lane in a call of the program."""
+"""Frames of each lane in one call of the program."""
 
 Progress: TypeAlias = Callable[[Iterable[int]], Iterable[int]]
 """Wraps an iteration over frames, for a progress bar."""
@@ -53,13 +52,13 @@ Progress: TypeAlias = Callable[[Iterable[int]], Iterable[int]]
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Recordings as the program takes them: the frames of all, one recording after the other.
+    """Input of the program: the frames of all recordings, one recording after the other.
 
     Attributes:
         landmarks: (S, 21, 3) float32 [m].
-        valid: (S, 21) which of them are known.
-        ticks: (S,) stamps in microseconds modulo 2^32.
-        lengths: frames of each recording; their sum is S.
+        valid: (S, 21) True for known landmarks.
+        ticks: (S,) timestamps in microseconds modulo 2^32.
+        lengths: number of frames of each recording; their sum is S.
     """
 
     landmarks: Float[np.ndarray, "S 21 3"]
@@ -71,7 +70,7 @@ class Tracks:
     def of(
         cls, recordings: Sequence[HandRecording], landmarks: Callable[[np.ndarray], np.ndarray]
     ) -> Tracks:
-        """Recordings one after the other; ``landmarks`` gives them in the program's form."""
+        """Joins recordings; ``landmarks`` converts landmarks to the program's form."""
         if not recordings:
             none = np.empty((0, NUM_LANDMARKS, 3), np.float32)
             return cls(none, none[..., 0] > 0, np.empty(0, np.uint32), [])
@@ -83,7 +82,7 @@ class Tracks:
 
     @cached_property
     def starts(self) -> np.ndarray:
-        """(S,) which frames are the first of a recording."""
+        """(S,) True for the first frame of each recording."""
         starts = np.zeros(len(self.ticks), bool)
         starts[[part.start for part in self.slices if part.stop > part.start]] = True
         return starts
@@ -112,7 +111,8 @@ class BatchArrays:
 
 
 def progressing(total: int, track: Progress | None) -> Callable[[int], None]:
-    """A function that moves a progress bar of ``total`` frames by so many; None for no bar."""
+    """Returns a function that advances a progress bar of ``total`` frames by a number of frames.
+    It does nothing if ``track`` is None."""
     steps, left = iter(range(total) if track is None else track(range(total))), total
 
     def advance(count: int) -> None:
@@ -120,21 +120,21 @@ def progressing(total: int, track: Progress | None) -> Callable[[int], None]:
         if track is None:
             return
         left -= count
-        for _ in range(count + (left == 0)):  # once more at the end, so that a bar knows it
+        for _ in range(count + (left == 0)):  # one more at the end, so that the bar ends
             next(steps, None)
 
     return advance
 
 
 class LaneProgram:
-    """The program of one method and hand for a number of lanes; it compiles when first called.
+    """The program of one method and hand for a number of lanes. The first call compiles it.
 
     Args:
         method: a method that is one compiled program.
         config: its configuration.
         lanes: number of lanes.
-        cached: the program is read from the user's cache, and written there.
-        threads: number of calls of the program that run side by side.
+        cached: True to read the program from the user's cache and store it there.
+        threads: number of calls of the program in parallel.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class LaneProgram:
         def block(
             initial: Any, state: Any, landmarks: Any, valid: Any, ticks: Any, new: Any
         ) -> Any:
-            # All frames are aligned side by side, since none needs the one before it.
+            # The alignment of a frame does not need the previous frame.
             flat = [x.reshape(-1, *x.shape[2:]) for x in (landmarks, valid)]
             aligned, status = jax.vmap(align)(*flat)
             aligned, status = aligned.reshape(landmarks.shape), status.reshape(ticks.shape)
@@ -164,8 +164,8 @@ class LaneProgram:
                 points, status, ticks, new = now
                 state = _chosen(new, initial, state)
                 active = status == Status.OK
-                # A lane without a hand repeats the work of one that has a hand, since a loop takes
-                # as many turns as the lane that needs most.
+                # A loop runs until its slowest lane ends, so a lane without a hand repeats the work
+                # of a lane that has a hand.
                 which = jnp.where(active, jnp.arange(lanes), jnp.argmax(active))
                 work = jax.tree.map(lambda leaf: leaf[which], (state.method, points, ticks))
 
@@ -200,11 +200,10 @@ class LaneProgram:
     def run(
         self, initial: RetargetState, tracks: Tracks, track: Progress | None = None
     ) -> tuple[Float[np.ndarray, "S m"], np.ndarray, Float[np.ndarray, " S"]]:
-        """Commands of the actuated joints [rad], as the program gives them, ``Status`` values and
-        tracking losses of every recording, each from the same state; ``track`` wraps the iteration
-        over all frames."""
+        """Returns commands of the actuated joints [rad], not clipped to the limits, ``Status``
+        values and tracking losses of all frames. Each recording starts from the same state."""
         total = len(tracks.ticks)
-        # one row more, for what lanes without a recording give
+        # the last row takes the results of lanes without a recording
         q = np.empty((total + 1, len(initial.q)), np.float32)
         status, loss = np.empty(total + 1, np.int8), np.empty(total + 1, np.float32)
         advance, lock, ended = progressing(total, track), threading.Lock(), threading.Event()
@@ -224,7 +223,7 @@ class LaneProgram:
                 for each in runs:
                     each.result()
             finally:
-                ended.set()  # after an error or an interrupt the other threads stop, too
+                ended.set()  # after an error or an interrupt, all threads stop
         return q[:-1], status[:-1], loss[:-1]
 
     def _run_lanes(
@@ -235,8 +234,8 @@ class LaneProgram:
         store: Callable[[np.ndarray, tuple[Any, ...]], None],
         ended: threading.Event,
     ) -> None:
-        """Runs the (B, lanes) frames of one thread. While the device works on a block, another
-        thread lays out the inputs of the next and puts the results of the last in their places."""
+        """Runs the (B, lanes) frames of one thread. While the device computes a block, another
+        thread prepares the next block and stores the results of the previous one."""
         blocks = [frames[at : at + BLOCK] for at in range(0, len(frames), BLOCK)]
         state = start = jax.tree.map(self._everywhere, initial.trees)
         with ThreadPoolExecutor(1) as thread:
@@ -263,8 +262,8 @@ class LaneProgram:
         limits: Float[np.ndarray, "m 2"],
         prepared: Callable[[np.ndarray], np.ndarray],
     ) -> BatchArrays:
-        """Recordings in one array; ``prepared`` gives landmarks in the program's form. See
-        ``Retargeter.batch_arrays``."""
+        """Retargets recordings in one array (``Retargeter.batch_arrays``); ``prepared`` converts
+        landmarks to the program's form."""
         count, length = np.shape(landmarks)[:2] if np.ndim(landmarks) == 4 else (-1, -1)
         if np.shape(landmarks) != (count, length, NUM_LANDMARKS, 3):
             raise RecordingError(f"landmarks must be (R, T, 21, 3), not {np.shape(landmarks)}")
@@ -284,7 +283,7 @@ class LaneProgram:
 
     def _everywhere(self, leaf: Any) -> jax.Array:
         one = jnp.asarray(leaf)
-        # On a device by name, as the program's results are: otherwise it is compiled for both.
+        # The program's results are on a named device. Other inputs would compile it once more.
         placed: jax.Array = jax.device_put(
             jnp.broadcast_to(one, (self.lanes, *one.shape)), one.device
         )
@@ -292,7 +291,7 @@ class LaneProgram:
 
 
 Batch: TypeAlias = list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]
-"""Commands and the (T,) tracking losses of each recording."""
+"""Commands and (T,) tracking losses of each recording."""
 
 
 def one_by_one(
@@ -300,7 +299,7 @@ def one_by_one(
     recordings: Sequence[HandRecording],
     track: Progress | None,
 ) -> Batch:
-    """Recordings one after the other, for a method whose solver runs on the host."""
+    """Retargets one recording after the other, for a method whose solver runs on the host."""
     advance = progressing(sum(map(len, recordings)), track)
     batch = []
     for recording in recordings:
@@ -318,7 +317,8 @@ def side_by_side(
     landmarks: Callable[[np.ndarray], np.ndarray],
     track: Progress | None,
 ) -> Batch:
-    """Recordings in the lanes of a program; ``landmarks`` gives them in its form."""
+    """Retargets recordings in the lanes of a program; ``landmarks`` converts landmarks to its
+    form."""
     tracks = Tracks.of(recordings, landmarks)
     q, statuses, loss = program.run(initial, tracks, track)
     q = np.clip(q.astype(float), *hand.limits.T)
@@ -333,7 +333,7 @@ def side_by_side(
 
 
 def _chosen(which: Bool[Array, " L"], new: Any, old: Any) -> Any:
-    """New values in some lanes, old ones in the others; trees of arrays with the lanes first."""
+    """Takes new values in some lanes and old values in the others; lanes are the first axis."""
 
     def one(a: Array, b: Array) -> Array:
         return jnp.where(which.reshape(-1, *[1] * (b.ndim - 1)), a, b)
@@ -342,10 +342,8 @@ def _chosen(which: Bool[Array, " L"], new: Any, old: Any) -> Any:
 
 
 def _frames_of_lanes(tracks: Tracks, lanes: int) -> np.ndarray:
-    """(B, lanes) which frame each lane takes when; one past the last where it has none.
-
-    B is a multiple of ``BLOCK``.
-    """
+    """(B, lanes) index of the frame of each lane at each time; S where a lane has none. B is a
+    multiple of ``BLOCK``."""
     queues, slices = _shared_out(tracks.lengths, lanes), tracks.slices
     length = max((sum(tracks.lengths[i] for i in queue) for queue in queues), default=0)
     rows = -(-length // BLOCK) * BLOCK
@@ -361,7 +359,7 @@ def _frames_of_lanes(tracks: Tracks, lanes: int) -> np.ndarray:
 
 
 def _shared_out(lengths: Sequence[int], lanes: int) -> list[list[int]]:
-    """Assigns recordings to lanes: the longest first, to the lane that ends first."""
+    """Assigns recordings to lanes, the longest first, each to the lane that ends first."""
     queues: list[list[int]] = [[] for _ in range(lanes)]
     ends = [(0, lane) for lane in range(lanes)]
     for which in sorted(range(len(lengths)), key=lambda i: (-lengths[i], i)):
@@ -372,36 +370,23 @@ def _shared_out(lengths: Sequence[int], lanes: int) -> list[list[int]]:
 
 
 def _filled(tracks: Tracks, block: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The inputs of a block; lanes that have nothing left see no hand."""
+    """Inputs of a block. Lanes without a frame get no valid landmarks."""
     there = block < len(tracks.ticks)
     at = np.where(there, block, 0)
     valid = tracks.valid[at] & there[..., None]
     return tracks.landmarks[at], valid, tracks.ticks[at], tracks.starts[at] & there
 
 
-_KEPT: Final = 8
-_programs: Final[OrderedDict[tuple[Any, ...], LaneProgram]] = OrderedDict()
-_lock: Final = threading.Lock()
+def lane_counts(method: Method, lanes: int | None) -> tuple[int, int]:
+    """Number of lanes of a program and number of its parallel calls that suit the device.
 
-
-def lane_program(
-    method: Method, config: MethodConfig, lanes: int | None, cached: bool = True
-) -> LaneProgram:
-    """The program of a method, kept a while; None for the number of lanes that suits the device."""
+    Args:
+        lanes: number of recordings in parallel; None for the default of ``Retargeter.batch``.
+    """
     if jax.default_backend() != "cpu":
-        count, threads = lanes or LANES_GPU, 1
-    elif method.uneven:
-        # a worker of a pool has a core for itself
+        return lanes or LANES_GPU, 1
+    if method.uneven:
+        # a worker of a pool has only one core
         own = multiprocessing.parent_process() is not None
-        count, threads = 1, lanes or (1 if own else os.cpu_count() or 1)
-    else:
-        count, threads = lanes or LANES, 1
-    # a kept program keeps its method
-    key = (id(method), config.alignment, count, cached, threads)
-    with _lock:
-        program = _programs.get(key) or LaneProgram(method, config, count, cached, threads)
-        _programs[key] = program
-        _programs.move_to_end(key)
-        while len(_programs) > _KEPT:
-            _programs.popitem(last=False)
-    return program
+        return 1, lanes or (1 if own else os.cpu_count() or 1)
+    return lanes or LANES, 1

@@ -1,8 +1,8 @@
-"""A function that is traced and compiled once: a second process reads the program.
+"""A function that is traced and compiled once; other processes read the traced program.
 
-The traced program is kept with ``jax.export``. Machine code is kept by JAX's compilation cache, if
-the process has switched it on, as the command does. A process that traces a program runs the
-exported form too, so results are equal, bit for bit, whether it was traced or read.
+The traced program is stored with ``jax.export``. JAX's compilation cache stores machine code, if
+the process has enabled it, as the command does. A process that traces a program also runs its
+exported form, so results are equal bit for bit in both cases.
 """
 
 from __future__ import annotations
@@ -54,19 +54,19 @@ _LOOPS_ON_GPU: Final = {
     "xla_gpu_enable_command_buffer": "FUSION,CUBLAS,CUBLASLT,CUDNN,CUSTOM_CALL,"
     "DYNAMIC_SLICE_FUSION,CONDITIONAL,WHILE",
 }
-"""Option of XLA, from the list of flags in JAX's documentation: loops run on a GPU, where the host
-would start their kernels."""
+"""Option of XLA, from JAX's documentation: loops run on the GPU. Without it, the host starts each
+of their kernels."""
 
 _Signature: TypeAlias = tuple[Any, tuple[tuple[tuple[int, ...], str], ...], str]
-"""Structure, shapes and kinds of the arguments, and the platform that they are on."""
+"""Structure, shapes and kinds of the arguments, and their device."""
 
 
 def program_key(
     hand: Hand, config: MethodConfig, *more: object, constants: Any = None
 ) -> str | None:
-    """A digest of all that a program of a hand and a configuration depends on, but its arguments;
-    ``more`` is anything else whose ``repr`` tells it apart. None if it can't be known, as the
-    configuration has code or a file of the user's."""
+    """Digest of everything that a program depends on, except its arguments: hand, configuration,
+    code, and the ``repr`` of ``more``. None if it is unknown, because the configuration refers to
+    code or to a file of the user."""
     shareable = config.shareable or constants is not None
     if not shareable or not _is_data(config, paths=constants is not None):
         return None
@@ -78,17 +78,17 @@ def program_key(
 
 
 class CompiledProgram:
-    """A function of trees of arrays, compiled when it is first called, once for each shape.
+    """A function of trees of arrays. It is compiled at its first call, once per shape.
 
     Args:
         function: traceable; returns a tree of tuples, lists, dictionaries and named tuples.
-        name: name of the function, and what else it depends on (``program_key``).
+        name: name of the function, and further dependencies (``program_key``).
         hand: the robot hand that the method was built for.
         config: the method's settings.
         constants: ``Method.constants``.
-        cached: it is read from the user's cache, and written there.
-        graphs: on a GPU its loops run there: more frames a second where a loop has long turns; a
-            frame alone takes a tenth longer.
+        cached: True to read the program from the user's cache and store it there.
+        graphs: True to run loops on a GPU: more frames per second with long loops, but a single
+            frame takes 10 % longer.
     """
 
     def __init__(
@@ -108,12 +108,12 @@ class CompiledProgram:
         self._lock = threading.Lock()
 
     def __call__(self, *arguments: Any) -> Any:
-        """The function's value."""
+        """Calls the compiled function."""
         if self._run is not None:
             try:
                 return self._run(*arguments)
             except (TypeError, ValueError, NotImplementedError):
-                self._run = None  # a program takes no other shapes, and no tracers
+                self._run = None  # a program accepts no other shapes, and no tracers
         signature = _signature(arguments)
         if signature is None:
             return jax.jit(self._function)(*arguments)
@@ -129,10 +129,10 @@ class CompiledProgram:
     def _compiled(
         self, signature: _Signature, arguments: tuple[Any, ...]
     ) -> tuple[Callable[..., Any], Any]:
-        """The program for arguments like these, and its value for them.
+        """Returns the program for arguments of this signature, and its value.
 
-        It is compiled ahead of time: ``jax.jit`` compiles a second time when an argument of the
-        first call, a NumPy array, is an array of JAX in the next one, such as the state.
+        It is compiled ahead of time, because ``jax.jit`` compiles again if an argument is a NumPy
+        array in the first call and a JAX array in the next one, as the state is.
         """
         config: Any = jax.config  # its attributes are made at run time
         cache = None if config.jax_disable_jit or not self._cached else program_cache()
@@ -141,7 +141,7 @@ class CompiledProgram:
         if cache is not None and key is not None:
             try:
                 function = _exported(cache, _file_name(key, signature), function, arguments).call
-            except Exception as error:  # a program that can't be exported is still a program
+            except Exception as error:  # a program that can't be exported still runs
                 LOGGER.info("a program can't be kept: %s", error)
         options = _LOOPS_ON_GPU if self._graphs and on_gpu() else None
         run = jax.jit(function, compiler_options=options).lower(*arguments).compile()
@@ -172,7 +172,7 @@ def _file_name(key: str, signature: _Signature) -> str:
 def _exported(
     cache: ProgramCache, name: str, function: Callable[..., Any], arguments: tuple[Any, ...]
 ) -> Any:
-    """The program as it was kept, or traced and kept now."""
+    """Reads a stored program, or traces and stores it."""
     data = cache.read(name)
     if data is not None:
         try:
@@ -180,9 +180,9 @@ def _exported(
             for kind in json.loads(head):
                 _register(_own_class(kind))
             return jax.export.deserialize(bytearray(body))
-        except Exception as error:  # JAX's are of many kinds
+        except Exception as error:  # JAX raises errors of many classes
             cache.drop(name, f"{type(error).__name__}: {error}")
-    # JAX does not promise that another version reads a kernel; a file is read by its own version
+    # JAX does not promise that other versions read a kernel; here only the same version reads it
     kernels = [jax.export.DisabledSafetyCheck.custom_call("__gpu$xla.gpu.triton")]
     exported = jax.export.export(jax.jit(function), disabled_checks=kernels)(*arguments)
     kinds = {*_named_tuples(exported.in_tree), *_named_tuples(exported.out_tree)}
@@ -194,7 +194,7 @@ def _exported(
 
 
 def _named_tuples(tree: Any) -> Iterator[type]:
-    """The classes of the named tuples in a tree's structure."""
+    """Yields the classes of the named tuples in a tree's structure."""
     node = tree.node_data()
     if node is None:
         return
@@ -206,7 +206,7 @@ def _named_tuples(tree: Any) -> Iterator[type]:
 
 @functools.cache
 def _register(kind: type) -> None:
-    """Registers a named tuple, so that ``jax.export`` writes and reads it."""
+    """Registers a named tuple with ``jax.export``."""
     register: Any = jax.export.register_namedtuple_serialization
     register(kind, serialized_name=_class_name(kind))
 
@@ -216,11 +216,7 @@ def _class_name(kind: type) -> str:
 
 
 def _own_class(name: str) -> type:
-    """A class of this package by its name.
-
-    Raises:
-        ValueError: it is another package's.
-    """
+    """Imports a class of this package by its name; ValueError for other packages."""
     module, _, path = name.partition(":")
     if module.partition(".")[0] != HOME.name:
         raise ValueError(f"{module} is not of this package")
@@ -231,7 +227,7 @@ def _own_class(name: str) -> type:
 
 
 def _is_data(value: object, paths: bool = False) -> bool:
-    """Numbers, texts and this package's own dataclasses, all the way down: ``repr`` shows all."""
+    """True if ``repr`` shows the whole value: numbers, texts and dataclasses of this package."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         own = type(value).__module__.partition(".")[0] == HOME.name
         fields = dataclasses.fields(value)

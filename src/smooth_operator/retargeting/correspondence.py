@@ -62,12 +62,7 @@ class CorrespondenceConfig:
     catch_up: float = 0.2
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            "correspondence.",
-            positive=("far", "catch_up"),
-            not_negative=("share", "near", "press", "folded", "thumb_share", "thumb_follows"),
-        )
+        check_numbers(self, "correspondence.", positive=("far", "catch_up"))
         if not self.near < self.far:
             raise ConfigError(
                 f"correspondence.near {self.near} must be less than correspondence.far {self.far}"

@@ -56,12 +56,7 @@ class FingertipFilterConfig:
     jump_speed: float = 4.0
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            "fingertips.",
-            positive=("reach", "settle", "jump"),
-            not_negative=("share", "jump_speed"),
-        )
+        check_numbers(self, "fingertips.", positive=("reach", "settle", "jump"))
 
 
 class FilterState(NamedTuple):

@@ -11,16 +11,14 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Final, NamedTuple, TypeVar, cast
+from typing import Any, ClassVar, NamedTuple, TypeVar, cast
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.objective import Objective, TermsConfig
-from smooth_operator.settings import RATE_RANGE_HZ
 
 C = TypeVar("C", bound="MethodConfig")
 
@@ -204,45 +202,3 @@ class ObjectiveMethodConfig(MethodConfig):
 def _replaced(config: C, **changes: Any) -> C:
     # settings are dataclasses, but their base class can't express this
     return cast(C, dataclasses.replace(cast(Any, config), **changes))
-
-
-_SHORTEST: Final = 0.5 / RATE_RANGE_HZ[1]
-"""Shortest time between frames [s], half a period of the fastest tracker. It limits bursts."""
-
-
-USUAL_RATE: Final = 100.0
-"""Frame rate that is assumed if timestamps do not increase [Hz]."""
-
-LONGEST_GAP: Final = 0.25
-"""Longest time between frames that counts as motion [s]; after it, the last command is not used."""
-
-
-class FrameClock(NamedTuple):
-    """Time since the last frame.
-
-    Attributes:
-        dt: that time [s].
-        restart: True if there is no previous frame, or if it is too old to count as motion.
-    """
-
-    dt: Float[Array, ""]
-    restart: Bool[Array, ""]
-
-    @classmethod
-    def of(
-        cls,
-        passed: UInt32[Array, ""],
-        frames: UInt32[Array, ""],
-    ) -> FrameClock:
-        """Time of a frame; traceable.
-
-        Args:
-            passed: ticks since the last one, in microseconds modulo 2^32.
-            frames: number of frames before it.
-        """
-        elapsed = passed.astype(jnp.int32) * 1e-6
-        # a timestamp that goes back belongs to another recording
-        restart = (frames == 0) | (elapsed > LONGEST_GAP) | (elapsed < 0)
-        stamped = (passed > 0) & ~restart
-        dt = jnp.where(stamped, jnp.maximum(elapsed, _SHORTEST), 1 / USUAL_RATE).astype(jnp.float32)
-        return cls(dt, restart)

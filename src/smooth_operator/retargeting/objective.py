@@ -1,18 +1,25 @@
-"""An objective as a sum of terms: Eq. (1) and the terms that a method or a preset adds to it.
+"""The objective of a frame: its terms, which are costs on points and joints of the robot, and their
+sum.
+
+To write your own term, define a frozen dataclass with its settings. ``LeastSquaresTerm`` needs only
+residuals; ``VectorTerm`` is for costs on keyvectors, ``JointTerm`` for costs on joint positions,
+and ``PointTerm`` computes gradient and Gauss-Newton rows itself.
+``ObjectiveConfig(terms=(MyTerm(),))`` adds a term to a preset. The terms of Eq. (1) are here, those
+of ``smooth`` in ``smooth_terms.py``.
 
 ``Objective.value_grad_hess`` gives cost, gradient and Hessian of one pose for Newton steps, as a
-small program; ``SampledObjective`` gives the costs of thousands of poses for a sampler. Terms are
-in ``smooth_operator.retargeting.terms``.
+small program; ``SampledObjective`` gives the costs of thousands of poses for a sampler.
 """
 
 from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, Final, Literal, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,25 +27,324 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.geometry import AnyArray
+from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
 from smooth_operator.hands.differential import PointKinematics, PointMotion, all_joints, contracted
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.retargeting.targets import CloseTargets, TargetPolicy, VectorLayout
-from smooth_operator.retargeting.terms import (
-    TRANSITION,
-    FrameGoal,
-    JointCost,
-    JointTerm,
-    Keyvectors,
-    PointTerm,
-    Pull,
-    Quadratic,
-    RobotVectors,
-    Term,
+from smooth_operator.retargeting.targets import (
+    CloseTargets,
+    KeyvectorLayout,
+    TargetPolicy,
+    VectorLayout,
 )
 from smooth_operator.settings import check_numbers
+
+T = TypeVar("T", bound="Term")
+
+TRANSITION: Final = 0.02
+"""Error at which the smooth-L1 cost of keyvectors changes from quadratic to linear [m]. Quadratic
+terms divide their weights by it, so that all weights are comparable."""
+
+
+class FrameGoal(NamedTuple):
+    """Targets and weights of one frame.
+
+    Attributes:
+        vectors: (K, 3) keyvector targets [m].
+        weights: (K,) their weights.
+        previous: (m,) last command of the actuated joints [rad].
+        velocity_weight: lambda_vel of the frame, or (m,) of each joint; 0 without a last command.
+        tips: (F, 3) where fingertips arrive with the human's motion [m]; for the motion term only.
+        motion_weights: (F,) weights of that term, in the units of a keyvector's weight.
+        pad: (3,) direction of the last segment of the human's thumb; for ``PadDirection`` only.
+    """
+
+    vectors: Float[AnyArray, "K 3"]
+    weights: Float[AnyArray, " K"]
+    previous: Float[AnyArray, " m"]
+    velocity_weight: Float[Array, ""] | Float[Array, " m"] | float
+    tips: Float[Array, "F 3"] | None = None
+    motion_weights: Float[Array, " F"] | None = None
+    pad: Float[Array, "3"] | None = None
+
+
+class Quadratic(NamedTuple):
+    """Local model of a term near one pose.
+
+    The objective makes the Hessian of the rows, rows^T weights rows, and adds the curvature of the
+    kinematics along the gradient.
+
+    Attributes:
+        cost: cost at the pose.
+        gradient: (P, 3) of the cost with respect to the term's points.
+        rows: (R, J) derivatives of R residuals with respect to the J joints; or (K, 3, J) if second
+            derivatives mix residuals in groups of three; or a function of a motion.
+        weights: (R,) second derivatives of the cost with respect to the residuals; or (K, 3, 3).
+    """
+
+    cost: Float[Array, ""]
+    gradient: Float[Array, "P 3"]
+    rows: Float[Array, "R J"] | Float[Array, "K 3 J"] | Callable[[PointMotion], Array]
+    weights: Float[Array, " R"] | Float[Array, "K 3 3"]
+
+
+class Term:
+    """Base class of the terms of an objective."""
+
+    def build(self: T, hand: Hand) -> T:
+        """Returns the term for one hand; the term itself if it does not depend on the hand.
+
+        Raises:
+            ConfigError: if the hand lacks what the term needs.
+        """
+        del hand
+        return self
+
+    @property
+    def is_off(self) -> bool:
+        """True if the term has no effect, for example with a weight of 0."""
+        return False
+
+
+class PointTerm(Term, ABC):
+    """A cost on the positions of points of the robot in the palm frame."""
+
+    @abstractmethod
+    def points(self) -> tuple[str, ...]:
+        """Names of the P points: landmarks that a joint moves, or points of ``own_points``."""
+
+    def own_points(self) -> Mapping[str, tuple[int, np.ndarray]]:
+        """Further points: maps names to (body of the model, (3,) position in it [m])."""
+        return {}
+
+    @abstractmethod
+    def expand(
+        self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """Cost, gradient and Gauss-Newton rows at one pose; traceable.
+
+        Args:
+            points: (P, 3) the term's points [m].
+            jacobian: (P, J, 3) their derivatives with respect to the J joints [m/rad].
+        """
+
+
+class JointCost(NamedTuple):
+    """A cost on joints at given poses, with its derivatives.
+
+    Attributes:
+        cost: (...) a sum over the joints.
+        slope: (..., m) first derivative.
+        curvature: (..., m) diagonal of the second derivative, or the one number on it.
+    """
+
+    cost: Any
+    slope: Any
+    curvature: Any
+
+
+class JointTerm(Term, ABC):
+    """A separable cost on the m actuated joints."""
+
+    @abstractmethod
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+        """Cost and derivatives at joint positions [rad]; NumPy or JAX."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pull(JointTerm):
+    """Weight times the squared distance of each joint from a pose.
+
+    Attributes:
+        of: goal to weight, or (m,) weights, and (m,) pose [rad].
+    """
+
+    of: Callable[[FrameGoal], tuple[Any, Any]]
+
+    def expand(self, q: Float[AnyArray, "*n m"], goal: FrameGoal) -> JointCost:
+        """See ``JointTerm``."""
+        weight, pose = self.of(goal)
+        off = q - pose.astype(q.dtype, copy=False)
+        return JointCost((weight * off**2).sum(axis=-1), 2 * weight * off, 2 * weight)
+
+
+@dataclass(frozen=True, eq=False)
+class RobotVectors:
+    """The vectors of a layout on one hand: incidence @ moving points + fixed points.
+
+    Attributes:
+        hand: the robot hand.
+        layout: landmarks that each vector joins; the hand has counterparts of them all.
+    """
+
+    hand: Hand
+    layout: VectorLayout
+
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """The P landmarks whose counterparts a joint moves; those of the others are fixed."""
+        keypoints = self.hand.tree.keypoints
+        return tuple(i for i in self.layout.landmarks if keypoints[LANDMARKS[i]].joint >= 0)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the moving points."""
+        return tuple(LANDMARKS[i] for i in self.moving)
+
+    @cached_property
+    def incidence(self) -> Float[np.ndarray, "K P"]:
+        """1 where a vector ends at a moving point, -1 where it begins at one."""
+        return self._incidence(self.moving)
+
+    def _incidence(self, landmarks: Sequence[int]) -> Float[np.ndarray, "K P"]:
+        start, end = np.array([[-1 if i is None else i for i in v] for v in self.layout.vectors]).T
+        at = np.array(landmarks)
+        matrix: np.ndarray = (end[:, None] == at) - (start[:, None] == at).astype(float)
+        return matrix
+
+    def at(self, points: Float[Array, "P 3"]) -> Float[Array, "K 3"]:
+        """The vectors [m], from the moving points [m]."""
+        keypoints = self.hand.tree.keypoints
+        others = [i for i in self.layout.landmarks if i not in self.moving]
+        positions = np.array([keypoints[LANDMARKS[i]].position for i in others]).reshape(-1, 3)
+        fixed = jnp.asarray(self._incidence(others) @ positions, points.dtype)
+        return contracted(points.T, self.incidence.T).T + fixed
+
+    def jacobian(self, jacobian: Float[Array, "P J 3"]) -> Float[Array, "K 3 J"]:
+        """Derivatives of the vectors, from those of the moving points [m/rad]."""
+        return contracted(jacobian.transpose(1, 2, 0), self.incidence.T).transpose(2, 1, 0)
+
+    def spread(self, slopes: Float[Array, "V 3"], which: slice = slice(None)) -> Array:
+        """(P, 3) a cost's derivatives with respect to the points, from those by some vectors."""
+        return contracted(slopes.T, self.incidence[which]).T
+
+
+class VectorSlopes(NamedTuple):
+    """Derivatives of the cost of K vectors.
+
+    Attributes:
+        cost: sum of their costs.
+        first: (K, 3) first derivative with respect to each vector.
+        second: (K, 3) second derivative without negative parts; (K, 3, 3) if components mix.
+    """
+
+    cost: Float[Array, ""]
+    first: Float[Array, "K 3"]
+    second: Float[Array, "K 3"] | Float[Array, "K 3 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class VectorTerm(PointTerm):
+    """A separable cost on the errors of some of the robot's vectors.
+
+    Attributes:
+        vectors: the robot's vectors.
+    """
+
+    part: ClassVar[Literal["all", "wrist", "thumb"]] = "all"
+    """All vectors, or those of the paper's keyvectors from the wrist or from the thumb's tip."""
+
+    vectors: RobotVectors
+
+    @abstractmethod
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+        """The cost of the errors of ``part`` [m], with derivatives; traceable."""
+
+    def points(self) -> tuple[str, ...]:
+        """Landmarks that the vectors join and a joint moves."""
+        return self.vectors.names
+
+    @cached_property
+    def which(self) -> slice:
+        """The vectors of ``part``.
+
+        Raises:
+            ConfigError: if it is of the paper's keyvectors, and the vectors are others.
+        """
+        if self.part == "all":
+            return slice(None)
+        layout = self.vectors.layout
+        if not isinstance(layout, KeyvectorLayout):
+            raise ConfigError(
+                f"{type(self).__name__} needs the paper's keyvectors, not {type(layout).__name__}"
+            )
+        return layout.thumb if self.part == "thumb" else slice(0, len(layout.fingers))
+
+    def expand(
+        self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``."""
+        which = self.which
+        cost, first, second = self.slopes((self.vectors.at(points) - goal.vectors)[which], goal)
+        rows = self.vectors.jacobian(jacobian)[which]
+        if second.ndim == 2:  # independent components
+            rows, second = rows.reshape(second.size, rows.shape[-1]), second.reshape(-1)
+        return Quadratic(cost, self.vectors.spread(first, which), rows, second)
+
+
+@dataclass(frozen=True, eq=False)
+class Keyvectors(VectorTerm):
+    """First term of Eq. (1): sum over k of lambda_k l(v_R - v_H), with smooth-L1 of each component
+    for the penalty l.
+
+    Attributes:
+        transition: where smooth-L1 turns from quadratic to linear [m].
+    """
+
+    transition: float
+
+    def price(self, error: Sequence[Array], weight: Array) -> Array:
+        """lambda_k l(v_R - v_H): the cost of one vector's error, of three components [m]."""
+        parts = [smooth_l1(e, self.transition) for e in error]
+        return weight * (parts[0] + parts[1] + parts[2])
+
+    def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
+        """See ``VectorTerm``; exact except at the kinks of smooth-L1."""
+        weights = jnp.asarray(goal.weights)
+        cost = self.price([errors[:, c] for c in range(3)], weights).sum()
+        slope, second = smooth_l1_slopes(errors, self.transition)
+        return VectorSlopes(cost, weights[:, None] * slope, weights[:, None] * second)
+
+
+def smooth_l1(x: AnyKind, transition: float) -> AnyKind:
+    """x^2 / (2 transition) up to the transition, |x| - transition / 2 beyond; NumPy or JAX."""
+    xp = array_namespace(x)
+    size = xp.abs(x)
+    near = xp.minimum(size, transition)
+    cost: AnyKind = near * (size - 0.5 * near) * (1 / transition)
+    return cost
+
+
+def smooth_l1_slopes(x: AnyKind, transition: float) -> tuple[AnyKind, AnyKind]:
+    """First and second derivative of ``smooth_l1``."""
+    slope = (x / transition).clip(-1, 1)
+    return slope, (abs(slope) < 1) / transition
+
+
+class LeastSquaresTerm(PointTerm):
+    """Half the sum of squared residuals of some points; the simplest term to write."""
+
+    @abstractmethod
+    def residuals(self, points: Float[Array, "P 3"], goal: FrameGoal) -> Float[Array, " R"]:
+        """(R,) residuals at one pose, each times the square root of its weight."""
+
+    def expand(
+        self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
+    ) -> Quadratic:
+        """See ``PointTerm``; the derivatives of the residuals come from JAX."""
+        residuals, pull = jax.vjp(lambda p: self.residuals(p, goal), points)
+
+        def along(speeds: Array) -> Array:
+            _, rates = jax.jvp(lambda p: self.residuals(p, goal), (points,), (speeds,))
+            return jnp.asarray(rates)
+
+        return Quadratic(
+            0.5 * (residuals * residuals).sum(),
+            pull(residuals)[0],
+            jax.vmap(along, in_axes=1, out_axes=1)(jacobian),
+            jnp.ones_like(residuals),
+        )
 
 
 @dataclass(frozen=True)
@@ -56,7 +362,7 @@ class TermsConfig:
     terms: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
-        check_numbers(self, not_negative=("pose_weight",))
+        check_numbers(self)
 
     def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
         """First term of Eq. (1)."""
@@ -146,9 +452,17 @@ class Objective:
 
     @cached_property
     def kinematics(self) -> PointKinematics:
-        """The points of all terms, with derivatives."""
-        every = (name for term in self.point_terms for name in term.points())
-        return PointKinematics(self.tree, tuple(dict.fromkeys(every)))
+        """Kinematics of the points of all terms. A point of several terms may occur again."""
+        groups = dict.fromkeys(term.points() for term in self.point_terms)
+        return PointKinematics(self.tree, tuple(name for group in groups for name in group))
+
+    @cached_property
+    def _slices(self) -> tuple[slice, ...]:
+        """Positions of each term's points in ``kinematics``."""
+        groups = tuple(dict.fromkeys(term.points() for term in self.point_terms))
+        ends = np.cumsum([0, *map(len, groups)]).tolist()
+        at = {group: slice(*ends[i : i + 2]) for i, group in enumerate(groups)}
+        return tuple(at[term.points()] for term in self.point_terms)
 
     def value_grad_hess(
         self, q: Float[Array, " m"], goal: FrameGoal
@@ -158,75 +472,35 @@ class Objective:
         The Hessian is as exact as those of the terms; the terms of Eq. (1) are exact, except at the
         kinks of smooth-L1 (a set of measure zero).
         """
-        near = self._near(q, goal)
-        hessian = near.weighted.T @ near.rows
-        total = jnp.asarray(self.kinematics.moves.T, q.dtype) @ near.moments
-        joints = self.hand.coupling_matrix[np.array(self.kinematics.order)]
-        slope, curvature = self.kinematics.derivatives(near.motion, total)
+        kinematics, joints = self.kinematics, self.hand.coupling_matrix
+        motion = kinematics(all_joints(self.hand, q))
+        each = [
+            term.expand(motion.points[at], kinematics.jacobian(motion, at), goal)
+            for term, at in zip(self.point_terms, self._slices, strict=True)
+        ]
+        rows, weighted = _gauss_newton(each, motion)
+        # the kinematics adds to the Hessian along the gradient
+        points, moves = (
+            np.concatenate([values[at] for at in self._slices])
+            for values in (np.arange(len(motion.points)), kinematics.moves)
+        )
+        gradient = jnp.concatenate([one.gradient for one in each])
+        moments = kinematics.moments(motion._replace(points=motion.points[points]), gradient)
+        total = jnp.asarray(moves.T, q.dtype) @ moments
+        slope, curvature = kinematics.derivatives(motion, total)
+        joints = joints[np.array(kinematics.order)]
+        half = contracted(weighted.T @ rows + curvature, joints)
         cost, first, second = self.regularisation(q, goal)
-        half = contracted(hessian + curvature, joints)
         return (
-            near.cost + cost,
+            functools.reduce(operator.add, [one.cost for one in each]) + cost,
             contracted(slope, joints) + first,
             contracted(half.T, joints) + second * jnp.eye(len(q), dtype=q.dtype),
         )
 
-    def _near(self, q: Float[Array, " m"], goal: FrameGoal) -> _Near:
-        motion = self.kinematics(all_joints(self.hand, q))
-        chosen = [_Chosen.of(term.points(), self.kinematics.names) for term in self.point_terms]
-        near = [
-            term.expand(motion.points[at.at], self.kinematics.jacobian(motion, at.at), goal)
-            for term, at in zip(self.point_terms, chosen, strict=True)
-        ]
-        cost = functools.reduce(operator.add, [one.cost for one in near])
-        gradient = jnp.zeros((0, 3), q.dtype)  # with respect to the points of the terms so far
-        for one, at in zip(near, chosen, strict=True):
-            gradient = at.added(gradient, one.gradient)
-        moments = self.kinematics.moments(motion, gradient)
-        return _Near(cost, motion, moments, *_gauss_newton(near, motion))
-
     def values(self, q: Float[Array, "c m"], goal: FrameGoal) -> Float[Array, " c"]:
-        """Costs of a few poses, without derivatives, computed by the small program."""
-        costs: Array = jax.vmap(
-            lambda one: self._near(one, goal).cost + self.regularisation(one, goal).cost
-        )(q)
+        """Costs of a few poses. The compiler drops the derivatives."""
+        costs: Array = jax.vmap(lambda one: self.value_grad_hess(one, goal)[0])(q)
         return costs
-
-
-class _Near(NamedTuple):
-    """Quadratic model of the point terms near a pose; ``weighted`` are rows times their weights."""
-
-    cost: Float[Array, ""]
-    motion: PointMotion
-    moments: Float[Array, "F 12"]
-    rows: Float[Array, "R J"]
-    weighted: Float[Array, "R J"]
-
-
-class _Chosen(NamedTuple):
-    """Positions of a term's points in the list of all points, which is in the order of the terms.
-    ``at`` is a slice if they are adjacent, which is cheaper; ``end`` is exclusive."""
-
-    at: slice | np.ndarray
-    end: int
-
-    @classmethod
-    def of(cls, names: Sequence[str], every: Sequence[str]) -> _Chosen:
-        index = [every.index(name) for name in names]
-        first, last = min(index), max(index)
-        neighbours = index == list(range(first, last + 1))
-        return cls(slice(first, last + 1) if neighbours else np.array(index), last + 1)
-
-    def added(self, total: Float[Array, "T 3"], values: Float[Array, "P 3"]) -> Array:
-        """Adds a term's gradient to the sum, which becomes longer if the term adds points."""
-        rows = len(total)
-        if isinstance(self.at, slice) and self.at.start == rows:
-            return jnp.concatenate([total, values]) if rows else values
-        if self.end > rows:
-            total = jnp.concatenate([total, jnp.zeros((self.end - rows, 3), total.dtype)])
-        if isinstance(self.at, slice) and len(values) == len(total):
-            return total + values
-        return total.at[self.at].add(values)
 
 
 def _gauss_newton(near: Sequence[Quadratic], motion: PointMotion) -> tuple[Array, Array]:

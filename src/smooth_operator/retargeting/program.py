@@ -3,10 +3,8 @@
 Traced functions take the state as trees of arrays. Between frames the state is one array, because a
 program takes and returns one array in a third of the time of twenty.
 
-Retargeters that would compile the same program share it (``shared_program``): those with the same
-hand and configuration, and those of a hand and its mirror image, which uses the same program with
-reflected landmarks. The parameters of a hand are constants of its program; as arguments, they made
-a frame 2.1 to 3.5 times as slow.
+The parameters of a hand are constants of its program; as arguments, they made a frame 2.1 to 3.5
+times as slow.
 """
 
 from __future__ import annotations
@@ -14,8 +12,6 @@ from __future__ import annotations
 import functools
 import inspect
 import math
-import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -25,12 +21,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, Int, UInt32
 from numpy.typing import ArrayLike
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import array_namespace
-from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec
 from smooth_operator.io.anatomy import implausible
 from smooth_operator.retargeting.alignment import (
     MIN_CONDITION,
@@ -41,6 +36,7 @@ from smooth_operator.retargeting.alignment import (
 )
 from smooth_operator.retargeting.compiled_program import CompiledProgram
 from smooth_operator.retargeting.method import Method, MethodConfig
+from smooth_operator.settings import RATE_RANGE_HZ
 from smooth_operator.types import Status
 
 _WORDS: Final = tuple(map(np.dtype, ("float32", "int32", "uint32", "bool")))
@@ -344,53 +340,43 @@ def tick_after(answered: tuple[float, int] | None, stamp: float) -> int:
     return (answered[1] + whole) % 2**32
 
 
-_KEPT: Final = 16
-_programs: OrderedDict[tuple[str, MethodConfig, bool], SharedProgram] = OrderedDict()
-_lock = threading.Lock()
+_SHORTEST: Final = 0.5 / RATE_RANGE_HZ[1]
+"""Shortest time between frames [s], half a period of the fastest tracker. It limits bursts."""
 
 
-class SharedProgram(NamedTuple):
-    """A compiled program with its method.
+USUAL_RATE: Final = 100.0
+"""Frame rate that is assumed if timestamps do not increase [Hz]."""
+
+LONGEST_GAP: Final = 0.25
+"""Longest time between frames that counts as motion [s]; after it, the last command is not used."""
+
+
+class FrameClock(NamedTuple):
+    """Time since the last frame.
 
     Attributes:
-        method: the method that it was made from.
-        run: the program of one frame.
-        reflects: True if the program is that of the hand's mirror image.
-        compiled: set after the first frame with the status OK.
+        dt: that time [s].
+        restart: True if there is no previous frame, or if it is too old to count as motion.
     """
 
-    method: Method
-    run: Program
-    reflects: bool
-    compiled: threading.Event
+    dt: Float[Array, ""]
+    restart: Bool[Array, ""]
 
+    @classmethod
+    def of(
+        cls,
+        passed: UInt32[Array, ""],
+        frames: UInt32[Array, ""],
+    ) -> FrameClock:
+        """Time of a frame; traceable.
 
-def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> SharedProgram:
-    """Returns the program of a frame for a hand, or for its mirror image if the hand is described
-    as one. With ``cache``, it is read from the user's cache and stored there.
-
-    Raises:
-        SmoothOperatorError: the method can't be used with the hand.
-    """
-    if not config.shareable:
-        return _built(hand, config, False, cache)
-    reflects = hand.spec.mirror
-    served = load_hand_spec(hand.spec.mirrored) if reflects else hand
-    key = (fingerprint(served), config, cache)
-    try:
-        with _lock:
-            stored = _programs.get(key)
-    except TypeError:  # a user's configuration may have no hash
-        return _built(served, config, reflects, cache)
-    program = (stored or _built(served, config, reflects, cache))._replace(reflects=reflects)
-    with _lock:
-        _programs[key] = program
-        _programs.move_to_end(key)
-        while len(_programs) > _KEPT:
-            _programs.popitem(last=False)
-    return program
-
-
-def _built(hand: Hand, config: MethodConfig, reflects: bool, cache: bool) -> SharedProgram:
-    method = config.build(hand)
-    return SharedProgram(method, frame_program(method, config, cache), reflects, threading.Event())
+        Args:
+            passed: ticks since the last one, in microseconds modulo 2^32.
+            frames: number of frames before it.
+        """
+        elapsed = passed.astype(jnp.int32) * 1e-6
+        # a timestamp that goes back belongs to another recording
+        restart = (frames == 0) | (elapsed > LONGEST_GAP) | (elapsed < 0)
+        stamped = (passed > 0) & ~restart
+        dt = jnp.where(stamped, jnp.maximum(elapsed, _SHORTEST), 1 / USUAL_RATE).astype(jnp.float32)
+        return cls(dt, restart)

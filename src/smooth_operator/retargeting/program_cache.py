@@ -1,8 +1,8 @@
-"""Programs in a folder of this user: the second process neither traces nor compiles.
+"""Folders of this user for traced programs and for machine code, so that a start is faster.
 
-``ProgramCache`` holds traced programs. ``jax_folder`` is another folder, in which JAX keeps machine
-code once it is told so: the command tells it, a library user may (docs/reference/methods.md). Both
-are used only where no other user can write (``own_files``), by any number of processes.
+``ProgramCache`` holds traced programs. ``jax_folder`` is the folder for JAX's compilation cache,
+which the command enables; a library user may, too (docs/reference/methods.md). Any number of
+processes can use both. No other user may be able to write to them (``own_files``).
 Figures: docs/reference/benchmarks.md, *Start*.
 """
 
@@ -22,6 +22,7 @@ from multiprocessing import parent_process
 from pathlib import Path
 from typing import Final
 
+from smooth_operator.atomic_files import atomic_write
 from smooth_operator.errors import DocumentError, OutputError
 from smooth_operator.own_files import (
     OFF,
@@ -36,15 +37,15 @@ LOGGER: Final = logging.getLogger("smooth_operator.programs")
 
 _DIGEST: Final = 32
 MOST_BYTES: Final = 512 << 20
-"""Most bytes in a folder; programs that were used last stay. One has 0.2 to 2 MB."""
+"""Largest size of a folder [bytes]. The programs that were used last stay; one has 0.2 to 2 MB."""
 MOST_BYTES_OF_ONE: Final = 256 << 20
 
 
 class ProgramCache:
-    """Named pieces of bytes in a folder, whole or not there.
+    """Named entries of bytes in a folder. An entry is complete or missing.
 
     Args:
-        folder: where; it must exist.
+        folder: an existing folder.
         most_bytes: largest size of all files together.
     """
 
@@ -52,7 +53,7 @@ class ProgramCache:
         self.folder, self.most_bytes = folder, most_bytes
 
     def read(self, name: str) -> bytes | None:
-        """The bytes that were written under a name; None if there are none, or they changed."""
+        """Returns an entry; None if it is missing or damaged."""
         file = self.folder / name
         try:
             content = read_own_file(file, MOST_BYTES_OF_ONE)
@@ -66,13 +67,12 @@ class ProgramCache:
             self.drop(name, "it is damaged")
             return None
         with contextlib.suppress(OSError):
-            file.touch()  # used now
+            file.touch()  # the time of its last use
         return data
 
     def write(self, name: str, data: bytes) -> None:
-        """Writes an entry, and removes those unused the longest; a full disk costs time only."""
-        from smooth_operator.atomic_files import atomic_write  # of the first start alone
-
+        """Writes an entry, and removes the entries that were not used for longest. Errors of the
+        disk are ignored."""
         with contextlib.suppress(OutputError, OSError):
             with atomic_write(self.folder / name) as stream:
                 os.chmod(stream.name, 0o600)
@@ -80,13 +80,13 @@ class ProgramCache:
             make_room(self.folder, self.most_bytes)
 
     def drop(self, name: str, reason: object) -> None:
-        """Removes an entry that can't be used; the log has the reason."""
+        """Removes an unusable entry, and logs the reason."""
         LOGGER.warning("the program %s is compiled again: %s", self.folder / name, reason)
         with contextlib.suppress(OSError):
             (self.folder / name).unlink()
 
     def size(self) -> tuple[int, int]:
-        """Number of entries, and their bytes."""
+        """Number of entries, and their total size [bytes]."""
         sizes = [status.st_size for _, status in _files(self.folder)]
         return len(sizes), sum(sizes)
 
@@ -99,7 +99,7 @@ def _files(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
 
 
 def make_room(folder: Path, most_bytes: int = MOST_BYTES) -> None:
-    """Removes the files of a folder that were not used the longest, down to a number of bytes."""
+    """Removes the files that were not used for longest, until the folder is small enough."""
     for each, status in sorted(_files(folder), key=lambda pair: -pair[1].st_mtime):
         most_bytes -= status.st_size
         if most_bytes < 0:
@@ -107,19 +107,19 @@ def make_room(folder: Path, most_bytes: int = MOST_BYTES) -> None:
 
 
 def _digest(data: bytes) -> bytes:
-    """A flipped bit may leave a program that can be read, and computes something else."""
+    """Checksum: a program with a flipped bit may be readable and compute wrong results."""
     return hashlib.sha256(data).digest()
 
 
 def program_cache() -> ProgramCache | None:
-    """The cache of this user; None if it is switched off (``SWITCH``), or see ``own_folder``."""
+    """The cache of this user; None if it is off (``SWITCH``) or has no safe folder."""
     folder = None if is_off() else own_folder(user_cache() / "programs")
     return None if folder is None else ProgramCache(folder)
 
 
 def jax_folder() -> Path | None:
-    """This user's folder for machine code of this processor, with room for more; None if it is
-    switched off (``SWITCH``), or see ``own_folder``."""
+    """This user's folder for machine code of this processor, after old files were removed; None if
+    it is off (``SWITCH``) or there is no safe folder."""
     folder = None if is_off() else own_folder(user_cache() / machine())
     if folder is not None:
         with contextlib.suppress(OSError):
@@ -128,16 +128,14 @@ def jax_folder() -> Path | None:
 
 
 def is_off() -> bool:
-    """``SWITCH`` says that nothing is kept."""
+    """True if the environment variable ``SWITCH`` disables the cache."""
     return os.environ.get(SWITCH, "").strip().lower() in OFF
 
 
 @functools.cache
 def machine() -> str:
-    """Digest of the processor's features and of jaxlib: compiled code fits no other.
-
-    A home on a network disk serves several machines.
-    """
+    """Digest of the processor's features and of jaxlib, for which machine code is valid. Several
+    machines may share a home folder."""
     features = [platform.system(), platform.machine(), version("jaxlib")]
     try:
         with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
@@ -149,11 +147,8 @@ def machine() -> str:
 
 @functools.cache
 def own_folder(folder: Path) -> Path | None:
-    """A folder for machine code, its links resolved; it is made if there is none.
-
-    Returns:
-        None if it can't be written, or if another user can write it, which is logged.
-    """
+    """Returns a folder with its links resolved, and creates it if necessary. None if it is not
+    writable, or, with a warning, if another user can write to it."""
     try:
         make_private(folder)
         problem = folder_problem(folder)
@@ -162,7 +157,7 @@ def own_folder(folder: Path) -> Path | None:
                 return folder.resolve()
     except OSError:
         return None
-    if parent_process() is None:  # or each worker would say it again
+    if parent_process() is None:  # workers do not repeat it
         LOGGER.warning(
             "compiled programs are not kept, so each start compiles: %s; %s may name another "
             "folder that only you can write",

@@ -1,19 +1,26 @@
-"""Retargeter: converts hand frames to joint commands, with explicit state."""
+"""Retargeter: converts hand frames to joint commands, with explicit state.
+
+Retargeters that would compile the same program share it: those with the same hand and
+configuration, and those of a hand and its mirror image, which uses the same program with reflected
+landmarks.
+"""
 
 from __future__ import annotations
 
+import threading
 import time
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError
-from smooth_operator.hands.hand import Hand
+from smooth_operator.hands.hand import Hand, fingerprint, load_hand_spec
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.io.anatomy import HandCheck
@@ -23,8 +30,9 @@ from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.retargeting.presets import default_preset, method_config
 from smooth_operator.retargeting.program import (
     FrameState,
+    Program,
     RetargetState,
-    shared_program,
+    frame_program,
     tick_after,
 )
 from smooth_operator.retargeting.registry import DEFAULT_METHOD
@@ -424,6 +432,66 @@ class Retargeter:
         )
 
     def _lanes(self, lanes: int | None) -> LaneProgram:
-        from smooth_operator.retargeting.batching import lane_program
+        from smooth_operator.retargeting.batching import LaneProgram, lane_counts
 
-        return lane_program(self.method, self.config, lanes, self.cache)
+        count, threads = lane_counts(self.method, lanes)
+        if (count, threads) not in self.shared.lanes:
+            self.shared.lanes[count, threads] = LaneProgram(
+                self.method, self.config, count, self.cache, threads
+            )
+        return self.shared.lanes[count, threads]
+
+
+MOST_PROGRAMS: Final = 16
+_programs: OrderedDict[tuple[str, MethodConfig, bool], SharedProgram] = OrderedDict()
+_lock = threading.Lock()
+
+
+class SharedProgram(NamedTuple):
+    """A compiled program with its method.
+
+    Attributes:
+        method: the method that it was made from.
+        run: the program of one frame.
+        reflects: True if the program is that of the hand's mirror image.
+        compiled: set after the first frame with the status OK.
+        lanes: programs of ``batch``, by their numbers of lanes and of threads.
+    """
+
+    method: Method
+    run: Program
+    reflects: bool
+    compiled: threading.Event
+    lanes: dict[tuple[int, int], LaneProgram]
+
+
+def shared_program(hand: Hand, config: MethodConfig, cache: bool = True) -> SharedProgram:
+    """Returns the program of a frame for a hand, or for its mirror image if the hand is described
+    as one. With ``cache``, it is read from the user's cache and stored there.
+
+    Raises:
+        SmoothOperatorError: the method can't be used with the hand.
+    """
+    if not config.shareable:
+        return _built(hand, config, False, cache)
+    reflects = hand.spec.mirror
+    served = load_hand_spec(hand.spec.mirrored) if reflects else hand
+    key = (fingerprint(served), config, cache)
+    try:
+        with _lock:
+            stored = _programs.get(key)
+    except TypeError:  # a user's configuration may have no hash
+        return _built(served, config, reflects, cache)
+    program = (stored or _built(served, config, reflects, cache))._replace(reflects=reflects)
+    with _lock:
+        _programs[key] = program
+        _programs.move_to_end(key)
+        while len(_programs) > MOST_PROGRAMS:
+            _programs.popitem(last=False)
+    return program
+
+
+def _built(hand: Hand, config: MethodConfig, reflects: bool, cache: bool) -> SharedProgram:
+    method = config.build(hand)
+    program = frame_program(method, config, cache)
+    return SharedProgram(method, program, reflects, threading.Event(), {})

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import jax
@@ -39,13 +38,13 @@ from smooth_operator.retargeting.fingertip_filter import (
 )
 from smooth_operator.retargeting.levenberg import damped_newton
 from smooth_operator.retargeting.method import (
-    FrameClock,
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
 )
-from smooth_operator.retargeting.objective import Objective, TermsConfig
+from smooth_operator.retargeting.objective import FrameGoal, Objective, TermsConfig
 from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
+from smooth_operator.retargeting.program import FrameClock
 from smooth_operator.retargeting.smooth_terms import (
     DirectionLength,
     DirectionLengthConfig,
@@ -58,7 +57,6 @@ from smooth_operator.retargeting.smooth_terms import (
     SelfCollisionConfig,
 )
 from smooth_operator.retargeting.targets import CloseTargets, KeyvectorLayout
-from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.retargeting.trajectory import FUTURE, TrajectoryMethodConfig
 from smooth_operator.settings import check_numbers, is_off
 
@@ -121,17 +119,7 @@ class SmoothConfig(ObjectiveMethodConfig):
     iterations: int = 50
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            positive=("iterations",),
-            not_negative=(
-                "motion_weight",
-                "motion_speed",
-                "pinch_damping",
-                "spread_weight",
-                "pad_weight",
-            ),
-        )
+        check_numbers(self, positive=("iterations",))
 
     def build(self, hand: Hand) -> Smooth:
         """The method for one hand."""
@@ -171,77 +159,37 @@ class SmoothState(NamedTuple):
     leapt: Float[Array, ""]
 
 
-class _Observed(NamedTuple):
-    """Goal of one frame: targets and start poses.
+class Smooth(Method):
+    """``smooth`` for one hand.
 
     Attributes:
-        state: the state after the landmarks were processed.
-        clock: time of the frame.
-        goal: targets and weights.
-        places: (F, 3) fingertip targets in the palm frame [m].
-        table: (m,) the pose table's nearest pose [rad].
-        possible: (F,) distances of that pose's fingertips from their targets [m].
+        hand: the robot hand.
+        config: settings.
+        motion: the term of fingertip motion.
+        objective: the terms to minimise: those of Eq. (1), and six more.
+        closing: the estimator that closes the gaps of a tracker in pinches.
+        correspondence: the correspondence of human and robot fingers.
+        pose_table: start poses for frames without a last command.
     """
-
-    state: SmoothState
-    clock: FrameClock
-    goal: FrameGoal
-    places: Float[Array, "F 3"]
-    table: Float[Array, " m"]
-    possible: Float[Array, " F"]
-
-    def beyond(self, tips: Float[Array, "F 3"]) -> Float[Array, " F"]:
-        """Distance of the fingertips from their targets, beyond that of the table's pose [m]."""
-        off = tips - self.places
-        return jnp.maximum(jnp.sqrt((off * off).sum(-1)) - self.possible, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Smooth(Method):
-    """``smooth`` for one hand."""
 
     uneven = True
 
-    hand: Hand
-    config: SmoothConfig
-
-    @cached_property
-    def objective(self) -> Objective:
-        """The terms to minimise: those of Eq. (1), and six more."""
-        config = self.config
-        vectors = Objective(self.hand, config.objective).keyvectors.vectors
-        return Objective(
-            self.hand,
-            config.objective,
-            (
-                self.motion,
-                FingertipPosition(vectors, config.fingertip_position),
-                DirectionLength(vectors, config.direction_length),
-                SelfCollision(self.hand, config.self_collision),
-                FingerSpread(self.hand, config.spread_weight),
-                PadDirection(self.hand, config.pad_weight),
-            ),
+    def __init__(self, hand: Hand, config: SmoothConfig) -> None:
+        self.hand, self.config = hand, config
+        vectors = Objective(hand, config.objective).keyvectors.vectors
+        self.motion = FingertipMotion(hand)
+        terms = (
+            self.motion,
+            FingertipPosition(vectors, config.fingertip_position),
+            DirectionLength(vectors, config.direction_length),
+            SelfCollision(hand, config.self_collision),
+            FingerSpread(hand, config.spread_weight),
+            PadDirection(hand, config.pad_weight),
         )
-
-    @cached_property
-    def motion(self) -> FingertipMotion:
-        """The term of fingertip motion."""
-        return FingertipMotion(self.hand)
-
-    @cached_property
-    def closing(self) -> PinchGapEstimate:
-        """The estimator that closes the gaps of a tracker in pinches."""
-        return PinchGapEstimate(self.hand)
-
-    @cached_property
-    def correspondence(self) -> Correspondence:
-        """The correspondence of human and robot fingers."""
-        return Correspondence(self.hand, self.config.correspondence)
-
-    @cached_property
-    def pose_table(self) -> PoseTable:
-        """Table of start poses for frames without a last command."""
-        return PoseTable(self.hand)
+        self.objective = Objective(hand, config.objective, terms)
+        self.closing = PinchGapEstimate(hand)
+        self.correspondence = Correspondence(hand, config.correspondence)
+        self.pose_table = PoseTable(hand)
 
     @property
     def layout(self) -> KeyvectorLayout:
@@ -315,81 +263,94 @@ class Smooth(Method):
         self, state: SmoothState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> tuple[SmoothState, MethodOutput]:
         """One frame."""
-        frame = self._observed(state, aligned, jnp.asarray(ticks, jnp.uint32))
-        solved, tips, astray = self._solve(state, frame)
-        after = frame.state._replace(q=solved, astray=astray, frames=state.frames + jnp.uint32(1))
-        keyvectors = self.objective.keyvectors
-        errors = keyvectors.vectors.at(tips) - frame.goal.vectors
-        return after, MethodOutput(solved, keyvectors.slopes(errors, frame.goal).cost)
-
-    def _observed(
-        self, state: SmoothState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
-    ) -> _Observed:
-        """Filters the landmarks of a frame and computes the goal."""
-        config = self.config
+        config, now = self.config, jnp.asarray(ticks, jnp.uint32)
         clock = FrameClock.of(now - state.ticks, state.frames)
+
+        # fingertips without the tracker's pinch gaps, jumps and shake
         gaps, closed = self.closing.step(state.gaps, aligned, clock.dt, clock.restart)
         measured = closed[np.array(self.needs)]  # the wrist and the fingertips
         filtered, still = filter_fingertips(
             state.filtered, measured, clock.dt, config.fingertips, clock.restart
         )
-        steps = jnp.where(clock.restart, 0.0, filtered.followed - state.filtered.followed)
-        tips, origin = filtered.followed[1:], jnp.asarray(self.hand.wrist, aligned.dtype)
-        operator, speeds = state.operator, still[1:] - still[0]
-        places, moves = tips - filtered.followed[0] + origin, speeds
+        tips, speeds = filtered.followed[1:], still[1:] - still[0]
+        off = (measured - state.filtered.followed)[1:]
+        leaps = jnp.sqrt((off * off).sum(-1)) > LEAP[0] + LEAP[1] * clock.dt
+        leapt = jnp.where(leaps.any() & ~clock.restart, 0.0, state.leapt + clock.dt)
+
+        # their targets on the robot
+        origin = jnp.asarray(self.hand.wrist, aligned.dtype)
+        operator, places, moves = state.operator, tips - filtered.followed[0] + origin, speeds
         if operator:  # a tuple of arrays; empty without a correspondence
+            steps = jnp.where(clock.restart, 0.0, filtered.followed - state.filtered.followed)
             operator, moves = self.correspondence.step(
                 operator, aligned, tips, speeds, steps[1:] - steps[0], clock.dt, clock.restart
             )
             places = operator.places
-        off = (measured - state.filtered.followed)[1:]
-        leaps = jnp.sqrt((off * off).sum(-1)) > LEAP[0] + LEAP[1] * clock.dt
-        leapt = jnp.where(leaps.any() & ~clock.restart, 0.0, state.leapt + clock.dt)
-        policy, human = config.objective.targets, self.layout.of_tips(places, origin)
-        targets, latches = policy(state.targets, self.layout, human)
-        # the coupling between two frames decreases with the time between them
+        table, possible = self.pose_table.nearest(places)
+
+        def beyond(tips: Float[Array, "F 3"]) -> Float[Array, " F"]:
+            """Distance of fingertips from their targets, beyond that of the table's pose [m]."""
+            off = tips - places
+            return jnp.maximum(jnp.sqrt((off * off).sum(-1)) - possible, 0.0)
+
+        # weights; the coupling between two frames decreases with the time between them
         holds = jnp.where(clock.restart, 0.0, REFERENCE / clock.dt)
         slow = jnp.ones(len(moves), aligned.dtype)
         if not is_off(config.motion_speed):
             speed = jnp.sqrt((speeds * speeds).sum(-1) + 1e-18) / clock.dt
             slow = 1 / (1 + (speed / config.motion_speed) ** 2)
+        policy, human = config.objective.targets, self.layout.of_tips(places, origin)
+        targets, latches = policy(state.targets, self.layout, human)
         latched = policy.latched(latches)
         latched = jnp.zeros(len(tips) - 1, bool) if latched is None else latched
         pinching = slow * jnp.concatenate([latched.any()[None], latched])
         damped = (pinching[:, None] * jnp.asarray(self.pose_table.moves)).max(axis=0)
-        damping = config.pinch_damping * holds * damped
+        arrival, weights = self.motion.tips(state.q) + moves, config.motion_weight * holds * slow
+        if operator:  # the targets are within reach, so a lasting error means a wrong pose
+            weights = weights / (1 + (beyond(arrival) / ASTRAY) ** 4)
         pad = aligned[TIPS[0]] - aligned[TIPS[0] - 1]
         pad = pad / jnp.sqrt((pad * pad).sum() + 1e-12)
-        arrival, weights = self.motion.tips(state.q) + moves, config.motion_weight * holds * slow
+        damping = config.pinch_damping * holds * damped
         goal = FrameGoal(*targets, state.q, damping, arrival, weights, pad)
-        after = state._replace(
-            operator=operator,
-            gaps=gaps,
-            filtered=filtered,
-            targets=latches,
-            ticks=now,
-            leapt=leapt,
-        )
-        frame = _Observed(after, clock, goal, places, *self.pose_table.nearest(places))
-        if not operator:
-            return frame
-        # the targets are within reach, so a lasting error means a wrong pose
-        weights = weights / (1 + (frame.beyond(arrival) / ASTRAY) ** 4)
-        return frame._replace(goal=goal._replace(motion_weights=weights))
 
-    def _solve(
-        self, state: SmoothState, frame: _Observed
-    ) -> tuple[Float[Array, " m"], Float[Array, "F 3"], Float[Array, ""]]:
-        """Returns the (m,) solution, its (F, 3) fingertips [m], and the time of a lost finger [s].
+        forget = clock.restart | ((state.leapt < SETTLED) & (leapt >= SETTLED))
+        search = state.astray > PATIENCE
+        q = self.solve(goal, table, forget, search)
+
+        reached = self.motion.tips(q)
+        lost = (beyond(reached) > ASTRAY).any() & ~search & bool(operator)
+        keyvectors = self.objective.keyvectors
+        errors = keyvectors.vectors.at(reached) - goal.vectors
+        after = SmoothState(
+            q,
+            operator,
+            gaps,
+            filtered,
+            latches,
+            now,
+            state.frames + jnp.uint32(1),
+            jnp.where(lost, state.astray + clock.dt, 0.0),
+            leapt,
+        )
+        return after, MethodOutput(q, keyvectors.slopes(errors, goal).cost)
+
+    def solve(
+        self,
+        goal: FrameGoal,
+        table: Float[Array, " m"],
+        forget: Bool[Array, ""],
+        search: Bool[Array, ""],
+    ) -> Float[Array, " m"]:
+        """Returns the (m,) solution of a frame; traceable.
 
         Normally, one descent starts from the last command. Without a last command, and shortly
-        after a fingertip has jumped, two descents without the terms about the past start from the
-        table's pose and from the neutral pose, and the result with the lower cost is used. If a
-        fingertip has been lost for a while, that result is used only if its cost is much lower than
-        that of a third descent, which starts from the hand's own pose.
+        after a fingertip has jumped (``forget``), two descents without the terms about the past
+        start from the table's pose and from the neutral pose, and the result with the lower cost is
+        used. If a fingertip has been lost for a while (``search``), that result is used only if its
+        cost is much lower than that of a third descent, which starts from the hand's own pose.
         """
-        goal, last = frame.goal, state.q
-        limits = frame_limits(self.hand, goal.vectors[: len(frame.places)])
+        last = jnp.asarray(goal.previous)
+        limits = frame_limits(self.hand, goal.vectors[: len(self.hand.fingers)])
         neutral = jnp.asarray(self.hand.neutral, last.dtype)
 
         def descent(start: Array, best: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -402,7 +363,7 @@ class Smooth(Method):
             end, cost, _ = damped_newton(
                 lambda one: self.objective.value_grad_hess(one, now),
                 lambda few: self.objective.values(few, now),
-                jnp.clip(jnp.stack([last, pose, frame.table, neutral])[start], *limits.T),
+                jnp.clip(jnp.stack([last, pose, table, neutral])[start], *limits.T),
                 limits,
                 self.config.iterations,
             )
@@ -410,13 +371,9 @@ class Smooth(Method):
             bar = jnp.where(past, jnp.inf, jnp.where(start == 1, BETTER * cost, cost))
             return jnp.where(taken, end, pose), jnp.minimum(bar, lowest)
 
-        forget = frame.clock.restart | ((state.leapt < SETTLED) & (frame.state.leapt >= SETTLED))
-        search = state.astray > PATIENCE
         first, after = jnp.where(forget, 2, 0), jnp.where(forget | search, 4, 1)
-        pose, _ = lax.fori_loop(first, after, descent, (last, jnp.float32(jnp.inf)))
-        tips = self.motion.tips(pose)
-        astray = (frame.beyond(tips) > ASTRAY).any() & ~search & bool(state.operator)
-        return pose, tips, jnp.where(astray, state.astray + frame.clock.dt, 0.0)
+        best = lax.fori_loop(first, after, descent, (last, jnp.float32(jnp.inf)))
+        return jnp.asarray(best[0])
 
 
 def frame_limits(

@@ -18,7 +18,7 @@ from smooth_operator.hands.differential import PointKinematics, contracted
 from smooth_operator.hands.finger_circles import spread_joints
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import LANDMARKS, TIPS
-from smooth_operator.retargeting.terms import (
+from smooth_operator.retargeting.objective import (
     TRANSITION,
     FrameGoal,
     JointCost,
@@ -96,7 +96,7 @@ class FingertipPositionConfig:
     width: float = 0.004
 
     def __post_init__(self) -> None:
-        check_numbers(self, "fingertip_position.", positive=("width",), not_negative=("weight",))
+        check_numbers(self, "fingertip_position.", positive=("width",))
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,12 +267,7 @@ class DirectionLengthConfig:
     near: float = 0.0145
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            "direction_length.",
-            positive=("huber_width", "near"),
-            not_negative=("direction", "length"),
-        )
+        check_numbers(self, "direction_length.", positive=("huber_width", "near"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,7 +327,7 @@ class SelfCollisionConfig:
     margin: float = -0.00125
 
     def __post_init__(self) -> None:
-        check_numbers(self, "self_collision.", not_negative=("weight",), finite=("margin",))
+        check_numbers(self, "self_collision.", finite=("margin",))
 
 
 @dataclass(frozen=True, eq=False)

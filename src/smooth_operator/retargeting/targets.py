@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import Generic, NamedTuple, TypeVar, cast
+from typing import Generic, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -38,16 +38,15 @@ class VectorLayout(ABC):
 
     def human(self, landmarks: AnyKind) -> AnyKind:
         """(..., K, 3) the human's vectors [m], of (..., 21, 3) aligned landmarks [m]."""
-        return self.among([landmarks[..., i, :] for i in self.landmarks])
+        return self.among(landmarks[..., list(self.landmarks), :])
 
-    def among(self, points: Sequence[AnyKind]) -> AnyKind:
-        """(..., K, 3) the vectors among points [m], an array (..., 3) for each of ``landmarks``."""
-        xp = array_namespace(points[0])
-        stacked = xp.stack([*points, xp.zeros_like(points[0])], axis=-2)  # the last: the origin
-        at = {landmark: i for i, landmark in enumerate(self.landmarks)}
-        start = [len(points) if i is None else at[i] for i, _ in self.vectors]
-        end = [at[j] for _, j in self.vectors]
-        vectors: AnyKind = stacked[..., end, :] - stacked[..., start, :]
+    def among(self, points: AnyKind) -> AnyKind:
+        """(..., K, 3) the vectors among (..., P, 3) points, one for each of ``landmarks`` [m]."""
+        xp = array_namespace(points)
+        points = xp.concatenate([points, xp.zeros_like(points[..., :1, :])], axis=-2)
+        at = {None: -1} | {landmark: i for i, landmark in enumerate(self.landmarks)}
+        start, end = ([at[pair[side]] for pair in self.vectors] for side in (0, 1))
+        vectors: AnyKind = points[..., end, :] - points[..., start, :]
         return vectors
 
 
@@ -85,19 +84,12 @@ class KeyvectorLayout(VectorLayout):
         count = len(self.fingers)
         return slice(count, 2 * count - 1)
 
-    @cached_property
-    def between(self) -> tuple[tuple[int, int, int], ...]:
-        """(keyvector, finger, finger) of the finger-to-finger ones; fingers count from 0 = index
-        side, as in the thumb slice."""
-        return tuple((k, i - 2, j - 2) for k, (i, j) in enumerate(self.pairs) if i >= 2)
-
     def of_tips(self, tips: AnyKind, wrist: AnyArray) -> AnyKind:
         """(..., K, 3) keyvectors [m], of (..., F, 3) fingertips and the (3,) wrist [m]."""
         xp = array_namespace(tips)
-        base = xp.broadcast_to(wrist, (*tips.shape[:-2], 3))
-        points = [base, *(tips[..., i, :] for i in range(len(self.fingers)))]
-        vectors: AnyKind = self.among(cast(list[AnyKind], points))
-        return vectors
+        base = xp.broadcast_to(wrist, (*tips.shape[:-2], 1, 3))
+        points: AnyKind = xp.concatenate([base, tips], axis=-2)
+        return self.among(points)
 
 
 def tips_of(fingers: Sequence[str]) -> tuple[int, ...]:
@@ -166,7 +158,7 @@ class CloseTargets(TargetPolicy[KeyvectorLayout, Bool[Array, " P"]]):
     escape: float = 0.02
 
     def __post_init__(self) -> None:
-        check_numbers(self, "targets.", positive=("project", "escape"), not_negative=("w_wrist",))
+        check_numbers(self, "targets.", positive=("project", "escape"))
         if isinstance(self.project, float) and not self.project <= self.escape:
             raise ConfigError(f"project {self.project} must not exceed escape {self.escape} [m]")
 

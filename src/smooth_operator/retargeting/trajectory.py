@@ -41,11 +41,8 @@ class TrajectoryConfig:
     tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            positive=("acceleration_weight", "speed_limit", "iterations", "tolerance"),
-            not_negative=("motion_weight", "motion_speed"),
-        )
+        positive = ("acceleration_weight", "speed_limit", "iterations", "tolerance")
+        check_numbers(self, positive=positive)
 
 
 FUTURE: Final = TrajectoryConfig(
@@ -76,7 +73,7 @@ class TrajectoryMethodConfig(MethodConfig):
     noise: float = 0.0
 
     def __post_init__(self) -> None:
-        check_numbers(self, not_negative=("bridge", "jump", "noise"))
+        check_numbers(self)
 
     @property
     def alignment(self) -> AlignmentConfig:  # type: ignore[override]

@@ -1,13 +1,13 @@
-"""A recording retargeted as a whole: smooth in both directions of time, and without lag.
+"""Retargets a recording as a whole: smooth in both directions of time, and without lag.
 
-The method's own answers, frame by frame, choose the basin. From there all frames are solved jointly
-(``trajectory_solver``): what each asks, and the cost of motion between them.
-Frames without a usable hand ask nothing, and go where motion is cheapest, as long as the gap is
-short; over a longer one the last pose is held. Either way their status says what they were.
+The frame-by-frame method selects the basin. From its results, all frames are solved together
+(``trajectory_solver``), with the cost of each frame and of the motion between frames. A frame
+without a usable hand has no cost of its own: in a short gap it takes the cheapest motion, in a
+longer gap the last pose is held. The status tells these frames apart.
 
-A long stretch is solved in windows. Each begins at the end of what the one before has settled, and
-looks further ahead than motion's cost reaches back, so that memory does not grow with the
-recording but for its frames, and time does in proportion.
+A long stretch is solved in windows. Each window begins where the previous one ended and looks
+further ahead than the cost of motion acts, so that time grows in proportion to the recording, and
+memory only by its frames.
 """
 
 from __future__ import annotations
@@ -28,11 +28,10 @@ from smooth_operator.retargeting.batching import Progress, progressing
 from smooth_operator.retargeting.compiled_program import CompiledProgram
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
-from smooth_operator.retargeting.objective import Objective
+from smooth_operator.retargeting.objective import TRANSITION, FrameGoal, Objective
 from smooth_operator.retargeting.pinch_gaps import PinchGapEstimate, PinchGapState
-from smooth_operator.retargeting.program import align_frame
+from smooth_operator.retargeting.program import LONGEST_GAP, align_frame
 from smooth_operator.retargeting.retargeter import Retargeter
-from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.retargeting.trajectory import TrajectoryMethodConfig
 from smooth_operator.retargeting.trajectory_solver import (
     JOINED,
@@ -44,14 +43,11 @@ from smooth_operator.retargeting.trajectory_solver import (
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 WINDOW: Final = 2048
-"""Frames that are solved together."""
+"""Number of frames that are solved together."""
 AHEAD_S: Final = 2.0
-"""How far beyond them is looked [s]."""
+"""Lookahead beyond a window [s]."""
 CHUNK: Final = 256
-"""Frames in a call of the compiled programs."""
-_GAP_S: Final = 0.25  # longest time between frames of one motion [s]
-TRANSITION: Final = 0.02
-"""That of the keyvectors' smooth-L1 [m], so that weights compare."""
+"""Frames in one call of a compiled program."""
 
 
 class TrajectoryRetargeter:
@@ -59,7 +55,7 @@ class TrajectoryRetargeter:
 
     Args:
         hand: the robot hand.
-        config: its configuration.
+        config: settings.
         seed: seed of the method's random numbers.
         pinch_gaps: known gaps, as for ``Retargeter``.
 
@@ -95,7 +91,7 @@ class TrajectoryRetargeter:
                 state: PinchGapState, frame: tuple[Array, Array, Array]
             ) -> tuple[PinchGapState, Array]:
                 points, dt, usable = frame
-                after, points = closing.step(state, points, dt, dt > _GAP_S)
+                after, points = closing.step(state, points, dt, dt > LONGEST_GAP)
                 return jax.tree.map(lambda a, b: jnp.where(usable, a, b), after, state), points
 
             return jax.lax.scan(one, state, (points, dt, usable))
@@ -132,11 +128,7 @@ class TrajectoryRetargeter:
         )
 
     def warm_up(self) -> float:
-        """Compiles the method's own program.
-
-        Returns:
-            seconds it took.
-        """
+        """Compiles the frame-by-frame program, and returns the elapsed time [s]."""
         return self.causal.warm_up()
 
     def run(
@@ -147,16 +139,16 @@ class TrajectoryRetargeter:
         track: Progress | None = None,
         extra: ExtraTerms | None = None,
     ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
-        """A whole recording.
+        """Retargets a whole recording.
 
         Args:
             seed: seed of the random numbers; None for the retargeter's own.
             track: wraps the iteration over frames, for a progress bar.
-            extra: more costs and variables of each frame.
+            extra: further costs and variables of each frame.
 
         Returns:
-            the commands, and the (T,) tracking loss of each frame (NaN where there was no usable
-            hand). There are no latencies: NaN.
+            the commands, whose latencies are NaN, and the (T,) tracking loss of each frame (NaN for
+            frames without a usable hand).
         """
         ((first, _),) = self.causal.batch([recording], seed=seed)
         return self._whole(recording, first, progressing(len(recording), track), extra)
@@ -168,16 +160,13 @@ class TrajectoryRetargeter:
         seed: int | None = None,
         track: Progress | None = None,
     ) -> list[tuple[CommandTrajectory, Float[np.ndarray, " T"]]]:
-        """Whole recordings: their first answers side by side (``Retargeter.batch``), then each
-        solved as a whole. To the last bit a result is that of ``run``.
+        """Retargets whole recordings: frame by frame in parallel (``Retargeter.batch``), then each
+        as a whole. The results equal those of ``run`` bit for bit.
 
         Args:
             recordings: human hands of the retargeter's side.
             seed: random seed of each recording; None for the retargeter's own.
             track: wraps the iteration over all frames, for a progress bar.
-
-        Returns:
-            what ``run`` gives for each.
         """
         firsts = self.causal.batch(recordings, seed=seed)
         advance = progressing(sum(map(len, recordings)), track)
@@ -193,7 +182,7 @@ class TrajectoryRetargeter:
         advance: Callable[[int], None],
         extra: ExtraTerms | None,
     ) -> tuple[CommandTrajectory, Float[np.ndarray, " T"]]:
-        """One recording, from the first answers to it."""
+        """Solves one recording, from its frame-by-frame commands."""
         count, hand = len(recording), self.hand
         valid = first.status == Status.OK
         q, limits = np.asarray(first.joint_positions)[:, list(hand.actuated)], hand.limits
@@ -231,7 +220,7 @@ class TrajectoryRetargeter:
     def _goals(
         self, recording: HandRecording, tracked: Bool[np.ndarray, " T"], stretches: list[slice]
     ) -> tuple[FrameGoal, Float[np.ndarray, "T F 3"]]:
-        """Targets of each frame, and the human's wrist to fingertip vectors [m]."""
+        """Targets of each frame, and the human's vectors from wrist to fingertips [m]."""
         landmarks, valid = self.causal.program_landmarks(recording.landmarks), recording.valid
         assert valid is not None  # filled in on construction
         count = len(recording)
@@ -271,7 +260,7 @@ class TrajectoryRetargeter:
         valid: Bool[np.ndarray, " T"],
         extra: ExtraTerms | None,
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Frames that are settled, with their poses and tracking losses."""
+        """Yields the frames of each solved window, their poses and their tracking losses."""
         stamps = even_stamps(recording.stamps[stretch])
         period = stamps[1] if len(stamps) > 1 else 1.0
         ahead = int(np.ceil(AHEAD_S / period)) if period > 0 else 0
@@ -320,7 +309,7 @@ class TrajectoryRetargeter:
         stamps: Float[np.ndarray, " T"],
         valid: Bool[np.ndarray, " T"],
     ) -> Led | None:
-        """Fingertips moving as the human's, where two frames in turn were seen."""
+        """Cost of fingertip motion that differs from the human's, between two valid frames."""
         future = self.config.future
         if not future.motion_weight or len(stamps) < 2:
             return None
@@ -365,10 +354,10 @@ class TrajectoryRetargeter:
 
 
 def check_method(config: MethodConfig, hand: Hand) -> None:
-    """Checks that a configuration can serve a hand, frame by frame or as a trajectory.
+    """Checks that a method can be used with a hand, frame by frame or for whole recordings.
 
     Raises:
-        SmoothOperatorError: it can't, with the reason.
+        SmoothOperatorError: it can't be used, for the given reason.
     """
     if isinstance(config, TrajectoryMethodConfig):
         _objective(config.causal.build(hand))
@@ -388,8 +377,8 @@ def _objective(method: Method) -> Objective:
 def goal_alone(
     objective: Objective, memory: Any, aligned: Float[Array, "21 3"]
 ) -> tuple[Any, FrameGoal]:
-    """The target policy's state after a frame, and the frame's goal without regard to the command
-    before it; traceable. What passes from frame to frame is in and out, never inside.
+    """Returns the target policy's state after a frame, and the goal of the frame without the terms
+    about the last command; traceable.
 
     Args:
         memory: state of the target policy before the frame.
@@ -407,7 +396,7 @@ def goal_alone(
 def fingertips(
     hand: Hand, q: Float[Array, " m"]
 ) -> tuple[Float[Array, "F 3"], Float[Array, "F 3 m"]]:
-    """Fingertips at a pose [m] and their derivatives [m/rad]; traceable."""
+    """Returns the fingertips at a pose [m] and their derivatives [m/rad]; traceable."""
     matrix, offset = (
         jnp.asarray(part, q.dtype) for part in (hand.coupling_matrix, hand.coupling_offset)
     )
@@ -418,7 +407,7 @@ def fingertips(
 
 
 def _stacked(goals: list[FrameGoal]) -> FrameGoal:
-    """Goals of several calls as one, frame by frame; NumPy."""
+    """Joins the goals of several calls along the frames, as NumPy arrays."""
     joined: FrameGoal = jax.tree.map(
         lambda *parts: np.concatenate([np.asarray(p) for p in parts]), *goals
     )
@@ -426,22 +415,18 @@ def _stacked(goals: list[FrameGoal]) -> FrameGoal:
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
-    """Up to a whole chunk, with the last frame again: every call has one shape."""
+    """Repeats the last frame up to a whole chunk, because a program has one shape."""
     lacking = CHUNK - len(values)
     return np.concatenate([values, np.repeat(values[-1:], lacking, axis=0)]) if lacking else values
 
 
 def even_stamps(stamps: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-    """Stamps on an even grid of the median period, lost frames counted whole.
+    """Rounds times to an even grid of the median period, from 0 on [s]; lost frames count.
 
-    A tracker's clock jitters where its frames are evenly taken, and a derivative by jittering
-    stamps jitters itself.
+    The clock of a tracker jitters although its frames are evenly spaced, and so would derivatives.
 
     Args:
         stamps: (T,) strictly increasing times [s].
-
-    Returns:
-        (T,) times from 0 on [s].
     """
     if len(stamps) < 2:
         return np.zeros(len(stamps))
@@ -453,32 +438,32 @@ def even_stamps(stamps: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
 def segments(
     valid: Bool[np.ndarray, " T"], stamps: Float[np.ndarray, " T"], bridge: float
 ) -> list[slice]:
-    """Stretches that begin and end with a frame that was seen, without long gaps inside.
+    """Returns the stretches that begin and end with a valid frame and contain no long gap.
 
     Args:
-        valid: (T,) frames with a usable hand.
+        valid: (T,) True for frames with a usable hand.
         stamps: (T,) times [s].
-        bridge: longest time from one seen frame to the next within a stretch, plus a period [s].
+        bridge: longest gap within a stretch [s].
     """
     at = np.flatnonzero(valid)
     if not len(at):
         return []
     period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
-    # half a period more, so that rounding decides nothing
+    # half a period of tolerance, so that rounding has no effect
     cuts = np.flatnonzero(np.diff(stamps[at]) > bridge + 1.5 * period)
     starts, ends = [0, *(cuts + 1)], [*cuts, len(at) - 1]
     return [slice(int(at[i]), int(at[j]) + 1) for i, j in zip(starts, ends, strict=True)]
 
 
 def tracker_noise(points: Float[np.ndarray, "T N 3"], valid: Bool[np.ndarray, " T"]) -> float:
-    """Usual noise of a tracker in a point's second difference [m].
+    """Estimates a tracker's usual noise in a point's second difference [m].
 
-    Of each frame the median of the points, over time the mean of roots, which measures what a
-    tracker usually does and not its worst.
+    It is the median over the points of a frame, and over time the squared mean of square roots,
+    which single large errors hardly change.
 
     Args:
         points: (T, N, 3) [m].
-        valid: (T,) frames that count; the noise needs three of those in a row.
+        valid: (T,) True for frames that count; three in a row are necessary.
     """
     usable = valid[2:] & valid[1:-1] & valid[:-2]
     if not usable.any():
@@ -490,16 +475,16 @@ def tracker_noise(points: Float[np.ndarray, "T N 3"], valid: Bool[np.ndarray, " 
 def without_jumps(
     points: Float[np.ndarray, "T N 3"], valid: Bool[np.ndarray, " T"], jump: float
 ) -> Float[np.ndarray, "T N 3"]:
-    """Points that are followed without jumps, and neither late nor early.
+    """Removes jumps from points, without delay.
 
-    They are filtered twice, forwards and backwards in time, each time by an ever smaller share of a
-    step as it grows, and the mean is taken. Steady motion is late in one and as early in the other;
-    a jump is spread over the frames before and after it.
+    The points are filtered forwards and backwards in time, and the mean is used. Each filter
+    follows only a fraction of a step, which falls with its length. Steady motion is as late in one
+    direction as it is early in the other; a jump is spread over the frames before and after it.
 
     Args:
         points: (T, N, 3) [m].
-        valid: (T,) frames that count; the others stay as they are.
-        jump: the filter follows half of a step of this length in a frame [m]; 0 follows all.
+        valid: (T,) True for frames that count; the others are not changed.
+        jump: length of a step of which half is followed in a frame [m]; 0 follows all.
     """
     at = np.flatnonzero(valid)
     if not jump or len(at) < 2:
@@ -518,11 +503,12 @@ def without_jumps(
 
 
 def windows(count: int, size: int, ahead: int) -> list[tuple[int, int, int]]:
-    """Parts of a long stretch: (first, end of what is kept, end of what is looked at)."""
+    """Splits a stretch of frames into windows: (first frame, end of the result, end of the
+    lookahead)."""
     parts = []
     for start in range(0, max(count, 1), size):
         keep = min(start + size, count)
-        if count - keep <= ahead:  # a short rest is done with it
+        if count - keep <= ahead:  # a short rest belongs to this window
             keep = count
         parts.append((start, keep, min(keep + ahead, count)))
         if keep == count:
@@ -533,7 +519,7 @@ def windows(count: int, size: int, ahead: int) -> list[tuple[int, int, int]]:
 def hold(
     q: Float[np.ndarray, "T m"], stretches: list[slice], neutral: Float[np.ndarray, " m"]
 ) -> None:
-    """The last pose between stretches and after them; the neutral one before the first."""
+    """Holds the last pose between and after stretches, and the neutral pose before the first."""
     last, done = neutral, 0
     for stretch in [*stretches, slice(len(q), len(q))]:
         q[done : stretch.start] = last

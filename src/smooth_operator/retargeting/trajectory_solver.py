@@ -1,14 +1,14 @@
-"""Trajectory optimisation: a cost for each frame of a recording, and of the motion between frames.
+"""Trajectory optimisation: minimises the costs of all frames of a recording and of their motion.
 
-What is minimised over q(1) .. q(T) is::
+The objective over q(1) .. q(T) is::
 
     sum_t f_t(q(t)) + w_a sum |q''|^2 + sum_t s(t)/2 |p(q(t)) - p(q(t-1)) - d(t)|^2
 
-with derivatives by finite differences, points p of a pose that are to move by d from frame to
-frame, and a high cost on joints faster than a limit. The Hessian (of the points' motion Gauss and
-Newton's) is banded, since a difference joins three frames at most, so a Newton step takes time and
-memory in proportion to T (a banded Cholesky factor). It is the fixed-interval smoother of control
-theory with any cost in place of a measurement's: the past and the future count alike, and so
+with derivatives by finite differences, points p of a pose that shall move by d between two frames,
+and a high cost on joints that are faster than a limit. A difference joins at most three frames, so
+the Hessian (Gauss-Newton for the motion of the points) is banded, and a Newton step takes time and
+memory in proportion to T (banded Cholesky factor). It is the fixed-interval smoother of control
+theory with any cost in place of that of a measurement: past and future have the same influence, so
 nothing lags.
 
 Source: Bell, "The Iterated Kalman Smoother as a Gauss-Newton Method" (SIAM J. Optim. 4, 1994), for
@@ -29,13 +29,13 @@ from jaxtyping import Bool, Float
 from smooth_operator.retargeting.trajectory import SPEEDING, TrajectoryConfig
 
 JOINED: Final = 2
-"""Frames before and after a frame that its acceleration joins it to."""
+"""Number of frames before and after a frame that its acceleration depends on."""
 
 FrameBlocks: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Each frame's cost (T,), gradient (T, m) and Hessian (T, m, m)."""
+"""Cost (T,), gradient (T, m) and Hessian (T, m, m) of each frame."""
 
 FrameCosts: TypeAlias = Callable[[np.ndarray], FrameBlocks]
-"""(T, m) poses to these."""
+"""Function from (T, m) poses to ``FrameBlocks``."""
 
 _DAMPING_FIRST, _DAMPING_MOST = 1e-3, 1e8
 
@@ -49,23 +49,23 @@ class ExtraTerms(Protocol):
     limits: Float[np.ndarray, "V 2"]
     """Bounds of the V variables."""
     start: Float[np.ndarray, "T V"]
-    """Where they begin."""
+    """Their initial values."""
 
     def costs(self, x: Float[np.ndarray, "t v"], part: slice) -> FrameBlocks:
         """Costs (t,), gradients (t, m + V) and Hessians of the frames of a part."""
 
     def settle(self, pose: Float[np.ndarray, "T V"]) -> None:
-        """Takes the solution."""
+        """Receives the solution."""
 
 
 @dataclass(frozen=True, eq=False)
 class Led:
-    """Points of a pose that are to move as something else does.
+    """Points of a pose whose motion follows given steps.
 
     Attributes:
-        points: (T, m) poses to (T, P) coordinates and their derivative (T, P, m).
-        steps: (T - 1, P) how each coordinate is to change from frame to frame.
-        weights: (T - 1, P) of the squared difference, halved; 0 where it does not matter.
+        points: function from (T, m) poses to (T, P) coordinates and their derivatives (T, P, m).
+        steps: (T - 1, P) desired change of each coordinate between two frames.
+        weights: (T - 1, P) weights of half the squared difference; 0 leaves it out.
     """
 
     points: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -74,13 +74,13 @@ class Led:
 
 
 class TrajectoryResult(NamedTuple):
-    """Result of the descent.
+    """Result of the optimisation.
 
     Attributes:
         q: (T, m) the poses, within the limits [rad].
-        cost: there.
-        iterations: Newton steps that were tried.
-        converged: True if it met its tolerance.
+        cost: their cost.
+        iterations: number of Newton steps that were tried.
+        converged: True if the tolerance was reached.
     """
 
     q: Float[np.ndarray, "T m"]
@@ -98,16 +98,15 @@ def smooth_trajectory(
     fixed: int = 0,
     led: Led | None = None,
 ) -> TrajectoryResult:
-    """Descend from a trajectory, within bounds; the cost never rises.
+    """Minimises the objective within bounds, from a trajectory. The cost never increases.
 
     Args:
-        frames: costs of the frames. A frame without one (nothing was seen) has zeros, and goes
-            where motion is cheapest.
+        frames: costs of the frames; zeros for a frame without a usable hand.
         start: (T, m) poses [rad].
         stamps: (T,) strictly increasing times [s].
         limits: (m, 2) bounds [rad].
-        fixed: so many frames at the beginning stay as they are: the end of what was solved before.
-        led: points that are to move as others do; None for none.
+        fixed: number of frames at the beginning that do not change: the end of the last window.
+        led: points whose motion follows given steps; None for none.
     """
     low, high = limits[:, 0], limits[:, 1]
     q = np.clip(np.asarray(start, np.float64), low, high)
@@ -117,7 +116,7 @@ def smooth_trajectory(
     held[:fixed] = True
 
     def look(q: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray | None]:
-        """Value, gradient and both kinds of blocks of the Hessian, of all but smooth motion."""
+        """Value, and gradient and blocks of the Hessian without those of smooth motion."""
         costs, gradient, hessian = frames(q)
         hessian = _convex(hessian)
         motion = 0.5 * (q * _times(price, q)).sum() + 0.5 * SPEEDING * (_excess(q, most) ** 2).sum()
@@ -151,7 +150,7 @@ def smooth_trajectory(
         trial = np.clip(q - _newton_step(band, slope, free), low, high)
         new = look(trial)
         moved = float(np.abs(trial - q).max(initial=0.0))
-        if not new[0] <= value:  # too far: closer to where the step was worked out for
+        if not new[0] <= value:  # the step was too long: damp it
             if damping >= _DAMPING_MOST or moved <= config.tolerance:
                 return TrajectoryResult(q, value, done, True)
             damping = max(10.0 * damping, _DAMPING_FIRST)
@@ -166,17 +165,16 @@ def smooth_trajectory(
 def motion_price(
     stamps: Float[np.ndarray, " T"], config: TrajectoryConfig
 ) -> Float[np.ndarray, "3 T"]:
-    """The cost of motion as a quadratic form over the frames, alike for every joint.
+    """Returns the cost of acceleration as a quadratic form over the frames of a joint.
 
     Returns:
-        (3, T) its lower diagonals: [k, t] couples the frames t and t + k; twice the weighted sum of
-        products of the differences' coefficients.
+        (3, T) lower diagonals of its matrix; [k, t] couples the frames t and t + k.
     """
     price = np.zeros((JOINED + 1, len(stamps)))
     rows = len(stamps) - JOINED
     if rows < 1:
         return price
-    # twice the divided difference: exact for polynomials of degree 2
+    # twice the divided difference, which is exact for polynomials of degree 2
     at = np.stack([stamps[i : i + rows] for i in range(JOINED + 1)])
     apart = at[:, None] - at[None]
     apart[np.arange(JOINED + 1), np.arange(JOINED + 1)] = 1.0
@@ -189,13 +187,13 @@ def motion_price(
 
 
 def _excess(q: Float[np.ndarray, "T m"], most: float) -> np.ndarray:
-    """(T - 1, m) how far each joint's change is beyond what it may be, with its sign."""
+    """(T - 1, m) signed excess of each joint's change over the largest allowed change."""
     change = np.diff(q, axis=0)
     return np.asarray(change - np.clip(change, -most, most))
 
 
 def _times(price: Float[np.ndarray, "3 T"], q: Float[np.ndarray, "T m"]) -> np.ndarray:
-    """The quadratic form's matrix times q."""
+    """Multiplies the quadratic form's matrix by q."""
     out: np.ndarray = price[0][:, None] * q
     for k in range(1, min(len(price), len(q))):
         coupling = price[k, : len(q) - k, None]
@@ -205,10 +203,10 @@ def _times(price: Float[np.ndarray, "3 T"], q: Float[np.ndarray, "T m"]) -> np.n
 
 
 def _convex(hessian: Float[np.ndarray, "T m m"]) -> Float[np.ndarray, "T m m"]:
-    """Hessians whose every direction bends upwards, as much as it bends at all.
+    """Replaces the eigenvalues of Hessians by their absolute values.
 
-    Where a cost bends downwards, its minimum lies further down the slope, about as far as if it
-    bent upwards (Dauphin et al., "Identifying and attacking the saddle point problem", 2014).
+    With negative curvature, the minimum lies further down the slope, about as far as with positive
+    curvature (Dauphin et al., "Identifying and attacking the saddle point problem", 2014).
     """
     values, vectors = np.linalg.eigh(hessian.astype(np.float64))
     return np.asarray((vectors * np.abs(values)[:, None]) @ np.swapaxes(vectors, 1, 2))
@@ -222,9 +220,9 @@ def _band(
     free: Bool[np.ndarray, "T m"],
     damping: float,
 ) -> Float[np.ndarray, "B N"]:
-    """The whole Hessian's lower diagonals; what is not free stands alone.
+    """Lower diagonals of the whole Hessian; variables that are not free are decoupled.
 
-    Variables are ordered frame by frame, so that the band is as wide as the frames joined.
+    Variables are ordered frame by frame, so that the band is narrow.
     """
     count, size = free.shape
     band = np.zeros(((JOINED + 1) * size, count * size))
@@ -250,8 +248,8 @@ def _band(
 def _newton_step(
     band: Float[np.ndarray, "B N"], slope: Float[np.ndarray, "T m"], free: Bool[np.ndarray, "T m"]
 ) -> Float[np.ndarray, "T m"]:
-    """Solves for the step; what is not free does not move."""
-    from scipy.linalg import solveh_banded  # a quarter of a second that live use need not spend
+    """Solves for the Newton step; variables that are not free do not move."""
+    from scipy.linalg import solveh_banded  # takes 0.25 s to import
 
     right = np.where(free, slope, 0.0).ravel()
     solved = solveh_banded(band, right, lower=True, overwrite_ab=True, check_finite=False)

@@ -45,7 +45,7 @@ class ContactSettings:
 
     def __post_init__(self) -> None:
         check_numbers(self, "contacts.", positive=("pad_radius",), not_negative=("shortest",))
-        check_numbers(self, "contacts.", positive=("end",))
+        check_numbers(self, "contacts.", positive=("end",), not_negative=())
 
 
 DEFAULT: Final = ContactSettings()

@@ -83,7 +83,7 @@ class ObjectSettings:
     def __post_init__(self) -> None:
         weights = ("penetration", "contact", "place", "apart", "clear", "wrist", "ramp")
         check_numbers(self, "objects.", not_negative=(*weights, "shift", "turn"))
-        check_numbers(self, "objects.", positive=("reach", "slip", "lever"))
+        check_numbers(self, "objects.", positive=("reach", "slip", "lever"), not_negative=())
 
 
 DEFAULT: Final = ObjectSettings()

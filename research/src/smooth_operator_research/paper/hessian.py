@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from smooth_operator.reporting.drawing import INK
 from smooth_operator.result_cache import Job, content_digest
-from smooth_operator.retargeting.terms import FrameGoal
+from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator_research.paper.compared_solvers import Newton, Rmsprop, Slsqp
 from smooth_operator_research.paper.experiment import (
     Compute,

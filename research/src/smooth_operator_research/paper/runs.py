@@ -30,13 +30,13 @@ from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics.joints import joint_acceleration, joint_jitter
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator.retargeting.sbr.newton import newton_minimise
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig
 from smooth_operator.retargeting.sbr.random_words import frame_key, seed_words
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_minimise
 from smooth_operator.retargeting.targets import Targets
-from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator_research.paper.compared_solvers import (
     NEWTON_CONFIG,
     CompiledSolver,
@@ -120,7 +120,7 @@ class Problem:
             else np.broadcast_to(keypoints[name].position, (len(q), 3))
             for name in (LANDMARKS[i] for i in layout.landmarks)
         ]
-        errors = layout.among(points) - self.vectors
+        errors = layout.among(np.stack(points, axis=-2)) - self.vectors
         components = [jnp.asarray(errors[..., c]) for c in range(3)]
         price = self.objective.keyvectors.price
         prices = np.asarray(price(components, jnp.asarray(self.weights)), np.float64)

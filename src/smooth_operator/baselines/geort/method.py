@@ -26,9 +26,9 @@ from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.method import Method, MethodConfig, MethodOutput
+from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig, PlainTargets
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
-from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.types import as_side
 
 _MODELS: Final = Path(__file__).parent / "models"

@@ -1,10 +1,10 @@
-"""Two steps of the solvers as one kernel each on a GPU, where library calls cost more than they do.
+"""GPU kernels for two steps of the solvers, which are faster than a sequence of library calls.
 
-``next_gaussian`` is lines 7 to 11 of Algorithm 1: the elites by a threshold, which a counting
-search finds on the bits of the costs, their mean and covariance, and its Cholesky factor.
+``next_gaussian`` computes lines 7 to 11 of Algorithm 1: the elites, by a counting search for the
+threshold on the bits of the costs, their mean and covariance, and its Cholesky factor.
 ``solve_positive_definite`` solves a few small systems. Both are written in Pallas for Triton, which
-``jax.experimental`` has for NVIDIA's and AMD's cards; where it has not (any more), and on a CPU,
-``kernels_available`` is false, and callers take the operations of JAX.
+``jax.experimental`` has for NVIDIA and AMD. Without it, and on a CPU, ``kernels_available`` is
+False, and callers use JAX's operations.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from smooth_operator.retargeting.sbr.normals import pair_of_normals
 from smooth_operator.retargeting.sbr.random_words import random_word_at
 
 MOST_SAMPLES: Final = 1 << 14
-"""Most costs that one block of threads holds in its registers."""
+"""Largest number of costs that fit into the registers of one block of threads."""
 
 WARPS: Final = 4
-"""Groups of 32 threads that search for the elites."""
+"""Number of groups of 32 threads that search for the elites."""
 
 _BLOCK: Final = 16
-"""Least size of a matrix product in Triton."""
+"""Smallest size of a matrix product in Triton."""
 
 
 def kernels_available(samples: int = 0) -> bool:
-    """Programs that are traced now may hold the kernels of this module.
+    """True if a program that is traced now can contain the kernels.
 
     Args:
-        samples: costs of a call of ``next_gaussian``.
+        samples: number of costs in a call of ``next_gaussian``.
     """
     try:
         return on_gpu() and samples <= MOST_SAMPLES and hasattr(_pallas()[1], "debug_barrier")
@@ -45,7 +45,7 @@ def kernels_available(samples: int = 0) -> bool:
 
 
 def _pallas() -> tuple[Any, Any]:
-    """Pallas, and what it has for Triton; a tenth of a second to import, so not on a CPU."""
+    """Imports Pallas and its module for Triton, which takes 0.1 s; never on a CPU."""
     from jax.experimental import pallas
     from jax.experimental.pallas import triton
 
@@ -53,8 +53,8 @@ def _pallas() -> tuple[Any, Any]:
 
 
 def cholesky_rows(matrix: Sequence[Sequence[Array]]) -> list[list[Array]]:
-    """The lower Cholesky factor, row by row, of a matrix whose entries are arrays of one shape;
-    those above the diagonal are not read. A matrix that is not positive definite has NaN in it."""
+    """Rows of the lower Cholesky factor of a matrix whose entries are arrays of one shape. Entries
+    above the diagonal are not read. NaN for a matrix that is not positive definite."""
     rows: list[list[Array]] = []
     inverse: list[Array] = []
     for i, entries in enumerate(matrix):
@@ -73,7 +73,7 @@ def cholesky_rows(matrix: Sequence[Sequence[Array]]) -> list[list[Array]]:
 
 
 def _solved(factor: Sequence[Sequence[Array]], right: Sequence[Array]) -> list[Array]:
-    """x of ``L L^T x = right``, entry by entry."""
+    """Solves ``L L^T x = right`` entry by entry."""
     size = len(right)
     inverse = [1 / factor[i][i] for i in range(size)]
     x = list(right)
@@ -91,21 +91,21 @@ def _solved(factor: Sequence[Sequence[Array]], right: Sequence[Array]) -> list[A
 def solve_positive_definite(
     matrices: Float[Array, "c m m"], right: Float[Array, "c m"], interpret: bool = False
 ) -> Float[Array, "c m"]:
-    """x of ``matrix @ x = right`` for a few small positive definite matrices.
+    """Solves ``matrix @ x = right`` for a few small positive definite matrices.
 
     Args:
         matrices: (c, m, m); only the lower triangles are read.
-        interpret: run the kernel's operations one by one, on any device; for tests.
+        interpret: True to run the kernel's operations one by one on any device; for tests.
 
     Returns:
-        (c, m); NaN for a matrix that is not positive definite.
+        (c, m) solutions; NaN for a matrix that is not positive definite.
     """
     count, size = right.shape
     pallas, triton = _pallas()
     like: Any = jax.ShapeDtypeStruct
 
     def kernel(matrices: Any, right: Any, x: Any) -> None:
-        # Numbers, not vectors of them: Triton compiles those in 3 s, vectors of 8 in 30 s
+        # Triton compiles single numbers in 3 s, vectors of 8 in 30 s
         which = pallas.program_id(0)
         rows = [[matrices[which, i, j] for j in range(i + 1)] for i in range(size)]
         sides = [right[which, i] for i in range(size)]
@@ -135,26 +135,27 @@ def next_gaussian(
     jitter: float,
     interpret: bool = False,
 ) -> tuple[Float[Array, " m"], Float[Array, "m m"], UInt32[Array, "2"]]:
-    """Mean, Cholesky factor and key of the next cycle, from the costs of this one's candidates.
+    """Mean, Cholesky factor and key of the next cycle, from the costs of this cycle's candidates.
 
-    The elites are drawn again from their indices. Of equal costs those of lower index are taken;
-    NaN counts as infinite.
+    The elites are drawn again from their indices. Among equal costs, lower indices come first; NaN
+    counts as infinite.
 
     Args:
         costs: (n,), n up to ``MOST_SAMPLES``.
-        words: the key of this cycle's normals.
-        following: the frame's key, and the number of the next cycle: see ``random_words_at``.
-        base: (m, n) the normals, if they are fixed; None for those of the key.
-        limits: (m, 2) bounds that draws are clipped to.
+        words: key of this cycle's normals.
+        following: key of the frame and number of the next cycle; see ``random_word_at``.
+        base: (m, n) fixed normals; None for those of the key.
+        limits: (m, 2) bounds to which draws are clipped.
         elites: number of elites.
         temperature: temperature of the softmax over the elites.
-        interpret: run the kernel's operations one by one, on any device; for tests.
+        jitter: added to the diagonal of the covariance.
+        interpret: True to run the kernel's operations one by one on any device; for tests.
     """
     count, size = len(costs), len(mean)
     pallas, triton = _pallas()
     side, places = max(_BLOCK, _power_of_two(size)), max(_BLOCK, _power_of_two(elites))
 
-    def barrier() -> None:  # what a thread of the block has written, the others can read
+    def barrier() -> None:  # makes writes of a thread visible to the other threads of the block
         if not interpret:
             triton.debug_barrier()
 
@@ -167,7 +168,7 @@ def next_gaussian(
         values = triton.load(costs.at[which], mask=inside, other=jnp.inf)
         values = jnp.where(values != values, jnp.inf, values)
         elite, place = _lowest(_ordered(values), inside, elites)
-        # the others have places of their own, out of bounds, for the interpreter
+        # places out of bounds for the others, because the interpreter ignores masks
         place = jnp.where(elite, place, places + which)
         triton.store(chosen.at[place], which, mask=elite)
         least = jnp.min(values)
@@ -214,7 +215,7 @@ def next_gaussian(
         entries = [[covariance[i, j] for j in range(i + 1)] for i in range(size)]
         for i, entry in enumerate(cholesky_rows(entries)):
             for j, value in enumerate(entry):
-                new_chol[i, j] = value  # above the diagonal are the zeros of ``chol``
+                new_chol[i, j] = value  # the zeros above the diagonal are those of ``chol``
 
     like: Any = jax.ShapeDtypeStruct
     key, number = following
@@ -228,7 +229,7 @@ def next_gaussian(
             like((places,), jnp.int32),
             like((side, side), jnp.float32),
         ],
-        input_output_aliases={1: 0, 2: 1, 3: 2},  # or a loop copies them in every turn
+        input_output_aliases={1: 0, 2: 1, 3: 2},  # otherwise a loop copies them every time
         interpret=interpret,
         compiler_params=None if interpret else triton.CompilerParams(num_warps=WARPS),
     )(*arguments, *([] if base is None else [base]))
@@ -236,7 +237,7 @@ def next_gaussian(
 
 
 def _lowest(keys: Array, inside: Array, count: int) -> tuple[Array, Array]:
-    """Mask of the lowest of some whole numbers, and their places among them, by index."""
+    """Mask of the lowest ``count`` integers, and the rank of each by index."""
 
     def searching(carry: tuple[Array, Array, Array]) -> Array:
         low, high, reached = carry
@@ -247,7 +248,7 @@ def _lowest(keys: Array, inside: Array, count: int) -> tuple[Array, Array]:
         width = lax.bitcast_convert_type(high - low, jnp.uint32) // 3
         third = jnp.maximum(lax.bitcast_convert_type(width, jnp.int32), 1)
         one, two = low + third, high - third
-        # both counts in one sum, which takes most of a turn
+        # both counts in one sum, which is the expensive operation
         both = (keys <= one).astype(jnp.int32) + ((keys <= two).astype(jnp.int32) << 15)
         sums = jnp.sum(both)
         up_to_one, up_to_two = sums & 0x7FFF, sums >> 15
@@ -259,7 +260,7 @@ def _lowest(keys: Array, inside: Array, count: int) -> tuple[Array, Array]:
     start = (jnp.min(keys) - 1, jnp.max(keys), jnp.int32(len(keys)))
     _, threshold, _ = lax.while_loop(searching, narrowed, start)
     below, equal = keys < threshold, (keys == threshold) & inside
-    # as above: those below in the upper half of the word
+    # again two counts in one sum: those below in the upper half of the word
     sums = jnp.cumsum((below.astype(jnp.int32) << 16) + equal.astype(jnp.int32))
     room = count - jnp.sum(below.astype(jnp.int32))
     so_far = sums & 0xFFFF
@@ -268,7 +269,7 @@ def _lowest(keys: Array, inside: Array, count: int) -> tuple[Array, Array]:
 
 
 def _ordered(values: Array) -> Array:
-    """The bits of float32 as whole numbers of the same order."""
+    """Maps float32 numbers to integers in the same order."""
     bits = lax.bitcast_convert_type(values, jnp.int32)
     return bits ^ ((bits >> 31) & 0x7FFFFFFF)
 

@@ -21,19 +21,18 @@ from smooth_operator.retargeting.correspondence import (
     CorrespondenceState,
 )
 from smooth_operator.retargeting.method import (
-    FrameClock,
     Method,
     MethodOutput,
     ObjectiveMethodConfig,
 )
-from smooth_operator.retargeting.objective import Objective
+from smooth_operator.retargeting.objective import FrameGoal, Objective
+from smooth_operator.retargeting.program import FrameClock
 from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
 from smooth_operator.retargeting.sbr.published import DexPilotTargets, ObjectiveConfig
 from smooth_operator.retargeting.sbr.random_words import frame_key, seed_words
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_minimise
 from smooth_operator.retargeting.targets import tips_of
-from smooth_operator.retargeting.terms import FrameGoal
 from smooth_operator.retargeting.trajectory import FUTURE, TrajectoryMethodConfig
 from smooth_operator.settings import check_numbers, is_off
 
@@ -46,15 +45,15 @@ class SbrConfig(ObjectiveMethodConfig):
         alignment: alignment of human landmarks to the palm frame.
         objective: weights of Eq. (1).
         sampling: hyper-parameters of Algorithm 1.
-        polish: Newton steps on the same objective after Algorithm 1; none in the paper.
-        settle_rounds: number of solutions of the first frame, each from the last answer and
-            without the velocity term, since there is no last command to be near to. The hand then
-            starts where the operator is, and does not creep there from the neutral pose over
-            several frames. 1 is as published: once, velocity term and all.
-        settle_sigma: initial standard deviation of the sampler while it settles [rad]: the first
-            pose may be anywhere, and the wrong basin would last.
-        correspondence: places of the fingertips by the correspondence of human and robot fingers,
-            as in ``smooth``; share 0, as published, leaves them the human's.
+        polish: Newton steps on the same objective after Algorithm 1; the paper has none.
+        settle_rounds: number of solutions of the first frame, each from the previous one and
+            without the velocity term, because there is no last command. The hand then starts in the
+            operator's pose and does not move there from the neutral pose over several frames. 1, as
+            published, solves once, with the velocity term.
+        settle_sigma: initial standard deviation of the sampler in these solutions [rad], because
+            the first pose may be anywhere, and the hand would stay in a wrong basin.
+        correspondence: fingertip targets by the correspondence of human and robot fingers, as in
+            ``smooth``; with share 0, as published, they are the human's fingertips.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -72,7 +71,7 @@ class SbrConfig(ObjectiveMethodConfig):
 
     @property
     def one_thread(self) -> bool:
-        """Up to 2,048 samples are faster on one; 4,096 are 12 % slower."""
+        """True up to 2,048 samples; 4,096 samples are 12 % slower on one thread."""
         return self.sampling.samples <= 2048
 
     def build(self, hand: Hand) -> Sbr:
@@ -81,10 +80,10 @@ class SbrConfig(ObjectiveMethodConfig):
 
 
 class OperatorState(NamedTuple):
-    """The operator between frames.
+    """State of the correspondence between frames.
 
     Attributes:
-        fingers: lengths of the operator's fingers, and the last places of the robot's fingertips.
+        fingers: lengths of the operator's fingers, and the last fingertip targets.
         tips: (F, 3) the human's fingertips in the last frame [m].
         ticks: time of the last frame, in microseconds modulo 2^32.
     """
@@ -95,14 +94,15 @@ class OperatorState(NamedTuple):
 
 
 class SbrState(NamedTuple):
-    """All that SBR remembers between frames.
+    """Everything that SBR remembers between frames.
 
     Attributes:
         q: (m,) last command of the actuated joints [rad].
         targets: state of the target policy.
-        seed: two words, constant.
-        frames: frames answered so far; with the seed it gives each frame its random numbers.
-        operator: lengths of the operator's fingers; empty without a correspondence.
+        seed: two words; they do not change.
+        frames: number of frames with a command so far. With the seed, it determines the random
+            numbers of a frame.
+        operator: state of the correspondence; empty without one.
     """
 
     q: Float[Array, " m"]
@@ -136,11 +136,11 @@ class Sbr(Method):
 
     @property
     def optional_landmarks(self) -> tuple[int, ...]:
-        """All of the fingers, for their lengths, with a correspondence."""
+        """All landmarks of the fingers with a correspondence, which needs their lengths."""
         return () if is_off(self.config.correspondence.share) else self.correspondence.landmarks
 
     def init(self, seed: int) -> SbrState:
-        """Neutral pose, the target policy's first state."""
+        """State with the neutral pose and the initial state of the target policy."""
         operator: OperatorState | tuple[()] = ()
         if not is_off(self.config.correspondence.share):
             fingers = self.correspondence.init()
@@ -207,7 +207,7 @@ class Sbr(Method):
     def _placed(
         self, state: SbrState, aligned: Float[Array, "21 3"], now: UInt32[Array, ""]
     ) -> tuple[Float[Array, "21 3"], OperatorState | tuple[()]]:
-        """Landmarks with the fingertips at their places, and the operator after the frame."""
+        """Returns the landmarks with the fingertips at their targets, and the operator's state."""
         before = state.operator
         if not before:  # a tuple of arrays; empty without a correspondence
             return aligned, ()
@@ -224,7 +224,7 @@ class Sbr(Method):
 
 
 SBR_PAPER: Final = SbrConfig()
-"""The paper's table of hyper-parameters, fresh normals in every cycle."""
+"""Hyper-parameters of the paper's table, with fresh normals in every cycle."""
 
 SBR_REALTIME: Final = SbrConfig(
     objective=ObjectiveConfig(
@@ -236,11 +236,12 @@ SBR_REALTIME: Final = SbrConfig(
     polish=NewtonConfig(iterations=3, damping=(0.0, 1.0)),
     settle_rounds=10,
 )
-"""For an ordinary CPU: few quasi-random base samples find the basin, Newton steps its floor.
+"""Preset for an ordinary CPU: a few quasi-random base samples find the basin, and Newton steps find
+its minimum.
 
-The optimum that the paper's sampler only approaches follows jumps of the pinch latches more
-closely; so a latch moves over 2.5 frames, and weight goes from the finger-to-finger keyvectors to
-the thumb's. docs/reference/benchmarks.md says what the weights were tuned on.
+The minimum, which the paper's sampler only approaches, follows jumps of the pinch latches more
+closely. Therefore a latch takes effect over 2.5 frames, and the thumb's keyvectors have more weight
+than those between fingers. docs/reference/benchmarks.md names the recordings of the tuning.
 """
 
 SBR_OFFLINE: Final = TrajectoryMethodConfig(
@@ -248,11 +249,11 @@ SBR_OFFLINE: Final = TrajectoryMethodConfig(
     FUTURE,
     jump=0.03,
 )
-"""For recordings: Eq. (1) for all frames together, with a cost of acceleration, and of fingertips
-that move otherwise than the human's.
+"""Preset for recordings: Eq. (1) for all frames together, with a cost of acceleration, and of
+fingertip motion that differs from the human's.
 
-With the future known, velocity need not cost anything, and the pull to the neutral pose can be
-weaker for the same smoothness.
+Because the future is known, velocity has no cost, and a weaker pull to the neutral pose gives the
+same smoothness.
 """
 
 SBR: Final = {"realtime": SBR_REALTIME, "paper": SBR_PAPER, "offline": SBR_OFFLINE}

@@ -1,7 +1,7 @@
-"""Newton descent within bounds, projected: a second-order polish in the right basin.
+"""Projected Newton descent within bounds, which finds the minimum of a basin.
 
-It takes derivatives of all candidates of a step. ``damped_newton`` (``levenberg.py``) is for
-objectives whose derivatives cost many times what their value does.
+It computes derivatives at all candidates of a step. ``damped_newton`` (``levenberg.py``) is for
+objectives whose derivatives are much more expensive than their value.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ class NewtonConfig:
     """Settings of the polish.
 
     Attributes:
-        iterations: Newton steps per call; 0 leaves the polish out.
-        damping: values added to the Hessian's diagonal. A step is made for each and the best is
-            taken (or none, if none descends), which replaces eigenvalue repair and line search by
-            work that runs side by side.
+        iterations: number of Newton steps; 0 leaves them out.
+        damping: values that are added to the Hessian's diagonal. Each gives a candidate, and the
+            best one is used if it lowers the cost. These parallel candidates replace a line search
+            and the repair of eigenvalues.
     """
 
     iterations: int = 3
     damping: tuple[float, ...] = (0.0, 0.1, 1.0, 10.0)
 
     def __post_init__(self) -> None:
-        check_numbers(self, not_negative=("iterations",))
+        check_numbers(self)
         if not self.damping or not all(0 <= each <= LARGEST for each in self.damping):
             raise ConfigError(f"damping needs one or more values >= 0, not {self.damping}")
 
@@ -43,9 +43,9 @@ class NewtonResult(NamedTuple):
     """Result of the descent.
 
     Attributes:
-        x: (m,) the best point found.
-        cost: there.
-        gradient: (m,) there.
+        x: (m,) the best point.
+        cost: its cost.
+        gradient: (m,) gradient at the point.
     """
 
     x: Float[Array, " m"]
@@ -59,13 +59,13 @@ def newton_minimise(
     limits: Float[np.ndarray, "m 2"] | Float[Array, "m 2"],
     config: NewtonConfig,
 ) -> NewtonResult:
-    """Descend from a start within bounds, with derivatives of every candidate; cost never rises.
+    """Minimises a cost within bounds, with derivatives of every candidate. It never increases.
 
     Args:
         value_grad_hess: cost, gradient and Hessian of one candidate.
         start: (m,) a point within the bounds.
         limits: (m, 2) bounds.
-        config: settings; no iterations give the start back.
+        config: settings; without iterations, the result is the start.
     """
 
     def step(_: Array, last: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -80,8 +80,8 @@ def newton_minimise(
     if config.iterations == 0:
         cost, gradient, _ = value_grad_hess(start)
         return NewtonResult(start, cost, gradient)
-    # Without a gradient the first pass does not move: it only evaluates the start. That way the
-    # program holds the objective once, and compiles in half the time.
+    # With a zero gradient, the first pass only evaluates the start. The program then contains the
+    # objective once, which halves the time to compile it.
     identity = jnp.eye(len(limits), dtype=start.dtype)
     nothing = (start, jnp.asarray(jnp.inf, start.dtype), jnp.zeros_like(start), identity)
     q, cost, gradient, _ = jax.lax.fori_loop(0, config.iterations + 1, step, nothing)

@@ -1,9 +1,9 @@
-"""Fresh standard normals, laid out for one fused loop over the candidates.
+"""Standard normals for the candidates of Algorithm 1, computed from a counter.
 
-Fresh draws come from a counter: candidate n of a cycle owns its normals as a function of (key, n).
-Nothing is stored; the elite are drawn again from their indices, and a compiler can fuse drawing,
-kinematics and cost into a single pass that writes one number per candidate. JAX's own generator
-(threefry and an inverse error function) costs more than all the kinematics of Algorithm 1.
+The normals of candidate n of a cycle are a function of (key, n). They are not stored: the elites
+are drawn again from their indices, and the compiler fuses drawing, kinematics and cost into a
+single pass that writes one number per candidate. JAX's own generator (threefry and an inverse error
+function) is slower than all the kinematics of Algorithm 1.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from smooth_operator.retargeting.sbr.random_words import mix
 def counter_normals(
     index: UInt32[Array, "*n"], words: UInt32[Array, "2"], count: int
 ) -> list[Float[Array, "*n"]]:
-    """``count`` arrays of independent standard normals, addressed by the index of a candidate and
-    two random words, the key of the cycle. A 32-bit mixer with full avalanche over the keyed
-    counter gives one word for two normals, Box and Muller's transform makes them of it."""
+    """Returns ``count`` arrays of independent standard normals, for the indices of candidates and
+    the two words of the cycle's key. A 32-bit mixer with full avalanche maps the keyed counter to
+    one word, and the Box-Muller transform maps the word to two normals."""
     pairs = (count + 1) // 2
     both = [pair_of_normals(index * jnp.uint32(pairs) + jnp.uint32(k), words) for k in range(pairs)]
     return [pair[half] for half in (0, 1) for pair in both][:count]
@@ -34,7 +34,7 @@ def counter_normals(
 def counter_normal_matrix(
     index: UInt32[Array, " n"], words: UInt32[Array, "2"], count: int
 ) -> Float[Array, "count n"]:
-    """The same numbers as ``counter_normals``, as one matrix: less code, for few candidates."""
+    """Numbers of ``counter_normals`` as one matrix: a smaller program, for few candidates."""
     pairs = (count + 1) // 2
     which = jnp.arange(pairs, dtype=jnp.uint32)[:, None]
     return jnp.concatenate(pair_of_normals(index * jnp.uint32(pairs) + which, words))[:count]
@@ -43,30 +43,30 @@ def counter_normal_matrix(
 def pair_of_normals(
     counter: UInt32[Array, "*n"], words: UInt32[Array, "2"] | tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Box and Muller's transform of one word: its upper bits are an angle, its lower 16 a radius.
+    """Box-Muller transform of one word: the upper bits give the angle, the lower 16 the radius.
 
-    The radius then ends at 4.85 deviations, beyond which lies one draw in 125,000.
+    The radius is therefore at most 4.85 standard deviations; one draw in 125,000 would exceed that.
     """
     bits = mix(counter ^ words[0], words[1])
-    # 16 bits centred in their cells: never 0, and the logarithm stays finite
+    # 16 bits, centred in their cells: never 0, so that the logarithm is finite
     uniform = _to_float(bits & jnp.uint32(0xFFFF)) * 2.0**-16 + 2.0**-17
     radius = jnp.sqrt(_minus_two_log(uniform))
     angle = _to_float(bits) * 2.0**-32  # half turns, in [-1/2, 1/2)
     square = angle * angle
     sine = angle * _horner(_SINE, square)
-    # the lowest bit says which half of the circle
+    # the lowest bit selects the half of the circle
     sign = bits << 31
     mirrored = lax.bitcast_convert_type(lax.bitcast_convert_type(radius, jnp.uint32) ^ sign, _FLOAT)
     return mirrored * _horner(_COSINE, square), radius * sine
 
 
 def _to_float(x: UInt32[Array, "*n"]) -> Float[Array, "*n"]:
-    # as int32, which is what vector units convert
+    # via int32, because vector units convert only that
     return lax.bitcast_convert_type(x, jnp.int32).astype(jnp.float32)
 
 
 def _minus_two_log(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """-2 ln x of numbers in (0, 1], to 3e-5; the general function is careful, and slower.
+    """-2 ln x of numbers in (0, 1], with an error of 3e-5; faster than the library function.
 
     With x = 2^e (1 + f), f in [-1/3, 1/3], ln x = e ln 2 + ln(1 + f).
     """

@@ -1,4 +1,4 @@
-"""Targets and costs of published methods: plain and DexPilot's keyvectors, penalties, velocity."""
+"""Targets and costs of published methods: plain keyvectors, those of DexPilot, and penalties."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.retargeting.objective import TermsConfig
-from smooth_operator.retargeting.targets import KeyvectorLayout, LayoutT, TargetPolicy, Targets
-from smooth_operator.retargeting.terms import (
+from smooth_operator.retargeting.objective import (
     TRANSITION,
     FrameGoal,
     JointTerm,
     Keyvectors,
     RobotVectors,
+    TermsConfig,
     VectorSlopes,
 )
+from smooth_operator.retargeting.targets import KeyvectorLayout, LayoutT, TargetPolicy, Targets
 from smooth_operator.settings import check_choice, check_numbers
 
 Loss: TypeAlias = Literal["smooth_l1", "squared"]
-"""``smooth_l1``: weight times smooth-L1 of each component; ``squared``: weight times the square of
-each."""
+"""Cost of a keyvector's error: weight times smooth-L1 (``smooth_l1``), or times the square
+(``squared``), of each component."""
 
 
 def base_weights(
     layout: KeyvectorLayout, wrist: float, thumb: float, between: float
 ) -> Float[np.ndarray, " K"]:
-    """(K,) weights by kind of keyvector."""
+    """(K,) weights: of the keyvectors from the wrist, from the thumb, and between fingers."""
     weights = np.full(len(layout.pairs), between)
     weights[: len(layout.fingers)] = wrist
     weights[layout.thumb] = thumb
@@ -40,7 +40,7 @@ def base_weights(
 
 
 class StatelessTargets(TargetPolicy[LayoutT, tuple[()]]):
-    """Base class of policies that remember nothing between frames."""
+    """Base class of policies without a state."""
 
     def init(self, layout: LayoutT) -> tuple[()]:
         """The empty state."""
@@ -50,10 +50,10 @@ class StatelessTargets(TargetPolicy[LayoutT, tuple[()]]):
 
 @dataclass(frozen=True)
 class PlainTargets(StatelessTargets[KeyvectorLayout]):
-    """Every keyvector follows the human's.
+    """Targets that equal the human's keyvectors.
 
     Attributes:
-        beta: scale of the human vector.
+        beta: scale of the human's vectors.
         w_wrist, w_thumb, w_between: weights of the wrist-to-tip, thumb-to-tip and finger-to-finger
             keyvectors.
     """
@@ -64,8 +64,7 @@ class PlainTargets(StatelessTargets[KeyvectorLayout]):
     w_between: float = 1.0
 
     def __post_init__(self) -> None:
-        weights = ("w_wrist", "w_thumb", "w_between")
-        check_numbers(self, "targets.", positive=("beta",), not_negative=weights)
+        check_numbers(self, "targets.", positive=("beta",))
 
     def layout(self, fingers: tuple[str, ...]) -> KeyvectorLayout:
         """The paper's keyvectors."""
@@ -80,11 +79,11 @@ class PlainTargets(StatelessTargets[KeyvectorLayout]):
 
 
 class LatchState(NamedTuple):
-    """State of a policy with pinch latches between frames.
+    """State of ``DexPilotTargets`` between frames.
 
     Attributes:
-        latched: (F - 1,) which fingers are latched to the thumb.
-        closure: (F - 1,) how far each latch has taken effect, 0 to 1.
+        latched: (F - 1,) True for fingers that are latched to the thumb.
+        closure: (F - 1,) effect of each latch, from 0 to 1.
     """
 
     latched: Bool[Array, " P"]
@@ -93,12 +92,13 @@ class LatchState(NamedTuple):
 
 @dataclass(frozen=True)
 class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
-    """Group form of DexPilot's targets (Handa et al. 2019), as the paper's table has it.
+    """Group form of DexPilot's targets (Handa et al. 2019), as in the paper's table.
 
-    Per finger, a latch with hysteresis: it closes when the (aligned) human thumb-to-tip distance
-    falls under ``project`` and opens when it rises above ``escape``. Closed thumb vectors aim at
-    direction x eta1 with weight w_set1; vectors between two fingers that are both latched aim at
-    direction x eta2 with weight w_set2; all others at the human vector x beta with w_default.
+    Each finger has a latch with hysteresis. It closes when the (aligned) human thumb-to-tip
+    distance falls below ``project``, and opens when it rises above ``escape``. The target of a
+    closed thumb vector is direction x eta1, with weight w_set1; that of a vector between two
+    latched fingers is direction x eta2, with weight w_set2; that of all others is the human vector
+    x beta, with weight w_default.
 
     Attributes:
         project: closing distance [m].
@@ -107,12 +107,13 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
         eta2: distance between two latched fingers [m].
         w_set1: weight of closed thumb vectors.
         w_set2: weight between latched fingers.
-        w_default: weight of the rest.
+        w_default: weight of the other vectors.
         w_thumb: factor on the open thumb-to-tip vectors (1 in the paper).
         w_between: factor on the open finger-to-finger vectors (1 in the paper).
         beta: scale of the human vectors.
-        blend: share by which a latch's effect moves on per frame. 1, as published, makes targets
-            and weights jump when a latch closes or opens; less spreads it over 1 / blend frames.
+        blend: change of a latch's effect per frame. With 1, as published, targets and weights
+            jump when a latch closes or opens; a smaller value spreads the change over 1 / blend
+            frames.
     """
 
     project: float = 0.010
@@ -128,8 +129,7 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
     blend: float = 1.0
 
     def __post_init__(self) -> None:
-        weights = ("eta1", "eta2", "w_set1", "w_set2", "w_default", "w_thumb", "w_between")
-        check_numbers(self, "targets.", positive=("escape", "beta"), not_negative=weights)
+        check_numbers(self, "targets.", positive=("escape", "beta"), finite=("project", "blend"))
         if not 0 < self.blend <= 1:
             raise ConfigError(f"blend must be in (0, 1], not {self.blend}")
         if not 0 < self.project <= self.escape:
@@ -165,13 +165,12 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
         weights = base_weights(
             layout, self.w_default, self.w_default * self.w_thumb, self.w_default * self.w_between
         )
-        # Per keyvector: how far is it a closed thumb vector, or one between latched fingers?
+        # share of each keyvector as a closed thumb vector, and as one between latched fingers
+        i, j = np.triu_indices(len(closure), 1)
+        fingers = len(layout.fingers)
         closed = jnp.zeros(len(layout.pairs), human.dtype).at[layout.thumb].set(closure)
-        both = jnp.zeros_like(closed)
-        if layout.between:
-            k, i, j = (np.asarray(column) for column in zip(*layout.between, strict=True))
-            both = both.at[k].set(jnp.minimum(closure[i], closure[j]))
-        held = closed + both  # never both: they are different keyvectors
+        both = jnp.zeros_like(closed).at[2 * fingers - 1 :].set(jnp.minimum(closure[i], closure[j]))
+        held = closed + both  # of different keyvectors
         eta = closed * self.eta1 + both * self.eta2
         free = (1 - held) * self.beta
         vectors = human * free[:, None] + direction * eta[:, None]
@@ -180,7 +179,7 @@ class DexPilotTargets(TargetPolicy[KeyvectorLayout, LatchState]):
 
 
 class SquaredKeyvectors(Keyvectors):
-    """The same with the square of each component, as Eq. (1) is printed."""
+    """First term of Eq. (1) with the square of each component, as it is printed."""
 
     def price(self, error: Sequence[Array], weight: Array) -> Array:
         """See ``Keyvectors``."""
@@ -205,13 +204,13 @@ class ObjectiveConfig(TermsConfig):
     """Weights of Eq. (1).
 
     Attributes:
-        targets: the target policy; by default DexPilot's, as the paper's table has it.
+        targets: the target policy; by default DexPilot's, as in the paper's table.
         pose_weight: lambda_reg (gamma of the paper's table), pull to a pose.
         terms: more terms, which are built for the hand.
-        transition: where smooth-L1 turns from quadratic to linear [m].
+        transition: error at which smooth-L1 changes from quadratic to linear [m].
         loss: ``smooth_l1`` per component, as in the authors' released code and in the figures of
             the paper; or ``squared``, as Eq. (1) is printed.
-        pose_centre: that pose: the hand's ``neutral`` pose, or ``zero`` angles.
+        pose_centre: pose of the pull: the hand's ``neutral`` pose, or ``zero`` angles.
         velocity_weight: lambda_vel (w_v of the table), weight of the squared change of the command.
     """
 
@@ -223,10 +222,9 @@ class ObjectiveConfig(TermsConfig):
     velocity_weight: float = 0.1
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         check_choice(self, "loss", get_args(Loss))
         check_choice(self, "pose_centre", ("neutral", "zero"))
-        check_numbers(self, positive=("transition",), not_negative=("velocity_weight",))
+        check_numbers(self, positive=("transition",))
 
     def keyvectors(self, vectors: RobotVectors) -> Keyvectors:
         """First term of Eq. (1), with the penalty of the settings."""

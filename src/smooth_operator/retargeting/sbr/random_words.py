@@ -8,19 +8,19 @@ from jaxtyping import Array, UInt32
 
 
 def seed_words(seed: int) -> UInt32[np.ndarray, "2"]:
-    """Two well mixed words from any integer seed."""
+    """Two random words from any integer seed."""
     words: np.ndarray = np.random.SeedSequence([abs(seed), int(seed < 0)]).generate_state(2)
     return words
 
 
 def frame_key(seed: UInt32[Array, "2"], count: UInt32[Array, ""]) -> UInt32[Array, "2"]:
-    """The key of the count-th frame."""
-    odd = jnp.asarray([0x9E3779B9, 0x85EBCA6B], jnp.uint32)  # two sequences that share no period
+    """Key of the count-th frame."""
+    odd = jnp.asarray([0x9E3779B9, 0x85EBCA6B], jnp.uint32)  # two sequences without a common period
     return mix(mix(seed + odd * count) ^ seed[::-1])
 
 
 def random_words(key: UInt32[Array, "2"], count: int) -> UInt32[Array, "count 2"]:
-    """``count`` keys for as many cycles, from the key of a frame."""
+    """Keys of ``count`` cycles, from the key of a frame."""
     counter = jnp.arange(2 * count, dtype=jnp.uint32).reshape(count, 2)
     return mix(mix(counter + key[0]) ^ key[1])
 
@@ -28,15 +28,15 @@ def random_words(key: UInt32[Array, "2"], count: int) -> UInt32[Array, "count 2"
 def random_word_at(
     key: UInt32[Array, "2"] | tuple[Array, Array], which: Array, half: int
 ) -> UInt32[Array, ""]:
-    """One number of ``random_words``: of a row, the first or the second."""
+    """One number of ``random_words``: the first or the second one of a row."""
     counter = 2 * which.astype(jnp.uint32) + jnp.uint32(half)
     return mix(mix(counter + key[0]) ^ key[1])
 
 
 def mix(x: UInt32[Array, "*n"], word: Array | int = 0) -> UInt32[Array, "*n"]:
-    """A bijection of 32-bit words in which every input bit reaches every output bit.
+    """Bijection of 32-bit words in which every input bit affects every output bit.
 
-    The constants are those of Wellons' ``lowbias32``. Every ``word`` gives another bijection.
+    The constants are those of Wellons' ``lowbias32``. Each ``word`` gives another bijection.
     """
     x = (x ^ (x >> 16)) * jnp.uint32(0x7FEB352D) + jnp.uint32(word)
     x = (x ^ (x >> 15)) * jnp.uint32(0x846CA68B)

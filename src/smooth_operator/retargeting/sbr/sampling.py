@@ -1,8 +1,8 @@
-"""Algorithm 1 of the paper: MPOPI with iCEM's elites as its adaptive importance sampler.
+"""Algorithm 1 of the paper: MPOPI with iCEM's elites as adaptive importance sampling.
 
-``sample_minimise`` follows the printed algorithm from top to bottom, in its letters: mean mu',
-covariance Sigma' (kept as its Cholesky factor ``chol``), elites and weights w. Comments "line n"
-give the line number of the printed algorithm.
+``sample_minimise`` follows the printed algorithm and its symbols: mean mu', covariance Sigma'
+(stored as its Cholesky factor ``chol``), elites and weights w. Comments "line n" give the line
+number of the printed algorithm.
 """
 
 from __future__ import annotations
@@ -24,28 +24,29 @@ from smooth_operator.retargeting.levenberg import gpu_kernels
 from smooth_operator.retargeting.sbr.random_words import random_words
 from smooth_operator.settings import check_choice, check_numbers
 
-_ROWS: Final = 32  # a bit of a word for each
+_ROWS: Final = 32  # one bit of a word each
 
 
 def largest(
     values: Float[Array, " n"], count: int
 ) -> tuple[Float[Array, " count"], Int[Array, " count"]]:
-    """The largest values, in descending order, and their indices: ``lax.top_k``, but sooner.
+    """Returns the largest values in descending order and their indices, like ``lax.top_k``, but in
+    half the time on a CPU.
 
-    XLA's own keeps a heap, whose branches a processor can't predict: 45 us for 128 of 8192 on a
-    CPU; this takes half. The values fill a table of 32 rows. The columns with the largest maxima
-    hold all of the answer, and few other entries reach the least of those maxima; only these are
-    compared one by one. Of equal values any may be taken; NaN is not allowed.
+    XLA uses a heap, whose branches a processor can't predict: 45 us for 128 of 8192. Here the
+    values fill a table of 32 rows. The columns with the largest maxima contain all results, and
+    few other entries exceed the smallest of these maxima; only these are compared one by one. The
+    choice among equal values is arbitrary; NaN is not allowed.
     """
     columns, rest = divmod(len(values), _ROWS)
     if rest or columns < 2 * count or jax.default_backend() != "cpu":
         return _by_heap(values, count)
     rows = [values[i * columns : (i + 1) * columns] for i in range(_ROWS)]
     best, column = _by_heap(functools.reduce(jnp.maximum, rows), count)
-    # Bit i of a column's word: whether row i reaches the least of the best maxima
+    # Bit i of a column's word is set if row i reaches the smallest of the best maxima
     bit = [(row >= best[-1]).astype(jnp.uint32) << i for i, row in enumerate(rows)]
     words = functools.reduce(jnp.bitwise_or, bit)[column]
-    # Place p takes one of the set bits, column after column; exact, since they are small integers
+    # Place p takes one of the set bits, column by column; floats represent such integers exactly
     bits = lax.population_count(words).astype(jnp.float32)
     so_far = jnp.asarray(np.tri(count, dtype=np.float32)) @ bits
     place = jnp.arange(2 * count)
@@ -55,8 +56,8 @@ def largest(
 
     chosen = jnp.where(place < so_far[-1], values[index], -jnp.inf)
     ordered, position = _by_heap(chosen, count)
-    # More than there are places for: values in an unlikely order, or many equal ones. A loop of one
-    # turn or none, and no branch: ``vmap`` would work out both sides of a branch.
+    # If there are more entries than places (an unlikely order, or many equal values), use the heap.
+    # This is a loop of at most one pass, because ``vmap`` would compute both sides of a branch.
     more = (so_far[-1] > len(place)).astype(jnp.int32)
     largest: tuple[Array, Array] = lax.fori_loop(
         0, more, lambda _, largest: _by_heap(values, count), (ordered, index[position])
@@ -65,12 +66,12 @@ def largest(
 
 
 def _by_heap(values: Array, count: int) -> tuple[Array, Array]:
-    # The barrier keeps XLA from sorting all values, which it does when it sees that one is read
+    # Without the barrier, XLA sorts all values if only one of them is read
     return lax.optimization_barrier(tuple(lax.top_k(values, count)))  # type: ignore
 
 
 def _set_bit(word: Array, rank: Array) -> Array:
-    """The place of the set bit with so many set bits below it, by halving."""
+    """Position of the set bit that has ``rank`` set bits below it, by bisection."""
     place = jnp.zeros_like(rank)
     for half in (16, 8, 4, 2, 1):
         below = lax.population_count(word & jnp.uint32((1 << half) - 1)).astype(jnp.int32)
@@ -83,10 +84,11 @@ def _set_bit(word: Array, rank: Array) -> Array:
 
 MOST_SAMPLES: Final = 1 << 20
 MOST_CYCLES: Final = 10_000
-"""Upper bounds against typing errors: larger values exceed the memory or take minutes."""
+"""Upper bounds, because larger values exceed the memory or take minutes."""
 
 Cost: TypeAlias = Callable[[Sequence[Array]], Array]
-"""m arrays of a common shape (one per variable, batch last) to costs of that shape."""
+"""Function from m arrays of a common shape (one per variable, batch last) to costs of that
+shape."""
 
 
 @dataclass(frozen=True)
@@ -100,8 +102,8 @@ class SamplingConfig:
         sigma: initial standard deviation [rad].
         temperature: lambda of the softmax over elites.
         jitter: epsilon, added to the diagonal of the covariance.
-        draws: ``fresh`` normals in every cycle, as published; or ``quasi``, always the same base
-            normals, of low discrepancy.
+        draws: ``fresh`` for new normals in every cycle, as published; or ``quasi`` for always the
+            same normals, of low discrepancy.
     """
 
     samples: int = 8192
@@ -137,22 +139,22 @@ def sample_minimise(
     sigma: Float[Array, ""] | float | None = None,
     cycles: Int[Array, ""] | int | None = None,
 ) -> Float[Array, " m"]:
-    """Minimise a cost within bounds by Algorithm 1.
+    """Minimises a cost within bounds by Algorithm 1.
 
-    In the last cycle of the printed algorithm, candidates are drawn and scored that nothing reads
-    (``if l < L`` skips the update). That cycle is left out; the result is the same.
+    The last cycle of the printed algorithm draws and scores candidates without using them (``if l <
+    L`` skips the update). That cycle is left out; the result is the same.
 
     Candidates are clipped to the bounds before they are scored, as in the authors' released code,
     so mean and covariance are those of clipped elites. The printed algorithm clips in line 14 only.
 
     Args:
-        cost: the cost of batch-last candidates; it is called within the bounds only.
+        cost: cost of candidates, batch last; it is called only within the bounds.
         start: (m,) initial mean.
         limits: (m, 2) bounds.
-        key: two random words; unused when the base normals are fixed.
+        key: two random words; unused if the normals are fixed.
         config: hyper-parameters.
         sigma: initial standard deviation [rad], instead of the configured one; may be traced.
-        cycles: L, instead of the configured one and no more than that; may be traced.
+        cycles: L, instead of the configured one, which it must not exceed; may be traced.
 
     Returns:
         (m,) the final mean, clipped to the bounds.
@@ -176,8 +178,8 @@ def sample_minimise(
         # Line 7: the M elites, best first
         rewards, index = largest(-costs, config.elites)
         elites = gaussian.draw(mean, chol, cycle_key, index)
-        # Line 8: J_min is the cost of the first elite. Line 9: w_m, not yet divided by their sum,
-        # which is cheaper after the next sum
+        # Line 8: J_min is the cost of the first elite. Line 9: w_m; the division by their sum is
+        # cheaper after the next sum
         weights = jnp.exp((rewards - rewards[0]) / config.temperature)
         sums = jnp.concatenate([elites, ones]) @ weights
         # Line 10: the new mean
@@ -220,7 +222,7 @@ def sample_minimise(
 
 
 class _ClippedGaussian:
-    """Draws from N(mean, chol chol^T) that are clipped to bounds; a draw is known by its index."""
+    """Draws from N(mean, chol chol^T), clipped to bounds; a draw is a function of its index."""
 
     def __init__(self, low: Array, high: Array, config: SamplingConfig) -> None:
         self.low, self.high, self.size = low, high, len(low)
@@ -229,7 +231,7 @@ class _ClippedGaussian:
         self.base = jnp.asarray(quasi_normals(self.size, config.samples)) if quasi else None
 
     def draw(self, mean: Array, chol: Array, words: Array, index: Array) -> Array:
-        """(m, len(index)) the draws with these indices."""
+        """(m, len(index)) draws with these indices."""
         if self.base is None:
             from smooth_operator.retargeting.sbr.normals import counter_normal_matrix
 
@@ -242,8 +244,8 @@ class _ClippedGaussian:
         """All N draws, as m arrays (N,).
 
         The product with ``chol`` is written out, so that drawing, kinematics and cost fuse into one
-        loop that stores nothing; the elites are drawn again from their indices. Where the normals
-        are stored anyway, a matrix product is as fast and compiles faster.
+        loop that stores no candidates. With fixed normals, a matrix product is as fast and compiles
+        faster.
         """
         if self.base is not None:
             return list(self.draw(mean, chol, words, self.everyone))
@@ -260,23 +262,23 @@ class _ClippedGaussian:
 
 
 def quasi_normals(count: int, samples: int) -> Float[np.ndarray, "count samples"]:
-    """(count, samples) standard normals of low discrepancy, to use again in every frame: the
-    additive recurrence of Roberts' generalised golden ratio, shifted. Sampling noise is then a
-    smooth function of the input, which a command that is compared with the last one wants."""
+    """(count, samples) standard normals of low discrepancy, used in every frame: the shifted
+    additive recurrence of Roberts' generalised golden ratio. The error of sampling is then a smooth
+    function of the input, so it adds little motion between frames."""
     rng = np.random.default_rng(0)
     ratio = 2.0
     for _ in range(64):  # the root of x^(count + 1) = x + 1
         ratio = (1 + ratio) ** (1 / (count + 1))
     steps = ratio ** -np.arange(1.0, count + 1)
     points = (rng.random((count, 1)) + steps[:, None] * np.arange(1, samples + 1)) % 1.0
-    inverse = NormalDist().inv_cdf  # SciPy's would cost half a second of import at start-up
+    inverse = NormalDist().inv_cdf  # SciPy takes 0.5 s to import
     quantiles = [inverse(u) for u in np.clip(points, 1e-6, 1 - 1e-6).ravel()]
     return _whitened(np.array(quantiles).reshape(count, samples))
 
 
 def _whitened(normals: Float[np.ndarray, "count samples"]) -> Float[np.ndarray, "count samples"]:
-    """Mean 0 and covariance I exactly, where there are samples enough: a few hundred fixed normals
-    in 16 dimensions would otherwise lean one way for ever."""
+    """Gives the samples mean 0 and covariance I, if there are enough: a few hundred fixed normals
+    in 16 dimensions would otherwise have a constant bias."""
     count, samples = normals.shape
     if samples > 2 * count:
         normals = normals - normals.mean(axis=1, keepdims=True)
