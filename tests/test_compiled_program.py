@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from smooth_operator import Retargeter, SyntheticOperator, load_hand, method_config
-from smooth_operator.retargeting import batching, compiled_program
-from smooth_operator.retargeting import program as programs
+from smooth_operator.retargeting import compiled_program
+from smooth_operator.retargeting import retargeter as programs
 from smooth_operator.retargeting.compiled_program import CompiledProgram, program_key
 from smooth_operator.retargeting.program_cache import ProgramCache
 from smooth_operator.retargeting.sbr.method import SbrConfig
@@ -29,14 +29,12 @@ def folder(tmp_path, monkeypatch) -> Iterator[Path]:
     monkeypatch.setenv("SMOOTH_OPERATOR_CACHE", str(tmp_path))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(programs, "_programs", type(programs._programs)())
-        patch.setattr(batching, "_programs", type(batching._programs)())
         yield tmp_path / "programs"
 
 
 def forget() -> None:
     """As a new process would begin."""
     programs._programs.clear()
-    batching._programs.clear()
 
 
 def program(traced: list[int], **settings: Any) -> CompiledProgram:

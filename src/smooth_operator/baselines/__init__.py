@@ -1,5 +1,3 @@
-"""Published methods for comparison with ``sbr`` and ``smooth``, and their solvers.
-
-``joint_angle``, ``keyvector``, ``hybrid``, ``dexpilot``, ``ako`` and ``geort``. The registry of
-methods (``smooth_operator.retargeting.registry``) loads each by name, like a method of a plugin.
-"""
+"""Published methods for comparison with ``sbr`` and ``smooth``, and their solvers: ``joint_angle``,
+``keyvector``, ``hybrid``, ``dexpilot``, ``ako`` and ``geort``. The registry of methods
+(``smooth_operator.retargeting.registry``) loads them by name, like the methods of plugins."""

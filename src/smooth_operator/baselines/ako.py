@@ -1,7 +1,7 @@
-"""AKO: "Analyzing Key Objectives" (Xin et al. 2025), its targets and penalties.
+"""Targets and penalties of AKO, "Analyzing Key Objectives" (Xin et al. 2025).
 
-The nearer a finger is to the thumb, the less its wrist vectors count, by a sigmoid in place of
-DexPilot's latch. The penalty is smooth-L1 of the weight times the length of an error.
+The closer a finger is to the thumb, the lower the weight of the wrist vectors, by a sigmoid instead
+of DexPilot's latch. The penalty is smooth-L1 of the weight times the length of an error.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ _TINY_AREA: Final = 1e-12  # so that a length has a derivative at 0 [m^2]
 
 @dataclass(frozen=True)
 class PinchLayout(VectorLayout):
-    """Vectors wrist to tip (F), thumb tip to other tip (F - 1), and last joint to tip (F).
+    """Vectors from the wrist to each tip (F), from the thumb's tip to the other tips (F - 1), and
+    from the last joint to the tip of each finger (F).
 
     Attributes:
         fingers: human finger names, thumb first.
@@ -71,8 +72,8 @@ class AkoTargets(StatelessTargets[PinchLayout]):
             The finger nearest to the thumb switches all wrist vectors.
         switch_scale: steepness of the switch [1/m].
         contact: distance below which the target of a pinch is closed [m].
-        release: distance from which on the pinch vector is the human's own [m]; in between, the
-            target length rises from 0 at ``contact``.
+        release: distance above which the pinch vector is the human's [m]; below, the target length
+            rises from 0 at ``contact``.
     """
 
     w_thumb_wrist: float = 10.0
@@ -132,7 +133,7 @@ class NormKeyvectors(Keyvectors):
         return smooth_l1(weight * length, self.transition)
 
     def slopes(self, errors: Float[Array, "K 3"], goal: FrameGoal) -> VectorSlopes:
-        """See ``VectorTerm``; exact but on the kink of smooth-L1."""
+        """See ``VectorTerm``; exact except at the kink of smooth-L1."""
         weights = jnp.asarray(goal.weights)
         length = jnp.sqrt((errors * errors).sum(axis=-1) + _TINY_AREA)
         unit = errors / length[:, None]
@@ -152,7 +153,7 @@ class SmoothL1Velocity(JointTerm):
     """Smooth-L1 of the weight times the change of each joint.
 
     Attributes:
-        transition: where smooth-L1 turns from quadratic to linear [rad].
+        transition: change at which smooth-L1 turns from quadratic to linear [rad].
     """
 
     transition: float

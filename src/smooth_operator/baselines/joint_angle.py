@@ -1,19 +1,19 @@
 """The joint-angle method: a linear map from human joint angles to robot joints.
 
-It is the oldest and fastest way of retargeting: without search and memory, so without lag and
-wrong minima, but nothing holds the fingertips where the human's are. Commands are clipped to the
-limits.
+It is the oldest and fastest method of retargeting. It has no search and no memory, so it has no lag
+and no wrong minima, but fingertip positions can differ from the human's. Commands are clipped to
+the limits.
 
-*The angles*, of 21 landmarks, of a human hand or of a robot's counterparts of its landmarks. They
-are signed, in radians, and equal for a left hand and its mirror image. The palm has three
-directions: *distal* (to the fingers), *radial* (to the thumb's side) and *palmar*.
+*The angles* are those of 21 landmarks, of a human hand or of a robot hand. They are signed, in
+radians, and equal for a left hand and its mirror image. The palm has three directions: *distal* (to
+the fingers), *radial* (to the thumb's side) and *palmar*.
 
 Long fingers, from the three bones MCP-PIP, PIP-DIP, DIP-tip:
 
 - ``*_mcp_abduction``: direction of the plane in which the finger bends, seen along *palmar*, from
-  *distal* towards *radial*. The bones, projected along *palmar*, lie close to one line; the angle
-  is that of this line, from the second moments of the bones. If nearly all bones point along
-  *palmar*, there is no line; the angle then goes smoothly to zero.
+  *distal* towards *radial*. The bones, projected along *palmar*, lie close to a line, whose
+  direction follows from their second moments. If nearly all bones point along *palmar*, there is no
+  line, and the angle goes smoothly to zero.
 - ``*_mcp``: angle of the first bone from *distal*, in that plane, towards *palmar* (flexion).
 - ``*_pip``, ``*_dip``: angle between a bone and the previous one, in that plane (flexion).
 
@@ -21,19 +21,19 @@ Thumb, from the three bones CMC-MCP, MCP-IP, IP-tip:
 
 - ``thumb_flexion``, ``thumb_abduction``: direction from the CMC joint to the tip, as the rotation
   vector from *distal*: flexion towards the little finger's side about *palmar*, abduction away
-  from the palm about *radial*. The direction to the tip is used, not that of the metacarpal, since
-  human and robot thumbs differ most in the share of each bone. With the metacarpal, the mimic
-  hand's thumb keyvectors had a mean cosine of 0.58 instead of 0.82 in pinches with a glove, and
-  0.47 instead of 0.86 on GeoRT's training set.
+  from the palm about *radial*. The direction to the tip is used, not that of the metacarpal,
+  because human and robot thumbs differ most in the relative lengths of their bones. With the
+  metacarpal, the mimic hand's thumb keyvectors had a mean cosine of 0.58 instead of 0.82 in pinches
+  with a glove, and 0.47 instead of 0.86 on GeoRT's training set.
 - ``thumb_mcp``, ``thumb_ip``: angle between a bone and the previous one, in the plane of the
   metacarpal and the direction to the base of the little finger, 27 degrees distal of ulnar, in
   which a thumb flexes (Kapandji 1986).
 
 Every angle is an arc tangent of two components, so a straight finger is no special case.
 
-*The map* has a row for each joint: position = offset + sum of gain x angle. Rows that a hand's
-description does not give are measured: the robot's counterparts of the human landmarks have the
-same angles as a human hand, so that equal angles come from equal poses.
+*The map* has a row for each joint: position = offset + sum of gain x angle. Rows that are not in a
+hand's description are measured on the robot: its landmarks have the same angles as a human hand, so
+the map is fitted to give equal angles.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class JointAngleMap:
         """
         xp = array_namespace(aligned)
         angles = joint_angles(aligned, self.axes)
-        # Landmarks outside ``needs`` may be NaN, and zero times NaN is not zero.
+        # Landmarks outside ``needs`` may be NaN, and 0 x NaN is NaN.
         angles = xp.where(xp.isfinite(angles), angles, 0)
         gains, offsets, low, high = (
             xp.asarray(a, angles.dtype) for a in (self._gains.T, self._offsets, *self.hand.limits.T)
@@ -170,7 +170,7 @@ class JointAngle(Method):
         return tuple(sorted({*self.map.needs, *self.objective.layout.landmarks}))
 
     def init(self, seed: int) -> JointAngleState:
-        """Neutral pose; nothing here is random."""
+        """State with the neutral pose; nothing is random."""
         return JointAngleState(jnp.asarray(self.hand.neutral, jnp.float32))
 
     def step(
@@ -189,25 +189,24 @@ class JointAngle(Method):
 JOINT_ANGLE_PRESETS: Final = {"default": JointAngleConfig()}
 
 
-_POSES = 128  # poses over which the median effect of a joint on the angles is taken
-_STEP = 1e-5  # [share of a joint's range]
-_UNSEEN = 0.05  # smallest singular value, over the first, of a motion that the angles show
-_SLIGHT = 0.1  # smallest gain over the largest of its row
+_POSES = 128  # number of poses for the median effect of a joint on the angles
+_STEP = 1e-5  # finite difference, relative to a joint's range
+_UNSEEN = 0.05  # smallest singular value that counts, relative to the largest
+_SLIGHT = 0.1  # smallest gain that counts, relative to the largest of its row
 
 
 def joint_map(hand: Hand) -> tuple[JointMap, ...]:
-    """A row for every actuated joint, in their order.
+    """Rows of the map for all actuated joints, in their order.
 
     Rows of the hand's description are used unchanged. The others are derived: the effects of each
     joint on each angle, as medians over poses across the joints' ranges, form a matrix, and its
     pseudo-inverse gives the gains. A joint that alone moves one angle follows that angle; joints
-    that move the same angles, as at a thumb's base, share them; a joint that bends two phalanges
-    follows the least squares of both (half of each if it bends both equally), so that the curl of
-    the whole finger is the human's. Following only the proximal one of the two gave a thumb cosine
-    up to 0.03 higher, but a motion less like the human's: on a glove's first 500 frames a velocity
-    correlation of 0.88 instead of 0.92 and a flatness of 1.24e-5 instead of 0.99e-5 m^2. With the
-    offset, the angles of the neutral pose give the neutral pose. A joint that moves no angle stays
-    at neutral.
+    that move the same angles, as at a thumb's base, share them. A joint that bends two phalanges
+    follows both by least squares (half of each if it bends both equally), so that the curl of the
+    whole finger is the human's. Following only the proximal phalanx gave a thumb cosine up to 0.03
+    higher, but a motion less like the human's: on a glove's first 500 frames a velocity correlation
+    of 0.88 instead of 0.92, and a flatness of 1.24e-5 instead of 0.99e-5 m^2. The offset maps the
+    angles of the neutral pose to the neutral pose. A joint that moves no angle stays at neutral.
 
     Raises:
         HandModelError: a joint without a row moves a finger without all four landmarks.
@@ -238,8 +237,8 @@ def joint_map(hand: Hand) -> tuple[JointMap, ...]:
 def robot_joint_angles(
     hand: Hand, q: Float[np.ndarray, "*batch m"], axes: PalmAxes[np.ndarray]
 ) -> Float[np.ndarray, "*batch 20"]:
-    """(..., 20) the angles ``JOINT_ANGLES`` of a robot hand [rad] at positions of its actuated
-    joints [rad], by the axes of ``human_palm_axes``; NaN for fingers without all four landmarks."""
+    """(..., 20) angles ``JOINT_ANGLES`` of a robot hand [rad], for positions of its actuated joints
+    [rad] and the axes of ``human_palm_axes``; NaN for fingers without all four landmarks."""
     landmarks = np.full((*q.shape[:-1], NUM_LANDMARKS, 3), np.nan)
     landmarks[..., [LANDMARKS.index(n) for n in hand.tree.names], :] = hand.landmark_positions(q)
     return joint_angles(landmarks, axes)
@@ -254,7 +253,7 @@ def map_matrix(
 
 
 def format_map(rows: Sequence[JointMap]) -> str:
-    """A map as text, in radians, with a line per joint:
+    """Formats a map as text, in radians, with a line per joint, such as
     ``index_pp2mp = 0.35 + 0.49 index_pip + 0.51 index_dip``."""
     width = max(len(row.joint) for row in rows)
     lines = []
@@ -265,9 +264,9 @@ def format_map(rows: Sequence[JointMap]) -> str:
 
 
 def _derived(hand: Hand) -> tuple[Float[np.ndarray, "m 20"], Float[np.ndarray, " m"]]:
-    """Gains and offsets by measurement of the hand, see ``joint_map``."""
+    """Measures the gains and offsets of a hand; see ``joint_map``."""
     axes, (low, high) = human_palm_axes(hand), hand.limits.T
-    half = (high - low) / 2  # makes slides [m] and hinges [rad] comparable
+    half = (high - low) / 2  # scales slides [m] and hinges [rad] alike
     poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
     steps = _STEP * np.diag(half)[:, None]
     turns = robot_joint_angles(hand, poses + steps, axes) - robot_joint_angles(
@@ -337,16 +336,16 @@ _PRIOR = 1.5  # sum of squared projected bones (at most 3) below which abduction
 
 
 def joint_angles(landmarks: AnyKind, axes: PalmAxes[Any]) -> Float[AnyKind, "*batch 20"]:
-    """The angles ``JOINT_ANGLES`` of a hand.
+    """Angles ``JOINT_ANGLES`` of a hand.
 
     Args:
-        landmarks: (..., 21, 3) landmarks [m]. NaN makes only the angles of its finger NaN; the
-            wrist is not used.
-        axes: axes of the palm: its own (``palm_axes``), or constant ones of the frame to which the
+        landmarks: (..., 21, 3) landmarks [m]. The wrist is not used. A NaN affects only the angles
+            of its finger.
+        axes: axes of the palm: its own (``palm_axes``), or constant axes of the frame to which the
             landmarks are aligned.
 
     Returns:
-        (..., 20) angles [rad], in (-pi, pi], finite for finite landmarks, also coincident ones.
+        (..., 20) angles in (-pi, pi] [rad]; finite for finite landmarks, even coincident ones.
     """
     xp = array_namespace(landmarks)
     batch = landmarks.shape[:-2]
@@ -363,12 +362,12 @@ def joint_angles(landmarks: AnyKind, axes: PalmAxes[Any]) -> Float[AnyKind, "*ba
 
 
 def _long(bones: AnyArray, xp: ModuleType) -> AnyArray:
-    """(..., 4, 3 bones, distal radial palmar) unit vectors to (..., 4, 4)."""
+    """(..., 4, 4) angles of the long fingers, from (..., 4, 3 bones, 3 directions) unit vectors."""
     distal, radial, palmar = (bones[..., i] for i in range(3))
     along, across = distal * distal, radial * radial
     prior = xp.maximum(_PRIOR - (along + across).sum(axis=-1), 0)
-    # Principal axis of the projected bones. The half of a double angle is the same for a bone that
-    # points back, as in a fist.
+    # Principal axis of the projected bones. Half of a double angle does not change if a bone points
+    # back, as in a fist.
     abduction = 0.5 * xp.arctan2(
         2 * (distal * radial).sum(axis=-1), (along - across).sum(axis=-1) + prior
     )
@@ -380,10 +379,11 @@ def _long(bones: AnyArray, xp: ModuleType) -> AnyArray:
 
 
 def _thumb(rays: AnyArray, xp: ModuleType) -> AnyArray:
-    """(..., 3 bones and base to tip, distal radial palmar) unit vectors to (..., 4)."""
+    """(..., 4) angles of the thumb, from (..., 3 bones and base to tip, 3 directions) unit
+    vectors."""
     distal, radial, palmar = (rays[..., 3, i] for i in range(3))
     sine = xp.sqrt(radial * radial + palmar * palmar)
-    small = sine < 1e-6  # angle / sine is 1 there, and must not be 0 / 0
+    small = sine < 1e-6  # angle / sine is 1 there, not 0 / 0
     stretch = xp.where(small, 1.0, xp.arctan2(sine, distal) / xp.where(small, 1.0, sine))
     towards = xp.asarray(_THUMB_FLEXES_TOWARDS, rays.dtype)
     axis = unit_vectors(
@@ -424,16 +424,17 @@ _MAP: Final = {
     "pinky_mcp2pp": ("pinky", 1, "x", -1.0),
     "pinky_pp2mp": ("pinky", 2, "x", -0.5),
 }
-"""Actuated joint -> finger, bone (0 is from the wrist to the finger's base), Euler angle, gain."""
+"""Maps actuated joints to finger, bone (0 from the wrist to the finger's base), Euler angle, and
+gain."""
 
 
 class PublishedAngles:
     """Joint angles by the paper's authors, the start of their hybrid baseline.
 
-    Each finger is a chain of frames from the wrist, with y axes along the bones and x axes as near
-    as possible to the parent's. A joint follows one Euler angle of one frame. The map is the
-    authors' own, published for the joints of the mimic P0.50 hand. A joint that drives another one
-    takes half of the angle, as in their code, which divides each among the joints that share it.
+    Each finger is a chain of frames from the wrist, with y axes along the bones and x axes as close
+    as possible to those of the parent. A joint follows one Euler angle of one frame. The authors
+    published the map for the joints of the mimic P0.50 hand. A joint that drives another one takes
+    half of the angle, as in their code, which divides it among the joints that share it.
 
     Attributes:
         needs: human landmarks that the map uses: all 21.

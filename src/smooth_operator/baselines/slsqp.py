@@ -1,8 +1,8 @@
-"""Sequential least-squares quadratic programming (SLSQP; Kraft 1988) within bounds, on the host.
+"""Sequential least-squares quadratic programming (SLSQP; Kraft 1988) within bounds, by SciPy.
 
-It is SciPy's, which the published descending methods use with 20 iterations at most. The result is
-the last point: if the limit ends a frame, that is not a minimum, and the next frame continues from
-it, so the limit acts as a filter.
+The published methods use it with at most 20 iterations. The result is the last point. If the limit
+of iterations ends a frame, this point is not a minimum, and the next frame continues from it, so
+the limit acts as a filter.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from jaxtyping import Float
 from smooth_operator.settings import check_numbers
 
 ValueAndGradient: TypeAlias = Callable[[np.ndarray], np.ndarray]
-"""(m,) float64 to (1 + m,): the value, then the gradient."""
+"""Function from (m,) float64 to (1 + m,): the value, followed by the gradient."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ def slsqp_minimise(
     limits: Float[np.ndarray, "m 2"],
     config: SlsqpConfig,
 ) -> SlsqpResult:
-    """Minimise within (m, 2) bounds from a start, which is clipped to them; the result is the last
-    point, as in published code."""
+    """Minimises an objective within (m, 2) bounds, from a start that is clipped to them. The result
+    is the last point, as in published code."""
     from scipy.optimize import minimize  # here, since the import takes half a second
 
     low, high = limits[:, 0], limits[:, 1]

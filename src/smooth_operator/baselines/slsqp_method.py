@@ -1,8 +1,8 @@
-"""Optimisation-based methods: an objective that SLSQP minimises from a warm start.
+"""Optimisation-based methods: SLSQP minimises an objective from a warm start.
 
-Preset ``published`` is SLSQP alone, with the settings of the paper's authors. In ``fast``, Newton
-steps in the compiled program come first: they have the objective's exact Hessian, which SLSQP
-estimates again in every frame. SLSQP continues from their result, unless that is a minimum.
+Preset ``published`` uses SLSQP alone, with the settings of the paper's authors. Preset ``fast``
+first makes Newton steps in the compiled program, with the objective's exact Hessian, which SLSQP
+estimates again in every frame. SLSQP continues from their result, unless it is a minimum.
 
 DexPilot, AKO, the keyvector method and its hybrid with joint angles differ only in their targets,
 penalties, weights and starting point.
@@ -48,12 +48,13 @@ class SlsqpMethodConfig(ObjectiveMethodConfig):
         alignment: alignment of human landmarks to the palm frame.
         objective: targets, loss and weights.
         solver: stopping conditions of SLSQP.
-        start: start of the search: the ``previous`` command; or the joint angles of the paper's
-            authors for the frame (``published_angles``), which exist for the joints of the mimic
-            hand. For another hand it is the command of the method ``joint_angle``.
+        start: start of the search: ``previous`` for the last command, or ``published_angles`` for
+            the joint angles of the paper's authors, which exist for the mimic hand. Other hands use
+            the command of the method ``joint_angle``.
         approach: Newton steps before SLSQP; without iterations, SLSQP alone.
-        optimality: largest component of the gradient, without those that push against a limit, at
-            which the result of the Newton steps is a minimum, so that SLSQP is left out.
+        optimality: largest component of the gradient at which the result of the Newton steps counts
+            as a minimum, so that SLSQP is left out. Components that push against a limit do not
+            count.
     """
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
@@ -92,13 +93,13 @@ class SlsqpMethodState(NamedTuple):
 
 
 class SlsqpProblem(NamedTuple):
-    """Optimisation problem of one frame; in few arrays, since each costs 2 to 5 us per frame.
+    """Optimisation problem of one frame, in few arrays, because each array costs 2 to 5 us.
 
     Attributes:
         targets: vectors and weights of the frame.
         start: (m,) start of SLSQP [rad].
-        optimality: (2,) objective at the start, and the largest component of its gradient that the
-            limits leave free (the KKT residual); NaN without Newton steps.
+        optimality: (2,) objective at the start, and the largest free component of its gradient (KKT
+            residual); NaN without Newton steps.
         policy: state of the target policy after this frame.
     """
 
@@ -117,7 +118,7 @@ class SlsqpMethod(HostMethod):
     compiling: Compiling | None = field(default=None, init=False, repr=False)
 
     def compile_with(self, compiling: Compiling) -> None:
-        """Set the function that compiles ``evaluate``."""
+        """Sets the function that compiles ``evaluate``."""
         object.__setattr__(self, "compiling", compiling)
 
     @cached_property
@@ -141,12 +142,9 @@ class SlsqpMethod(HostMethod):
 
     @cached_property
     def evaluate(self) -> Callable[[Float[np.ndarray, " n"]], Float[Array, " 1+m"]]:
-        """Compiled function from a ``packed`` point and goal to value and gradient.
-
-        It has one array in and one out, since each costs 2 to 5 us per call. It uses the unrolled
-        kinematics, which takes 2 s longer to compile than the small program of
-        ``Objective.value_grad_hess``, and a third of its time to run.
-        """
+        """Compiled function from a ``packed`` point and goal to value and gradient, with one array
+        as input and one as output, because each costs 2 to 5 us. It uses the unrolled kinematics of
+        ``SampledObjective``."""
         count, joints = len(self.objective.layout.vectors), len(self.hand.neutral)
         ends = np.cumsum([joints, 3 * count, count, joints])
 
@@ -158,17 +156,17 @@ class SlsqpMethod(HostMethod):
 
         compiling = self.compiling
         evaluate = jax.jit(both) if compiling is None else compiling(both, "evaluate")
-        # compile at the first frame, also if SLSQP is first needed at a later one
+        # compile at the first frame, even if SLSQP is not needed before a later one
         evaluate(np.zeros(ends[-1] + 1, np.float32))
         return evaluate
 
     def packed(self, q: Float[np.ndarray, " m"], goal: FrameGoal) -> Float[np.ndarray, " n"]:
-        """Joint positions, followed by a goal, in the one array that ``evaluate`` takes."""
+        """Joins joint positions and a goal to the array that ``evaluate`` takes."""
         parts = (q, goal.vectors, goal.weights, goal.previous, goal.velocity_weight)
         return np.concatenate([np.ravel(np.asarray(part, np.float32)) for part in parts])
 
     def init(self, seed: int) -> SlsqpMethodState:
-        """Neutral pose, and the first state of the target policy; the seed is not used."""
+        """State with the neutral pose; the seed is not used."""
         return SlsqpMethodState(
             np.asarray(self.hand.neutral, np.float32),
             self.config.objective.targets.init(self.objective.layout),
@@ -181,7 +179,7 @@ class SlsqpMethod(HostMethod):
     def prepare(
         self, state: SlsqpMethodState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
     ) -> SlsqpProblem:
-        """Targets of the frame, and start of SLSQP."""
+        """Computes the targets of the frame and the start of SLSQP."""
         del ticks
         config, layout = self.config.objective, self.objective.layout
         targets, policy_state = config.targets(state.targets, layout, layout.human(aligned))
@@ -205,7 +203,7 @@ class SlsqpMethod(HostMethod):
     def solve(
         self, state: SlsqpMethodState, problem: SlsqpProblem
     ) -> tuple[SlsqpMethodState, MethodOutput]:
-        """Minimise by SLSQP, unless the start is a minimum."""
+        """Minimises by SLSQP, unless the start is a minimum."""
         evaluate = self.evaluate  # compiles at the first frame
         start = np.asarray(problem.start)
         velocity_weight = self.config.objective.velocity_weight
@@ -251,10 +249,10 @@ _FIVE_VECTORS: Final = ObjectiveConfig(
 )
 
 KEYVECTOR: Final = _published(_FIVE_VECTORS)
-"""The keyvector method of the paper's authors: wrist to tips with a squared error."""
+"""The keyvector method of the paper's authors: squared errors of the vectors from wrist to tips."""
 
 HYBRID: Final = _published(_FIVE_VECTORS, start="published_angles")
-"""The hybrid of mimic-one (Nava et al. 2025): the same, from the authors' joint angles."""
+"""The hybrid of mimic-one (Nava et al. 2025): ``KEYVECTOR``, from the authors' joint angles."""
 
 DEXPILOT: Final = _published(
     ObjectiveConfig(
@@ -278,15 +276,15 @@ AKO: Final = _published(
 def _fast(
     config: SlsqpMethodConfig, approach: NewtonConfig, optimality: float
 ) -> SlsqpMethodConfig:
-    """The same objective with Newton steps first, and SLSQP until a minimum where they need it."""
+    """Newton steps on the same objective first, then SLSQP up to a minimum if necessary."""
     solver = SlsqpConfig(tolerance=1e-9, max_iterations=100)
     return replace(config, approach=approach, optimality=optimality, solver=solver)
 
 
 _EIGHT_STEPS: Final = NewtonConfig(iterations=8)
 _SQUARED_DAMPING: Final = (0.0, 0.001, 0.01, 0.1)
-"""Damping for a squared error in metres, whose Hessian is small; without a term of pose or velocity
-some directions have none at all."""
+"""Damping for a squared error in metres, whose Hessian is small. Without pose and velocity terms,
+it is zero in some directions."""
 
 KEYVECTOR_PRESETS: Final = {
     "published": KEYVECTOR,
@@ -294,7 +292,7 @@ KEYVECTOR_PRESETS: Final = {
 }
 HYBRID_PRESETS: Final = {
     "published": HYBRID,
-    # Its start lies further from the minimum than the last command, so it takes more Newton steps.
+    # its start is farther from the minimum than the last command
     "fast": _fast(HYBRID, NewtonConfig(20, _SQUARED_DAMPING), 1e-5),
 }
 DEXPILOT_PRESETS: Final = {"published": DEXPILOT, "fast": _fast(DEXPILOT, _EIGHT_STEPS, 1e-4)}

@@ -1,7 +1,6 @@
-"""GeoRT: fingertips to joint positions by trained networks (Yin et al., "Geometric Retargeting").
+"""GeoRT: trained networks from fingertips to joint positions (Yin et al., "Geometric Retargeting").
 
-This module has the method and the file of its networks; ``training`` beside it trains
-them.
+This module contains the method and the file format of its networks; ``training`` trains them.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class GeortConfig(MethodConfig):
     """Settings of GeoRT.
 
     Attributes:
-        alignment: alignment of human landmarks to the palm frame; as in training.
+        alignment: alignment of human landmarks to the palm frame, as in training.
         model: a file of ``write_geort_model``; None for the built-in model of the hand.
     """
 
@@ -171,10 +170,8 @@ _MIRROR: Final = np.array([-1.0, 1.0, 1.0])  # the mirrored side's palm frame
 
 
 class Weights(NamedTuple):
-    """Weights of F networks side by side: 3 inputs, two hidden layers, J outputs.
-
-    A finger of fewer than J joints leaves its last outputs unused.
-    """
+    """Weights of F networks: 3 inputs, two hidden layers, J outputs. A finger with fewer than J
+    joints does not use its last outputs."""
 
     w1: Float[Array, "F 3 H"]
     b1: Float[Array, "F H"]
@@ -185,9 +182,8 @@ class Weights(NamedTuple):
 
 
 def forward(weights: Weights, inputs: Float[Array, "F 3 *batch"]) -> Float[Array, "F J *batch"]:
-    """Outputs of the networks for normalised fingertips: joint positions scaled so that the limits
-    are -1 and 1. The hidden layers are smooth (SiLU), because the robot would follow each kink of
-    the map."""
+    """Outputs of the networks for normalised fingertips: joint positions, scaled to -1 and 1 at the
+    limits. The hidden layers are smooth (SiLU), because the robot would follow a kink."""
 
     def layer(w: Array, b: Array, x: Array) -> Array:
         bias = b.reshape(*b.shape, *[1] * (x.ndim - 2))
@@ -206,9 +202,9 @@ def human_tips(hand: Hand) -> tuple[int, ...]:
 def finger_joints(hand: Hand) -> tuple[tuple[int, ...], ...]:
     """Actuated joints that belong to a single finger.
 
-    A joint belongs to a finger if it moves, directly or through a coupling, that fingertip and no
-    other. A joint that moves several (a wrist, a common spread) has no network; it stays in the
-    hand's neutral pose.
+    A joint belongs to a finger if it moves that fingertip and no other, directly or by a coupling.
+    A joint that moves several fingertips (a wrist, a common spread) has no network and stays at
+    neutral.
 
     Returns:
         indices into the actuated joints, per finger, thumb first.
@@ -246,9 +242,9 @@ class GeortModel:
         fingers: (F,) human finger names, thumb first.
         joints: per finger, names of the joints that its network commands.
         limits: per finger, (j, 2) limits of those joints [rad].
-        poses: (k, m) positions of all actuated joints [rad] by which the hand is recognised.
-        tips: (k, F, 3) fingertips in those poses [m].
-        training: settings and results of the training, ready for JSON.
+        poses: (k, m) positions of all actuated joints [rad], to recognise the hand.
+        tips: (k, F, 3) fingertips in these poses [m].
+        training: settings and results of the training, in JSON types.
     """
 
     weights: Weights
@@ -264,10 +260,10 @@ class GeortModel:
     training: Mapping[str, Any]
 
     def mirrored_for(self, hand: Hand) -> bool:
-        """True if the hand is the mirror image of the hand in training, False if it is that hand.
+        """True if a hand is the mirror image of the hand in training, False if it is that hand.
 
         Raises:
-            ConfigError: the hand is neither; the message names the difference.
+            ConfigError: it is another hand; the message names the difference.
         """
         train = f"; train one for it: {training_command(hand)}"
         about = f"the GeoRT model was trained for the {self.side} hand {self.hand!r}"
@@ -324,7 +320,7 @@ def recognition(hand: Hand) -> tuple[Float[np.ndarray, "k m"], Float[np.ndarray,
 
 
 def write_geort_model(path: str | Path, model: GeortModel) -> None:
-    """Write a model atomically, as an ``.npz`` of plain arrays.
+    """Writes a model atomically, as an ``.npz`` of plain arrays.
 
     Raises:
         OutputError: the file can't be written.
@@ -354,10 +350,10 @@ def write_geort_model(path: str | Path, model: GeortModel) -> None:
 
 
 def read_geort_model(path: str | Path) -> GeortModel:
-    """Read a model that ``write_geort_model`` wrote, without unpickling.
+    """Reads a model of ``write_geort_model``, without unpickling.
 
     Raises:
-        ConfigError: there is no such file, it is damaged, or it is no model.
+        ConfigError: the file does not exist, is damaged, or is not a model.
     """
     path = Path(path)
     expectation = "expected the model.npz that `smooth-operator train geort` writes"

@@ -1,7 +1,7 @@
-"""GeoRT's losses and training: one compiled program per epoch, and a state that holds everything.
+"""GeoRT's losses and training, with one compiled program per epoch and explicit state.
 
-No pair of human and robot pose is needed (Yin et al., "Geometric Retargeting"). The losses' arrays
-have the batch last, as the unrolled kinematics wants it."""
+It needs no pairs of human and robot poses (Yin et al., "Geometric Retargeting"). The arrays of the
+losses have the batch last, as the unrolled kinematics does."""
 
 from __future__ import annotations
 
@@ -52,22 +52,22 @@ from smooth_operator.io.jsonable import to_json
 
 require("training GeoRT", "lab", "optax")
 
-_FLOOR: Final = 1e-6  # [m]; a robot tip that moves less has no direction (it is at a limit)
+_FLOOR: Final = 1e-6  # motion below which a robot tip has no direction, as at a limit [m]
 
 LOSSES: Final = ("direction", "coverage", "curvature", "pinch")
-"""Names of the losses, unweighted, in the order in which they are recorded."""
+"""Names of the losses, in the order in which they are recorded, without weights."""
 
 
 class Batch(NamedTuple):
     """Batch of one training step.
 
     Attributes:
-        points: (F, 3, B) human fingertips, each finger's by itself [m]; for coverage.
-        around: (F, 3, B) places at or near them [m]; for direction and curvature.
-        steps: (F, 3, B) human steps from those places [m].
+        points: (F, 3, B) human fingertips, drawn for each finger separately [m]; for coverage.
+        around: (F, 3, B) positions at or near them [m]; for direction and curvature.
+        steps: (F, 3, B) human steps from these positions [m].
         reach: (F, 3, R) reachable robot fingertips [m].
-        pinches: (F, 3, P) human fingertips of one moment each [m].
-        pinched: (F - 1, P) which fingers pinch with the thumb there.
+        pinches: (F, 3, P) human fingertips of P frames [m].
+        pinched: (F - 1, P) True for fingers that pinch with the thumb.
     """
 
     points: Float[Array, "F 3 B"]
@@ -85,8 +85,8 @@ class GeortLoss:
     Attributes:
         hand: the robot hand.
         settings: their weights.
-        centre: (F, 3) and
-        scale: (F,): how fingertips enter the networks.
+        centre: (F, 3) centres of the normalised fingertips [m].
+        scale: (F,) scales of the normalised fingertips [m].
     """
 
     hand: Hand
@@ -99,7 +99,7 @@ class GeortLoss:
         return finger_joints(self.hand)
 
     def tips(self, weights: Weights, points: Float[Array, "F 3 N"]) -> Float[Array, "F 3 N"]:
-        """Fingertips of the robot for those of the human at ``points`` [m]."""
+        """Fingertips of the robot for those of the human [m]."""
         hand = self.hand
         inputs = (points - self.centre[:, :, None]) / self.scale[:, None, None]
         unit = forward(weights, inputs.astype(jnp.float32))
@@ -122,13 +122,13 @@ class GeortLoss:
         """The losses of a batch.
 
         Args:
-            ramp: share of the weight of coverage that is in force.
+            ramp: factor on the weight of coverage.
 
         Returns:
-            the weighted sum, and each loss by itself in the order of ``LOSSES``.
+            the weighted sum, and the losses in the order of ``LOSSES``.
         """
         bend = batch.steps * (BEND / _length(batch.steps))
-        # one pass through the networks for all that is asked
+        # one pass through the networks for all points
         terms = [
             batch.points,
             batch.around,
@@ -162,16 +162,14 @@ def _length(vectors: Float[Array, "F 3 N"]) -> Float[Array, "F 1 N"]:
 
 
 def _direction(human: Float[Array, "F 3 B"], robot: Float[Array, "F 3 B"]) -> Array:
-    """1 - cosine of human and robot step."""
+    """Mean of one minus the cosine between human and robot step."""
     cosine = jnp.sum(human * robot, axis=1) / (_length(human) * _length(robot))[:, 0]
     return 1 - jnp.mean(cosine)
 
 
 def _coverage(robot: Float[Array, "F 3 B"], reach: Float[Array, "F 3 R"]) -> Array:
-    """Chamfer distance, both ways [m^2], summed over the fingers.
-
-    Which point is nearest is looked up without a derivative; the distance to it has one.
-    """
+    """Chamfer distance in both directions [m^2], summed over the fingers. The choice of the nearest
+    point has no derivative."""
     total = jnp.zeros((), robot.dtype)
     for tips, goals in zip(robot, reach, strict=True):
         still = lax.stop_gradient(tips)
@@ -186,28 +184,26 @@ def _coverage(robot: Float[Array, "F 3 B"], reach: Float[Array, "F 3 R"]) -> Arr
 
 
 def _pinch(tips: Float[Array, "F 3 P"], pinched: Bool[Array, "f P"]) -> Array:
-    """Mean squared distance of thumb tip and fingertip over the pinches [m^2]."""
+    """Mean squared distance between thumb tip and fingertip in the pinches [m^2]."""
     gaps = jnp.sum((tips[1:] - tips[:1]) ** 2, axis=1)
     return jnp.sum(jnp.where(pinched, gaps, 0)) / jnp.maximum(jnp.sum(pinched), 1)
 
 
-_START = 0.8  # share of a joint's half range, within which it starts
-_BATCHES, _VALIDATION = 0xBA, 0x5E  # keep the random numbers of the two apart
+_START = 0.8  # largest initial position of a joint, relative to half of its range
+_BATCHES, _VALIDATION = 0xBA, 0x5E  # different random numbers for the two
 
 
 class TrainingState(NamedTuple):
-    """All that a training remembers; a pytree of arrays.
-
-    Random numbers are a function of the seed and ``epoch``, so there is no generator to keep.
+    """State of a training; a pytree of arrays. Random numbers are a function of seed and ``epoch``.
 
     Attributes:
         weights: weights of the networks.
         optimiser: AdamW's moments and count.
-        epoch: epochs done.
-        train: (epochs, 5) mean losses of each epoch done: the weighted sum (with the weight that
-            coverage then had), then ``LOSSES``; NaN ahead.
-        validation: (epochs, 5) the same after each epoch, on what was kept apart and with the full
-            weight of coverage; NaN if nothing was.
+        epoch: number of finished epochs.
+        train: (epochs, 5) mean losses of each epoch: the weighted sum (with the coverage weight of
+            that epoch), then ``LOSSES``; NaN for later epochs.
+        validation: (epochs, 5) losses of the validation data after each epoch, with the full weight
+            of coverage; NaN without such data.
     """
 
     weights: Weights
@@ -224,7 +220,7 @@ class GeortTrainer:
     Attributes:
         hand: the robot hand.
         data: result of ``training_data``.
-        settings: how.
+        settings: settings of the training.
     """
 
     hand: Hand
@@ -241,7 +237,7 @@ class GeortTrainer:
             drawn = rng.normal(0.0, gain / np.sqrt(inputs), (fingers, inputs, width))
             return jnp.asarray(drawn, jnp.float32), jnp.zeros((fingers, width), jnp.float32)
 
-        # The hand starts near its neutral pose, but where every joint can still move either way.
+        # The hand starts near its neutral pose, where every joint can move in both directions.
         layers = (*dense(3, HIDDEN, 1.5), *dense(HIDDEN, HIDDEN, 1.5), *dense(HIDDEN, outputs, 0.3))
         low, high = self.hand.limits.T
         unit = np.clip((2 * self.hand.neutral - low - high) / (high - low), -_START, _START)
@@ -260,10 +256,10 @@ class GeortTrainer:
         return -(-int(self.data.train.counts.max()) // self.settings.batch)
 
     def epochs(self, state: TrainingState) -> Iterator[TrainingState]:
-        """The states after each epoch that is still to do.
+        """Yields the state after each remaining epoch.
 
         Raises:
-            SmoothOperatorError: if the losses are no longer finite.
+            SmoothOperatorError: the losses are not finite.
         """
         for epoch in range(int(state.epoch), self.settings.epochs):
             data = self.data
@@ -291,11 +287,11 @@ class GeortTrainer:
             yield state
 
     def model(self, state: TrainingState, **about: Any) -> GeortModel:
-        """The networks as they are now, to be used or written.
+        """Returns the networks of a state as a model.
 
         Args:
-            state: after some epoch.
-            about: further facts for the model's file.
+            state: the state after an epoch.
+            about: further entries for the model's file.
         """
         hand, epoch = self.hand, int(state.epoch)
         own = finger_joints(hand)
@@ -336,7 +332,7 @@ class GeortTrainer:
         own = [row[:, :count] for row, count in zip(train.points, train.counts, strict=True)]
         low = np.stack([points.min(axis=1) for points in own]).astype(float)
         high = np.stack([points.max(axis=1) for points in own]).astype(float)
-        # one scale for all three axes: a metre is a metre in every direction
+        # one scale for all three axes, so that lengths compare in all directions
         return GeortLoss(
             self.hand, self.settings, (low + high) / 2, (high - low).max(axis=1).clip(1e-3) / 2
         )
@@ -354,7 +350,7 @@ class GeortTrainer:
 
     @cached_property
     def _judging(self) -> Batch | None:
-        """The same draw after every epoch, so that the curve shows the networks and no dice."""
+        """Validation batch. It is the same after every epoch, so that the losses compare."""
         data = self.data
         if data.validation is None:
             return None
@@ -400,22 +396,21 @@ def draw_batches(
     steps: int,
     *words: int,
 ) -> Batch:
-    """Batches for some steps, stacked along a new first axis.
-
-    Each finger's points are drawn by themselves, with replacement; pinches are drawn whole.
+    """Draws batches, stacked along a new first axis. Points are drawn for each finger separately,
+    with replacement; a pinch is drawn with all fingers.
 
     Args:
-        points: where to draw from.
-        reach: reach of the robot.
+        points: points to draw from.
+        reach: reachable fingertips of the robot.
         settings: number and spread of the points.
         steps: number of batches.
-        words: with the seed, what the draw is a function of.
+        words: numbers that determine the draw, together with the seed.
     """
     rng = np.random.default_rng([settings.seed, *words])
     fingers = len(points.counts)
 
     def drawn(pool: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """(S, F, 3, B) of (F, 3, N) at (S, F, B)."""
+        """(S, F, 3, B) entries of (F, 3, N) at the indices (S, F, B)."""
         return np.take_along_axis(pool[None], at[:, :, None], axis=-1)
 
     at = rng.integers(0, points.counts[:, None], (steps, fingers, settings.batch))
@@ -424,10 +419,10 @@ def draw_batches(
     direction /= np.linalg.norm(direction, axis=2, keepdims=True) + 1e-6
     length = rng.uniform(*STEP_RANGE, (steps, fingers, 1, settings.batch))
     around = settings.surround * rng.standard_normal(base.shape, np.float32)
-    # the same random poses for all fingers, as they were drawn
+    # the same random poses for all fingers
     covered = rng.integers(0, reach.shape[-1], (steps, 1, settings.reach))
     pinches, pinched = points.pinches, points.pinched
-    if not pinched.shape[-1]:  # a stand-in, in which no finger pinches
+    if not pinched.shape[-1]:  # a placeholder without a pinch
         pinches, pinched = points.points[:, :, :1], np.zeros((len(pinched), 1), bool)
     moments = rng.integers(0, pinched.shape[-1], (steps, PINCHES))
     arrays = (
@@ -449,17 +444,17 @@ CURVES: Final = "losses.csv"
 
 @dataclass(frozen=True, eq=False)
 class TrainingSession:
-    """Trains into a folder.
+    """Trains a model and writes it to a folder.
 
-    The folder gets ``checkpoint.npz``, ``model.npz`` (the networks so far, ready to use),
-    ``model.json`` (how they were trained, as the model also has it), and ``losses.csv``.
-    Each file is whole or not there. A training that was stopped and resumed ends in the same bytes
-    as one that was not, on the same machine.
+    The folder gets ``checkpoint.npz``, ``model.npz`` (the current networks, ready to use),
+    ``model.json`` (settings and results of the training, which are also in the model), and
+    ``losses.csv``. Files are written atomically. On one machine, a training that was interrupted
+    and resumed gives the same bytes as an uninterrupted one.
 
     Attributes:
         trainer: trainer of the model.
-        folder: where to; must exist.
-        every: epochs between checkpoints.
+        folder: an existing folder.
+        every: number of epochs between checkpoints.
     """
 
     trainer: GeortTrainer
@@ -469,20 +464,17 @@ class TrainingSession:
     def run(
         self, *, resume: bool = False, watch: Callable[[TrainingState], None] | None = None
     ) -> GeortModel:
-        """Train to the last epoch.
+        """Trains to the last epoch, and returns the model that was written.
 
         Args:
-            resume: go on from the folder's checkpoint.
+            resume: True to continue from the folder's checkpoint.
             watch: called with the state before the first epoch and after each.
 
-        Returns:
-            the model, as written.
-
         Raises:
-            ConfigError: there is nothing to resume, or it is another training.
-            OutputError: there is a training in the folder and it is not to be resumed, or a file
-                can't be written.
-            KeyboardInterrupt: stopped; everything up to the last whole epoch is kept.
+            ConfigError: there is no checkpoint to resume, or it belongs to another training.
+            OutputError: the folder contains a training that is not resumed, or a file can't be
+                written.
+            KeyboardInterrupt: interrupted, after the last finished epoch was saved.
         """
         state = self._start(resume)
         saved = int(state.epoch) if resume else -1
@@ -519,7 +511,7 @@ class TrainingSession:
         return self.trainer.init()
 
     def _save(self, state: TrainingState) -> GeortModel:
-        # No date: the same training is the same bytes.
+        # no date, so that equal trainings give equal bytes
         where: dict[str, Any] = {k: v for k, v in environment().items() if k != "created"}
         where["versions"] = where["versions"] | {"optax": version("optax")}
         model = self.trainer.model(state, environment=where)
@@ -533,10 +525,10 @@ class TrainingSession:
 
 
 def write_curves(path: Path, state: TrainingState) -> None:
-    """Write the losses of all epochs done as CSV: epoch, then train_ and validation_ columns.
+    """Writes the losses of all finished epochs as CSV: epoch, then train_ and validation_ columns.
 
     Raises:
-        OutputError: it can't be written.
+        OutputError: the file can't be written.
     """
     names = ("loss", *LOSSES)
     columns = [f"{kind}_{n}" for kind in ("train", "validation") for n in names]
@@ -555,10 +547,10 @@ VERSION: Final = 1
 
 
 def write_checkpoint(path: Path, trainer: GeortTrainer, state: TrainingState) -> None:
-    """Write all that is needed to go on as if nothing had happened.
+    """Writes the state of a training, to resume it.
 
     Raises:
-        OutputError: it can't be written.
+        OutputError: the file can't be written.
     """
     leaves = {f"leaf_{i:03d}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(state))}
     with atomic_write(path) as file:
@@ -566,11 +558,11 @@ def write_checkpoint(path: Path, trainer: GeortTrainer, state: TrainingState) ->
 
 
 def read_checkpoint(path: Path, trainer: GeortTrainer) -> TrainingState:
-    """Read what ``write_checkpoint`` wrote, for the same training.
+    """Reads a file of ``write_checkpoint`` for the same training.
 
     Raises:
-        ConfigError: there is none, it is damaged, or it is of another hand, other data or other
-            settings; the message says which.
+        ConfigError: the file does not exist, is damaged, or belongs to another hand, other data or
+            other settings; the message names them.
     """
     path = Path(path)
     if not path.is_file():
@@ -615,7 +607,7 @@ def _identity(trainer: GeortTrainer) -> dict[str, Any]:
 
 
 def _differences(expected: Any, stored: Any, where: str = "") -> list[str]:
-    """Each place where two JSON values differ, as a phrase."""
+    """Describes each difference between two JSON values."""
     if isinstance(expected, dict) and isinstance(stored, dict):
         keys = [*expected, *(key for key in stored if key not in expected)]
         return [

@@ -1,4 +1,4 @@
-"""Settings and data of GeoRT's training: points, pinches, reachable fingertips, operators."""
+"""Settings and data of GeoRT's training: human points and pinches, and reachable fingertips."""
 
 from __future__ import annotations
 
@@ -21,36 +21,36 @@ from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.types import HandRecording, Side
 
 VOXEL: Final = 1e-3
-"""Size of the cells that keep one point each, for the losses without pairs [m]."""
+"""Edge length of the cells that contribute one point each [m]."""
 STEP_RANGE: Final = (1e-3, 11e-3)
-"""Lengths of the human steps whose direction the robot's are to keep [m]."""
+"""Range of the lengths of human steps, whose direction the robot shall keep [m]."""
 BEND: Final = 2e-3
-"""Half the length of the straight path whose bend is the curvature [m]."""
+"""Half the length of the straight human path on which curvature is measured [m]."""
 
 
 @dataclass(frozen=True)
 class GeortTraining:
     """Settings of GeoRT's training.
 
-    Losses, the networks' sizes and the weights of direction, coverage and curvature are published
-    (Yin et al., "Geometric Retargeting"). Named departures, so that two CPU cores finish in minutes
-    and end in a useful optimum:
+    Losses, sizes of the networks and weights of direction, coverage and curvature are published
+    (Yin et al., "Geometric Retargeting"). These departures let two CPU cores find a useful optimum
+    in minutes:
 
-    - the networks have SiLU between their layers and no normalisation; published are LeakyReLU and
-      batch normalisation. SiLU has no kink that the robot would follow;
-    - steps are many and small: a batch of 512 instead of 2048, and a learning rate that rises to
-      3e-3 and falls along a cosine, instead of 1e-4 held;
-    - ``ramp``: coverage sets in slowly. From the first step on, it pulls random networks on to the
-      robot's reach in any order, and direction can't undo the tangle;
-    - ``margin``: the robot is to cover what the operator does, not all that it can reach;
-    - ``surround``: direction is also kept around the points, where another operator's may be;
-    - ``pinch``: published without a scale; 200 /m^2 makes a gap of 10 mm cost 0.02;
-    - curvature is relative to the length of the path, where its square in metres would be nothing.
+    - the networks have SiLU between their layers and no normalisation, instead of LeakyReLU and
+      batch normalisation, because the robot would follow a kink;
+    - many small steps: a batch of 512 instead of 2048, and a learning rate that rises to 3e-3 and
+      falls along a cosine, instead of a constant 1e-4;
+    - ``ramp``: coverage starts slowly. Otherwise it pulls random networks to the robot's reach in
+      any order, which direction can't correct;
+    - ``margin``: the robot shall cover the operator's motion, not everything that it can reach;
+    - ``surround``: direction is also kept near the points, for other operators;
+    - ``pinch``: published without a scale; with 200 /m^2, a gap of 10 mm costs 0.02;
+    - curvature is relative to the length of the path, because its square in metres is negligible.
 
     Attributes:
-        epochs: passes over the points.
-        batch: points per finger in a step.
-        reach: reachable robot fingertips that a batch is compared with.
+        epochs: number of passes over the points.
+        batch: number of points per finger in a step.
+        reach: number of reachable robot fingertips in a step.
         learning_rate: highest learning rate of AdamW.
         weight_decay: weight decay of AdamW.
         direction: weight of the motion's direction.
@@ -59,13 +59,13 @@ class GeortTraining:
         pinch: weight of the squared distance of the robot's tips while the human pinches [1/m^2].
         pinch_distance: human thumb tip to fingertip distance, after alignment, below which it is a
             pinch [m].
-        margin: only those reachable fingertips count for coverage that are at most this far from
-            where some aligned human fingertip was [m]; None for all of them, as published.
-        surround: standard deviation of the displacement from recorded points to those where
-            direction and curvature are asked for [m]; 0 for the points themselves, as published.
-        ramp: share of the epochs over which the weight of coverage rises to its full value; 0 for
-            none, as published.
-        validation: share of each recording, its end, that is kept out of training.
+        margin: largest distance of a reachable fingertip from an aligned human fingertip at which
+            it counts for coverage [m]; None for all, as published.
+        surround: standard deviation of the displacement from recorded points to the points where
+            direction and curvature are measured [m]; 0 for the points themselves, as published.
+        ramp: fraction of the epochs over which the weight of coverage rises to its full value; 0
+            for none, as published.
+        validation: fraction at the end of each recording that is used only for validation.
         seed: seed of all random numbers.
         alignment: alignment of human landmarks to the palm frame.
     """
@@ -114,9 +114,9 @@ class GeortTraining:
 
 
 REACH_POSES: Final = 65_536
-"""Random poses of the robot whose fingertips are its reach."""
+"""Number of random robot poses whose fingertips are its reach."""
 FEWEST_POINTS: Final = 50
-"""Fewer occupied cells than this is a hand that hardly moved."""
+"""Smallest number of occupied cells of a hand that moves enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +124,11 @@ class PointSet:
     """Human fingertips in the palm frame.
 
     Attributes:
-        points: (F, 3, N) points of each finger, one per occupied cell, without pairing [m]; a
-            finger's row is filled up with its first point.
-        counts: (F,) how many of the N are its own.
-        pinches: (F, 3, P) fingertips of frames in which the human pinches, of one moment each [m].
-        pinched: (F - 1, P) which fingers pinch with the thumb there.
+        points: (F, 3, N) points of each finger, one per occupied cell [m]; a row is filled up with
+            the finger's first point.
+        counts: (F,) number of each finger's own points.
+        pinches: (F, 3, P) fingertips of the frames in which the human pinches [m].
+        pinched: (F - 1, P) True for fingers that pinch with the thumb.
     """
 
     points: Float[np.ndarray, "F 3 N"]
@@ -139,13 +139,13 @@ class PointSet:
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """All that the training sees.
+    """Data of a training.
 
     Attributes:
-        train: frames of training.
-        validation: frames of validation; None without any.
-        reach: (F, 3, R) robot fingertips that are to be covered, of random poses [m].
-        sources: names of the recordings, and of those kept apart whole.
+        train: points of training.
+        validation: points of validation; None without any.
+        reach: (F, 3, R) robot fingertips of random poses, for coverage [m].
+        sources: names of the recordings, and of those that are used only for validation.
         frames: numbers of usable frames of training and validation.
     """
 
@@ -157,7 +157,7 @@ class TrainingData:
 
     @property
     def digest(self) -> str:
-        """Identifies this data; a resumed training must have the same."""
+        """Digest of the data, which must be the same for a resumed training."""
         digest = hashlib.sha256()
         for part in (self.train, self.validation):
             if part is not None:
@@ -174,14 +174,13 @@ def training_data(
     settings: GeortTraining,
     held_out: Sequence[HandRecording] = (),
 ) -> TrainingData:
-    """Aligns, thins and splits.
+    """Makes the data of a training from recordings: aligns, thins and splits them.
 
     Args:
         recordings: recordings of the model's users, of the hand's side.
-        settings: ``alignment``, ``validation``, ``pinch_distance``, ``margin`` and ``seed`` count
-            here.
-        held_out: recordings for validation alone; without them the end of each recording is kept
-            apart.
+        settings: ``alignment``, ``validation``, ``pinch_distance``, ``margin`` and ``seed`` are
+            used.
+        held_out: recordings for validation only; without them, the end of each recording is used.
 
     Raises:
         RecordingError: there is no recording, one is of the other hand, or a finger hardly moves.
@@ -250,7 +249,7 @@ def _point_set(tips: Float[np.ndarray, "T F 3"], distance: float) -> PointSet:
     pinched = gaps < distance  # NaN compares as False
     at = np.flatnonzero(pinched.any(axis=-1))
     together = np.moveaxis(tips[at], 0, -1)
-    # a tip that was not seen takes part in no pinch, but its network is asked anyway
+    # a fingertip that was not tracked does not pinch, but its network gets an input
     together = np.where(np.isfinite(together), together, points[:, :, :1])
     return PointSet(
         points.astype(np.float32), counts, together.astype(np.float32), pinched[at].T.copy()
@@ -260,10 +259,8 @@ def _point_set(tips: Float[np.ndarray, "T F 3"], distance: float) -> PointSet:
 def _reach(
     hand: Hand, seed: int, human: PointSet, margin: float | None
 ) -> Float[np.ndarray, "F 3 R"]:
-    """Tips of poses uniform in the joints that the networks command; the others stay neutral.
-
-    With a margin, those near to where the human's were, drawn again up to the same number.
-    """
+    """Fingertips of random positions of the joints that the networks command; the other joints are
+    at neutral. With a margin, only fingertips near the human's are drawn, up to the same number."""
     rng = np.random.default_rng([seed, 0x9E])
     low, high = hand.limits.T
     drawn = rng.uniform(low, high, (REACH_POSES, len(low)))
@@ -276,18 +273,18 @@ def _reach(
             visited = human.points[finger, :, : human.counts[finger]].T
             away, _ = cKDTree(visited).query(reachable.T)
             near = np.flatnonzero(away <= margin)
-            if len(near) < FEWEST_POINTS:  # an operator far from all that the robot reaches
+            if len(near) < FEWEST_POINTS:  # the operator is far from the robot's reach
                 near = np.argsort(away)[:FEWEST_POINTS]
             tips[finger] = reachable[:, rng.choice(near, REACH_POSES)]
     return np.ascontiguousarray(tips, np.float32)
 
 
 FIRST_SEED: Final = 9000
-"""Operators of this seed and above are for training; judge a model on others."""
+"""Smallest seed of the operators for training. A model must be evaluated on others."""
 TRAINING_OPERATORS: Final = 12
 HELD_OUT_OPERATORS: Final = 2
 DURATION_S: Final = 40.0
-"""About two rounds of all gestures."""
+"""Length of a recording [s], about two rounds of all gestures."""
 RATE_HZ: Final = 50.0
 _LENGTHS: Final = (0.165, 0.205)  # hands of most adults [m]
 
@@ -295,19 +292,15 @@ _LENGTHS: Final = (0.165, 0.205)  # hands of most adults [m]
 def synthetic_recordings(
     side: Side, seed: int = 0
 ) -> tuple[list[HandRecording], list[HandRecording]]:
-    """Recordings of several people with hands of several sizes.
-
-    Returns:
-        ``TRAINING_OPERATORS`` recordings to train on, and ``HELD_OUT_OPERATORS`` of other
-        people to validate on; their names hold the seeds.
-    """
+    """Returns ``TRAINING_OPERATORS`` recordings for training, and ``HELD_OUT_OPERATORS`` of other
+    people for validation, with hands of several sizes. Their names contain the seeds."""
     count = TRAINING_OPERATORS + HELD_OUT_OPERATORS
     low, high = _LENGTHS
     recordings = [
         SyntheticOperator(
             seed=FIRST_SEED + count * seed + i,
             side=side,
-            # every size among those trained on, and the held-out ones in between
+            # all sizes in training; those of validation lie in between
             hand_length=low + (high - low) * (i % TRAINING_OPERATORS + 0.5) / TRAINING_OPERATORS,
             rate_hz=RATE_HZ,
         ).record(DURATION_S)
