@@ -1,12 +1,12 @@
-"""Clips from what hand models say of a video: HaMeR, WiLoR, WiLoR-mini, and tools around them.
+"""Clips from the hands that HaMeR, WiLoR, WiLoR-mini and related tools detect in a video.
 
-The models have no file format of their own; what people save of them is, as JSON, JSON lines,
-pickle or ``.npz``:
+The models have no file format of their own. These forms are in use, as JSON, JSON lines, pickle or
+``.npz``:
 
 - a list of frames, each a list of hands, each a table: ``is_right``, and in ``wilor_preds``, or in
-  the table itself, ``pred_keypoints_3d`` (21, 3) from the wrist and ``pred_cam_t_full`` (3,). That
-  is what ``predict`` of WiLoR-mini gives. Also a table frame -> list of hands, the frame's number
-  or the name of its picture;
+  the table itself, ``pred_keypoints_3d`` (21, 3) from the wrist and ``pred_cam_t_full`` (3,), as
+  ``predict`` of WiLoR-mini returns it. Also a table from the frame's number, or the name of its
+  picture, to a list of hands;
 - lines with ``left_pos`` and ``right_pos``, (21, 3) in the camera's frame or null, and perhaps
   ``frame_index``: ``hamer_hands.json`` and ``wilor_hands.json`` of EgoTouch;
 - a table of ``left`` and ``right``, each with ``frame_ids`` and ``joints_cam`` (n, 21, 3): the
@@ -15,8 +15,8 @@ pickle or ``.npz``:
 - an ``.npz`` of ``pred_keypoints_3d`` (n, 21, 3), ``is_right`` (n,), ``frame`` (n,) and perhaps
   ``pred_cam_t_full`` (n, 3).
 
-Points are in OpenPose's order, which is the project's. The camera's depth is that of the model's
-own focal length, so the wrist's path in the camera's frame is right up to a scale along the view.
+Points are in OpenPose's order, which is the project's. The models assume a focal length, so the
+wrist's path in the camera's frame is correct up to a scale along the view.
 
 Source: ``wilor_hand_pose3d_estimation_pipeline.py`` of warmshao/WiLoR-mini;
 ``video_hand_reconstruction_hawor_mapper.py`` of Data-Juicer; scripts of TouchAnything (EgoTouch).
@@ -33,7 +33,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_hand_datasets.unpickle import load_restricted, numbers
+from smooth_hand_datasets.unpickle import array, load_restricted, numbers
 from smooth_operator.errors import DocumentError, RecordingError, brief
 from smooth_operator.formats.arrays import Allowance, open_arrays
 from smooth_operator.formats.both_hands import checked_hands, first_video, wrist_of_points
@@ -49,7 +49,7 @@ _WORDS: Final = (
     *("wilor_preds", "pred_keypoints_3d", "joints_cam"),
     *("j3d.right", "j3d.left", "right_pos", "left_pos"),
 )
-"""One of these is in each file; a file whose start has none is not one of these."""
+"""Each file has one of these near its start."""
 _HEAD_BYTES: Final = 1 << 18
 _MOST_JSON: Final = 64_000_000
 _MOST_FRAMES: Final = 1_000_000
@@ -61,20 +61,20 @@ _POINTS: Final = ("pred_keypoints_3d", "keypoints_3d", "joints_3d")
 _PLACE: Final = ("pred_cam_t_full", "cam_t_full")
 _CONFIDENCE: Final = ("confidence", "score", "conf")
 _FRAME_BYTES: Final = 4 * 8 * 3 * NUM_LANDMARKS
-"""What a frame of the clip takes in memory: landmarks of both hands, as found and as placed."""
+"""Memory that a frame of the clip takes: landmarks of both hands, as detected and as placed."""
 
 
 @dataclass
 class _Hand:
-    """One side over the frames, as it is found."""
+    """Detections of one side: values by frame."""
 
     points: dict[int, Float[np.ndarray, "21 3"]] = field(default_factory=dict)
-    at: dict[int, Float[np.ndarray, "3"]] = field(default_factory=dict)
-    sure: dict[int, float] = field(default_factory=dict)
+    place: dict[int, Float[np.ndarray, "3"]] = field(default_factory=dict)
+    confidence: dict[int, float] = field(default_factory=dict)
 
 
-class _Found:
-    """The hands of a file."""
+class _Detections:
+    """Detected hands of a file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -83,7 +83,7 @@ class _Found:
         self.spare = 0
 
     def frame(self, number: Any, default: int) -> int:
-        """Counts a frame; its number."""
+        """Counts a frame and returns its number."""
         index = default
         if isinstance(number, str):
             match = _NUMBER.search(number)
@@ -103,27 +103,31 @@ class _Found:
         frame: int,
         side: Side,
         points: np.ndarray,
-        at: np.ndarray | None,
-        sure: float = np.nan,
+        place: np.ndarray | None = None,
+        confidence: float = np.nan,
     ) -> None:
         """Adds a detected hand. If a frame has two of one side, keeps the more confident one."""
         hand = self.hands[side]
         if frame in hand.points:
             self.spare += 1
-            if not sure > hand.sure[frame]:
+            if not confidence > hand.confidence[frame]:
                 return
         hand.points[frame] = points
-        hand.at[frame] = np.full(3, np.nan) if at is None else at
-        hand.sure[frame] = sure
+        hand.place[frame] = np.full(3, np.nan) if place is None else place
+        hand.confidence[frame] = confidence
+
+    def numbers(self, value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
+        """Returns the numbers of a shape; further axes of one in front are dropped."""
+        return array(value, f"{self.path}, {what}", shape, batch=True)
 
 
 class Predictions:
     """One file, one clip."""
 
-    what = "what HaMeR, WiLoR or HaWoR say of a video, as landmarks"
+    what = "landmarks that HaMeR, WiLoR or HaWoR detect in a video"
     expects = (
         "frames with lists of hands, each with is_right and pred_keypoints_3d (21 x 3) [m]; or "
-        "left_pos and right_pos a line; or left and right with frame_ids and joints_cam; or "
+        "lines of left_pos and right_pos; or left and right with frame_ids and joints_cam; or "
         "j3d.right and j3d.left"
     )
 
@@ -146,21 +150,22 @@ class Predictions:
         yield ClipRef(path.stem, path, layout="predictions", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands in the camera's frame; frames without a hand are NaN.
+        """Read the hands in the camera's frame; frames without a hand are NaN.
 
         Raises:
-            RecordingError: the file is none of these, or damaged; there is no rate; a hand is by
-                its shape of the other side than the file says.
+            RecordingError: the file has another form or is damaged; there is no rate; the shape of
+                a hand is that of the other side.
         """
-        path, collected = ref.path, _Found(ref.path)
-        _collect(collected, _load(path), self.expects)
+        path, detected = ref.path, _Detections(ref.path)
+        _collect(detected, _load(path), self.expects)
         allowance = Allowance.of(path, path.stat().st_size)
-        allowance.take("frames", collected.frames * _FRAME_BYTES)  # numbers may be far apart
-        stamps = stamps_from_rate(collected.frames, options.rate, str(path))
-        hands, sure = {}, {}
-        for side, hand in collected.hands.items():
+        allowance.take("frames", detected.frames * _FRAME_BYTES)  # numbers may be far apart
+        stamps = stamps_from_rate(detected.frames, options.rate, str(path))
+        hands, confidence = {}, {}
+        for side, hand in detected.hands.items():
             hands[side] = _recording(hand, side, stamps, path)
-            sure[side] = shares(_rows(hand.sure, collected.frames, ()), f"{path}, {side} hand")
+            shared = _rows(hand.confidence, detected.frames, ())
+            confidence[side] = shares(shared, f"{path}, {side} hand")
         checked = checked_hands(hands, str(path), self.expects, each_frame=True)
         video = first_video(path.with_suffix(".mp4"), path.with_name("chest.mp4"))
         return Clip(
@@ -168,26 +173,26 @@ class Predictions:
             checked,
             "predictions",
             (path,) if video is None else (path, video),
-            confidence={s: sure[s] for s in checked if np.isfinite(sure[s]).any()},
+            confidence={s: confidence[s] for s in checked if np.isfinite(confidence[s]).any()},
             video=video,
-            meta={"more_hands": collected.spare} if collected.spare else {},
+            meta={"more_hands": detected.spare} if detected.spare else {},
         )
 
 
 def _recording(hand: _Hand, side: Side, stamps: np.ndarray, path: Path) -> HandRecording:
     points = _rows(hand.points, len(stamps), (NUM_LANDMARKS, 3))
-    at = _rows(hand.at, len(stamps), (3,))
-    placed = points + at[:, None]
-    anywhere = bool(np.isfinite(placed).any())
+    placed = points + _rows(hand.place, len(stamps), (3,))[:, None]
+    known = bool(np.isfinite(placed).any())
+    points = placed if known else points
     return HandRecording(
-        placed if anywhere else points,
+        points,
         stamps,
         side,
-        valid=np.isfinite(placed if anywhere else points).all(axis=-1),
+        valid=np.isfinite(points).all(axis=-1),
         name=path.stem,
         meta={"format": "predictions"},
-        T_world_wrist=wrist_of_points(placed, side) if anywhere else None,
-        world=CAMERA if anywhere else None,
+        T_world_wrist=wrist_of_points(points, side) if known else None,
+        world=CAMERA if known else None,
     )
 
 
@@ -219,49 +224,43 @@ def _is_json(line: str) -> bool:
     return True
 
 
-def _collect(collected: _Found, value: Any, expects: str) -> None:
-    """Finds the hands, whatever the form.
-
-    Raises:
-        RecordingError: it is none of the forms.
-    """
+def _collect(detected: _Detections, value: Any, expects: str) -> None:
+    """Adds the hands of a file's content to those detected, whatever its form."""
     if isinstance(value, dict):
         if _POINTS[0] in value and isinstance(value.get("is_right"), np.ndarray | list):
-            return _of_columns(collected, value)
+            return _of_columns(detected, value)
         if any(key in value for key in ("j3d.right", "j3d.left")):
-            return _of_arrays(collected, {side: value.get(f"j3d.{side}") for side in SIDES})
+            return _of_arrays(detected, {side: value.get(f"j3d.{side}") for side in SIDES})
         tables = {side: value.get(side) for side in SIDES}
         if any(isinstance(one, dict) and "joints_cam" in one for one in tables.values()):
-            return _of_sides(collected, tables)
+            return _of_sides(detected, tables)
         frames = value.get("frames", value)
         if isinstance(frames, dict):
-            return _of_frames(collected, frames.items())
+            return _of_frames(detected, frames.items())
         value = frames
     if isinstance(value, list | tuple):
-        return _of_frames(collected, ((None, frame) for frame in value))
-    raise RecordingError(
-        f"{collected.path}: it holds a {type(value).__name__}; expected are {expects}"
-    )
+        return _of_frames(detected, ((None, frame) for frame in value))
+    raise RecordingError(f"{detected.path}: it holds a {type(value).__name__}; expected {expects}")
 
 
 def _is_present(value: Any) -> bool:
-    """True if there is something: None and an empty list stand for no hand."""
+    """False for None and an empty list, which stand for no hand."""
     return value is not None and not (isinstance(value, list | tuple) and not value)
 
 
-def _of_frames(collected: _Found, frames: Iterable[tuple[Any, Any]]) -> None:
+def _of_frames(detected: _Detections, frames: Iterable[tuple[Any, Any]]) -> None:
     for position, (name, frame) in enumerate(frames):
         if frame is None or isinstance(frame, list | tuple):
-            number = collected.frame(name, position)
+            number = detected.frame(name, position)
             hands = frame or ()
         elif isinstance(frame, dict):
             frame_name = next((frame[key] for key in _FRAME if key in frame), name)
-            number = collected.frame(frame_name, position)
+            number = detected.frame(frame_name, position)
             if "left_pos" in frame or "right_pos" in frame:
                 for side in SIDES:
                     if _is_present(frame.get(f"{side}_pos")):
-                        points = _numbers(collected, frame[f"{side}_pos"], (21, 3), f"{side}_pos")
-                        collected.add(number, side, points, np.zeros(3))
+                        points = detected.numbers(frame[f"{side}_pos"], (21, 3), f"{side}_pos")
+                        detected.add(number, side, points, np.zeros(3))
                 continue
             hands = next((frame[k] for k in ("hands", "detections") if k in frame), [frame])
             sides = [side for side in SIDES if isinstance(frame.get(side), dict)]
@@ -269,52 +268,51 @@ def _of_frames(collected: _Found, frames: Iterable[tuple[Any, Any]]) -> None:
                 hands = [{**frame[side], "side": side} for side in sides]
         else:
             raise RecordingError(
-                f"{collected.path}: frame {position} must be a list of hands, not {brief(frame)}"
+                f"{detected.path}: frame {position} must be a list of hands, not {brief(frame)}"
             )
         for hand in hands if isinstance(hands, list | tuple) else ():
-            _of_hand(collected, number, hand)
+            _of_hand(detected, number, hand)
 
 
-def _of_hand(collected: _Found, frame: int, hand: Any) -> None:
+def _of_hand(detected: _Detections, frame: int, hand: Any) -> None:
     if not isinstance(hand, dict):
         raise RecordingError(
-            f"{collected.path}: a hand of frame {frame} must be a table, not {brief(hand)}"
+            f"{detected.path}: a hand of frame {frame} must be a table, not {brief(hand)}"
         )
     inner = hand.get("wilor_preds", hand)
     if not isinstance(inner, dict):
-        return  # WiLoR-mini finds a hand and says no more of it
+        return  # WiLoR-mini found a hand without landmarks
     key = next((key for key in (*_POINTS, "joints_cam") if _is_present(inner.get(key))), None)
     if key is None:
         return
-    points = _numbers(collected, inner[key], (21, 3), key)
-    at = next((inner[key] for key in _PLACE if key in inner), None)
-    place = None if at is None else _numbers(collected, at, (3,), _PLACE[0])
+    points = detected.numbers(inner[key], (21, 3), key)
+    place = next((inner[key] for key in _PLACE if key in inner), None)
+    if place is not None:
+        place = detected.numbers(place, (3,), _PLACE[0])
     if key == "joints_cam":  # they are in the camera's frame
         place = np.zeros(3)
-    collected.add(frame, _side(collected, hand, inner), points, place, _sureness(hand))
+    detected.add(frame, _side(detected, hand, inner), points, place, _confidence(hand))
 
 
-def _side(collected: _Found, *tables: dict[Any, Any]) -> Side:
+def _side(detected: _Detections, *tables: dict[Any, Any]) -> Side:
     for table in tables:
         for key in ("is_right", "right"):
             if key in table:
-                value = _numbers(collected, table[key], (), key)
+                value = detected.numbers(table[key], (), key)
                 if value not in (0.0, 1.0):
-                    raise RecordingError(f"{collected.path}: {key} must be 0 or 1, not {value}")
+                    raise RecordingError(f"{detected.path}: {key} must be 0 or 1, not {value}")
                 return "right" if value else "left"
         for key in ("handedness", "side", "hand_side"):
             if isinstance(table.get(key), str):
                 try:
                     return as_side(table[key])
                 except ValueError as error:
-                    raise RecordingError(f"{collected.path}: {error}") from error
-    raise RecordingError(
-        f"{collected.path}: a hand does not say its side; expected is_right, 0 or 1"
-    )
+                    raise RecordingError(f"{detected.path}: {error}") from error
+    raise RecordingError(f"{detected.path}: a hand lacks its side; expected is_right, 0 or 1")
 
 
-def _sureness(hand: dict[Any, Any]) -> float:
-    """How sure the detector is of a hand, which may stand behind the corners of its box; or NaN."""
+def _confidence(hand: dict[Any, Any]) -> float:
+    """Confidence of a detection, perhaps behind the corners of its box; NaN if there is none."""
     value = next((hand[key] for key in _CONFIDENCE if key in hand), hand.get("hand_bbox"))
     try:
         values = numbers(value).ravel()
@@ -323,66 +321,44 @@ def _sureness(hand: dict[Any, Any]) -> float:
     return float(values[-1]) if len(values) in (1, 5) else float("nan")
 
 
-def _of_columns(collected: _Found, table: dict[str, Any]) -> None:
-    right = _numbers(collected, table["is_right"], (None,), "is_right")
+def _of_columns(detected: _Detections, table: dict[str, Any]) -> None:
+    right = detected.numbers(table["is_right"], (None,), "is_right")
     count = len(right)
-    points = _numbers(collected, table["pred_keypoints_3d"], (count, 21, 3), "pred_keypoints_3d")
-    at = table.get(_PLACE[0])
-    places = None if at is None else _numbers(collected, at, (count, 3), _PLACE[0])
+    points = detected.numbers(table["pred_keypoints_3d"], (count, 21, 3), "pred_keypoints_3d")
+    places = table.get(_PLACE[0])
+    if places is not None:
+        places = detected.numbers(places, (count, 3), _PLACE[0])
     key = next((key for key in _FRAME if key in table), None)
     if key is None:
-        raise RecordingError(f"{collected.path}: it lacks 'frame', the number of each hand's frame")
-    frames = _numbers(collected, table[key], (count,), key)
+        raise RecordingError(f"{detected.path}: it lacks 'frame', the number of each hand's frame")
+    frames = detected.numbers(table[key], (count,), key)
     if not np.isin(right, (0.0, 1.0)).all():
-        raise RecordingError(f"{collected.path}: is_right must be 0 or 1 for each hand")
+        raise RecordingError(f"{detected.path}: is_right must be 0 or 1 for each hand")
     for i in range(count):
-        number = collected.frame(float(frames[i]) if np.isfinite(frames[i]) else "?", -1)
+        number = detected.frame(float(frames[i]) if np.isfinite(frames[i]) else "?", -1)
         side: Side = "right" if right[i] else "left"
-        collected.add(number, side, points[i], None if places is None else places[i])
+        detected.add(number, side, points[i], None if places is None else places[i])
 
 
-def _of_arrays(collected: _Found, arrays: Mapping[Side, Any]) -> None:
+def _of_arrays(detected: _Detections, arrays: Mapping[Side, Any]) -> None:
     for side, value in arrays.items():
         if value is None:
             continue
-        points = _numbers(collected, value, (None, 21, 3), f"j3d.{side}")
-        collected.frame(max(len(points) - 1, 0), 0)
+        points = detected.numbers(value, (None, 21, 3), f"j3d.{side}")
+        detected.frame(max(len(points) - 1, 0), 0)
         for frame, hand in enumerate(points):
-            if hand.any():  # zeros where there is none
-                collected.add(frame, side, hand, np.zeros(3))
+            if hand.any():  # zeros stand for no hand
+                detected.add(frame, side, hand, np.zeros(3))
 
 
-def _of_sides(collected: _Found, tables: Mapping[Side, Any]) -> None:
+def _of_sides(detected: _Detections, tables: Mapping[Side, Any]) -> None:
     for side, table in tables.items():
         if not isinstance(table, dict) or not _is_present(table.get("joints_cam")):
             continue
-        points = _numbers(collected, table["joints_cam"], (None, 21, 3), f"{side}/joints_cam")
-        ids = _numbers(collected, table.get("frame_ids"), (len(points),), f"{side}/frame_ids")
+        points = detected.numbers(table["joints_cam"], (None, 21, 3), f"{side}/joints_cam")
+        ids = detected.numbers(table.get("frame_ids"), (len(points),), f"{side}/frame_ids")
         for number, hand in zip(ids.tolist(), points, strict=True):
-            collected.add(collected.frame(number, -1), side, hand, np.zeros(3))
-
-
-def _numbers(collected: _Found, value: Any, shape: tuple[int | None, ...], what: str) -> np.ndarray:
-    """Numbers of a shape; axes of one in front are dropped, as models have them for the batch.
-
-    Raises:
-        RecordingError: it is something else.
-    """
-    try:
-        array = np.asarray(numbers(value), np.float64)
-    except RecordingError as error:
-        raise RecordingError(f"{collected.path}: {what}: {error}") from error
-    while array.ndim > len(shape) and array.shape[0] == 1:
-        array = array[0]
-    fits = array.ndim == len(shape) and all(
-        expected in (None, size) for expected, size in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        expected = " x ".join("n" if size is None else str(size) for size in shape) or "one number"
-        raise RecordingError(
-            f"{collected.path}: {what} must be {expected}, not of shape {array.shape}"
-        )
-    return array
+            detected.add(detected.frame(number, -1), side, hand, np.zeros(3))
 
 
 PREDICTIONS: Final = Predictions()

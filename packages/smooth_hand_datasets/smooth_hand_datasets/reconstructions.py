@@ -1,17 +1,17 @@
 """Clips from hands and cameras that HaWoR and Dyn-HaMR reconstruct in one world from a video.
 
 Both give MANO's parameters, so the user's model files are needed. Angles are those of HaMeR's
-models: axis times angle of each joint from the flat hand, fingertips as smplx has them.
+models: axis times angle of each joint from the flat hand, with the fingertips of smplx.
 
 - HaWoR, in the folder named as the video: ``world_space_res.pth``, a list of translations
   (2, T, 3) [m], rotations (2, T, 3), poses (2, T, 45), shapes (2, T, 10) and flags (2, T), the left
   hand first; ``SLAM/hawor_slam_w_scale_*.npz``: ``traj`` (T, 7), x y z and quaternion x y z w of
-  the camera, and ``scale``, which makes metres of x y z. The left model's shape directions are
-  mended.
+  the camera, and ``scale``, which converts x y z to metres. The sign of the left model's shape
+  directions is corrected.
 - Dyn-HaMR: ``*_world_results.npz`` with ``trans`` (B, T, 3), ``root_orient`` (B, T, 3),
   ``pose_body`` (B, T, 15, 3), ``betas`` (B, 10) and ``is_right`` (B, T) of each track, and the
-  camera as ``cam_R`` (B, T, 3, 3) and ``cam_t`` (B, T, 3), world to camera. Left hands are those of
-  the right model, mirrored in x after they are moved.
+  camera as ``cam_R`` (B, T, 3, 3) and ``cam_t`` (B, T, 3), world to camera. Left hands use the
+  right model and are mirrored in x after they are placed.
 
 The world is that of the camera tracking: its axes are those of the first camera, not upright.
 
@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -39,7 +39,7 @@ from smooth_operator.formats.clip import SIDES, Clip, ClipRef, ReadingOptions
 from smooth_operator.types import HandRecording, Side, unit_poses
 
 _SIDE_OF: Final[tuple[Side, Side]] = ("left", "right")
-"""Of HaWoR's first axis."""
+"""Sides along the first axis of HaWoR's arrays."""
 _PARTS: Final = ("trans", "root_orient", "pose_body", "betas", "is_right")
 _MIRROR: Final = np.array([-1.0, 1.0, 1.0])
 
@@ -54,16 +54,16 @@ class Hawor:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is the file of that name, or the folder that has it and much else."""
+        """True if it is the file of that name, or the folder that has it."""
         return _world_file(path).is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The file; its folder is named as the video."""
+        """List the file, with the name of its folder, which is that of the video."""
         file = _world_file(path)
         yield ClipRef(file.parent.name or file.stem, file, layout="hawor", size=_size(file))
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands and the camera in one world; frames that are not flagged are NaN.
+        """Read the hands and the camera in one world; frames that are not flagged are NaN.
 
         Raises:
             RecordingError: parts are missing or have another shape; there is no rate, or there are
@@ -129,7 +129,7 @@ class DynHamr:
         yield ClipRef(name, path, layout="dynhamr", size=_size(path))
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """The first track of each side, and the camera, in one world.
+        """Read the first track of each side, and the camera, in one world.
 
         Raises:
             RecordingError: parts are missing or have another shape; a track changes its side; there
@@ -176,7 +176,7 @@ def _placed(
     betas: np.ndarray,
     trans: np.ndarray,
 ) -> PlacedHand:
-    with np.errstate(all="ignore"):  # of numbers that no hand has, which are refused later
+    with np.errstate(all="ignore"):  # of impossible numbers, which are refused later
         turned = model.rotations(rotations, fingers, flat_hand_mean=True)
         return model.place(turned, betas, trans, tips="smplx")
 
@@ -197,26 +197,22 @@ def _recording(
 
 
 def _slam_camera(path: Path, count: int) -> Float[np.ndarray, "T 7"] | None:
-    """The camera's path; None where the file has keyframes only.
-
-    Raises:
-        RecordingError: it is damaged, or its arrays have another shape.
-    """
+    """The camera's path; None if the file has keyframes only."""
     arrays = open_arrays(path)
     for name in ("traj", "scale"):
         if name not in arrays:
             raise RecordingError(f"{path}: it lacks {name}; it holds {arrays.describe()}")
-    path_of = _part(arrays, "traj", (None, 7))
-    scale = np.ravel(_part(arrays, "scale", None))
+    camera = _part(arrays, "traj", (None, 7))
+    scale = np.ravel(arrays["scale"].numbers())
     if len(scale) != 1 or not scale[0] > 0 or not np.isfinite(scale[0]):
         raise RecordingError(f"{path}: scale must be one positive number")
-    if len(path_of) != count:
+    if len(camera) != count:
         return None
-    return unit_poses(np.concatenate([path_of[:, :3] * scale[0], path_of[:, [6, 3, 4, 5]]], axis=1))
+    return unit_poses(np.concatenate([camera[:, :3] * scale[0], camera[:, [6, 3, 4, 5]]], axis=1))
 
 
 def _first_tracks(right: Float[np.ndarray, "B T"], path: Path) -> Mapping[Side, int]:
-    """Side -> the first of its tracks."""
+    """First track of each side."""
     first: dict[Side, int] = {}
     for row, flags in enumerate(right):
         if not np.isin(flags, (0.0, 1.0)).all() or len(np.unique(flags)) != 1:
@@ -228,7 +224,7 @@ def _first_tracks(right: Float[np.ndarray, "B T"], path: Path) -> Mapping[Side, 
 
 
 def _camera(arrays: StoredArrays, tracks: int, count: int) -> Float[np.ndarray, "T 7"] | None:
-    """The camera in the world, from world to camera; that of the first track, as all have one."""
+    """Pose of the camera in the world. All tracks have the same, so the first one's is read."""
     if "cam_R" not in arrays or "cam_t" not in arrays or not tracks:
         return None
     to_camera = np.tile(np.eye(4), (count, 1, 1))
@@ -240,17 +236,8 @@ def _camera(arrays: StoredArrays, tracks: int, count: int) -> Float[np.ndarray, 
     return camera
 
 
-def _part(arrays: StoredArrays, name: str, shape: tuple[int | None, ...] | None) -> Any:
-    stored = arrays[name]
-    fits = shape is None or (
-        len(shape) == len(stored.shape)
-        and all(a in (None, b) for a, b in zip(shape, stored.shape, strict=True))
-    )
-    if not fits:
-        assert shape is not None
-        words = ", ".join("any" if n is None else str(n) for n in shape)
-        raise RecordingError(f"{arrays.path}: {name} must have shape ({words}), not {stored.shape}")
-    return stored.numbers()
+def _part(arrays: StoredArrays, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    return array(arrays[name].numbers(), f"{arrays.path}, {name}", shape)
 
 
 def _world_file(path: Path) -> Path:

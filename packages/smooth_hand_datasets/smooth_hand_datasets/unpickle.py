@@ -101,7 +101,12 @@ def table(value: Any, where: str, needs: Collection[str] = ()) -> dict[Any, Any]
 
 
 def array(
-    value: Any, where: str, shape: tuple[int | None, ...], *, finite: bool = False
+    value: Any,
+    where: str,
+    shape: tuple[int | None, ...],
+    *,
+    finite: bool = False,
+    batch: bool = False,
 ) -> np.ndarray:
     """A value that must be numbers of a shape, as float64.
 
@@ -110,6 +115,7 @@ def array(
         where: the file and part, for messages.
         shape: lengths; None where any will do.
         finite: True if numbers that are not finite are refused.
+        batch: True if further axes of length one in front are dropped; models have such axes.
 
     Raises:
         RecordingError: it is something else; says what was expected and what is there.
@@ -118,6 +124,8 @@ def array(
         array = numbers(value)
     except NotDataError as error:
         raise RecordingError(f"{where}: {error}") from error
+    while batch and array.ndim > len(shape) and array.shape[0] == 1:
+        array = array[0]
     fits = array.ndim == len(shape) and all(
         n is None or n == m for n, m in zip(shape, array.shape, strict=True)
     )
