@@ -1,8 +1,8 @@
 """ARCTIC: two hands and an articulated object, from motion capture.
 
 Source: Fan et al., *ARCTIC: A Dataset for Dexterous Bimanual Hand-Object Manipulation*, CVPR 2023,
-and https://github.com/zc-alexfan/arctic. ``raw_seqs/SUBJECT/NAME.mano.npy`` has the hands, next to
-it stand ``NAME.object.npy`` and ``NAME.egocam.dist.npy``.
+and https://github.com/zc-alexfan/arctic. ``raw_seqs/SUBJECT/NAME.mano.npy`` has the hands;
+``NAME.object.npy`` and ``NAME.egocam.dist.npy`` are in the same folder.
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ class Arctic:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if its name ends as those of the hands do, or it belongs to such a file."""
+        """True for a file of hands and for the files that belong to one."""
         for suffix in (_SUFFIX, *_OTHERS):
             if path.name.endswith(suffix):
                 return path.with_name(path.name.removesuffix(suffix) + _SUFFIX).is_file()
         return False
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The sequence; none for its other files."""
+        """List the sequence; none for its other files."""
         if path.name.endswith(_SUFFIX):
             name = path.name.removesuffix(_SUFFIX)
             yield ClipRef(name, path, layout="arctic", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands, the two parts of the object, and the camera on the head."""
+        """Read the hands, the two parts of the object, and the camera on the head."""
         where = str(ref.path)
         held = table(load_restricted(ref.path), where, ("right", "left"))
         stem = ref.path.name.removesuffix(_SUFFIX)
@@ -108,7 +108,7 @@ class Arctic:
 
 
 def _parts(rows: np.ndarray, name: str, path: Path, options: ReadingOptions) -> list[Thing]:
-    """The bottom, and the top, which turns about the hinge by the first number of a row [rad]."""
+    """The bottom, and the top, which the first number of a row turns about the hinge [rad]."""
     folder = options.objects or nearby(path.resolve().parent, "meta/object_vtemplates")
     base = np.concatenate([rows[:, 4:] * _MM, poses.from_rotation_vectors(rows[:, 1:4])], axis=1)
     turn = poses.from_rotation_vectors(rows[:, :1] * _HINGE)
@@ -136,7 +136,7 @@ def _camera(file: Path, count: int) -> np.ndarray:
 
 
 def _task(stem: str) -> str | None:
-    """``box_grab_01`` is to grab the box."""
+    """From ``box_grab_01`` to "grab the box"."""
     words = stem.split("_")
     return f"{words[1]} the {words[0]}" if len(words) > 2 else None
 

@@ -2,7 +2,7 @@
 
 Source: Chao et al., *DexYCB: A Benchmark for Capturing Hand Grasping of Objects*, CVPR 2021, and
 https://github.com/NVlabs/dex-ycb-toolkit. A folder of a sequence has ``meta.yml`` and ``pose.npz``;
-the shape of the hand and the cameras stand in ``calibration`` of the data set's own folder. Our
+the shape of the hand and the cameras are in ``calibration`` of the data set's folder. The clip's
 world is that of the AprilTag on the table, whose z points up.
 """
 
@@ -56,7 +56,7 @@ _CLASSES: Final = (
     "052_extra_large_clamp",
     "061_foam_brick",
 )
-"""The YCB objects by their number, from 1."""
+"""The YCB objects in the order of their numbers, from 1."""
 
 
 class DexYcb:
@@ -73,19 +73,19 @@ class DexYcb:
         return (path / "meta.yml").is_file() and (path / "pose.npz").is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The sequence."""
+        """List the sequence."""
         name = path.resolve().name
         yield ClipRef(name, path, layout="dexycb", size=(path / "pose.npz").stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands, objects and the master camera."""
+        """Read the hands, the objects and the master camera."""
         path = ref.path / "pose.npz"
         meta = _yaml(ref.path / "meta.yml", ("mano_sides", "mano_calib", "ycb_ids", "extrinsics"))
         root = nearby(ref.path.resolve(), "calibration")
         if root is None:
             raise RecordingError(
-                f"{ref.path}: no folder calibration in the data set's folder, which has the shape "
-                "of the hand and the cameras; keep sequences in SUBJECT/TIME below it"
+                f"{ref.path}: the data set's folder lacks calibration, which has the shape of the "
+                "hand and the cameras; keep sequences in SUBJECT/TIME below that folder"
             )
         stored = open_arrays(path)
         missing = [name for name in ("pose_m", "pose_y") if name not in stored]
@@ -99,7 +99,7 @@ class DexYcb:
         shapes = _texts(meta["mano_calib"], f"{ref.path}/meta.yml, mano_calib")
         if not len(sides) == len(shapes) == hands.shape[1] or len(set(sides)) < len(sides):
             raise RecordingError(
-                f"{path}: it has {hands.shape[1]} hands, meta.yml the sides {sides[:4]}"
+                f"{path}: it has {hands.shape[1]} hands, but meta.yml the sides {sides[:4]}"
             )
         placed, shape = {}, {}
         for number, (text, betas) in enumerate(zip(sides, shapes, strict=True)):
@@ -155,7 +155,7 @@ def _shape(calibration: Path, name: str) -> np.ndarray:
 
 
 def _cameras(calibration: Path, name: str) -> tuple[dict[str, np.ndarray], str]:
-    """Poses of the cameras and of the tag in the data set's world, and the master's name."""
+    """Poses of the master camera and of the tag in the data set's world, and the master's name."""
     path = calibration / f"extrinsics_{Path(name).name}" / "extrinsics.yml"
     held = _yaml(path, ("extrinsics", "master"))
     extrinsics = table(held["extrinsics"], f"{path}, extrinsics", ("apriltag", held["master"]))
@@ -169,7 +169,7 @@ def _cameras(calibration: Path, name: str) -> tuple[dict[str, np.ndarray], str]:
 
 def _texts(value: Any, where: str) -> list[str]:
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-        raise RecordingError(f"{where}: a list of texts was expected, not {type(value).__name__}")
+        raise RecordingError(f"{where}: expected a list of texts, not {type(value).__name__}")
     return value
 
 
@@ -183,10 +183,10 @@ def _yaml(path: Path, needs: tuple[str, ...]) -> dict[Any, Any]:
     except (OSError, DocumentError) as error:
         raise RecordingError(f"{path}: it can't be read: {error}") from error
     except RecursionError as error:
-        raise RecordingError(f"{path}: it has too many levels of lists and tables") from error
+        raise RecordingError(f"{path}: its lists and tables are nested too deeply") from error
     except (yaml.YAMLError, ValueError, TypeError, LookupError) as error:
         reason = " ".join(str(error).split())[:160]
-        raise RecordingError(f"{path}: it is no YAML: {reason}") from error
+        raise RecordingError(f"{path}: it is not YAML: {reason}") from error
     return table(value, str(path), needs)
 
 

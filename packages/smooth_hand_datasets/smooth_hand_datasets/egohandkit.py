@@ -57,14 +57,14 @@ class EgoHandKit:
         return set(_COLUMNS) <= set(names)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The file."""
+        """List the file."""
         yield ClipRef(_name(path), path, layout="egohandkit", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands in the frame of the camera, the wrists from the palm's landmarks.
+        """Read the hands in the frame of the camera, with the wrists from the palm's landmarks.
 
         Raises:
-            RecordingError: it is damaged, lacks a column, or says another frame or order; it has no
+            RecordingError: it is damaged, lacks a column, or has another frame or order; it has no
                 times and there is no rate.
             MissingExtraError: pyarrow is not installed.
         """
@@ -115,13 +115,13 @@ class EgoHandKit:
         for key, value in _SAID.items():
             if metadata.get(key, value) != value:
                 raise RecordingError(
-                    f"{path}: its metadata say {key.decode()} = "
-                    f"{brief(metadata[key].decode(errors='replace'))}; {value.decode()!r} is read"
+                    f"{path}: {key.decode()} of its metadata must be {value.decode()!r}, not "
+                    f"{brief(metadata[key].decode(errors='replace'))}"
                 )
 
 
 def _name(path: Path) -> str:
-    """The sequence's folder, where the file lies in its subfolder ``final``."""
+    """Name of the sequence's folder, whose subfolder ``final`` may have the file."""
     folder = path.parent
     if path.stem != "hand_tracking":
         return path.stem
@@ -129,13 +129,13 @@ def _name(path: Path) -> str:
 
 
 def _points(table: Any, side: Side, path: Path) -> Float[np.ndarray, "T 21 3"]:
-    """NaN in the rows without the hand."""
+    """Landmarks; NaN in the rows without the hand."""
     pa, name = arrow(), f"{side}_joints_3d"
     points = np.full((table.num_rows, _NUMBERS), np.nan)
     flat = _combined(table, name)
     there = flat.is_valid().to_numpy(zero_copy_only=False)
     while isinstance(flat, pa.ListArray | pa.LargeListArray | pa.FixedSizeListArray):
-        flat = flat.flatten()  # leaves rows of null out
+        flat = flat.flatten()  # drops rows of null
     if not pa.types.is_floating(flat.type) or len(flat) != there.sum() * _NUMBERS:
         raise RecordingError(
             f"{path}: the column {name!r} must hold 21 x 3 numbers a row, not "
@@ -148,7 +148,7 @@ def _points(table: Any, side: Side, path: Path) -> Float[np.ndarray, "T 21 3"]:
 
 
 def _stamps(table: Any, path: Path, rate: float | None) -> Float[np.ndarray, " T"]:
-    """Those of the file; where a frame lacks one, frames by the rate."""
+    """Stamps of the file; frame numbers over the rate if a frame lacks one."""
     times = table.column_names.count("timestamp_ns") and table.column("timestamp_ns")
     if times and table.num_rows and not times.null_count:
         stamps = _column(table, "timestamp_ns", path) * 1e-9
@@ -161,7 +161,7 @@ def _stamps(table: Any, path: Path, rate: float | None) -> Float[np.ndarray, " T
 
 
 def _column(table: Any, name: str, path: Path, *, nulls: bool = False) -> Float[np.ndarray, " T"]:
-    """A column of one number a row; what is null is NaN."""
+    """A column of one number a row; NaN for null."""
     pa, values = arrow(), _combined(table, name)
     kind = values.type
     numeric = (pa.types.is_floating(kind), pa.types.is_integer(kind), pa.types.is_boolean(kind))
@@ -170,7 +170,7 @@ def _column(table: Any, name: str, path: Path, *, nulls: bool = False) -> Float[
             f"{path}: the column {name!r} must hold a number a row, not {str(kind)[:80]}"
         )
     if values.null_count and not nulls:
-        raise RecordingError(f"{path}: the column {name!r} has {values.null_count} rows of null")
+        raise RecordingError(f"{path}: the column {name!r} has {values.null_count} null values")
     return np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
 
 
@@ -180,7 +180,7 @@ def _combined(table: Any, name: str) -> Any:
 
 
 def _sources(table: Any) -> dict[str, Any]:
-    """Which model gave the hands: ``hawor``, ``mint``, ``mixed``."""
+    """Models that detected the hands: ``hawor``, ``mint``, ``mixed``."""
     pa = arrow()
     if "source" not in table.column_names or not pa.types.is_string(table.column("source").type):
         return {}

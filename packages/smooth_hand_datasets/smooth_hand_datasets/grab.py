@@ -2,7 +2,7 @@
 
 Source: Taheri et al., *GRAB: A Dataset of Whole-Body Human Grasping of Objects*, ECCV 2020, and
 https://github.com/otaheri/GRAB. ``grab/SUBJECT/NAME.npz`` has a sequence at 120 Hz; the hands of
-the subjects stand as meshes in ``tools/subject_meshes``. The world has z up.
+the subjects are meshes in ``tools/subject_meshes``. The world has z up.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ class Grab:
             return False
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The sequence; none in the tools."""
+        """List the sequence; none in the tools."""
         if path.is_file():
             yield ClipRef(path.stem, path, layout="grab", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands and the object."""
+        """Read the hands and the object."""
         where = str(ref.path)
         names = (*_KEYS, "framerate", "motion_intent", "n_frames")
         held = table(load_restricted(ref.path, names=names), where, _KEYS)
@@ -105,7 +105,7 @@ def _object(held: dict[Any, Any], root: Path, options: ReadingOptions, where: st
     turn = array(params["global_orient"], f"{where}, object global_orient", (None, 3))
     at = array(params["transl"], f"{where}, object transl", (None, 3))
     checked_count({"object global_orient": len(turn), "object transl": len(at)}, where)
-    # Its authors multiply vertices, as rows, by the matrix, which turns them the other way round.
+    # GRAB multiplies row vectors by the matrix, which turns them by the negative angle.
     pose = np.concatenate([at, poses.from_rotation_vectors(-turn)], axis=1)
     mesh = _inside(root, text(part.get("object_mesh")))
     if options.objects is not None and mesh is not None:
@@ -114,7 +114,7 @@ def _object(held: dict[Any, Any], root: Path, options: ReadingOptions, where: st
 
 
 def _inside(root: Path, relative: str | None) -> Path | None:
-    """A path of a file, if it stays in the data set's folder."""
+    """Path of a file; None if it leaves the data set's folder."""
     if relative is None:
         return None
     parts = Path(relative.replace("\\", "/")).parts
@@ -124,24 +124,24 @@ def _inside(root: Path, relative: str | None) -> Path | None:
 
 
 def _vertices(root: Path, relative: Any, where: str) -> np.ndarray:
-    """(778, 3) of the subject's own hand."""
+    """(778, 3) vertices of the subject's hand."""
     path = _inside(root, text(relative))
     if path is None or not path.is_file():
         raise RecordingError(
             f"{where}: the subject's hand, {brief(text(relative) or 'vtemp')}, is not in {root}; "
-            "extract tools/subject_meshes of the data set there: the hands have no other shape"
+            "extract tools/subject_meshes of the data set there, which has the shapes of the hands"
         )
     import trimesh
 
     size = check_plain_file(path)
     if size > _MOST_MESH_BYTES:
-        raise RecordingError(f"{path}: it has {size} bytes, too many for the mesh of a hand")
+        raise RecordingError(f"{path}: it has {size} bytes, more than a mesh of a hand may have")
     try:
         with path.open("rb") as stream:
             mesh: Any = trimesh.load(stream, file_type=path.suffix[1:], process=False)
             points = np.asarray(mesh.vertices, np.float64)
-    except Exception as error:  # trimesh promises no list
-        raise RecordingError(f"{path}: it is no mesh that can be read: {reason(error)}") from error
+    except Exception as error:  # trimesh documents no list of errors
+        raise RecordingError(f"{path}: it can't be read as a mesh: {reason(error)}") from error
     return array(points, str(path), (778, 3), finite=True)
 
 

@@ -2,7 +2,7 @@
 
 Source: Hampali et al., *HOnnotate*, CVPR 2020, and *Keypoint Transformer*, CVPR 2022;
 https://github.com/shreyashampali/ho3d. A folder of a sequence has ``meta/0000.pkl``, ... in the
-frame of the camera, as OpenGL has it: y up, z out of the picture.
+camera frame of OpenGL: y up, z backward.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ class Ho3d:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is a folder with numbered pickles in ``meta``, or next to such ones."""
+        """True if it is a folder with numbered pickles in ``meta``, or next to such folders."""
         if path.name in _OTHERS and (path.parent / "train").is_dir():
             return True
         folder = path / "meta"
         return folder.is_dir() and next(_frames(folder), None) is not None
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The sequence; none in the other folders."""
+        """List the sequence; none in the other folders."""
         if path.name in _OTHERS:
             return
         yield ClipRef(
@@ -58,15 +58,15 @@ class Ho3d:
         )
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands and the object in the frame of the camera."""
+        """Read the hands and the object in the frame of the camera."""
         files = sorted(_frames(ref.path / "meta"))
         checked_count({"meta": len(files)}, str(ref.path))
         frames = [table(load_restricted(file), str(file)) for _, file in files]
         keys = [key for key in _HANDS if any(key in frame for frame in frames)]
         if not keys:
             raise RecordingError(
-                f"{ref.path}: no frame has handPose; the evaluation split has no poses of hands, "
-                "which its authors keep for their challenge"
+                f"{ref.path}: no frame has handPose; the published evaluation split has "
+                "no poses of hands"
             )
         placed, shapes = {}, {}
         for key in keys:
@@ -106,7 +106,7 @@ def _frames(folder: Path) -> Iterator[tuple[int, Path]]:
 def _rows(
     frames: list[dict[Any, Any]], files: list[tuple[int, Path]], key: str, count: int
 ) -> np.ndarray:
-    """(T, count) of a key; NaN where a frame has None, as for frames without annotation."""
+    """(T, count) values of a key; NaN where a frame has None, which means no annotation."""
     rows = np.full((len(frames), count), np.nan)
     for row, frame, (_, file) in zip(rows, frames, files, strict=True):
         if key not in frame:
@@ -142,7 +142,7 @@ def _object(
 
 
 def _column(value: Any, where: str) -> np.ndarray:
-    """(3,) of a rotation that stands as (3,) or (3, 1)."""
+    """(3,) rotation from one of shape (3,) or (3, 1)."""
     try:
         return array(value, where, (3, 1))[:, 0]
     except RecordingError:

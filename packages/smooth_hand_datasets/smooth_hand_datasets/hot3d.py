@@ -3,7 +3,7 @@
 Source: Banerjee et al., *HOT3D: Hand and Object Tracking in 3D from Egocentric Multi-View Videos*,
 CVPR 2025, and https://github.com/facebookresearch/hot3d. A folder of a sequence has
 ``mano_hand_pose_trajectory.jsonl`` and ``dynamic_objects.csv``. Aria's world has z up, the Quest's
-has y up; ``metadata.json`` says which. The pose of the camera in the headset stands in the
+has y up; ``metadata.json`` names the headset. The pose of the camera in the headset is in the
 recording (``.vrs``), which is not read.
 """
 
@@ -24,13 +24,14 @@ from smooth_hand_datasets.scene import (
     Thing,
     checked_count,
     nearby,
+    read_table,
     world_pose,
 )
 from smooth_hand_datasets.unpickle import array, table
 from smooth_operator import poses
 from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
-from smooth_operator.io.documents import parse_json, read_json
+from smooth_operator.io.documents import parse_json
 from smooth_operator.io.plain_files import check_plain_file, read_text
 from smooth_operator.poses import WORLD_AXES
 from smooth_operator.types import Side
@@ -41,8 +42,8 @@ _SIDES: Final[dict[str, Side]] = {"0": "left", "1": "right"}
 _MOST_BYTES: Final = 200_000_000
 _MOST_TABLE_BYTES: Final = 64_000_000
 _LONGEST_LINE: Final = 100_000
-_TWICE_NS: Final = 5_000_000  # cameras of one headset expose so close to each other
-_NEAR_NS: Final = 20_000_000  # an object's pose counts for a frame that is so near
+_TWICE_NS: Final = 5_000_000  # frames of the cameras of one headset are closer than that
+_NEAR_NS: Final = 20_000_000  # most difference in time between a frame and an object's pose
 _COLUMNS: Final = (
     "object_uid",
     "timestamp[ns]",
@@ -70,12 +71,12 @@ class Hot3d:
         return (path / _HANDS).is_file()
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The sequence."""
+        """List the sequence."""
         size = (path / _HANDS).stat().st_size
         yield ClipRef(path.resolve().name, path, layout="hot3d", size=size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands and objects."""
+        """Read the hands and objects."""
         path = ref.path / _HANDS
         headset = _headset(ref.path)
         times, lines = _lines(path)
@@ -115,20 +116,16 @@ class Hot3d:
 
 def _headset(folder: Path) -> str:
     path = folder / "metadata.json"
-    try:
-        headset = table(read_json(path), str(path), ("headset",))["headset"]
-    except (OSError, DocumentError) as error:
-        raise RecordingError(f"{path}: it can't be read: {error}") from error
-    name = str(headset)[:40].lower()
+    name = str(read_table(path, ("headset",))["headset"])[:40].lower()
     if name not in ("aria", "quest3"):
         raise RecordingError(
-            f"{path}: headset must be Aria or Quest3, not {name!r}: it says which axis is up"
+            f"{path}: headset must be Aria or Quest3, which says which axis is up, not {name!r}"
         )
     return name
 
 
 def _lines(path: Path) -> tuple[np.ndarray, list[dict[str, Any]]]:
-    """(T,) times [ns] and the hands of each, without those that come twice."""
+    """(T,) times [ns] and the hands at each, without repeated ones."""
     times: list[int] = []
     lines: list[dict[str, Any]] = []
     try:
@@ -139,7 +136,9 @@ def _lines(path: Path) -> tuple[np.ndarray, list[dict[str, Any]]]:
             while line := stream.readline(_LONGEST_LINE + 1):
                 number += 1
                 if number > MOST_FRAMES or len(line) > _LONGEST_LINE:
-                    raise RecordingError(f"{path}: line {number} is too long, or one too many")
+                    raise RecordingError(
+                        f"{path}: line {number} is too long, or exceeds {MOST_FRAMES} lines"
+                    )
                 if not line.strip():
                     continue
                 named = f"{path}, line {number}"
@@ -158,7 +157,7 @@ def _lines(path: Path) -> tuple[np.ndarray, list[dict[str, Any]]]:
 
 
 def _hand(lines: list[dict[str, Any]], number: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """(T, 22) position, quaternion w x y z, 15 coefficients; (T, 10) shapes; NaN where unseen."""
+    """(T, 22) positions, quaternions and 15 coefficients, and (T, 10) shapes; NaN where unseen."""
     rows, betas = np.full((len(lines), 22), np.nan), np.full((len(lines), 10), np.nan)
     for row, beta, held in zip(rows, betas, lines, strict=True):
         if held.get(number) is None:
@@ -195,7 +194,7 @@ def _things(folder: Path, times: np.ndarray, options: ReadingOptions) -> list[Th
 
 
 def _rows(path: Path) -> dict[str, dict[int, list[float]]]:
-    """Object -> time [ns] -> x y z w x y z."""
+    """Poses by object and time [ns]."""
     rows: dict[str, dict[int, list[float]]] = {}
     try:
         reader = csv.reader(io.StringIO(read_text(path, most_bytes=_MOST_TABLE_BYTES)))
@@ -203,11 +202,11 @@ def _rows(path: Path) -> dict[str, dict[int, list[float]]]:
         missing = [column for column in _COLUMNS if column not in header]
         if missing:
             raise RecordingError(f"{path}: it lacks the column {missing[0]}")
-        at = [header.index(column) for column in _COLUMNS]
+        places = [header.index(column) for column in _COLUMNS]
         for row in reader:
             if not row:
                 continue
-            uid, time, *values = (row[i] for i in at)
+            uid, time, *values = (row[i] for i in places)
             if not uid.isalnum() or len(uid) > 40 or len(rows) > 1000:
                 raise RecordingError(f"{path}: an object_uid is damaged")
             if not time.isdecimal() or len(time) > 18:
@@ -221,7 +220,7 @@ def _rows(path: Path) -> dict[str, dict[int, list[float]]]:
 
 
 def _nearest(times: np.ndarray, stamps: np.ndarray, rows: dict[int, list[float]]) -> np.ndarray:
-    """(T, 7) the pose nearest in time; NaN where none is near."""
+    """(T, 7) poses nearest in time; NaN where none is near."""
     values = np.array([rows[time] for time in stamps.tolist()])
     after = np.clip(np.searchsorted(stamps, times), 0, len(stamps) - 1)
     before = np.maximum(after - 1, 0)
@@ -233,17 +232,13 @@ def _nearest(times: np.ndarray, stamps: np.ndarray, rows: dict[int, list[float]]
 
 
 def _names(assets: Path | None) -> dict[str, str]:
-    """Object -> its name, of ``instance.json``; none where the file is not there."""
+    """Names of objects from ``instance.json``; empty without the file."""
     path = None if assets is None else assets / "instance.json"
     if path is None or not path.is_file():
         return {}
-    try:
-        held = table(read_json(path), str(path))
-    except (OSError, DocumentError) as error:
-        raise RecordingError(f"{path}: it can't be read: {error}") from error
     return {
-        uid: str(entry["instance_name"])[:80]
-        for uid, entry in held.items()
+        uid: entry["instance_name"][:80]
+        for uid, entry in read_table(path).items()
         if isinstance(entry, dict) and isinstance(entry.get("instance_name"), str)
     }
 

@@ -2,7 +2,7 @@
 
 Source: Zhan et al., *OakInk2*, CVPR 2024, and https://github.com/oakink/OakInk2.
 ``anno_preview/TOKEN.pkl`` has a sequence, frame by frame at 120 Hz, in a world with y up.
-``program/task_target.json`` says what is done.
+``program/task_target.json`` has the tasks.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from smooth_hand_datasets.scene import (
     Thing,
     checked_count,
     nearby,
+    read_table,
     rigid,
     world_pose,
 )
 from smooth_hand_datasets.unpickle import array, load_restricted, table, text
 from smooth_operator import poses
-from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.errors import RecordingError
 from smooth_operator.formats.clip import Clip, ClipRef, ReadingOptions
-from smooth_operator.io.documents import read_json
 from smooth_operator.poses import WORLD_AXES
 from smooth_operator.types import Side
 
@@ -46,7 +46,7 @@ class OakInk2:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is a pickle in a folder of annotations, named as sequences are."""
+        """True if it is a pickle in a folder of annotations, with the name of a sequence."""
         return (
             path.suffix == ".pkl"
             and "++" in path.name
@@ -55,13 +55,13 @@ class OakInk2:
         )
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The sequence."""
+        """List the sequence."""
         yield ClipRef(
             path.stem.replace("++", "/"), path, layout="oakink2", size=path.stat().st_size
         )
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands, objects and the camera on the head."""
+        """Read the hands, the objects and the camera on the head."""
         where = str(ref.path)
         held = table(load_restricted(ref.path), where, _KEYS)
         ids = _ids(held["mocap_frame_id_list"], f"{where}, mocap_frame_id_list")
@@ -88,11 +88,12 @@ class OakInk2:
             betas[~finite] = 0.0
             model = load_model(options.mano, side)
             placed[side] = model.place(matrices, betas, at, moves="wrist", tips="manopth")
-        root = nearby(ref.path.resolve().parent, "program/task_target.json", "program")
-        folder = None if root is None else root
-        things = _things(held, ids, options.objects or _meshes(ref.path), where)
-        task = _task(folder, ref.path.stem.replace("++", "/"))
-        camera = _camera(held, ids, where)
+        folder = ref.path.resolve().parent
+        meshes = options.objects or nearby(
+            folder, *(f"object_{kind}/align_ds" for kind in ("repair", "raw", "preview"))
+        )
+        tasks = nearby(folder, "program/task_target.json")
+        task = None if tasks is None else read_table(tasks).get(ref.path.stem.replace("++", "/"))
         return Scene(
             placed,
             (ids - ids[0]) / (options.rate or RATE_HZ),
@@ -100,9 +101,9 @@ class OakInk2:
             (ref.path,),
             _TO_WORLD,
             shape,
-            camera,
-            things,
-            task,
+            _camera(held, ids, where),
+            _things(held, ids, meshes, where),
+            text(task, 1000),
         ).clip(ref, "oakink2", self.expects)
 
 
@@ -116,7 +117,7 @@ def _ids(value: Any, where: str) -> np.ndarray:
 def _rows(
     mano: dict[Any, Any], ids: np.ndarray, key: str, shape: tuple[int, ...], where: str
 ) -> np.ndarray:
-    """(T, ...) of a key; NaN for frames that raw_mano does not have."""
+    """(T, ...) values of a key; NaN for frames that raw_mano lacks."""
     rows = np.full((len(ids), *shape), np.nan)
     for row, number in zip(rows, ids.tolist(), strict=True):
         frame = mano.get(number)
@@ -133,8 +134,8 @@ def _things(held: dict[Any, Any], ids: np.ndarray, meshes: Path | None, where: s
         label = text(name)
         if label is None or name not in moved:
             raise RecordingError(f"{where}: an object of obj_list is not in obj_transf")
-        frames = table(moved[name], f"{where}, obj_transf of {label}")
         named = f"{where}, obj_transf of {label}"
+        frames = table(moved[name], named)
         track = np.full((len(ids), 7), np.nan)
         rows = [row for row, number in enumerate(ids.tolist()) if number in frames]
         if rows:
@@ -142,15 +143,6 @@ def _things(held: dict[Any, Any], ids: np.ndarray, meshes: Path | None, where: s
             track[rows] = rigid(np.stack(stack), named)
         things.append(Thing(label, track, _mesh(meshes, label)))
     return things
-
-
-def _meshes(path: Path) -> Path | None:
-    return nearby(
-        path.resolve().parent,
-        "object_repair/align_ds",
-        "object_raw/align_ds",
-        "object_preview/align_ds",
-    )
 
 
 def _mesh(folder: Path | None, name: str) -> Path | None:
@@ -161,22 +153,8 @@ def _mesh(folder: Path | None, name: str) -> Path | None:
     return files[0] if files else None
 
 
-def _task(program: Path | None, key: str) -> str | None:
-    """What is done, of ``task_target.json``; None where the file is not there."""
-    if program is None:
-        return None
-    file = program if program.is_file() else program / "task_target.json"
-    if not file.is_file():
-        return None
-    try:
-        program_text = read_json(file)
-    except (OSError, DocumentError) as error:
-        raise RecordingError(f"{file}: it can't be read: {error}") from error
-    return text(program_text.get(key), 1000) if isinstance(program_text, dict) else None
-
-
 def _camera(held: dict[Any, Any], ids: np.ndarray, where: str) -> np.ndarray | None:
-    """Poses of the egocentric camera, held between its own frames, which are 30 Hz."""
+    """Poses of the egocentric camera, held between its frames, which come at 30 Hz."""
     names, extrinsics = held.get("cam_def"), held.get("cam_extr")
     if not isinstance(names, dict) or not isinstance(extrinsics, dict):
         return None

@@ -1,8 +1,8 @@
-"""From placed hands, objects and cameras in a data set's own world to a clip in ours."""
+"""Converts placed hands, objects and cameras in a data set's world to a clip in the project's."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -11,10 +11,12 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_hand_datasets.mano_model import PlacedHand
+from smooth_hand_datasets.unpickle import table
 from smooth_operator import poses
-from smooth_operator.errors import RecordingError
+from smooth_operator.errors import DocumentError, RecordingError
 from smooth_operator.formats.both_hands import checked_hands, first_video
 from smooth_operator.formats.clip import CAMERA, Clip, ClipRef, ObjectTrack
+from smooth_operator.io.documents import read_json
 from smooth_operator.retargeting.palm import palm_axes
 from smooth_operator.types import HandRecording, Side
 
@@ -26,13 +28,13 @@ _LONG_TIPS: Final = [8, 12, 16, 20]
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """An object as the data set has it.
+    """An object of a data set.
 
     Attributes:
         name: name of the object.
         poses: (T, 7) in the data set's world, NaN where unknown.
-        mesh: its file; left out of the clip where it is not there.
-        scale: from the mesh's units to metres.
+        mesh: its file; the clip does not name a file that does not exist.
+        scale: factor from the mesh's units to metres.
     """
 
     name: str
@@ -43,18 +45,18 @@ class Thing:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a file of a data set holds, in its own world.
+    """Content of a file of a data set, in the data set's world.
 
     Attributes:
-        hands: side -> hands.
+        hands: placed hands by side.
         stamps: (T,) [s].
-        world: name of our world: z up, or ``CAMERA``.
-        to_world: (7,) or (T, 7) pose of the data set's world in ours.
-        shape: side -> (10,) shape of the sequence.
-        camera: (T, 7) or (7,) pose of the camera in the data set's world, x right, y down, z into
-            the picture.
+        world: name of the clip's world, which has z up, or ``CAMERA``.
+        to_world: (7,) or (T, 7) pose of the data set's world in the clip's.
+        shape: (10,) shape parameters by side.
+        camera: (T, 7) or (7,) pose of the camera in the data set's world, x right, y down, z
+            forward.
         things: the objects.
-        source: the files, the clip's own first.
+        source: the files; the first is that of the clip.
     """
 
     hands: Mapping[Side, PlacedHand]
@@ -70,14 +72,14 @@ class Scene:
     video: Path | None = None
     meta: Mapping[str, Any] = field(default_factory=dict)
 
-    @np.errstate(all="ignore")  # numbers beyond any hand become NaN or are refused
+    @np.errstate(all="ignore")  # impossible numbers become NaN or are refused
     def clip(self, ref: ClipRef, layout: str, expects: str) -> Clip:
-        """The clip, its hands checked: units, stamps, and that each is of its side by its shape.
+        """Returns the clip after a check of the units, the stamps and the side of its hands.
 
         Args:
-            ref: its name.
-            layout: of the data set.
-            expects: what its files should hold, for messages.
+            ref: reference to the clip, for its name.
+            layout: name of the layout.
+            expects: expected content of the files, for messages.
 
         Raises:
             RecordingError: a check fails, or no frame has a hand.
@@ -128,12 +130,12 @@ class Scene:
 
 
 def _check_bend(hand: HandRecording, where: str) -> None:
-    """Refuses fingers that bend out of the back of the hand, as those with wrong parameters do.
+    """Refuses fingers that bend out of the back of the hand, which wrong parameters cause.
 
-    The palm of a model is of the side of its file, whatever the parameters are, so that the check
-    of the side by the shape can't tell.
+    The palm of a model always has the side of the model's file, so the check of the side by the
+    shape does not find wrong parameters.
     """
-    assert hand.valid is not None  # filled in by HandRecording
+    assert hand.valid is not None  # set by HandRecording
     whole = hand.landmarks[hand.valid.all(axis=1)]
     if not len(whole):
         return
@@ -146,7 +148,7 @@ def _check_bend(hand: HandRecording, where: str) -> None:
         raise RecordingError(
             f"{where}, {hand.side} hand: the fingers bend out of the back of the hand in {wrong} "
             f"of {len(whole)} frames; its parameters are of the other side, of a mirrored picture, "
-            "or relative to another mean pose than the layout has"
+            "or relative to a different mean pose"
         )
 
 
@@ -157,53 +159,60 @@ def _moved(pose: Float[np.ndarray, "*n 7"], points: Float[np.ndarray, "T 21 3"])
 
 
 def world_pose(axes: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "7"]:
-    """The pose of a world in ours that differs by its axes, as ``poses.axes`` gives them."""
+    """Pose of a world whose axes differ from the clip's, from a result of ``poses.axes``."""
     return np.concatenate([np.zeros(3), poses.quaternions(axes)])
 
 
 def checked_count(counts: Mapping[str, int], where: str) -> int:
-    """The number of frames that all parts of a file have.
+    """Returns the common number of frames of all parts of a file.
 
     Raises:
-        RecordingError: they differ, or there are none or too many.
+        RecordingError: the numbers differ, are zero or too large.
     """
     count = next(iter(counts.values()))
     if len(set(counts.values())) > 1:
         counted = ", ".join(f"{name} {n}" for name, n in counts.items())
         raise RecordingError(f"{where}: its parts have different numbers of frames: {counted}")
     if not 0 < count <= MOST_FRAMES:
-        raise RecordingError(f"{where}: it has {count} frames; 1 to {MOST_FRAMES:,} are read")
+        raise RecordingError(f"{where}: it has {count} frames, not 1 to {MOST_FRAMES:,}")
     return count
 
 
 def rigid(
     matrices: Float[np.ndarray, "*n 4 4"], where: str, *, inverse: bool = False
 ) -> Float[np.ndarray, "*n 7"]:
-    """Poses of homogeneous matrices; of their inverses, for those from world to camera.
+    """Poses of homogeneous matrices, or of their inverses.
 
     Raises:
-        RecordingError: one is no rotation and position.
+        RecordingError: a matrix is not a rotation and position.
     """
     if not poses.is_rigid(matrices).all():
-        raise RecordingError(f"{where}: it has a matrix that is no rotation and position")
+        raise RecordingError(f"{where}: it has a matrix that is not a rotation and position")
     quaternions = poses.from_matrices(matrices)
     return poses.invert(quaternions) if inverse else quaternions
 
 
 def stamps_at(count: int, rate: float) -> Float[np.ndarray, " T"]:
-    """(T,) evenly spaced stamps [s]."""
+    """(T,) evenly spaced stamps from zero [s]."""
     return np.arange(count) / rate
 
 
 def nearby(folder: Path, *names: str) -> Path | None:
-    """The first of some places in a folder or the ones around it that is there.
-
-    Args:
-        folder: where to begin; it and its six next parents are looked at.
-        names: relative paths.
-    """
+    """Returns the first of the relative paths that exists in a folder or its six next parents."""
     for place in (folder, *list(folder.parents)[:6]):
         for name in names:
             if (place / name).exists():
                 return place / name
     return None
+
+
+def read_table(path: Path, needs: Collection[str] = ()) -> dict[Any, Any]:
+    """Reads a JSON file that must hold a table with some keys.
+
+    Raises:
+        RecordingError: the file can't be read, or holds something else.
+    """
+    try:
+        return table(read_json(path), str(path), needs)
+    except (OSError, DocumentError) as error:
+        raise RecordingError(f"{path}: it can't be read: {error}") from error

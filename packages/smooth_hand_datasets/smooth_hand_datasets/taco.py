@@ -37,7 +37,7 @@ class Taco:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is a folder with a hand and its shape, or of its objects and cameras."""
+        """True if it is a folder with a hand and its shape, or with objects or cameras."""
         if path.name in _OTHERS and (path.parent / "Hand_Poses").is_dir():
             return True
         return any(
@@ -46,7 +46,7 @@ class Taco:
         )
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The sequence; none in the other folders."""
+        """List the sequence; none in the other folders."""
         if path.name in _OTHERS:
             return
         size = sum(
@@ -57,7 +57,7 @@ class Taco:
         yield ClipRef(path.resolve().name, path, layout="taco", size=size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands, tool, target and the camera on the head."""
+        """Read the hands, the tool, the target and the camera on the head."""
         placed, shape, counts, source = {}, {}, {}, []
         for side in _SIDES:
             file = ref.path / f"{side}_hand.pkl"
@@ -68,17 +68,16 @@ class Taco:
             counts[file.name] = len(pose)
             held = ref.path / f"{side}_hand_shape.pkl"
             if not held.is_file():
-                raise RecordingError(f"{held}: it is missing, and with it the shape of the hand")
+                raise RecordingError(
+                    f"{held}: this file, which has the shape of the hand, is missing"
+                )
             value = table(load_restricted(held), str(held), ("hand_shape",))["hand_shape"]
-            try:
-                shape[side] = array(value, f"{held}, hand_shape", (10,), finite=True)
-            except RecordingError:
-                shape[side] = array(value, f"{held}, hand_shape", (1, 10), finite=True)[0]
+            shape[side] = array(value, f"{held}, hand_shape", (10,), finite=True, batch=True)
             model = load_model(options.mano, side)
             turns = model.rotations(pose[:, :3], pose[:, 3:], flat_hand_mean=True)
             placed[side] = model.place(turns, shape[side], at, moves="wrist", tips="manopth")
         if not source:
-            raise RecordingError(f"{ref.path}: {self.expects} were expected, none is there")
+            raise RecordingError(f"{ref.path}: it has no hand; expected {self.expects}")
         sequence = ref.path.resolve()
         root = sequence.parent.parent.parent
         part = Path(sequence.parent.name) / sequence.name
@@ -113,7 +112,7 @@ class Taco:
 
 
 def _hand(file: Path) -> tuple[np.ndarray, np.ndarray]:
-    """(T, 48) pose and (T, 3) position, in the order of the frames' names."""
+    """(T, 48) poses and (T, 3) positions, in the order of the frames' names."""
     held = table(load_restricted(file), str(file))
     checked_count({file.name: len(held)}, str(file))
     pose, at = np.zeros((len(held), 48)), np.zeros((len(held), 3))
@@ -130,7 +129,7 @@ def _hand(file: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _task(triplet: str) -> str | None:
-    """``(stir, spoon, bowl)`` is to stir the bowl with the spoon."""
+    """From ``(stir, spoon, bowl)`` to "stir the bowl with the spoon"."""
     words = [word.strip() for word in triplet.strip("() ").split(",")]
     if len(words) != 3 or not all(words):
         return None

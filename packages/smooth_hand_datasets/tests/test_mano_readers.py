@@ -132,11 +132,11 @@ def test_what_is_missing_is_named(tmp_path, models):
     assert "it lacks mano_calib" in refused("dexycb", made.path, models)
     made = layouts.dexycb(tmp_path / "c")
     (tmp_path / "c" / "calibration").rename(tmp_path / "c" / "elsewhere")
-    assert "no folder calibration" in refused("dexycb", made.path, models)
+    assert "lacks calibration" in refused("dexycb", made.path, models)
     made = layouts.ho3d(tmp_path / "d")
     for file in (made.path / "meta").iterdir():
         file.write_bytes(mano_files.pickled({"objName": "mug", "handJoints3D": np.zeros(3)}))
-    assert "the evaluation split has no poses" in refused("ho3d", made.path, models)
+    assert "evaluation split has no poses" in refused("ho3d", made.path, models)
     made = layouts.arctic(tmp_path / "e")
     made.path.write_bytes(mano_files.npy_of_object({"right": {}}))
     assert "it lacks left" in refused("arctic", made.path, models)
