@@ -12,9 +12,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import fuzzing
 import numpy as np
 import pytest
 from glove_simulator import GloveFaults, messages, write_manus
+from hypothesis import strategies as st
 from live_time import PATIENCE_S, Kept, until
 
 from smooth_operator.errors import ConfigError, RecordingError, SourceError
@@ -54,17 +56,12 @@ def test_numbers_of_three_trackers_are_the_same_hand(kind, points):
         np.testing.assert_allclose(frame.metacarpals, HAND.metacarpals, atol=1e-6)
 
 
-def test_numbers_that_start_like_json_are_numbers():
+def test_numbers_and_json_are_told_apart():
     for first in b"{[":
         data = bytes([first]) + POINTS.astype("<f4").tobytes()[1:]
         np.testing.assert_allclose(read(data).landmarks, POINTS, atol=1e-6)
-
-
-def test_json_of_the_size_of_numbers_is_json():
-    short = json.dumps(
-        [[round(x, 3) for x in row] for row in POINTS.tolist()], separators=(",", ":")
-    )
-    data = short.encode().ljust(504)
+    short = json.dumps([[round(x, 3) for x in row] for row in POINTS.tolist()])
+    data = short.replace(" ", "").encode().ljust(504)  # the size of 21 x 3 float64
     assert len(data) == 504
     np.testing.assert_allclose(read(data).landmarks, POINTS, atol=1e-3)
 
@@ -157,23 +154,21 @@ def test_a_hand_that_nobody_names_is_refused_where_both_are_taken():
 
 
 def test_no_message_can_raise_anything_else():
-    rng = np.random.default_rng(0)
     seeds = [text(stamp=1.0, side="right", valid=[True] * 21), glove_text(), csv(), ros_text()]
-    refused = 0
-    for k in range(1200):
-        data = bytearray(seeds[k % len(seeds)])
-        for _ in range(rng.integers(1, 6)):
-            at = int(rng.integers(len(data)))
-            data[at : at + int(rng.integers(0, 4))] = rng.bytes(int(rng.integers(0, 3)))
+    refused = []
+
+    def use(data: bytes) -> None:
         for reader in (
-            lambda d: read_payload(d, side="right", received=0.0),
-            lambda d: read_manus(d, gloves={}, side="right", received=0.0),
+            lambda: read_payload(data, side="right", received=0.0),
+            lambda: read_manus(data, gloves={}, side="right", received=0.0),
         ):
             try:
-                reader(bytes(data))
-            except RecordingError:
-                refused += 1
-    assert refused > 1200  # each reader refuses the other's too
+                reader()
+            except RecordingError as error:
+                refused.append(error)
+
+    fuzzing.each(st.one_of(*map(fuzzing.damaged_bytes, seeds)), 200, use)
+    assert len(refused) > 200  # each reader refuses the other's messages, too
 
 
 def node(i: int, *, key: str = "id") -> dict[str, Any]:
@@ -480,8 +475,8 @@ def test_pickled_python_objects_are_refused_not_opened():
             assert mailbox.all == []
 
 
-def test_a_simulated_glove_s_faults_are_as_often_as_asked():
-    played = SyntheticOperator(rate_hz=50.0).record(5.0)
+def test_a_simulated_glove_has_the_requested_faults():
+    played = SyntheticOperator(rate_hz=50.0).record(2.0)
 
     def ticks(count: int, **faults: float) -> list[tuple[float, list[HandFrame]]]:
         sent = itertools.islice(messages(played, 50.0, "both", GloveFaults(**faults)), count)
@@ -490,28 +485,28 @@ def test_a_simulated_glove_s_faults_are_as_often_as_asked():
             for due, m in sent
         ]
 
-    def hands(count: int = 700, **faults: float) -> list[HandFrame]:
+    def hands(count: int = 200, **faults: float) -> list[HandFrame]:
         return [frame for _, frames in ticks(count, **faults) for frame in frames]
 
-    def steps(count: int = 700, **faults: float) -> np.ndarray:
+    def steps(count: int = 200, **faults: float) -> np.ndarray:
         return np.diff([frame.time for frame in hands(count, **faults) if frame.side == "right"])
 
-    np.testing.assert_allclose(steps(1100), 0.02, atol=1e-6)  # 11 s: there, back, there again
-    found = ticks(700, drop=0.1)
-    assert len(found) / 2 / (found[-1][0] * 50) == pytest.approx(0.9, abs=0.04)
-    seen = Counter(int(frame.valid.sum()) for frame in hands(1500, missing=0.1))
+    np.testing.assert_allclose(steps(450), 0.02, atol=1e-6)  # 4.5 s: there, back, there again
+    sent = ticks(200, drop=0.3)
+    assert len(sent) / 2 / (sent[-1][0] * 50) == pytest.approx(0.7, abs=0.12)
+    seen = Counter(int(frame.valid.sum()) for frame in hands(200, missing=0.3))
     assert set(seen) == {0, 17, 21}
-    assert [seen[0], seen[17]] == pytest.approx([75, 75], abs=9)
+    assert [seen[0], seen[17]] == pytest.approx([30, 30], abs=10)
     # a right hand's index is on the other side of its pinky than a left one's
     right = [
-        (f.landmarks[5, 1] > f.landmarks[17, 1]) == (f.side == "right") for f in hands(swap=0.1)
+        (f.landmarks[5, 1] > f.landmarks[17, 1]) == (f.side == "right") for f in hands(swap=0.3)
     ]
-    assert np.mean(right) == pytest.approx(0.9, abs=0.04)
-    assert (steps(duplicate=0.1) == 0).mean() > 0.06
-    assert (steps(reorder=0.1) < 0).mean() > 0.05
-    silences = steps(1000, silence_every=4.0, silence=2.0)
-    np.testing.assert_allclose(silences[silences > 0.03], [2.02] * 4, atol=1e-6)
-    assert (steps(1000, restart_every=3.0) < -2.0).sum() == 3
+    assert np.mean(right) == pytest.approx(0.7, abs=0.12)
+    assert (steps(duplicate=0.3) == 0).mean() > 0.15
+    assert (steps(reorder=0.3) < 0).mean() > 0.1
+    silences = steps(300, silence_every=2.0, silence=1.0)
+    np.testing.assert_allclose(silences[silences > 0.03], [1.02] * 2, atol=1e-6)
+    assert (steps(300, restart_every=1.0) < -0.5).sum() == 2
 
 
 COMMAND = [sys.executable, str(Path(__file__).with_name("glove_simulator.py"))]
@@ -539,15 +534,15 @@ def test_a_glove_that_is_killed_and_restarted_is_another_session(short):
     source = ManusStream(address)
     try:
         with running(source) as mailbox:
-            until(lambda: {a.frame.side for a in mailbox.all} == {"right", "left"}, 30.0)
+            until(lambda: {a.frame.side for a in mailbox.all} == {"right", "left"})
             assert {a.session for a in mailbox.all} == {0}
             first.kill()
             first.wait()
-            until(lambda: source.health().state == "waiting", 30.0)
+            until(lambda: source.health().state == "waiting")
             before = len(mailbox.all)
             second, _ = start_glove(short, address, "--duration", "20")
             try:
-                until(lambda: len(mailbox.all) > before + 20, 30.0)
+                until(lambda: len(mailbox.all) > before + 20)
                 assert {a.session for a in mailbox.all[before:]} == {1}
                 # Rates on a machine with other things to do are not judged, order is.
                 right = [a.frame.stamp for a in mailbox.all[before:] if a.frame.side == "right"]
