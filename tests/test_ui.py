@@ -45,41 +45,7 @@ from smooth_operator.teleop.pages.scene import _turn_z, lit_tips
 from smooth_operator.teleop.pages.viser_server import plain
 from smooth_operator.web import browser
 
-FINGERS = ("thumb", "index", "pinky")
 HANDS = {side: load_hand("mimic_p050", side) for side in ("right", "left")}
-
-
-def hand_xml() -> str:
-    """A three-fingered hand: palm box, two hinges a finger, palm toward -y."""
-    fingers = "".join(
-        f"""
-        <body name="{name}_1" pos="{x} {y} {z}" {turn}>
-          <joint name="{name}_a" axis="1 0 0" range="0 1.6"/>
-          <geom type="capsule" fromto="0 0 0 0 0 {size}" size="0.008"/>
-          <body name="{name}_2" pos="0 0 {size}">
-            <joint name="{name}_b" axis="1 0 0" range="0 1.6"/>
-            <geom type="capsule" fromto="0 0 0 0 0 {size}" size="0.007"/>
-            <geom type="sphere" pos="0 0 {size}" size="0.008"/>
-            <site name="{name}_tip" pos="0 0 {size}"/>
-          </body>
-        </body>"""
-        for name, x, y, z, turn, size in (
-            ("thumb", 0.035, -0.01, 0.03, 'euler="0 50 0"', 0.035),
-            ("index", 0.03, 0.0, 0.10, "", 0.045),
-            ("pinky", -0.03, 0.0, 0.09, "", 0.035),
-        )
-    )
-    return f"""
-    <mujoco><worldbody>
-      <geom type="plane" size="1 1 0.1" pos="0 0 -0.2"/>
-      <body name="palm">
-        <geom type="box" size="0.038 0.012 0.045" pos="0 0 0.05"/>
-        <geom type="cylinder" size="0.02 0.01" pos="0 0 0"/>
-        <geom type="ellipsoid" size="0.03 0.012 0.02" pos="0 0.005 0.05"/>
-        <geom type="sphere" size="0.3" group="3"/>
-        {fingers}
-      </body>
-    </worldbody></mujoco>"""
 
 
 def human_hand(curl: np.ndarray) -> np.ndarray:
@@ -132,11 +98,6 @@ def playback() -> Playback:
     return make_playback()
 
 
-@pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(hand_xml())
-
-
 @pytest.fixture
 def server(playback: Playback) -> Iterator[PlaybackServer]:
     with PlaybackServer(playback, port=0) as running:
@@ -177,21 +138,17 @@ def test_the_clock_drops_frames_and_never_stretches_time():
     clock.start(0, now=0.0)
     assert clock.frame(0.5)[0] == 3  # due at its very stamp
 
-
-def test_the_clock_changes_speed_without_a_jump_and_loops():
     clock = PlaybackClock(np.arange(100) / 100, speed=1.0, loop=True)
     clock.start(10, now=0.0)
     assert clock.frame(0.105)[0] == 20
-    clock.set_speed(4.0, now=0.105)
+    clock.set_speed(4.0, now=0.105)  # without a jump
     assert clock.frame(0.105)[0] == 20
     assert clock.frame(0.2051)[0] == 60
     assert clock.frame(0.105 + (1.0 - 0.205) / 4 + 0.01) == (4, False)
 
-
-def test_the_clock_ends_at_once_on_a_single_frame():
-    clock = PlaybackClock(np.array([3.0]), loop=True)
-    clock.start(0, now=0.0)
-    assert clock.frame(0.0) == (0, True)
+    single = PlaybackClock(np.array([3.0]), loop=True)
+    single.start(0, now=0.0)
+    assert single.frame(0.0) == (0, True)
 
 
 @pytest.mark.parametrize(
@@ -200,12 +157,7 @@ def test_the_clock_ends_at_once_on_a_single_frame():
         ("sphere", "0.02", (0.02, 0.02, 0.02), 4 / 3 * np.pi * 0.02**3),
         ("box", "0.01 0.02 0.03", (0.01, 0.02, 0.03), 8 * 0.01 * 0.02 * 0.03),
         ("cylinder", "0.02 0.05", (0.02, 0.02, 0.05), np.pi * 0.02**2 * 0.1),
-        (
-            "capsule",
-            "0.02 0.05",
-            (0.02, 0.02, 0.07),
-            np.pi * 0.02**2 * 0.1 + 4 / 3 * np.pi * 0.02**3,
-        ),
+        ("capsule", "0.02 0.05", (0.02, 0.02, 0.07), np.pi * 0.02**2 * (0.1 + 4 / 3 * 0.02)),
         ("ellipsoid", "0.01 0.02 0.03", (0.01, 0.02, 0.03), 4 / 3 * np.pi * 6e-6),
     ],
 )
@@ -231,19 +183,17 @@ def test_mesh_geoms_land_where_mujoco_puts_them():
     np.testing.assert_allclose(got, np.unique(corners, axis=0), atol=1e-6)
 
 
-def test_bodies_draw_visible_groups_and_no_scenery(model):
-    meshes = body_meshes(model)
-    names = {model.body(body).name for body in meshes}
-    assert names == {"palm", *(f"{f}_{i}" for f in FINGERS for i in (1, 2))}  # no world: a plane
-    palm = meshes[model.body("palm").id]
-    assert palm.extents.max() < 0.2  # the 0.3 m collision sphere is not drawn
-
-
-def test_a_model_with_collision_shapes_only_is_drawn_by_them():
+def test_bodies_draw_visible_groups_and_no_scenery():
+    box = '<geom type="box" size=".1 .1 .1" group="3"/>'
     model = mujoco.MjModel.from_xml_string(
-        '<mujoco><worldbody><geom type="box" size=".1 .1 .1" group="3"/></worldbody></mujoco>'
+        f"""<mujoco><worldbody><geom type="plane" size="1 1 0.1"/>
+        <body><geom type="sphere" size="0.05"/>{box}</body></worldbody></mujoco>"""
     )
-    assert body_meshes(model)[0].extents == pytest.approx([0.2] * 3)
+    (body,) = body_meshes(model).items()  # no world: a plane is scenery
+    assert (body[0], body[1].extents) == (1, pytest.approx([0.1] * 3, abs=1e-3))
+    alone = f"<mujoco><worldbody>{box}</worldbody></mujoco>"  # collision shapes only
+    meshes = body_meshes(mujoco.MjModel.from_xml_string(alone))
+    assert meshes[0].extents == pytest.approx([0.2] * 3)
 
 
 @pytest.mark.parametrize("name", ["mimic_p050", "shadow_hand", "unitree_dex3"])
@@ -292,13 +242,6 @@ def test_the_camera_sees_both_hands_from_the_palm_side(side, aspect, covered, ab
         low.append(screen[0].min())
         high.append(screen[0].max())
     assert high[0] < low[1]  # human left of robot, apart
-
-
-def test_without_a_human_the_view_stands_on_the_robot():
-    human = np.full((60, 21, 3), np.nan)
-    layout = plan(np.eye(3), human, np.zeros(3), np.random.default_rng(0).normal(size=(9, 3)))
-    for part in (layout.centre, layout.human_shift, *layout.robot_shifts, *layout.tops):
-        assert np.isfinite(part).all()
 
 
 def test_bones_point_from_joint_to_joint():
@@ -362,17 +305,16 @@ def test_several_robots_stand_apart_and_all_fit_the_picture(playback):
     layout = plan(axes, trace.human, trace.robot_wrist, points, points, points)
     right = axes[0]
     shifts = [float(shift @ right) for shift in layout.robot_shifts]
-    width = float(np.ptp(points @ right))
     assert len(shifts) == 3
-    assert min(np.diff(shifts)) > width
-    lows = [float((trace.human.reshape(-1, 3) @ right).min() + layout.human_shift @ right)]
-    ends = [*lows, *((points @ right).max() + shift for shift in shifts)]
+    assert min(np.diff(shifts)) > float(np.ptp(points @ right))
+    human = trace.human.reshape(-1, 3) + layout.human_shift
+    ends = [float((human @ right).min()), *((points @ right).max() + shift for shift in shifts)]
     middle = float(layout.centre @ right)
     assert max(abs(end - middle) for end in ends) <= layout.half[0] + 1e-9
-
-
-def test_linear_light_keeps_the_ends_and_darkens_the_middle():
-    np.testing.assert_array_equal(linear(np.array([0, 128, 255], np.uint8)), [0, 55, 255])
+    # without a human the view stands on the robot
+    layout = plan(axes, np.full((60, 21, 3), np.nan), np.zeros(3), points)
+    for part in (layout.centre, layout.human_shift, *layout.robot_shifts, *layout.tops):
+        assert np.isfinite(part).all()
 
 
 def cielab(rgb: np.ndarray) -> np.ndarray:
@@ -391,6 +333,7 @@ def test_finger_colors_differ_for_the_colour_blind():
         "protan": [[0.11238, 0.88762, 0], [0.11238, 0.88762, 0], [0.00401, -0.00401, 1]],
         "deutan": [[0.29275, 0.70725, 0], [0.29275, 0.70725, 0], [-0.02234, 0.02234, 1]],
     }
+    np.testing.assert_array_equal(linear(np.array([0, 128, 255], np.uint8)), [0, 55, 255])
     colors = linear(np.array([*FINGER_COLORS, HIGHLIGHT], np.uint8)) / 255
     for matrix in missing.values():
         seen = cielab(np.clip(colors @ np.array(matrix).T, 0, 1))
@@ -546,19 +489,15 @@ def test_a_single_frame_can_be_shown():
         assert server.frame == 0
 
 
-def test_no_browser_is_opened_without_a_desktop(monkeypatch):
-    monkeypatch.setattr(browser.sys, "platform", "linux")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert not browser.has_desktop()
-    monkeypatch.setenv("DISPLAY", ":0")
-    assert browser.has_desktop()
-
-
-def test_a_token_is_in_no_argument_of_the_browser(monkeypatch):
+def test_a_browser_needs_a_desktop_and_gets_no_token_in_its_arguments(monkeypatch):
     opened: list[str] = []
-    monkeypatch.setenv("DISPLAY", ":9")
+    monkeypatch.setattr(browser.sys, "platform", "linux")
     monkeypatch.setattr(browser.webbrowser, "open", opened.append)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    browser.open_page("http://127.0.0.1:8080")
+    assert opened == []
+    monkeypatch.setenv("DISPLAY", ":9")
     browser.open_page("http://127.0.0.1:8080")
     assert opened == ["http://127.0.0.1:8080"]
     browser.open_page("http://10.0.0.7:8080/?token=s3cret&x=1")
@@ -567,12 +506,9 @@ def test_a_token_is_in_no_argument_of_the_browser(monkeypatch):
     assert "url=http://10.0.0.7:8080/?token=s3cret&x=1" in html.unescape(file.read_text())
     if os.name == "posix":
         assert file.stat().st_mode & 0o777 == 0o600
-
-
-def test_the_file_that_leads_to_a_page_does_not_stay(monkeypatch):
     monkeypatch.setattr(browser, "_FILE_S", 0.05)
-    file = browser.leading_to("http://localhost/?token=x")
-    eventually(lambda: not file.exists())
+    short = browser.leading_to("http://localhost/?token=x")
+    eventually(lambda: not short.exists())
     code = "from smooth_operator.web.browser import leading_to; print(leading_to('http://h/?t=x'))"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not Path(ran.stdout.strip()).exists()  # it goes with the process, too

@@ -1,18 +1,18 @@
 """Camera and video: what reaches the mailbox, what happens when the camera goes, real pictures."""
 
 import dataclasses
-import importlib
 import re
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from live_time import PATIENCE_S
+from live_time import PATIENCE_S, Kept
 from live_time import until as wait_for
 from pictures import landmarker_or_skip, opencv_or_skip
 
@@ -24,7 +24,7 @@ from smooth_operator.formats.readers import read_recording
 from smooth_operator.geometry import umeyama
 from smooth_operator.landmarks import TIPS
 from smooth_operator.teleop.components import build_source
-from smooth_operator.teleop.sources.live import LiveSource, Mailbox
+from smooth_operator.teleop.sources.live import Mailbox
 from smooth_operator.teleop.sources.webcam import camera as camera_module
 from smooth_operator.teleop.sources.webcam import picture_tracker
 from smooth_operator.teleop.sources.webcam.camera import Camera
@@ -105,52 +105,46 @@ def test_a_mirrored_picture_is_turned_back_before_it_is_looked_at(fake, mirrored
     np.testing.assert_array_equal(looked_at[0, 0 if mirrored else -1], (0, 0, 0))
 
 
-def test_a_video_is_played_at_its_own_pace(fake, tmp_path):
-    path = write_video(tmp_path / "clip.mp4", [plain(200)] * 20, rate=20.0)
-    source, mailbox = build_source(f"video:{path},speed=2,every=true"), Mailbox()
-    began = time.perf_counter()
+def played(source: Any, mailbox: Mailbox | None = None) -> Mailbox:
+    """The mailbox of a source after its end."""
+    mailbox = mailbox or Mailbox()
     source.start(mailbox)
     wait_for(lambda: source.health().state == "ended")
+    return mailbox
+
+
+def test_a_video_is_played_at_its_own_pace(fake, tmp_path):
+    path = write_video(tmp_path / "clip.mp4", [plain(200)] * 20, rate=20.0)
+    source = build_source(f"video:{path},speed=2,every=true")
+    began = time.perf_counter()
+    arrival = played(source).take("right")
     assert time.perf_counter() - began > 0.95 * 19 / 40
-    arrival = mailbox.take("right")
     assert arrival.frame.stamp > 0.9
     assert arrival.session == 0
     assert "a hand in" in source.health().detail
-    assert source.label not in source.health().detail  # who shows it has named it
+    assert source.label not in source.health().detail  # the loop adds the name
 
 
-def test_pictures_that_are_late_are_left_out_unless_every_one_is_wanted(
-    fake, tmp_path, monkeypatch
-):
+def test_late_pictures_are_skipped_unless_every_one_is_wanted(fake, tmp_path, monkeypatch):
     path = write_video(tmp_path / "clip.mp4", [plain(200)] * 20)
     find = Fake.find
-    monkeypatch.setattr(
-        Fake, "find", lambda self, *given: (time.sleep(0.04), find(self, *given))[1]
-    )
-    received = {}
-    for every in (True, False):
-        source, mailbox = Video(path, speed=4.0, every=every), Mailbox()
-        source.start(mailbox)
-        wait_for(lambda s=source: s.health().state == "ended")
-        received[every] = mailbox.received
-    assert received[True] == 20
-    assert 1 <= received[False] <= 12
+
+    def slow(self: Fake, *args: Any) -> list[SeenHand]:
+        time.sleep(0.04)
+        return find(self, *args)
+
+    monkeypatch.setattr(Fake, "find", slow)
+    assert played(Video(path, speed=4.0, every=True)).received == 20
+    source = Video(path, speed=4.0)
+    assert 1 <= played(source).received <= 12
     assert "skipped because they were late" in source.health().detail
 
 
 def test_a_video_that_loops_begins_a_new_session(fake, tmp_path):
     path = write_video(tmp_path / "clip.mp4", [plain(200)] * 4)
-    source, mailbox = Video(path, speed=2.0, loop=True), Mailbox()
+    source, mailbox = Video(path, speed=2.0, loop=True), Kept()
     source.start(mailbox)
-    sessions = set()
-
-    def third() -> bool:
-        arrival = mailbox.take("right")
-        if arrival is not None:
-            sessions.add(arrival.session)
-        return 2 in sessions
-
-    wait_for(third)
+    wait_for(lambda: 2 in {arrival.session for arrival in mailbox.all})
     source.stop()
     assert source.health().state == "ended"
 
@@ -270,14 +264,16 @@ def test_the_newest_picture_is_taken_and_the_others_are_dropped(captures, monkey
     assert camera.newest(0.05) is None or camera.newest(0.05) is None
 
 
-def test_no_camera_says_what_was_tried(captures, fake):
-    captures.left = []
-    with pytest.raises(
-        SourceError, match=r"camera 0: it can't be opened\. Interfaces that were tried: .*video:"
-    ):
-        Webcam().start(Mailbox())
-    captures.left = [0]
-    with pytest.raises(SourceError, match="no other program"):
+@pytest.mark.parametrize(
+    ("openings", "words"),
+    [
+        ([], r"camera 0: it can't be opened\. Interfaces that were tried: .*video:"),
+        ([0], "no other program"),
+    ],
+)
+def test_a_missing_camera_is_reported(captures, fake, openings, words):
+    captures.left = openings
+    with pytest.raises(SourceError, match=words):
         Webcam().start(Mailbox())
 
 
@@ -364,61 +360,39 @@ def test_the_thumb_is_found_at_the_finger_that_it_touches(media, tracker, finger
 
 
 @pytest.mark.shared
-def test_a_video_becomes_a_recording(media, clip):
-    told: list[tuple[int, int]] = []
-    recording = track_video(
-        clip,
-        config=PictureConfig(model=media / "hand_landmarker.task"),
-        progress=lambda *at: told.append(at),
-    )
-    assert (recording.side, len(recording), told[-1]) == ("right", 40, (40, 40))
-    assert recording.valid.all(axis=1).mean() >= 0.95
-    assert recording.rate_hz == pytest.approx(30.0, rel=0.01)
-
-
-@pytest.mark.shared
 def test_the_command_line_converts_a_video(media, clip, tmp_path, monkeypatch):
     monkeypatch.setenv(SWITCH, str(media / "hand_landmarker.task"))
     out = tmp_path / "hand.npz"
     assert main(["convert", str(clip), "--output", str(out)]) == 0
     recording = read_recording(out)
     assert (len(recording), recording.side) == (40, "right")
+    assert recording.valid.all(axis=1).mean() >= 0.95
+    assert recording.rate_hz == pytest.approx(30.0, rel=0.01)
 
 
 @pytest.mark.shared
-def test_a_hand_that_is_not_there_is_an_error(media, clip):
-    config = PictureConfig(model=media / "hand_landmarker.task")
+def test_a_missing_hand_is_an_error(media, clip):
+    config, told = PictureConfig(model=media / "hand_landmarker.task"), []
     with pytest.raises(RecordingError, match="no left hand is in any of its 40 pictures"):
-        track_video(clip, side="left", config=config)
+        track_video(clip, side="left", config=config, progress=lambda *at: told.append(at))
+    assert told[-1] == (40, 40)
 
 
 @pytest.mark.shared
-def test_the_live_video_posts_a_hand(media, clip):
-    source, mailbox = Video(clip, every=True, model=media / "hand_landmarker.task"), Mailbox()
-    source.start(mailbox)
-    wait_for(lambda: source.health().state == "ended")
+def test_the_live_video_posts_a_hand(media, clip, tmp_path):
+    model = media / "hand_landmarker.task"
+    mailbox = played(Video(clip, every=True, model=model))
     assert mailbox.received >= 38
-    arrival = mailbox.take("right")
-    assert arrival.frame.stamp == pytest.approx(39 / 30, abs=0.01)
+    assert mailbox.take("right").frame.stamp == pytest.approx(39 / 30, abs=0.01)
     assert mailbox.take("left") is None
-
-
-@pytest.mark.shared
-def test_a_video_without_a_hand_gives_no_frame(media, tmp_path):
     noise = np.random.default_rng(0).integers(0, 255, (10, 120, 160, 3), np.uint8)
-    path = write_video(tmp_path / "noise.mp4", list(noise))
-    source: LiveSource = build_source(f"video:{path},model={media / 'hand_landmarker.task'}")
-    mailbox = Mailbox()
-    source.start(mailbox)
-    wait_for(lambda: source.health().state == "ended")
-    assert mailbox.received == 0
+    source = build_source(f"video:{write_video(tmp_path / 'a.mp4', list(noise))},model={model}")
+    assert played(source).received == 0
     assert "a hand in 0 of" in source.health().detail
 
 
 @pytest.mark.shared
-def test_a_model_that_is_none_is_one_sentence(media, tmp_path):
-    import zipfile
-
+def test_a_wrong_model_is_one_sentence(media, tmp_path):
     path = tmp_path / "empty.task"
     with zipfile.ZipFile(path, "w") as file:
         file.writestr("hand_landmarks_detector.tflite", b"")
@@ -428,14 +402,13 @@ def test_a_model_that_is_none_is_one_sentence(media, tmp_path):
 
 @pytest.mark.shared
 def test_the_start_is_quiet_and_hides_no_word_of_others(media, capfd, monkeypatch):
-    module = importlib.import_module("smooth_operator.teleop.sources.webcam.picture_tracker")
     find = HandLandmarker.find
 
-    def speaking(self: HandLandmarker, *given: Any) -> list[SeenHand]:
+    def speaking(self: HandLandmarker, *args: Any) -> list[SeenHand]:
         print("a word of another thread", file=sys.__stderr__, flush=True)
-        return find(self, *given)
+        return find(self, *args)
 
-    monkeypatch.setattr(module.HandLandmarker, "find", speaking)
+    monkeypatch.setattr(HandLandmarker, "find", speaking)
     HandLandmarker(media / "hand_landmarker.task").close()
     said = capfd.readouterr().err
     assert "a word of another thread" in said
@@ -490,21 +463,12 @@ def feed(pictures: list[list[SeenHand]]) -> list[dict[Side, float]]:
 BOTH = [seen("right", 0.2), seen("left", 0.8)]
 
 
-def test_a_label_that_flips_for_a_moment_is_overruled():
-    flipped = [seen("left", 0.21, 0.99)]
-    assert feed([[seen("right", 0.2)], flipped, flipped, [seen("right", 0.22)]]) == [
-        {"right": 0.2},
-        {"right": 0.21},
-        {"right": 0.21},
-        {"right": 0.22},
-    ]
-
-
-def test_a_label_that_insists_is_believed():
-    """Or the first guess, if it was wrong, would hold for ever."""
-    out = feed([[seen("right", 0.2)]] + [[seen("left", 0.2)]] * (PATIENCE + 3))
+def test_a_label_is_believed_when_it_insists():
+    """A flip is overruled, but a wrong first guess does not hold for ever."""
+    out = feed([[seen("right", 0.2)]] + [[seen("left", 0.21, 0.99)]] * (PATIENCE + 3))
     sides = [next(iter(found)) for found in out]
     assert sides == ["right"] * PATIENCE + ["left"] * 4
+    assert out[1] == {"right": 0.21}
 
 
 def test_hands_that_cross_keep_their_labels():
@@ -544,12 +508,9 @@ WAIT = int(MEMORY_S / PERIOD) + 2
 )
 def test_each_hand_keeps_its_side(pictures, last):
     assert feed(pictures)[-1] == pytest.approx(last)
-
-
-def test_time_that_goes_back_forgets_all():
     _, tracks = assign_sides([seen("right", 0.2)], {}, 20.0)
-    found, _ = assign_sides([seen("left", 0.2)], tracks, 0.0)
-    assert list(found) == ["left"]
+    hands, _ = assign_sides([seen("left", 0.2)], tracks, 0.0)
+    assert list(hands) == ["left"]  # time that goes back forgets all
 
 
 def test_points_of_the_picture_get_the_size_of_those_in_metres():
