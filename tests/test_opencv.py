@@ -8,6 +8,9 @@ from unittest.mock import MagicMock
 
 import pytest
 
+from smooth_operator.errors import SourceError
+from smooth_operator.teleop.sources.webcam import picture_tracker
+
 LOADER = """
 import os, sys
 if hasattr(sys, "OpenCV_LOADER"):
@@ -60,37 +63,17 @@ def test_a_failed_import_of_opencv_names_the_packages_of_the_system(tmp_path):
         assert "apt install libgl1 libglib2.0-0 libxcb1" in first
 
 
-def test_tests_of_pictures_skip_with_that_sentence(monkeypatch):
-    import pictures
-
-    from smooth_operator.errors import SourceError
-
-    def broken() -> None:
-        raise SourceError("OpenCV can't be loaded: why")
-
-    monkeypatch.setattr(pictures, "opencv", broken)
-    with pytest.raises(pytest.skip.Exception, match="OpenCV can't be loaded: why"):
-        pictures.opencv_or_skip()
-
-
-def test_tests_of_mediapipe_skip_where_a_library_of_the_system_is_missing(monkeypatch, tmp_path):
+def test_mediapipe_without_a_library_of_the_system_names_the_packages(monkeypatch, tmp_path):
     """MediaPipe can be imported without libgles2, and fails when it makes a landmarker."""
-    import pictures
-
-    from smooth_operator.errors import SourceError
-    from smooth_operator.teleop.sources.webcam import picture_tracker
-
     model = tmp_path / "hand_landmarker.task"
     model.write_bytes(b"")
-    vision, problem = MagicMock(), "libGLESv2.so.2: cannot open shared object file"
-    vision.HandLandmarker.create_from_options.side_effect = lambda _: raise_error(OSError(problem))
-    monkeypatch.setattr(picture_tracker, "_mediapipe", lambda: (None, vision, MagicMock()))
-    with pytest.raises(pytest.skip.Exception, match=r"apt install .*libgles2"):
-        pictures.landmarker_or_skip(model)
-    problem = "not a model"
-    with pytest.raises(SourceError, match="not a model"):
-        pictures.landmarker_or_skip(model)
-
-
-def raise_error(error: Exception) -> None:
-    raise error
+    for problem, words in (
+        ("libGLESv2.so.2: cannot open shared object file", r"apt install .*libgles2"),
+        ("not a model", "not a model"),
+    ):
+        vision = MagicMock()
+        vision.HandLandmarker.create_from_options.side_effect = OSError(problem)
+        modules = (None, vision, MagicMock())
+        monkeypatch.setattr(picture_tracker, "_mediapipe", lambda modules=modules: modules)
+        with pytest.raises(SourceError, match=words):
+            picture_tracker.HandLandmarker(model)

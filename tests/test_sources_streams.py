@@ -154,7 +154,13 @@ def test_a_hand_that_nobody_names_is_refused_where_both_are_taken():
 
 
 def test_no_message_can_raise_anything_else():
-    seeds = [text(stamp=1.0, side="right", valid=[True] * 21), glove_text(), csv(), ros_text()]
+    objects = [dict(zip("xyz", point, strict=True)) for point in POINTS.tolist()]
+    matrices = [[[1, 0, 0, x], [0, 1, 0, y], [0, 0, 1, z], [0, 0, 0, 1]] for x, y, z in POINTS]
+    more = {"stamp": 4, "wrist": [0] * 7, "world": "w"}
+    forms = [text(landmarks=form, **more) for form in (objects, matrices)]
+    seeds = [text(stamp=1.0, valid=[True] * 21), glove_text(), csv(), ros_text(), *forms]
+    mutants = [fuzzing.damaged_bytes(seed) for seed in seeds]
+    mutants += [fuzzing.damaged_json(seed) for seed in forms]
     refused = []
 
     def use(data: bytes) -> None:
@@ -163,12 +169,14 @@ def test_no_message_can_raise_anything_else():
             lambda: read_manus(data, gloves={}, side="right", received=0.0),
         ):
             try:
-                reader()
+                for reading in reader():
+                    assert np.isfinite(reading.frame.landmarks[reading.frame.valid]).all()
             except RecordingError as error:
-                refused.append(error)
+                refused.append(str(error))
 
-    fuzzing.each(st.one_of(*map(fuzzing.damaged_bytes, seeds)), 200, use)
-    assert len(refused) > 200  # each reader refuses the other's messages, too
+    fuzzing.each(st.one_of(*mutants), 250, use)
+    assert len(refused) > 250  # each reader refuses the other's messages, too
+    assert all(0 < len(words) < 1500 for words in refused)
 
 
 def node(i: int, *, key: str = "id") -> dict[str, Any]:
