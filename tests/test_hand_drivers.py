@@ -246,7 +246,7 @@ def test_a_hand_lost_in_motion_comes_back(rig):
     assert rig.outside() == 0
 
 
-@pytest.mark.parametrize("seconds", [pytest.param(0.1, marks=pytest.mark.weekly), 0.4])
+@pytest.mark.parametrize("seconds", [0.1, pytest.param(0.4, marks=pytest.mark.weekly)])
 @pytest.mark.parametrize(
     "rig",
     [name for name in RIGS if not name.startswith("allegro")],
@@ -269,7 +269,6 @@ def test_after_an_outage_the_first_command_is_where_the_hand_is(rig, seconds):
         rig.faults.mute = False
         until(lambda: len(sent) > before)
         angles = [driven.bound.drive_angles(row) for row in sent[before]]
-        until(lambda: rig.near(wanted))
     assert np.nanmax(np.abs(angles[0] - angles[1])) < 0.05  # a frame of a LinkerHand has not all
 
 

@@ -440,6 +440,8 @@ class Script:
     def __init__(self, stage: Stage) -> None:
         self.session = stage.runner._sessions["right"]
         stage.simulation.watch("right", None)  # the physics' own card is not looked at
+        begun = stage.simulation.scene_state("right").time
+        until(lambda: stage.simulation.scene_state("right").time > begun + 0.05)  # nor any more
         seen = stage.simulation.scene_state("right")
         self.state, self.positions = seen, np.zeros(len(self.session._record.joint_names))
         self.starts = self.state.starts + 1  # beginning a trial puts the object back

@@ -187,6 +187,16 @@ def test_an_emergency_stop_does_not_wait_for_the_pace(retargeters, after):
     assert first.time == pytest.approx(103.75 + after)
 
 
+def test_a_frame_between_two_turns_is_answered_as_it_comes(retargeters, frames):
+    sink, config = KeptTicks(), LoopConfig(rate=50.0)
+    mailbox = TurnedMailbox(101.007, lambda: mailbox.post(frames[0]))
+    pipelines = {"right": HandPipeline(retargeters["right"], config, mailbox.clock)}
+    loop = TeleopLoop(pipelines, Player([], 1.0), SinkRunner([sink]), config, mailbox=mailbox)
+    loop.run(duration=5.0)
+    (answer,) = [tick for tick in sink.ticks if tick.status is not None]
+    assert answer.time == pytest.approx(101.007, abs=1e-6)
+
+
 def test_the_end_of_a_source_ends_the_loop_after_its_policies(retargeters, frames):
     sink = KeptTicks()
     config = LoopConfig(rate=RATE, safety=SafetyConfig(lost_s=0.3))
