@@ -3,6 +3,7 @@
 import os
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +126,12 @@ def test_a_hostile_spec_file_is_refused_in_a_sentence(text, said, tmp_path):
     assert len(str(refused.value)) < 600
 
 
+@pytest.fixture(scope="module")
+def reader() -> Iterator[ReaderProcess]:
+    with ReaderProcess([str(Path(__file__).parent)]) as process:
+        yield process
+
+
 SEEDS: dict[str, tuple[str, str, str, int]] = {
     "urdf": ("m.urdf", URDF, "smooth_operator.hands.loading:load_model", 60),
     "mjcf": ("m.xml", MJCF, "smooth_operator.hands.loading:load_model", 60),
@@ -134,29 +141,27 @@ SEEDS: dict[str, tuple[str, str, str, int]] = {
 
 
 @pytest.mark.parametrize("kind", SEEDS)
-def test_mutants_are_read_or_refused(kind, tmp_path):
+def test_mutants_are_read_or_refused(kind, reader, tmp_path):
     name, text, target, count = SEEDS[kind]
     path, outcomes = tmp_path / name, set()
-    with ReaderProcess([str(Path(__file__).parent)]) as reader:
 
-        def read(mutant: bytes) -> None:
-            path.write_bytes(mutant)
-            verdict = reader.read(target, path)
-            assert verdict.sound, verdict
-            outcomes.add(verdict.outcome)
+    def read(mutant: bytes) -> None:
+        path.write_bytes(mutant)
+        verdict = reader.read(target, path)
+        assert verdict.sound, verdict
+        outcomes.add(verdict.outcome)
 
-        each(damaged_xml(text.encode()), count, read)
+    each(damaged_xml(text.encode()), count, read)
     assert outcomes == {"read", "refused"}
 
 
 @pytest.mark.shared
 @pytest.mark.skipif(sys.platform == "win32", reason="no named pipes")
-def test_what_once_hung_is_refused(shared, tmp_path):
+def test_what_once_hung_is_refused(shared, reader, tmp_path):
     files = sorted((shared / "findings" / "crashers").glob("hands_add_HANG_*"))
     assert files
     os.mkfifo(tmp_path / "fifo.stl")
-    with ReaderProcess([str(Path(__file__).parent)]) as reader:
-        for file in files:
-            (copy := tmp_path / f"hand{file.suffix}").write_bytes(file.read_bytes())
-            verdict = reader.read("hostile_files:discovery", copy)
-            assert (verdict.sound, verdict.outcome) == (True, "refused"), (file, verdict)
+    for file in files:
+        (copy := tmp_path / f"hand{file.suffix}").write_bytes(file.read_bytes())
+        verdict = reader.read("hostile_files:discovery", copy)
+        assert (verdict.sound, verdict.outcome) == (True, "refused"), (file, verdict)

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -29,6 +30,12 @@ from smooth_operator.planning import make_request
 from smooth_operator.teleop.pages.hand_picture import save_hand_picture
 
 JOINT = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>'
+
+
+@pytest.fixture(scope="module")
+def reader() -> Iterator[ReaderProcess]:
+    with ReaderProcess([str(Path(__file__).parent)]) as process:
+        yield process
 
 
 def write_box(path: Path, size: float = 0.01) -> None:
@@ -210,7 +217,7 @@ ENDLESS: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("case", ENDLESS)
-def test_a_model_that_would_not_end_is_refused_before_mujoco_sees_it(case, tmp_path):
+def test_a_model_that_would_not_end_is_refused_before_mujoco_sees_it(case, reader, tmp_path):
     text, said = ENDLESS[case]
     (tmp_path / "inner.xml").write_text(
         f'<mujocoinclude><replicate count="99999999">{GEOM}</replicate></mujocoinclude>'
@@ -220,8 +227,7 @@ def test_a_model_that_would_not_end_is_refused_before_mujoco_sees_it(case, tmp_p
     )
     path = tmp_path / ("model.urdf" if text.startswith("<robot") else "model.xml")
     path.write_text(text)
-    with ReaderProcess([str(Path(__file__).parent)]) as reader:  # ends what hangs
-        verdict = reader.read("smooth_operator.hands.loading:load_model", path)
+    verdict = reader.read("smooth_operator.hands.loading:load_model", path)  # ends what hangs
     assert (verdict.sound, verdict.outcome) == (True, "refused"), verdict
     with pytest.raises(HandModelError, match=said):
         load_model(path)
@@ -229,7 +235,7 @@ def test_a_model_that_would_not_end_is_refused_before_mujoco_sees_it(case, tmp_p
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no named pipes")
 @pytest.mark.parametrize("tag", ["mesh", "texture", "include"])
-def test_a_name_of_a_pipe_is_refused(tag, tmp_path):
+def test_a_name_of_a_pipe_is_refused(tag, reader, tmp_path):
     os.mkfifo(tmp_path / "pipe.stl")
     inner = {
         "mesh": '<asset><mesh name="m" file="pipe.stl"/></asset>',
@@ -238,8 +244,7 @@ def test_a_name_of_a_pipe_is_refused(tag, tmp_path):
     }[tag]
     path = tmp_path / "model.xml"
     path.write_text(world("<body><joint/>" + GEOM + "</body>", inner))
-    with ReaderProcess([str(Path(__file__).parent)]) as reader:
-        verdict = reader.read("hostile_files:discovery", path)
+    verdict = reader.read("hostile_files:discovery", path)
     assert (verdict.sound, verdict.outcome) == (True, "refused"), verdict
     with pytest.raises(HandModelError, match=r"names 'pipe.stl': it is a pipe, not a plain file"):
         load_model(path)
