@@ -15,13 +15,14 @@ class Dataset(Common, Quiet, DatasetRequest):
 
     work: ClassVar[str] = "smooth_operator.cli.dataset:dataset"
     details: ClassVar[str] = """A SOURCE is a folder (with all subfolders), a file, some frames of a
-file (take.npz@100:500), a pattern in quotes, a list of paths (.txt a path a line; .csv or .jsonl
-with path and, where wanted, task, side, layout and rate), or an address of object storage (s3://,
-gs://, ...; extra datasets). Each file's layout is recognised; --layout names it.
+file (take.npz@100:500), a pattern in quotes, a list of paths (.txt: one path per line;
+.csv or .jsonl: path and optionally task, side, layout and rate), or an address of object storage (s3://,
+gs://, ...; extra datasets). The layout of each
+file is detected; --layout sets it.
 
-Both hands of a clip are retargeted. An episode holds the joints of both robot hands, the poses of
-their wrists, which frames are valid, the task in words, the files that it is from with their
-digests, and figures of its quality. Clips are cut where no hand is seen or the tracker jumps;
+Both hands of a clip are retargeted. An episode has the joints and wrist poses of both robot
+hands, a flag for each valid frame, a description of the task, its source files with their digests,
+and quality figures. Clips are cut where no hand is seen or the tracker jumps;
 episodes outside the limits (--min-..., --max-...) are dropped. --whole cuts nothing.
 
 FOLDER/dataset is the data set; report.html, report.json and episodes.jsonl say what was kept,
@@ -30,9 +31,9 @@ stopped or killed, or to add new files. Changing limits or format does not retar
 
 Formats:
   lerobot      a LeRobot data set, v3.0: state and action of the robot, wrists, videos
-  webdataset   tar files, a sample a clip
-  parquet      Parquet files, a row a clip
-  npz          files of commands as retarget writes them, one a hand
+  webdataset   tar files, one sample per clip
+  parquet      Parquet files, one row per clip
+  npz          files of commands as written by retarget, one per hand
   spider, flashdex (after: pip install ./packages/smooth_hand_datasets)
 
 Examples:

@@ -100,8 +100,8 @@ What: TypeAlias = (
 
 @dataclass(frozen=True, kw_only=True)
 class Hardware(Group):
-    """List drivers and tables of real hands, check a hand and write its table, or monitor a
-    hand."""
+    """List the drivers and actuator tables of real hands, check a hand and write its table, or
+    monitor a hand."""
 
     details: ClassVar[str] = """Examples:
   smooth-operator hardware list

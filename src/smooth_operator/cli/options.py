@@ -222,7 +222,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator hands list
       list the robot hands; hands show NAME prints joints and limits, and opens a page
   smooth-operator hardware list
-      list drivers, tables and ports of real hands; hardware check writes a hand's table
+      list drivers, actuator tables and ports of real hands; hardware check writes a table
   smooth-operator study analyze trials.csv tlx.csv --output out
       analyse a user study: models, corrected p-values, a report (packages/smooth_operator_study)
   smooth-operator doctor

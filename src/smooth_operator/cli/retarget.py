@@ -30,8 +30,8 @@ timestamps (T,) [s], latency_ms (T,) and status (T,); the resolved configuration
 written with it, as OUT.json.
 
 For a folder, all recordings (including subfolders) are retargeted, several in parallel. The
-folder of --output mirrors its structure; its report.json has the counts and the failures,
-episodes.jsonl a line for each recording with figures of its quality. latency_ms is NaN. Run
+folder of --output has the same structure. Its report.json has the counts and the failures; its
+episodes.jsonl has one line per recording, with quality figures. latency_ms is NaN. Run
 the same command again to continue after a stop, or to add new recordings: finished results
 are kept, unless their recording, settings, robot hand or this program's code have changed.
 
@@ -53,7 +53,7 @@ Examples:
     folder of such files."""
 
     output: Annotated[Path, arg(metavar="OUT.npz|FOLDER")]
-    """File to write, or folder of a folder's results; created if missing."""
+    """File to write, or, if the input is a folder, folder for the results; created if missing."""
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Hand side. Default: the side of the recording."""
@@ -65,7 +65,7 @@ Examples:
     """Frame rate of recordings without timestamps [Hz]."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """Number of recordings of a folder in parallel; 0 retargets them one after the other in this
+    """Number of recordings of a folder to retarget in parallel; 0 retargets one at a time in this
     process. Default: one per core."""
 
     cluster: Annotated[str | None, arg(metavar="auto|local|ADDRESS")] = None
@@ -76,8 +76,7 @@ Examples:
     """Replace what is there: OUT.npz, or the finished results of a folder."""
 
     json: bool = False
-    """Print the metrics (of a folder: its report) as one JSON object on standard output, and
-    nothing else there."""
+    """Print only one JSON object on standard output: the metrics, or for a folder its report."""
 
 
 def retarget(options: Retarget) -> None:

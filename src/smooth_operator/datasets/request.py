@@ -103,7 +103,7 @@ class DatasetRequest(Limits, MethodRequest):
     clip's own frame, the world where it is known, else the camera."""
 
     side: Annotated[Literal["right", "left"] | None, arg(metavar="right|left")] = None
-    """Only this hand; and the hand of recordings that do not say which it is."""
+    """Use only this hand. Recordings that do not state their side are taken as this hand."""
 
     layout: Annotated[str | None, arg(metavar="NAME")] = None
     """Layout of the sources, such as egodex or files. Default: recognised from the files."""
@@ -118,8 +118,8 @@ class DatasetRequest(Limits, MethodRequest):
     """Meshes of the objects, where they are not in the place that the layout has for them."""
 
     with_objects: bool = False
-    """Robot fingertips touch what the human's touch, and stay out of the objects, in clips that
-    have an object's pose and mesh. For whole recordings: --preset offline. Needs
+    """In clips that have an object's pose and mesh, make the robot's fingertips touch the object
+    where the human's do, without penetrating it. For whole recordings: --preset offline. Needs
     packages/smooth_hand_datasets."""
 
     no_limits: bool = False

@@ -251,8 +251,8 @@ def _of_csv(text: str, path: Path) -> Iterator[Item]:
     if "path" not in (table.fieldnames or ()):
         if _is_of_numbers(text):
             raise RecordingError(
-                f"{path}: this is {foreign_file(path)}; a list of recordings, which a .csv may "
-                "also be, needs the column 'path'"
+                f"{path}: this is {foreign_file(path)}; a .csv may also be a list of "
+                "recordings, which needs the column 'path'"
             )
         raise RecordingError(
             f"{path}: a list needs the column 'path' in its first line, and may have "

@@ -287,7 +287,7 @@ HTS: Final = Reader(
         for who in ("Right wrist", "Left wrist", "Right landmarks", "Left landmarks", "Head pose")
     ),
     (".hts",),
-    "lines 'Right wrist:, ...' and 'Right landmarks:, ...', or the same of 'Left'",
+    "lines 'Right wrist:, ...' and 'Right landmarks:, ...', or the same with 'Left'",
     Entry(f"{_HEADSETS}:read_hts_hands"),
 )
 ONE_HAND: Final = {"npy": NPY, "npz": NPZ, "log": LOG, "hdf5": HDF5, "avp": AVP, "hts": HTS}

@@ -218,7 +218,7 @@ def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...
     if thumb_offset < -_CLEAR:
         return check("warning", text, "the thumb is on the little finger's side: is it the thumb?")
     if max(thumb_offset, order) < _CLEAR:
-        return check("ok", f"{text}: it can be used as either")
+        return check("ok", f"{text}: it can serve as a right or a left hand")
     return check("ok", text)
 
 

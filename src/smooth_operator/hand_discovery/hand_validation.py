@@ -318,7 +318,7 @@ def _judge(method: str, trip: RoundTrip) -> tuple[Verdict, str]:
             "which may keep its parts apart (hands show), the palm frame and the tips"
         )
     if method not in (*_FOLLOWS_TIPS, DEFAULT_METHOD):
-        return "unjudged", "for information: this method does not aim at a pose's fingertips"
+        return "unjudged", "for information only: this method does not aim at a pose's fingertips"
     if method == DEFAULT_METHOD or trip.median <= GOOD_MM:
         return "ok", ""
     if method == MEASURE and trip.median > _BAD_MM:

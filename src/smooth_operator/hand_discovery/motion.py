@@ -426,7 +426,9 @@ def find_layout(
         )
     if clear < 0.3:
         confidence = _UNCLEAR
-        evidence = ["the thumb is opposite the middle of the palm: the hand can be used as either"]
+        evidence = [
+            "the thumb is opposite the middle of the palm: it can serve as a right or a left hand"
+        ]
         if side_said is not None:
             side = side_said
         elif side_given is None:

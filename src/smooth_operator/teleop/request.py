@@ -36,8 +36,8 @@ class TeleopRequest(MethodRequest):
     """Folder for a record of every trial of the task."""
 
     side: Annotated[Literal["right", "left", "both"] | None, arg(metavar="right|left|both")] = None
-    """Hand side. both drives two robot hands. Default: right, or the only side that the robot hand
-    has."""
+    """Hand side; with both, two robot hands are driven. Default: right, or the only
+    side that the robot hand has."""
 
     preset: Annotated[str | None, arg(metavar="NAME")] = None
     """Preset of the method. Default: its first one."""
@@ -50,7 +50,8 @@ class TeleopRequest(MethodRequest):
     """Operator file, as written by calibrate. The run updates it at its end."""
 
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
-    """Maximum command rate for each hand [Hz], and the rate without frames."""
+    """Maximum command rate for each hand [Hz]; also the rate at which commands are sent while no
+    frames arrive."""
 
     duration: Annotated[float | None, arg(metavar="SECONDS")] = None
     """Length of the run [s]. Default: until the source ends."""

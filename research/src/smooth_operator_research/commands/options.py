@@ -94,7 +94,8 @@ Examples:
 
 @dataclass(frozen=True, kw_only=True)
 class Physics(Ordered, Common):
-    """Simulate the commands in physics and measure what the hand achieves with each method."""
+    """Run the commands in a physics simulation and measure what the hand achieves with each
+    method."""
 
     work: ClassVar[str] = "smooth_operator_research.commands.physics:physics"
     details: ClassVar[str] = """Writes to FOLDER: for each measure a CSV file with one row per case,

@@ -89,9 +89,9 @@ WRITERS: Final = Registry(
         name: Entry(f"{_WRITERS}.{where}", what)
         for name, where, what in (
             ("lerobot", "lerobot:LEROBOT", "LeRobot v3: state and action of the robot, videos"),
-            ("webdataset", "shards:WEBDATASET", "tar shards, a sample a clip"),
-            ("parquet", "parquet:PARQUET", "Parquet files, a row a clip"),
-            ("npz", "npz:NPZ", "files of commands as retarget writes them"),
+            ("webdataset", "shards:WEBDATASET", "tar shards, one sample per clip"),
+            ("parquet", "parquet:PARQUET", "Parquet files, one row per clip"),
+            ("npz", "npz:NPZ", "files of commands as written by retarget"),
         )
     },
     needs=("what", "open"),

@@ -63,7 +63,7 @@ COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "status": ("int64", "status of the command; -1 in a frame without a command"),
     "latency_ms": ("float64", "ms, from landmarks to command"),
     "stages_ms": ("float64", "ms, parts of the latency"),
-    "measured_positions": ("float64", "rad, measured, the newest at stamp"),
+    "measured_positions": ("float64", "rad, the newest measurement at the stamp"),
     "measured_stamp": ("float64", "s, when they were measured"),
     "SIDE_valid": ("bool", "whether the command answers a hand that was seen"),
     "SIDE_wrist_valid": ("bool", "whether the wrist was known; where not, another one is held"),

@@ -488,7 +488,9 @@ CUBE_ROTATION: Final = Task(
     operators=8,
     rubric=(
         RubricLine("done", 1.0, "turned by 90 degrees about the vertical, without a reset"),
-        RubricLine("misaligned", 0.5, "turned, after a reset for faces badly misaligned"),
+        RubricLine(
+            "misaligned", 0.5, "turned, after a reset because the faces were badly misaligned"
+        ),
         RubricLine("flipped", 0.5, "turned, but the cube flipped onto another face on the way"),
         _DROPPED,
         _GAVE_UP,

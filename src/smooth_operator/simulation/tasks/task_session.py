@@ -438,7 +438,9 @@ class TrialRunner:
             for side, session in self._sessions.items():
                 entries = {**self._about(), **about}
                 session.go(when_clear=when_clear, limit_s=limit_s, **entries)
-                self._say(side, "waits for the hand to be clear" if when_clear else "begins")
+                self._say(
+                    side, "waits until the hand is clear of the object" if when_clear else "begins"
+                )
 
     def reset(self) -> None:
         """Use the one reset of the trials that run; if none runs, only put the objects back.

@@ -372,7 +372,7 @@ class _Table:
         try:
             self.messages.append(self._parse(record.data))
         except DecodeError as error:
-            wrong = f"a message on {topic} is no {SCHEMAS[topic]}: {error}"
+            wrong = f"a message on {topic} is not a valid {SCHEMAS[topic]}: {error}"
             raise _not_ours(path, ValueError(wrong)) from error
         self.numbers.append(record.sequence)
 

@@ -53,7 +53,9 @@ class ZmqSink(ThreadedSink):
                 "tcp://127.0.0.1:5556 or ipc:///run/hand"
             )
         if not 0.0 < self.valid_for_s <= 10.0:
-            raise ConfigError(f"zmq: valid_for_s must be over 0 to 10 s, not {self.valid_for_s}")
+            raise ConfigError(
+                f"zmq: valid_for_s must be greater than 0 and at most 10 s, not {self.valid_for_s}"
+            )
 
     @property
     def label(self) -> str:
