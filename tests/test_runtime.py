@@ -544,7 +544,7 @@ def test_what_a_run_came_to(retargeter, motion):
 
 def test_times_of_a_long_run_take_no_more_memory(monkeypatch):
     monkeypatch.setattr(run_statistics, "_CAPACITY", 100)
-    times = run_statistics._Times()
+    times = run_statistics.RecentTimes()
     assert len(times.newest()) == 0
     for i in range(90):
         times.append(float(i))

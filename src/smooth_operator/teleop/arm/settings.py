@@ -12,6 +12,7 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.settings import check_range
 from smooth_operator.simulation.arms.arm import CarriedHand, HandMount, rigid
 from smooth_operator.simulation.arms.catalogue import arm_named
 from smooth_operator.teleop.components import settings_from_text
@@ -45,14 +46,11 @@ class ArmSettings:
     collisions: bool = True
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.adapter <= 0.3:
-            raise ConfigError(f"arm: adapter must be 0 to 0.3 m, not {self.adapter}")
+        check_range("arm: adapter", self.adapter, 0.0, 0.3, "m")
         if self.roll is not None and not math.isfinite(self.roll):
             raise ConfigError(f"arm: roll must be an angle in degrees, not {self.roll}")
-        if not 0.4 <= self.spacing <= 3.0:
-            raise ConfigError(f"arm: spacing must be 0.4 to 3 m, not {self.spacing}")
-        if not -1.0 <= self.table <= 1.0:
-            raise ConfigError(f"arm: table must be -1 to 1 m, not {self.table}")
+        check_range("arm: spacing", self.spacing, 0.4, 3.0, "m")
+        check_range("arm: table", self.table, -1.0, 1.0, "m")
 
 
 def read_arm(text: str) -> ArmSettings:

@@ -24,6 +24,7 @@ from smooth_operator.formats.toml_writer import toml_value
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import user_hands_folder
 from smooth_operator.io.entries import Entries, read_entries
+from smooth_operator.settings import check_range
 from smooth_operator.types import Side
 
 Rest: TypeAlias = Literal["hold", "relax"]
@@ -160,8 +161,7 @@ class ActuatorMap:
             for name, value in settings.items():
                 if isinstance(value, float) and not np.isfinite(value):
                     raise ConfigError(f"{self.file}: {name} must be finite, not {value:g}")
-        if not 1.0 <= self.rate <= 1000.0:
-            raise ConfigError(f"{self.file}: rate must be 1 to 1000 Hz, not {self.rate:g}")
+        check_range(f"{self.file}: rate", self.rate, 1.0, 1000.0, "Hz")
 
     @property
     def names(self) -> tuple[str, ...]:

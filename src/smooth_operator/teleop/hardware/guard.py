@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.settings import check_range
 from smooth_operator.teleop.hardware.actuator_map import BoundMap
 from smooth_operator.teleop.hardware.device import Reading
 
@@ -55,11 +56,8 @@ class GuardSettings:
                 "approach must be over 0 and at most speed, and speed at most 50 rad/s, not "
                 f"{self.approach:g} and {self.speed:g}"
             )
-        if not (0.0 <= self.contact <= 1.0 and 0.0 < self.contact_s <= 10.0):
-            raise ConfigError(
-                "contact must be 0 to 1 and contact_s over 0 to 10 s, not "
-                f"{self.contact:g} and {self.contact_s:g}"
-            )
+        check_range("contact", self.contact, 0.0, 1.0)
+        check_range("contact_s", self.contact_s, 1e-3, 10.0, "s")
 
 
 class CommandGuard:

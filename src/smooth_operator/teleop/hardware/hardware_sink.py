@@ -15,6 +15,7 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.settings import check_range
 from smooth_operator.teleop.hardware.actuator_map import (
     ActuatorMap,
     BoundMap,
@@ -33,6 +34,7 @@ from smooth_operator.teleop.hardware.device import (
     apart,
 )
 from smooth_operator.teleop.hardware.guard import CommandGuard, GuardSettings
+from smooth_operator.teleop.runtime.statistics import RecentTimes, percentiles
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import HandState, Mode, Tick
 from smooth_operator.types import JointCommand, Side
@@ -393,9 +395,6 @@ def _described(error: Exception) -> SinkError:
     return SinkError(f"{type(error).__name__}: {error}")
 
 
-_KEPT: Final = 20_000
-
-
 class BusStatistics:
     """Counts and times of a bus; its worker writes, any thread reads.
 
@@ -413,17 +412,16 @@ class BusStatistics:
         self.cycles = self.wrong = self.slow = self.lost = self.silences = 0
         self.not_finite = 0
         self.latest = ""
-        self._times = np.full(_KEPT, np.nan, np.float32)
+        self._times = RecentTimes()
 
     def add(self, seconds: float, period: float) -> None:
         """Add a cycle: its length and its period [s]."""
-        self._times[self.cycles % _KEPT] = seconds * 1e3
+        self._times.append(seconds * 1e3)
         self.cycles += 1
         self.slow += seconds > period
 
     def summary(self) -> dict[str, Any]:
         """Counts, and percentiles of the last cycles [ms], as plain values."""
-        times = self._times[np.isfinite(self._times)]
         figures: dict[str, Any] = {
             "cycles": self.cycles,
             "wrong_answers": self.wrong,
@@ -432,9 +430,8 @@ class BusStatistics:
             "silences": self.silences,
             "commands_not_finite": self.not_finite,
         }
-        if len(times):
-            p50, p99 = np.percentile(times, (50, 99))
-            figures["cycle_ms"] = {"p50": float(p50), "p99": float(p99), "max": float(times.max())}
+        if times := percentiles(self._times.newest()):
+            figures["cycle_ms"] = times
         return figures
 
 
@@ -488,17 +485,13 @@ class HardwareSink(Sink):
             _ = self.guard
         except ConfigError as error:
             raise ConfigError(f"{self.driver}: {error}") from None
-        if self.rate is not None and not 1.0 <= self.rate <= 1000.0:
-            raise ConfigError(f"{self.driver}: rate must be 1 to 1000 Hz, not {self.rate}")
+        check_range(f"{self.driver}: rate", self.rate, 1.0, 1000.0, "Hz")
+        check_range(f"{self.driver}: silence_s", self.silence_s, 0.02, 5.0, "s")
+        check_range(f"{self.driver}: lost_s", self.lost_s, 0.05, 60.0, "s")
         if self.limit is not None and not 0.0 < self.limit < math.inf:
             raise ConfigError(
                 f"{self.driver}: limit must be over 0 and finite, not {self.limit:g}; omit "
                 "it to use the limit of the table"
-            )
-        if not (0.02 <= self.silence_s <= 5.0 and 0.05 <= self.lost_s <= 60.0):
-            raise ConfigError(
-                f"{self.driver}: silence_s must be 0.02 to 5 s and lost_s 0.05 to 60 s, not "
-                f"{self.silence_s} and {self.lost_s}"
             )
 
     @abstractmethod

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.settings import check_range
 from smooth_operator.teleop.hardware.actuator_map import BoundMap, find_table, read_table
 from smooth_operator.teleop.ros2.messages import (
     Duration,
@@ -227,10 +228,8 @@ class Ros2Sink(ThreadedSink):
             raise ConfigError(
                 "ros2: the table determines names and order; remove joints and prefix"
             )
-        for name, low, high in (("rate", 0.0, 10_000.0), ("duration", 0.0, 60.0)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ConfigError(f"ros2: {name} must be {low:g} to {high:g}, not {value:g}")
+        check_range("ros2: rate", self.rate, 0.0, 10_000.0, "Hz")
+        check_range("ros2: duration", self.duration, 0.0, 60.0, "s")
 
     @property
     def label(self) -> str:

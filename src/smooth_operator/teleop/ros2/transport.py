@@ -30,6 +30,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from smooth_operator.errors import ConfigError, RecordingError, SinkError, SourceError
+from smooth_operator.settings import check_range
 from smooth_operator.teleop.ros2.messages import M, Message, time_of, type_name
 
 Network: TypeAlias = Literal["localhost", "subnet"]
@@ -245,10 +246,7 @@ class Endpoint:
     network: Network | None = None
 
     def __post_init__(self) -> None:
-        if self.domain is not None and not 0 <= self.domain <= LARGEST_DOMAIN:
-            raise ConfigError(
-                f"{self.feature}: domain must be 0 to {LARGEST_DOMAIN}, not {self.domain}"
-            )
+        check_range(f"{self.feature}: domain", self.domain, 0, LARGEST_DOMAIN)
 
     def domain_id(self) -> int:
         """The domain.

@@ -190,14 +190,15 @@ _CAPACITY: Final = 200_000
 """Number of frames whose times are stored: over 30 minutes at 100 Hz."""
 
 
-class _Times:
-    """Ring buffer of the newest times of a stage [ms]."""
+class RecentTimes:
+    """Ring buffer of the newest times [ms]."""
 
     def __init__(self) -> None:
         self._ring = np.full(_CAPACITY, np.nan, np.float32)
         self._count = 0
 
     def append(self, ms: float) -> None:
+        """Add a time [ms]."""
         self._ring[self._count % _CAPACITY] = ms
         self._count += 1
 
@@ -219,8 +220,8 @@ class LoopStatistics:
 
     def __init__(self, period: float) -> None:
         self.period = period
-        self._added = _Times()
-        self._stages: dict[str, _Times] = defaultdict(_Times)
+        self._added = RecentTimes()
+        self._stages: dict[str, RecentTimes] = defaultdict(RecentTimes)
         self._commands: dict[Side, int] = defaultdict(int)
         self._answered = 0
         self._unusable: dict[str, int] = defaultdict(int)

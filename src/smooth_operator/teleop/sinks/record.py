@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Final
 from smooth_operator.atomic_files import output_error
 from smooth_operator.errors import ConfigError, OutputError, SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.settings import check_range
 from smooth_operator.teleop.recording import LogWriter
 from smooth_operator.teleop.recording.messages import LoopState, landmark_keypoints
 from smooth_operator.teleop.sinks.sink import Sink
@@ -58,8 +59,7 @@ class RecordSink(Sink):
 
     def __post_init__(self) -> None:
         is_folder(self.path)
-        if not 0.01 <= self.flush_s <= 60.0:
-            raise ConfigError(f"record: flush_s must be 0.01 to 60 s, not {self.flush_s}")
+        check_range("record: flush_s", self.flush_s, 0.01, 60.0, "s")
         if self.buffer < 1:
             raise ConfigError(f"record: buffer must be at least 1 tick, not {self.buffer}")
 

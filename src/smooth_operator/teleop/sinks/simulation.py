@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.settings import check_range
 from smooth_operator.simulation.arms.arm import CarriedHand, Matrix, WristKinematics
 from smooth_operator.simulation.live import Watcher
 from smooth_operator.simulation.physics import HandPhysics
@@ -56,8 +57,7 @@ class Simulation(Sink):
     _events: list[str] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if not 200.0 <= self.rate <= 2000.0:
-            raise ConfigError(f"mujoco: rate must be 200 to 2000 Hz, not {self.rate}")
+        check_range("mujoco: rate", self.rate, 200.0, 2000.0, "Hz")
         if not 0.5 <= self.bandwidth <= 0.05 * self.rate:
             raise ConfigError(
                 f"mujoco: bandwidth must be 0.5 Hz to a twentieth of the rate, "

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
-from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.errors import SinkError
 from smooth_operator.hands.hand import Hand
+from smooth_operator.settings import check_range
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import Mode, Tick
 from smooth_operator.terminal import open_console
@@ -45,8 +46,7 @@ class TableSink(Sink):
     _thread: _Drawing | None = field(default=None, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if not 0.1 <= self.rate <= 30.0:
-            raise ConfigError(f"table: rate must be 0.1 to 30 Hz, not {self.rate}")
+        check_range("table: rate", self.rate, 0.1, 30.0, "Hz")
 
     @property
     def label(self) -> str:

@@ -20,7 +20,8 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError, SinkError, require
+from smooth_operator.errors import SinkError, require
+from smooth_operator.settings import check_range
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
@@ -65,11 +66,8 @@ class AbilitySink(HardwareSink):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 1200 <= self.baud <= 4_000_000 or not 0 <= self.address <= 255:
-            raise ConfigError(
-                f"ability: baud must be 1200 to 4000000 and address 0 to 255, not {self.baud} and "
-                f"{self.address}"
-            )
+        check_range("ability: baud", self.baud, 1200, 4_000_000)
+        check_range("ability: address", self.address, 0, 255)
 
     def device(self, actuators: ActuatorMap) -> AbilityDevice:
         """The hand, not yet open; see ``HardwareSink``."""

@@ -19,7 +19,8 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import ConfigError, SinkError, require
+from smooth_operator.errors import SinkError, require
+from smooth_operator.settings import check_range
 from smooth_operator.teleop.hardware.actuator_map import ActuatorMap
 from smooth_operator.teleop.hardware.device import (
     DeviceLostError,
@@ -56,8 +57,7 @@ class WujiSink(HardwareSink):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.5 <= self.cutoff <= 100.0:
-            raise ConfigError(f"wuji: cutoff must be 0.5 to 100 Hz, not {self.cutoff}")
+        check_range("wuji: cutoff", self.cutoff, 0.5, 100.0, "Hz")
 
     @property
     def bus(self) -> str:
