@@ -320,7 +320,7 @@ def failures(report: dict[str, Any]) -> list[str]:
         if value > allowed.get(name, 1e-9)
     ]
     if report["sent_to_the_good_sink"] != report["commands"]:
-        faults.append("a sink missed commands because another one failed")
+        faults.append("a sink missed commands because another sink failed")
     if report["errors_of_the_bad_sink"] == 0 or report["returns"] < 10:
         faults.append("the faults did not happen")
     if report["first_step_arm_rad"] > FIRST_RAD or report["first_step_hand_rad"] > FIRST_RAD:

@@ -84,8 +84,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--arm", choices=list(ARMS), action="append", help="default: all of them")
     parser.add_argument("--task", choices=list(TASKS), action="append", help="default: all of them")
-    parser.add_argument("--hand", default="mimic_p050", help="a hand that has demonstrations")
-    parser.add_argument("--worlds", type=int, default=0, help="perturbed worlds after the first")
+    parser.add_argument("--hand", default="mimic_p050", help="hand with demonstrations")
+    parser.add_argument(
+        "--worlds", type=int, default=0, help="number of perturbed worlds after the first"
+    )
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     print(f"{'arm':10} {'task':12} {'score':>6} {'fixture':>8} {'wrist off, most [mm]':>21}  ended")

@@ -109,8 +109,8 @@ def side_by_side(report: Report, settings: Settings) -> None:
         rows,
     )
     report.notes.append(
-        "live: the median latency of a frame alone. apart: fingertips of the batch's first "
-        "recording against the same frame by frame"
+        "live: median latency of a single frame. apart: distance of fingertips of the batch's "
+        "first recording from those frame by frame"
     )
 
 

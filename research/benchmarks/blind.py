@@ -232,9 +232,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         elif step is judge:
             one.add_argument("--judge", required=True, metavar="NAME")
         else:
-            one.add_argument(
-                "--scores", type=Path, nargs="+", help="FOLDER/scores-*.csv if left out"
-            )
+            one.add_argument("--scores", type=Path, nargs="+", help="default: FOLDER/scores-*.csv")
     options = parser.parse_args(arguments)
     options.step(options)
 

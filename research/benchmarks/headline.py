@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("recordings", nargs="+")
     parser.add_argument("--methods", default="smooth,sbr:paper,dexpilot:published")
-    parser.add_argument("--pictures", help="methods of the pictures; --methods if left out")
+    parser.add_argument("--pictures", help="methods of the pictures; default: --methods")
     parser.add_argument("--hands", default="mimic_p050,shadow_hand,leap_hand")
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--docs", type=Path)

@@ -303,6 +303,7 @@ def test_reachable_motion_runs_in_the_suite(tmp_path):
         measures=("reachable",),
         methods=("joint_angle",),
         hands=("inspire_hand",),
+        trackers=("headset",),
         quick=True,
         units=1,
         workers=0,

@@ -58,7 +58,7 @@ def _unnumbered(text: str) -> str:
 def test_the_whole_set_runs_and_is_not_computed_twice(tmp_path):
     folder = tmp_path / "quick"
     told, progress = quickly(folder, "paper")
-    assert "it judges no claim" in told.splitlines()[-1]
+    assert "do not use it to judge a claim" in told.splitlines()[-1]
     assert "verdict" not in told
     assert "held" not in told + progress
     assert "[m²]" in told  # brackets are units, not markup
@@ -70,7 +70,7 @@ def test_the_whole_set_runs_and_is_not_computed_twice(tmp_path):
         assert results["claim"]
         assert list((folder / name).glob("*.png")), name
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert "it judges no claim" in page
+    assert "do not use it to judge a claim" in page
     assert "Verdict:" not in page
     for name in EXPERIMENTS:
         assert f'id="{name}"' in page, name

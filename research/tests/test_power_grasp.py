@@ -114,5 +114,5 @@ def test_the_measure_counts_what_was_tried(recording):
 
 
 def test_a_recording_without_a_closed_hand_is_refused():
-    with pytest.raises(RecordingError, match="the hand closes nowhere"):
+    with pytest.raises(RecordingError, match="the hand never closes"):
         PowerGrasp().units(PhysicsSettings(output=None, recordings=("synthetic@:30",)))

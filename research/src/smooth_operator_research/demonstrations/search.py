@@ -366,31 +366,36 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--generations", type=int, default=60)
     parser.add_argument("--candidates", type=int, default=16, help="in a generation")
-    parser.add_argument("--worlds", type=int, default=8, help="perturbed worlds of a generation")
+    parser.add_argument(
+        "--worlds", type=int, default=8, help="number of perturbed worlds in a generation"
+    )
     parser.add_argument("--sigma", type=float, default=_SIGMA, help="first step [rad]")
     parser.add_argument(
         "--trackers",
         default="glove",
-        help="comma-separated, in turn; empty: the joints follow the demonstration exactly",
+        help="trackers, comma-separated, used in turn; empty: the joints follow the "
+        "demonstration exactly",
     )
     parser.add_argument(
-        "--keep", type=int, default=1, help="how many key poses, from the first on, stay"
+        "--keep", type=int, default=1, help="number of key poses to keep, from the first"
     )
     parser.add_argument(
         "--beyond",
         type=float,
         default=0.0,
-        help="how far beyond the joints' limits the operator may go [rad]",
+        help="amount by which the operator may exceed the joint limits [rad]",
     )
     parser.add_argument(
         "--margin",
         type=float,
         default=MARGIN,
-        help="what a success with the best margin is worth more than one with none",
+        help="additional merit of a success with the best margin over one with none",
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=None, help="processes; 0: none")
-    parser.add_argument("--state", type=Path, help="file to resume from, and to go on writing")
+    parser.add_argument(
+        "--state", type=Path, help="file of the search's state, to resume and to save"
+    )
     options = parser.parse_args(arguments)
     search = Search(
         _first(options.first, options.task, options.hand),

@@ -110,7 +110,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=1.0, help="longest window")
     parser.add_argument("--noise", type=float, nargs="*", default=[0.0, 2.0, 4.0], help="[mm]")
     parser.add_argument("--operators", type=int, default=3, help="built-in operators, 10 s each")
-    parser.add_argument("--share", type=int, default=11, help="layouts: one window of so many")
+    parser.add_argument(
+        "--share", type=int, default=11, help="for layouts: use one window in this many"
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     recordings = []

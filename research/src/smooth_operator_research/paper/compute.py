@@ -39,7 +39,7 @@ class Compute:
     """The grid, its contours of equal compute, and DexPilot's loss."""
 
     title = "Samples against cycles at equal compute"
-    claim = "at equal N × L a balanced split has the lowest loss, and passes DexPilot's 0.4414"
+    claim = "at equal N × L a balanced split has the lowest loss, below DexPilot's 0.4414"
 
     def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
@@ -68,8 +68,8 @@ class Compute:
                 Drawing(
                     "compute",
                     "Left: mean tracking loss over samples N and cycles L, in % above the best "
-                    "cell; dashed lines join cells of equal N × L; cells with a "
-                    "heavy frame, if any, pass DexPilot's reference. Right: along those contours.",
+                    "cell; dashed lines join cells of equal N × L; cells with a heavy frame, if "
+                    "any, are below DexPilot's reference. Right: the loss along those contours.",
                     compute_figure(means, lines, typical(reference).value),
                 )
             ],
@@ -195,7 +195,7 @@ def _reference_verdict(losses: Losses, means: dict[Point, Estimate], reference: 
     at, limit = contrast(losses[best], reference, "change"), typical(reference)
     passing = sum(mean.value < limit.value for mean in means.values())
     return Verdict(
-        "SBR's tracking loss passes DexPilot's",
+        "SBR's tracking loss is below DexPilot's",
         f"below {PAPER_REFERENCE}",
         f"{best}: {means[best].shown(4)}, {percent(at)} against DexPilot's {limit.value:.4g}",
         judge(Direction(0.0, upwards=False), [at]),
@@ -216,9 +216,9 @@ def _table(means: dict[Point, Estimate]) -> Table:
         "Mean tracking loss",
         ["", *(f"N = {n:,}" for n in samples)],
         rows,
-        "Geometric means over independent recordings with 95 % intervals, which are wide since "
-        "recordings differ. "
-        "Differences between cells are paired by recording, below. –: beyond the budget.",
+        "Geometric means over independent recordings with 95 % intervals, which are wide because "
+        "recordings differ. The differences between cells below are paired by recording. –: "
+        "beyond the budget.",
     )
 
 
@@ -247,6 +247,7 @@ def _contour_table(losses: Losses, lines: list[list[Point]]) -> Table:
             "against the deepest",
         ),
         rows,
-        "Relative change of loss, recording by recording, with 95 % intervals over independent "
-        "ones; the cell between the ends is chosen for each of them by the losses on the others.",
+        "Relative change of loss, paired by recording, with 95 % intervals over independent "
+        "recordings; for each recording, the cell between the ends is chosen by the losses on "
+        "the others.",
     )

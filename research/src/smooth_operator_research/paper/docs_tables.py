@@ -127,7 +127,7 @@ def _quality(results: Results) -> Table:
 
 
 def _velocity(built_in: Results, real: Results) -> Table:
-    title, columns = "What the velocity term does", ("solver", "jitter without [mrad]")
+    title, columns = "Effect of the velocity term", ("solver", "jitter without [mrad]")
     own = _table(built_in, "velocity", title, (*columns, "divided by"))
     recorded = _table(real, "velocity", title, (columns[0], "divided by"), "real: {}")
     return _joined(own, recorded)

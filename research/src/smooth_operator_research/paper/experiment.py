@@ -125,7 +125,7 @@ def trial_note(size: Size) -> str:
     return "" if size.name != "quick" else _TRIAL
 
 
-_TRIAL: Final = "A trial run, far below the published sizes: it judges no claim."
+_TRIAL: Final = "A trial run, far below the published sizes: do not use it to judge a claim."
 
 PUBLISHED_STARTS: Final = 32768
 """N of the paper's batched forms."""

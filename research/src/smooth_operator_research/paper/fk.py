@@ -472,9 +472,9 @@ class FkLibraries:
             [
                 Drawing(
                     "fk",
-                    "Time a pose over the size of the batch; lower is faster. Bars: 95 % intervals "
-                    "over rounds, mostly smaller than the marks. Libraries that are missing here "
-                    "are named.",
+                    "Time per pose over the batch size; lower is faster. Bars: 95 % intervals "
+                    "over rounds, mostly smaller than the marks. The legend names missing "
+                    "libraries.",
                     fk_figure(
                         timing.batches, timing.mean, list(timing.per_pose), timing.gaps, LIBRARIES
                     ),
@@ -612,7 +612,7 @@ def _paper_verdict(timing: Timing) -> Verdict:
 def _own_verdict(timing: Timing) -> Verdict:
     rivals = [name for name in (MJX, PINOCCHIO, PYTORCH, MUJOCO) if name in timing.per_pose]
     batches = [batch for batch in timing.batches if batch >= 64]
-    claim = "ours: the unrolled program is faster than any of them from a batch of 64 on"
+    claim = "ours: the unrolled program is faster than all of them from a batch of 64"
     if OURS not in timing.per_pose or not rivals or not batches:
         why = timing.gaps.get(OURS, "there is nothing to compare it with")
         return Verdict(claim, "no claim", "not measured", "not shown", why)

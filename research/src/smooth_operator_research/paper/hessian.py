@@ -50,8 +50,8 @@ MATCHED: Final = 1.25
 class HessianDirections:
     """Jitter along the eigenvectors of the loss's Hessian, flattest first."""
 
-    title = "Where solvers jitter: eigen-directions of the loss"
-    claim = "jitter is alike in stiff directions and diverges in flat ones"
+    title = "Directions of jitter: eigenvectors of the loss's Hessian"
+    claim = "jitter is equal in stiff directions and diverges in flat ones"
 
     def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
@@ -298,7 +298,7 @@ def _listed(ratios: dict[str, Estimate]) -> str:
 def _stiff_verdict(comparison: Comparison, ranked: Ranked) -> Verdict:
     ratios = _ratios(comparison, ranked, _thirds(ranked)[1])
     return Verdict(
-        "in stiff directions all solvers jitter alike",
+        "in stiff directions all solvers have equal jitter",
         "“closely matched”, no figure",
         _listed(ratios),
         judge(Equality(1 / MATCHED, MATCHED), list(ratios.values())),

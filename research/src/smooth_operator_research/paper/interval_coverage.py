@@ -90,7 +90,7 @@ def coverage_table(settings: Settings) -> Table:
     rows = [[name, *cells(draw)] for name, draw in DRAWS.items()]
     normal = DRAWS["normal"]
     rows.append(["normal, two windows of each recording", *cells(normal, 2)])
-    rows.append(["... counted as independent, which is wrong", *cells(normal, 2, alone=True)])
+    rows.append(["the same, wrongly counted as independent", *cells(normal, 2, alone=True)])
     return Table(
         "Coverage",
         ["log ratios of recordings", *(f"n = {n}" for n in settings.counts)],

@@ -140,7 +140,7 @@ class Comparison:
             else f" Other processes took up to {100 * share:.0f} % of the cores."
         )
         return (
-            "Times are medians of calls for 20 frames each (SLSQP: single frames on the host)."
+            "Times are medians over calls of 20 frames each (SLSQP: single frames on the host)."
             + busy
         )
 
@@ -334,7 +334,7 @@ class SolverSwap:
             [
                 Drawing(
                     "solvers",
-                    "Tracking loss, joint jitter and time a frame of each solver on DexPilot's "
+                    "Tracking loss, joint jitter and time per frame of each solver on DexPilot's "
                     "loss. Bars: 95 % intervals over independent recordings; ticks: recordings.",
                     comparison_figure([comparison]),
                 )
@@ -417,7 +417,7 @@ def against_sampling(comparison: Comparison) -> Table:
         "Relative to sampling as published",
         ("solver", "tracking loss", "jitter"),
         rows,
-        "Recording by recording: geometric means of ratios, with 95 % intervals.",
+        "Paired by recording: geometric means of ratios, with 95 % intervals.",
     )
 
 
@@ -468,7 +468,7 @@ class VelocityTerm:
             [
                 Drawing(
                     "velocity",
-                    "Tracking loss, joint jitter and time a frame, without (open) and with the "
+                    "Tracking loss, joint jitter and time per frame, without (open) and with the "
                     "velocity term (filled). Bars: 95 % intervals over independent recordings.",
                     comparison_figure([without, held]),
                 )
@@ -544,9 +544,9 @@ def _table(without: Comparison, held: Comparison) -> Table:
         if label in held.runs  # a tuned solver may be in only one of them
     ]
     return Table(
-        "What the velocity term does",
+        "Effect of the velocity term",
         ("solver", "jitter without [mrad]", "jitter with [mrad]", "divided by", "loss added"),
         rows,
-        "Jitters and factors are geometric means over independent recordings, what is added to the "
-        "loss the arithmetic mean, with 95 % intervals.",
+        "Jitters and factors are geometric means over independent recordings, the added loss is "
+        "an arithmetic mean, with 95 % intervals.",
     )

@@ -57,7 +57,7 @@ class TrackerNoise:
     """Compares methods at noise from 0 to 5 mm and drop-outs from 0 to 20 %."""
 
     title = "Tracker noise and drop-outs"
-    claim = "ours: who stays smooth behind a worse tracker? The paper: SBR is a low-pass filter"
+    claim = "ours: smoothness with a worse tracker. The paper: SBR is a low-pass filter"
 
     def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
@@ -105,9 +105,9 @@ class TrackerNoise:
             [
                 Drawing(
                     "noise",
-                    "Smoothness and faithfulness over the tracker's noise (left) and over the "
-                    "share of frames that it loses (right). Grey: the human's own fingertips, as "
-                    "they were and as the methods see them. Bars: 95 % intervals over recordings.",
+                    "Smoothness and fidelity over the tracker's noise (left) and over the share "
+                    "of lost frames (right). Grey: the human's own fingertips, as they were and "
+                    "as the methods see them. Bars: 95 % intervals over recordings.",
                     sweep_figure(
                         sweep.mean,
                         sweep.human_mean,
@@ -137,7 +137,7 @@ class FrameRate:
     """Compares methods at several frame rates: smoothness independent of the rate, lag in ms."""
 
     title = "Frame rate"
-    claim = "ours: at which rate is who smooth, and who late? The paper: smooth and responsive"
+    claim = "ours: smoothness and lag by frame rate. The paper: smooth and responsive"
 
     def run(self, context: ExperimentContext) -> Outcome:
         """See ``Experiment``."""
@@ -238,14 +238,14 @@ _RATE_HEADERS: Final = (
 )
 
 _NOISE_NOTE: Final = (
-    "Means over independent recordings with 95 % intervals, geometric ones for jitter, flatness "
-    "and the largest step. Flatness and jitter are of this frame rate, and hold the human's own "
-    "acceleration."
+    "Means over independent recordings with 95 % intervals, geometric for jitter, flatness and "
+    "the largest step. Flatness and jitter belong to this frame rate, and include the human's "
+    "own acceleration."
 )
 _RATE_NOTE: Final = (
-    "Means over independent recordings with 95 % intervals, geometric ones for accelerations and "
-    "flatness. Flatness is the paper's: by frame, not by time, so it may be compared within a rate "
-    "only."
+    "Means over independent recordings with 95 % intervals, geometric for accelerations and "
+    "flatness. Flatness is the paper's, per frame and not per time, so compare it only within a "
+    "rate."
 )
 
 
@@ -311,7 +311,7 @@ def compared_verdict(
 def _smooth_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
     at = _at(noises, NOISE)
     return compared_verdict(
-        "SBR is a low-pass filter: behind a noisy tracker it is smoother than the baselines",
+        "SBR is a low-pass filter: with a noisy tracker it is smoother than the baselines",
         "7.17e-7 m² against 3.01e-6 and more, no noise added",
         f"flatness at {at}",
         sweep,
@@ -321,7 +321,7 @@ def _smooth_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
 
 def _step_verdict(sweep: Sweep, losses: Sequence[Condition]) -> Verdict:
     return compared_verdict(
-        "ours: after frames that were lost SBR comes back with smaller steps than the baselines",
+        "ours: after lost frames SBR returns with smaller steps than the baselines",
         "no claim",
         f"largest step at {losses[-1]}",
         sweep,
@@ -330,7 +330,7 @@ def _step_verdict(sweep: Sweep, losses: Sequence[Condition]) -> Verdict:
 
 
 def _price_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
-    claim = "behind a noisy tracker SBR keeps more of the human's motion than the baselines"
+    claim = "with a noisy tracker SBR keeps more of the human's motion than the baselines"
     paper = "0.776 against 0.675 to 0.727, no noise added"
     at = _at(noises, NOISE)
     estimates = compared(sweep, at, "motion_preservation", "difference")
@@ -342,7 +342,7 @@ def _price_verdict(sweep: Sweep, noises: Sequence[Condition]) -> Verdict:
         paper,
         f"motion preservation at {at}: {listed_changes(estimates)}",
         held,
-        "Against the hand without the noise.",
+        "Compared with the hand without the noise.",
     )
 
 
@@ -399,8 +399,8 @@ def _filter_verdict(sweep: Sweep) -> Verdict:
         "no claim",
         f"{low:g} Hz over {high:g} Hz: {signed(change, ' ms')}",
         judge(Direction(0.0, upwards=True), [change]),
-        "w_v holds a command to the last one, whatever time lies between them. Who changes the "
-        "rate ought to scale w_v with it.",
+        "w_v pulls a command to the last one, whatever time is between them. If you change the "
+        "rate, scale w_v with it.",
     )
 
 

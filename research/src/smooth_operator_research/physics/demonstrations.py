@@ -72,8 +72,8 @@ class Demonstrations:
     name: Final = "demonstrations"
     title: Final = "Demonstrations"
     definition: Final = (
-        "An operator who does not look, and has practised with headset or camera, performs a "
-        "demonstration of a task in physics: in how many perturbed worlds is it done?"
+        "Share of perturbed worlds in which a task is done in physics by a demonstration, "
+        "performed by an operator who does not watch and has practised with headset or camera."
     )
     page: Final = "docs/physics-measures.md#demonstrations"
     unit: Final = "world"
@@ -105,17 +105,16 @@ class Demonstrations:
             "ceiling",
             "",
             "",
-            "Share of perturbed worlds in which the demonstration's own "
-            "joint positions, as commands, score 1: what no operator or tracker disturbs.",
+            "Share of perturbed worlds in which the demonstration's own joint positions, as "
+            "commands, score 1: the result without disturbances of operator and tracker.",
             share=True,
         ),
         Figure(
             "tip_error_mm",
             "mm",
             "down",
-            "Distance of the commanded fingertips from the "
-            "demonstration's, mean; in perturbed worlds the operator's other bones and the "
-            "tracker's shake and delay are in it.",
+            "Mean distance of the commanded fingertips from the demonstration's; in perturbed "
+            "worlds it includes the operator's other bones and the tracker's shake and delay.",
             short="tip error",
             main=False,
         ),

@@ -294,8 +294,7 @@ def grasp_figures(
             "let_go",
             "",
             "up",
-            "Of the objects that were held until the human opened, the "
-            "share that was free within 150 ms.",
+            "Share of the objects held until the human opened that were free within 150 ms.",
             short="let go",
         ),
         Figure(
@@ -310,7 +309,7 @@ def grasp_figures(
             "at_limit",
             "",
             "",
-            "Share of the hold in which a motor is at its torque limit.",
+            "Share of the hold during which a motor is at its torque limit.",
             short="at the limit",
         ),
         *(
@@ -496,8 +495,8 @@ class PinchHold(GraspMeasure):
     title: Final = "Pinch and hold"
     definition: Final = (
         "At every pinch of a recording a card, pen, sphere or cube of 2 to 30 mm appears between "
-        "the robot's pads: is it held for a second under gravity and a push of 0.3 N, kept while "
-        "the human holds, and let go within 150 ms of the human's opening?"
+        "the robot's pads, which should hold it for a second under gravity and a push of 0.3 N, "
+        "keep it while the human holds, and release it within 150 ms of the human's opening."
     )
     page: Final = "docs/physics-measures.md#pinch-and-hold"
     figures = grasp_figures(
@@ -508,8 +507,8 @@ class PinchHold(GraspMeasure):
             "overlap_mm",
             "mm",
             "",
-            "How far the pads would be inside each other at the "
-            "command of the tightest moment, without an object; negative: how far apart.",
+            "Overlap of the pads at the command of the tightest moment, without an object; a "
+            "negative value is their distance.",
             short="commanded overlap",
         ),
         Figure("force_n", "N", "", "Force of the pinch while the object is held.", short="force"),
@@ -582,9 +581,9 @@ class PowerGrasp(GraspMeasure):
     name: Final = "grasp"
     title: Final = "Whole-hand grasp"
     definition: Final = (
-        "Wherever a recording closes the whole hand, a handle or a ball of 30 to 65 mm lies in the "
-        "robot's palm: is it held for a second under gravity and a push of 0.3 N, kept while the "
-        "human holds, and let go within 150 ms of the human's opening?"
+        "Each time the hand of a recording closes, a handle or a ball of 30 to 65 mm lies in the "
+        "robot's palm, which should hold it for a second under gravity and a push of 0.3 N, keep "
+        "it while the human holds, and release it within 150 ms of the human's opening."
     )
     page: Final = "docs/physics-measures.md#whole-hand-grasp"
     figures = grasp_figures(
@@ -597,8 +596,8 @@ class PowerGrasp(GraspMeasure):
     quick_things = ("handle 30",)
     grasps = "closings"
     absent = (
-        "the hand closes nowhere in {}: expected all of index to pinky bent until their tips are "
-        "nearer to their bases than 0.65 of their length, for 0.1 s"
+        "the hand never closes in {}: expected index to pinky bent for 0.1 s until the tips are "
+        "nearer to their bases than 0.65 of the fingers' length"
     )
     drawn = 3
     physics = PowerGraspPhysics

@@ -312,8 +312,8 @@ class ReachableMotion:
     name: Final = "reachable"
     title: Final = "Reachable motion"
     definition: Final = (
-        "A robot hand's own landmarks in a random smooth, collision-free motion with pinches play "
-        "the human's: how far off are its fingertips when it is asked for what it can do exactly?"
+        "Error of the fingertips when the human's landmarks are the robot hand's own, in a "
+        "random smooth, collision-free motion with pinches that it can make exactly."
     )
     page: Final = "docs/physics-measures.md#reachable-motion"
     unit: Final = "seed"
@@ -329,37 +329,36 @@ class ReachableMotion:
             "tip_p95_mm",
             "mm",
             "down",
-            "Its 95th percentile over fingers and frames.",
+            "Fingertip error, 95th percentile over fingers and frames.",
             short="tip p95",
         ),
         Figure(
             "pinch_gap_error_mm",
             "mm",
             "down",
-            "Difference between the robot's and the asked "
-            "distance of thumb and finger, where that is below 20 mm.",
+            "Difference between the robot's distance of thumb and finger and the target "
+            "distance, if that is below 20 mm.",
             short="pinch gap error",
         ),
         Figure(
             "lag_ms",
             "ms",
             "down",
-            "Shift in time by which the robot's fingertips fit the asked ones best.",
+            "Shift in time by which the robot's fingertips fit their targets best.",
             short="lag",
         ),
         Figure(
             "exact",
             "",
             "up",
-            "Share of the frames in which no fingertip is further off than 0.5 mm.",
+            "Share of the frames in which no fingertip error exceeds 0.5 mm.",
             short="exact frames",
         ),
         Figure(
             "common_shift_mm",
             "mm",
             "down",
-            "Length of the error that all fingertips have in "
-            "common: by how much the hand is moved as a whole.",
+            "Length of the error common to all fingertips: displacement of the whole hand.",
             short="common shift",
             main=False,
         ),
@@ -367,8 +366,8 @@ class ReachableMotion:
             "input_error_mm",
             "mm",
             "",
-            "How far off the aligned landmarks of the tips are that "
-            "the method is given: what a method that follows them exactly would be off by.",
+            "Error of the aligned tip landmarks in the input: the error of a method that follows "
+            "them exactly.",
             short="input error",
             main=False,
         ),

@@ -195,13 +195,15 @@ def main() -> None:
         rows.append(["depth of a pad at 1, 2, 5 N per pad [mm]", name, ", ".join(depths)])
     for name in ("sphere 10", "sphere 30"):
         gain, bounce = energy_gain(by_name[name])
-        rows.append(["energy gained in a fall of 50 mm on a pad [share]", name, gain])
+        rows.append(["energy gained in a fall of 50 mm on a pad [fraction]", name, gain])
         rows.append(["height of the bounce [share]", name, bounce])
     for name in ("cube 10", "cube 20", "cube 30"):
         ratios = [f"{slip_ratio(force, by_name[name]):.2f}" for force in (1.0, 5.0)]
-        rows.append(["pull at which it slips, over 2 mu N, at 1 and 5 N", name, ", ".join(ratios)])
+        rows.append(
+            ["force at which it slips, divided by 2 mu N, at 1 and 5 N", name, ", ".join(ratios)]
+        )
     rows += [
-        ["sinks in 10 s at 2 N per pad [mm]", name, 1e3 * creep(2.0, by_name[name])]
+        ["creep in 10 s at 2 N per pad [mm]", name, 1e3 * creep(2.0, by_name[name])]
         for name in ("card 2", "cube 30")
     ]
     print(markdown(("check", "object", "value"), rows), end="\n\n")

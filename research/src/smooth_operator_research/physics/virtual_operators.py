@@ -24,8 +24,8 @@ class VirtualOperators:
     name: Final = "operators"
     title: Final = "Virtual operators"
     definition: Final = (
-        "A model of a person, who replaces no person, sees hand and object with a delay, corrects "
-        "and tries again: in how many trials is the task done, and how fast?"
+        "Share and time of trials that a model of a person, who does not replace people, "
+        "completes by watching hand and object with a delay, correcting and trying again."
     )
     page: Final = "docs/physics-measures.md#virtual-operators"
     unit: Final = "operator"
@@ -40,7 +40,9 @@ class VirtualOperators:
         ),
         Figure("score", "", "up", "Mean score of the trials."),
         Figure("time_s", "s", "down", "Mean time of the successful trials.", short="time"),
-        Figure("attempts", "", "down", "How often a person began in a trial, mean.", main=False),
+        Figure(
+            "attempts", "", "down", "Mean number of attempts of a person in a trial.", main=False
+        ),
     )
 
     def conditions(self, settings: PhysicsSettings) -> Sequence[str]:
