@@ -288,6 +288,7 @@ def test_commands_that_no_robot_could_follow_become_no_file(tmp_path, run, kind,
 @pytest.mark.parametrize("to", ["mcap", "hdf5"])
 def test_files_of_others_with_such_commands_are_refused(tmp_path, to, monkeypatch):
     value, changes = bad_commands("1e15")
+    write(tmp_path, episode(), to)  # imports the module of the format, with the check
     with monkeypatch.context() as patch:
         patch.setattr("smooth_operator.formats.episode.check_commands", lambda *_: None)
         path = write(tmp_path, Episode(commands=replace(value, **changes)), to)

@@ -55,7 +55,7 @@ from smooth_operator.formats.checks import (
     side_note,
     stamps_from_rate,
 )
-from smooth_operator.formats.commands import translate_status
+from smooth_operator.formats.commands import STATUS_NAMES, translate_status
 from smooth_operator.formats.episode import (
     BASE,
     ArmTrack,
@@ -68,7 +68,7 @@ from smooth_operator.formats.hand_arrays import own_stamps
 from smooth_operator.io.documents import parse_json
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import LANDMARKS
-from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
+from smooth_operator.types import CommandTrajectory, HandRecording, Side
 
 FORMAT: Final = "smooth-operator"
 VERSION: Final = 1
@@ -143,7 +143,8 @@ def read_hdf5_episode(
     notes: tuple[str, ...] = ()
     if hand is not None:
         recording = _read_hand(hand, path, name, rate, side)
-        notes = _notes(recording, path)
+        if recording.meta["side_assumed"]:
+            notes = (side_note(str(path)),)
         if top.attributes.get("format") != FORMAT:  # ours are in metres, others say nothing
             check_recording(recording, str(path))
     trajectory: CommandTrajectory | None = None
@@ -212,8 +213,7 @@ def _write_commands(group: Group, commands: CommandTrajectory, stages: Any) -> N
     _write_array(group, "stamps", np.asarray(commands.stamps, np.float64), "s")
     _write_array(group, "latency_ms", np.asarray(commands.latency_ms, np.float64), "ms")
     _write_array(group, "status", np.asarray(commands.status, np.int8), None)
-    codes = {int(status): status.name for status in Status}
-    group["status"].attrs["status_names"] = [codes.get(i, "") for i in range(max(codes) + 1)]
+    group["status"].attrs["status_names"] = list(STATUS_NAMES)
     for stage, times in stages.items():
         # The name as an attribute, since a slash in it would mean a group.
         timed = group.require_group("stages_ms")
@@ -291,12 +291,6 @@ def _object(text: str | None, what: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise RecordingError(f"{what} must be a JSON object, not {type(value).__name__}")
     return value
-
-
-def _notes(recording: HandRecording, path: Path) -> tuple[str, ...]:
-    if not recording.meta["side_assumed"]:
-        return ()
-    return (side_note(str(path)),)
 
 
 def _write_wrist(group: Group, wrist: WristTrack) -> None:

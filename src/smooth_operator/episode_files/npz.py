@@ -35,14 +35,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.errors import RecordingError
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
-from smooth_operator.formats.commands import config_path, read_commands, written_result
+from smooth_operator.formats.commands import (
+    command_arrays,
+    config_path,
+    read_commands,
+    written_result,
+)
 from smooth_operator.formats.episode import Episode, WristTrack
 from smooth_operator.formats.readers import LANDMARK_STAMPS, read_recording
-from smooth_operator.io.documents import parse_json, read_json
+from smooth_operator.io.documents import json_object, read_json
 from smooth_operator.io.jsonable import to_json
-from smooth_operator.types import Side, Status
+from smooth_operator.types import Side
 
 _COMMANDS: Final = ("joint_positions", "joint_names", "latency_ms", "status")
 _HANDS: Final = ("landmarks", "joints")
@@ -105,13 +110,7 @@ def write_npz_episode(path: Path, episode: Episode) -> None:
     if commands is not None:
         if recording is not None and not np.array_equal(recording.stamps, commands.stamps):
             arrays[LANDMARK_STAMPS] = recording.stamps
-        arrays["timestamps"] = np.asarray(commands.stamps, np.float64)
-        arrays["joint_positions"] = np.asarray(commands.joint_positions, np.float64)
-        arrays["joint_names"] = np.asarray(commands.joint_names, np.str_)
-        arrays["latency_ms"] = np.asarray(commands.latency_ms, np.float64)
-        arrays["status"] = np.asarray(commands.status, np.int8)
-        names = {int(status): status.name for status in Status}
-        arrays["status_names"] = np.array([names.get(i, "") for i in range(max(names) + 1)])
+        arrays |= command_arrays(commands)
     if episode.wrist is not None:
         for name in ("poses", "engaged", "valid", "world"):
             arrays[f"wrist_{name}"] = np.asarray(getattr(episode.wrist, name))
@@ -144,11 +143,7 @@ def _json(arrays: StoredArrays, name: str) -> dict[str, Any] | None:
     item = arrays.get(name)
     if item is None or item.dtype.kind != "U" or item.shape != ():
         return None
-    try:
-        value = parse_json(item.text())
-    except DocumentError:
-        return None
-    return value if isinstance(value, dict) else None
+    return json_object(item.text())
 
 
 def _beside(path: Path) -> dict[str, Any] | None:

@@ -10,11 +10,11 @@ from typing import Any, Final
 import numpy as np
 
 from smooth_operator.episode_files.lerobot.tables import arrow, parquet
-from smooth_operator.errors import DocumentError, RecordingError, SmoothOperatorError, brief
+from smooth_operator.errors import RecordingError, SmoothOperatorError, brief
 from smooth_operator.formats.arrays import damaged
 from smooth_operator.formats.both_hands import checked_hands
 from smooth_operator.formats.clip import SIDES, Clip, ClipRef, ObjectTrack, ReadingOptions
-from smooth_operator.io.documents import parse_json
+from smooth_operator.io.documents import json_object
 from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.types import HandRecording
 
@@ -140,7 +140,7 @@ def clip_of_row(table: Any, row: int, path: Path | None = None) -> Clip:
         {side: numbers for side, numbers in shape.items() if side in hands},
         None if text["video"] is None else Path(text["video"]),
         _number(table, "video_start_s", row),
-        _meta(text["meta"]),
+        json_object(text["meta"] or "") or {},
     )
 
 
@@ -155,16 +155,6 @@ def _objects(table: Any, row: int, count: int, rows: Any) -> Iterator[ObjectTrac
     scales = _value(table, "object_scales", row) or [1.0] * len(names)
     for k, (name, mesh, scale) in enumerate(zip(names, meshes, scales, strict=True)):
         yield ObjectTrack(name, tracks[:, k], None if mesh is None else Path(mesh), scale or 1.0)
-
-
-def _meta(text: str | None) -> dict[str, Any]:
-    if not text:
-        return {}
-    try:
-        content = parse_json(text)
-    except DocumentError:
-        return {}
-    return content if isinstance(content, dict) else {}
 
 
 def _number(table: Any, name: str, row: int) -> float:

@@ -7,20 +7,25 @@ import io
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Final
 
 import numpy as np
 
 from smooth_operator.atomic_files import atomic_write, output_error
 from smooth_operator.errors import OutputError, RecordingError, brief
 from smooth_operator.extras import UPGRADE
-from smooth_operator.formats.arrays import StoredArrays, open_arrays
+from smooth_operator.formats.arrays import open_arrays
 from smooth_operator.formats.episode import check_commands
 from smooth_operator.formats.registry import file_kind
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.types import CommandTrajectory, Status
 
 _HANDS = ("landmarks", "joints", "data")
+STATUS_NAMES: Final = tuple(
+    {int(status): status.name for status in Status}.get(code, "") for code in range(max(Status) + 1)
+)
+"""Name of each code of ``Status`` at its index; files have them to explain their codes."""
+
 _KEYS = ("joint_positions", "joint_names", "timestamps", "latency_ms", "status")
 
 
@@ -58,6 +63,17 @@ def encode_commands(commands: CommandTrajectory) -> bytes:
     Raises:
         RecordingError: the arrays of the trajectory do not fit each other.
     """
+    stream = io.BytesIO()
+    np.savez(stream, allow_pickle=False, **command_arrays(commands))  # members without a date
+    return stream.getvalue()
+
+
+def command_arrays(commands: CommandTrajectory) -> dict[str, np.ndarray]:
+    """Arrays of ``OUT.npz`` by name.
+
+    Raises:
+        RecordingError: the arrays of the trajectory do not fit each other.
+    """
     arrays = {
         "joint_positions": np.asarray(commands.joint_positions, np.float64),
         "joint_names": np.asarray(commands.joint_names, np.str_),
@@ -67,12 +83,7 @@ def encode_commands(commands: CommandTrajectory) -> bytes:
     }
     _check_shapes({name: array.shape for name, array in arrays.items()}, "the commands")
     arrays["status"] = translate_status(arrays["status"], None, "the commands")
-    # Codes index the names, so that the file explains itself.
-    names = {int(status): status.name for status in Status}
-    arrays["status_names"] = np.array([names.get(code, "") for code in range(max(names) + 1)])
-    stream = io.BytesIO()
-    np.savez(stream, allow_pickle=False, **arrays)  # its members bear no date
-    return stream.getvalue()
+    return {**arrays, "status_names": np.array(STATUS_NAMES)}
 
 
 def write_encoded_commands(
@@ -155,7 +166,11 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
         joint_names=tuple(arrays["joint_names"].texts()),
         stamps=arrays["timestamps"].numbers(),
         latency_ms=arrays["latency_ms"].numbers(),
-        status=translate_status(arrays["status"].load(), _status_names(arrays), str(path)),
+        status=translate_status(
+            arrays["status"].load(),
+            arrays["status_names"].texts() if "status_names" in arrays else None,
+            str(path),
+        ),
     )
     check_commands(commands, str(path))
     return commands
@@ -191,10 +206,6 @@ def _check_shapes(shapes: Mapping[str, tuple[int, ...]], where: str) -> None:
                 f"{where}: {name} must have shape {shape} to fit joint_positions {positions}, "
                 f"not {shapes[name]}"
             )
-
-
-def _status_names(arrays: StoredArrays) -> list[str] | None:
-    return arrays["status_names"].texts() if "status_names" in arrays else None
 
 
 def translate_status(codes: np.ndarray, names: list[str] | None, where: str) -> np.ndarray:

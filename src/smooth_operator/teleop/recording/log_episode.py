@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from smooth_operator.episode_files.staging import staged_file
-from smooth_operator.errors import DocumentError, RecordingError
+from smooth_operator.errors import RecordingError
 from smooth_operator.formats.checks import check_rate, check_side, check_stamps
 from smooth_operator.formats.episode import (
     ArmTrack,
@@ -17,10 +17,10 @@ from smooth_operator.formats.episode import (
     WristTrack,
     check_commands,
 )
-from smooth_operator.io.documents import parse_json
+from smooth_operator.io.documents import json_object
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.teleop.recording.log import LogWriter
-from smooth_operator.teleop.recording.log_reader import Log, log_topics, read_log
+from smooth_operator.teleop.recording.log_reader import log_topics, read_log
 from smooth_operator.teleop.recording.messages import FOXGLOVE, SCHEMAS
 from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, WristCommand
 from smooth_operator.types import HandRecording, JointCommand, Side, Status
@@ -42,7 +42,8 @@ def read_log_episode(path: Path, *, rate: float | None = None, side: Side | None
         check_side([recording.side], side, str(path))
         check_stamps(recording.stamps, str(path))
         check_rate(recording.stamps, rate, str(path))
-        recording = replace(recording, name=name, meta={**_meta(log), **recording.meta})
+        meta = json_object(log.origin.get("meta", "")) or {}
+        recording = replace(recording, name=name, meta={**meta, **recording.meta})
     if log.commands is not None:
         check_commands(log.commands, str(path))
     notes: tuple[str, ...] = ()
@@ -179,11 +180,3 @@ def is_own_log(path: Path) -> bool:
         return read_log(path) is not None  # refuses a log of another program
     except (RecordingError, OSError):
         return False
-
-
-def _meta(log: Log) -> dict[str, object]:
-    try:
-        meta = parse_json(log.origin.get("meta", "{}"))
-    except DocumentError:
-        return {}
-    return meta if isinstance(meta, dict) else {}
