@@ -52,9 +52,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from smooth_operator.calibration.operator_file import OperatorProfile, read_operator
 from smooth_operator.errors import ConfigError, MissingExtraError, SmoothOperatorError, SourceError
@@ -81,20 +81,11 @@ _MOST_RUNNING: Final = 16
 """Largest number of running commands; more are refused."""
 _MOST_QUEUED: Final = 4096
 """Largest number of waiting messages; more are refused."""
-_SILENT: Final = {
-    "ok": False,
-    "error": "the loop does not answer: it is still starting, or it hangs",
-}
-_TOO_MUCH: Final = {"ok": False, "error": "too many messages are waiting or in progress"}
-_ENDED: Final = {"ok": False, "error": "the run has ended"}
-_OVERTAKEN: Final = {
-    "ok": False,
-    "error": "an emergency stop arrived in the meantime; release it again",
-}
+_SILENT: Final = "the loop does not answer: it is still starting, or it hangs"
+_TOO_MUCH: Final = "too many messages are waiting or in progress"
 
 
-@dataclass(frozen=True)
-class _Message:
+class _Message(NamedTuple):
     """A message in the queue."""
 
     command: str
@@ -102,8 +93,7 @@ class _Message:
     reply: Reply
 
 
-@dataclass(frozen=True)
-class _Switched:
+class _Switched(NamedTuple):
     """A switch that the loop has not confirmed yet."""
 
     done: threading.Event
@@ -166,17 +156,16 @@ class RpcServer:
         read = _read(message)
         if read is None or read[0] not in self.commands:
             shown = message[:60].decode(errors="replace")
-            error = f"can't do {shown!r}; expected one of {', '.join(self.commands)}"
-            reply(_encoded({"ok": False, "error": error}))
+            reply(_refusal(f"can't do {shown!r}; expected one of {', '.join(self.commands)}"))
             return
         heard = _Message(*read, reply)
         if heard.command == "stop":
             self._switch(heard)
             for late in [waiting for waiting in self._waiting if waiting.command == "release"]:
                 self._waiting.remove(late)
-                late.reply(_encoded(_OVERTAKEN))
+                late.reply(_refusal("an emergency stop arrived in the meantime; release it again"))
         elif len(self._waiting) >= _MOST_QUEUED:
-            reply(_encoded(_TOO_MUCH))
+            reply(_refusal(_TOO_MUCH))
         else:
             self._waiting.append(heard)
 
@@ -187,20 +176,21 @@ class RpcServer:
             try:
                 self._do(message)
             except Exception as error:  # the next message may be a stop
-                message.reply(_encoded(_failed(message.command, error)))
+                message.reply(_failure(message.command, error))
         self._confirm(time.monotonic())
 
     def finish(self) -> None:
         """Answer all waiting messages at the end of the run."""
         while self._waiting:
-            self._waiting.popleft().reply(_encoded(_ENDED))
+            self._waiting.popleft().reply(_refusal("the run has ended"))
         self._confirm(math.inf)
 
     def _confirm(self, now: float) -> None:
         for switched in list(self._unconfirmed):
             if switched.done.is_set() or now > switched.until:
                 self._unconfirmed.remove(switched)
-                switched.reply(_encoded(self._modes() if switched.done.is_set() else _SILENT))
+                done = switched.done.is_set()
+                switched.reply(_encoded(self._modes()) if done else _refusal(_SILENT))
 
     def _do(self, message: _Message) -> None:
         if message.command in self._switches:
@@ -211,9 +201,13 @@ class RpcServer:
         elif message.command == "status":
             # Not through the loop's thread, which would have to send a command for it.
             silent = self._loop.silent_s > max(_PATIENCE_S, 3 * self._loop.config.period)
-            message.reply(_encoded(_SILENT if silent else self._whole_status()))
+            if silent:
+                message.reply(_refusal(_SILENT))
+                return
+            status = {**self._modes(), **self._status(), "busy": list(self._under_way)}
+            message.reply(_encoded(status))
         elif len(self._under_way) >= _MOST_RUNNING:
-            message.reply(_encoded(_TOO_MUCH))
+            message.reply(_refusal(_TOO_MUCH))
         else:
             self._under_way.append(message.command)
             threading.Thread(
@@ -234,17 +228,14 @@ class RpcServer:
         modes = {side: hand.mode_now.value for side, hand in self._loop.pipelines.items()}
         return {"ok": True, "modes": modes, "rate_hz": self._loop.statistics.rate_hz}
 
-    def _whole_status(self) -> dict[str, Any]:
-        return {**self._modes(), **self._status(), "busy": list(self._under_way)}
-
     def _done(self, message: _Message) -> bytes:
         """Carry out another command, on its own thread."""
         try:
             return _encoded({"ok": True, **self._handlers[message.command](message.fields)})
         except SmoothOperatorError as error:
-            return _encoded({"ok": False, "error": str(error)})
+            return _refusal(str(error))
         except Exception as error:  # the caller must get an answer
-            return _encoded(_failed(message.command, error))
+            return _failure(message.command, error)
         finally:
             self._under_way.remove(message.command)
 
@@ -261,8 +252,12 @@ def _read(message: bytes) -> tuple[str, Mapping[str, Any]] | None:
     return command, fields
 
 
-def _failed(command: str, error: Exception) -> dict[str, Any]:
-    return {"ok": False, "error": f"{command}: {type(error).__name__}: {error}"}
+def _refusal(error: str) -> bytes:
+    return _encoded({"ok": False, "error": error})
+
+
+def _failure(command: str, error: Exception) -> bytes:
+    return _refusal(f"{command}: {type(error).__name__}: {error}")
 
 
 def _encoded(answer: Mapping[str, Any]) -> bytes:

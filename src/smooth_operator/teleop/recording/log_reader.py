@@ -364,7 +364,6 @@ class _Table:
         return len(self.messages)
 
     def add(self, record: Any, path: Path) -> None:
-        """Add a message."""
         topic, size = self._topic, len(record.data)
         if size > _MOST_BYTES and topic != CONFIG:
             wrong = f"a message on {topic} has {size} bytes, more than {_MOST_BYTES}"
@@ -385,7 +384,6 @@ class _Table:
         return _finite(np.array(self.column(name), np.float64))
 
     def stamps(self) -> Float[np.ndarray, " T"]:
-        """The stamps."""
         stamps = np.array(self.column("stamp"), np.float64)
         if not np.isfinite(stamps).all():
             raise ValueError("a timestamp is not finite")

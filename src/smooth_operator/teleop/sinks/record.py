@@ -335,7 +335,6 @@ class _HandLog:
         self._pending = False
 
     def write(self, tick: Tick, events: tuple[str, ...]) -> None:
-        """Append a tick."""
         stamp, frame = self._stamps(tick)
         if frame is not None:
             self.log.write_hand(frame, stamp)

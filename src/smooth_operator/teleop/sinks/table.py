@@ -155,7 +155,6 @@ class _Drawing:
         self._thread.start()
 
     def end(self) -> None:
-        """Draw once more, and end."""
         self._ending.set()
         self._thread.join(2.0)
 

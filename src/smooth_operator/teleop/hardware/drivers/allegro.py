@@ -261,14 +261,12 @@ class _Control:
             return self._position.copy(), self._velocity.copy(), self._torque.copy()
 
     def aim(self, target: np.ndarray) -> None:
-        """Set target angles [rad]."""
         with self._lock:
             first, self._target = self._target is None, target
         if first:
             self._bus.send(_ON << 2)
 
     def relax(self) -> None:
-        """Switch the torque off."""
         with self._lock:
             was, self._target = self._target, None
             self._torque = np.zeros(MOTORS)
