@@ -877,8 +877,8 @@ def test_a_scene_begins_without_a_stray_finger_and_with_one_floor():
         scene = LiveScene(server, hands, simulated=True)
         assert scene._floor.visible
         drawn = scene._sides["right"].robot.shown
-        assert drawn._second is not None
-        for body, node in drawn._second.nodes.items():  # inside the solid hand
+        assert drawn.other is not None
+        for body, node in drawn.other.nodes.items():  # inside the solid hand
             for each in ("batched_positions", "batched_wxyzs"):
                 np.testing.assert_array_equal(
                     getattr(node, each), getattr(drawn.first.nodes[body], each)

@@ -27,10 +27,7 @@ if TYPE_CHECKING:
 class HandView:
     """Surfaces of a robot hand and their poses in the palm frame [m].
 
-    Args:
-        hand: the robot hand.
-        simple: use simple shapes even if the model has meshes. A model without shapes always gets
-            estimated ones.
+    With ``simple``, they are simple shapes even if the model has meshes.
     """
 
     def __init__(self, hand: Hand, *, simple: bool = False) -> None:
@@ -312,14 +309,13 @@ _TILT = np.deg2rad(8.0)  # angle between camera and palm normal, which shows dep
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Places of hands side by side, in the palm frame.
+    """Places of hands side by side, in the palm frame [m].
 
     Attributes:
-        human_shift: offset of the human hand [m].
-        robot_shifts: offset of each robot hand [m].
-        centre: middle of the picture [m].
-        tops: points above the human and each robot hand, before the shifts [m].
-        half: half width and half height of the picture [m].
+        human_shift, robot_shifts: offsets of the human and of each robot hand.
+        centre: middle of the picture.
+        tops: points above the human and each robot hand, before the shifts.
+        half: half width and half height of the picture.
     """
 
     human_shift: Float[np.ndarray, "3"]
@@ -340,12 +336,9 @@ def camera_for(
     """Position and look-at point of a camera that shows a whole picture.
 
     Args:
-        axes: (3, 3) rows: the picture's right, up and toward the viewer.
-        centre: its middle [m].
-        half: its half width and half height [m].
+        axes, centre, half: the picture; see ``Aiming``.
         aspect: width / height of the canvas.
-        covered: share of the canvas height that controls cover from below.
-        above: share that they cover from above.
+        covered, above: shares of the canvas height that controls cover from below and from above.
     """
     right, up, toward = axes
     tangent = np.tan(FOV / 2)
@@ -435,7 +428,6 @@ class Aiming:
     """Points the cameras of all browsers at a picture.
 
     Args:
-        server: the viser server.
         axes: (3, 3) rows: the picture's right, up and toward the viewer.
         centre: its middle [m].
         half: its half width and half height [m].

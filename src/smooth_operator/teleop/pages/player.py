@@ -91,11 +91,7 @@ class Playback:
 
 
 def check_runs(runs: Sequence[Playback]) -> None:
-    """Refuses runs that can't stand side by side.
-
-    Raises:
-        RecordingError: there is no run, or they have different frames or fingers.
-    """
+    """Raises RecordingError without a run, or for runs with different frames or fingers."""
     if not runs:
         raise RecordingError("there is nothing to play: pass at least one run")
     first = runs[0]
@@ -115,13 +111,7 @@ def check_runs(runs: Sequence[Playback]) -> None:
 
 
 class PlaybackClock:
-    """Maps wall time to frames of a recording: a late player drops frames and keeps the time.
-
-    Args:
-        times: (T,) strictly increasing times of the frames [s].
-        speed: playback seconds per wall second, > 0.
-        loop: start over after the last frame.
-    """
+    """Maps wall time [s] to frames of a recording; a late player drops frames, not time."""
 
     def __init__(
         self, times: Float[np.ndarray, " T"], speed: float = 1.0, loop: bool = True
@@ -184,12 +174,9 @@ class PlaybackServer(PageServer):
         self.playback = self.runs[0]
         self._clock = PlaybackClock(self.playback.times, loop=loop)
         self._changed = threading.Condition()
-        self._frame = 0
-        self._playing = False
-        self._held_until = 0.0
+        self._frame, self._held_until = 0, 0.0
         self._jobs: list[Callable[[], None]] = []  # changes of the scene for the drawing thread
-        self._dirty = True
-        self._stopping = False
+        self._playing, self._stopping, self._dirty = False, False, True
         self._thread: threading.Thread | None = None
 
     @property
@@ -228,14 +215,7 @@ class PlaybackServer(PageServer):
         return self._playing
 
     def set_frame(self, index: int) -> None:
-        """Shows a frame, from which playback goes on.
-
-        Args:
-            index: 0 to T-1, or negative to count from the end.
-
-        Raises:
-            ConfigError: there is no such frame.
-        """
+        """Shows a frame, negative from the end; raises ConfigError for a missing frame."""
         count = len(self.playback)
         if not -count <= index < count:
             raise ConfigError(f"frame must be in {-count}..{count - 1}, not {index}")
@@ -479,30 +459,28 @@ class Panel:
         )
         self._play = gui.add_button(_PLAY, icon=viser.Icon.PLAYER_PLAY, hint="also K")
         step = gui.add_button_group("Step", tuple(_STEPS))
-        speed = gui.add_slider(
-            "Speed",
-            min=SPEEDS[0],
-            max=SPEEDS[1],
-            step=0.1,
-            initial_value=1.0,
-            hint="times real time",
-        )
+        slow, fast = SPEEDS
+        speed = gui.add_slider("Speed", slow, fast, 0.1, initial_value=1.0, hint="times real time")
         looping = gui.add_checkbox("Loop", loop)
         overlay = gui.add_checkbox("Overlay", False, hint="all hands in one place")
         vectors = gui.add_checkbox("Keyvectors", True, hint="thumb tip to fingertips")
+        values = [
+            (self._slider, controls.scrub),
+            (speed, controls.set_speed),
+            (looping, controls.set_loop),
+            (overlay, controls.set_overlay),
+            (vectors, controls.set_keyvectors),
+        ]
         if any(run.drawn is not None for run in runs):
-            meshes = gui.add_checkbox("Meshes", True, hint="the vendor's meshes, or simple shapes")
-            meshes.on_update(from_person(lambda event: controls.set_meshes(event.target.value)))
+            hint = "the vendor's meshes, or simple shapes"
+            values.append((gui.add_checkbox("Meshes", True, hint=hint), controls.set_meshes))
         view = gui.add_button("Reset view", color="gray", icon=viser.Icon.FOCUS_CENTERED)
         gui.add_html(legend(runs[0].trace.fingers))
 
+        for handle, use in values:
+            handle.on_update(from_person(lambda event, use=use: use(event.target.value)))
         self._play.on_click(from_person(lambda _: controls.toggle()))
-        self._slider.on_update(from_person(lambda event: controls.scrub(event.target.value)))
         step.on_click(from_person(lambda event: controls.step(_STEPS[event.target.value])))
-        speed.on_update(from_person(lambda event: controls.set_speed(event.target.value)))
-        looping.on_update(from_person(lambda event: controls.set_loop(event.target.value)))
-        overlay.on_update(from_person(lambda event: controls.set_overlay(event.target.value)))
-        vectors.on_update(from_person(lambda event: controls.set_keyvectors(event.target.value)))
         view.on_click(from_person(lambda event: controls.aim(event.client)))
         # Arrow keys move the slider that has the focus. ``player.js`` sends Space as K.
         add_hotkeys(

@@ -59,13 +59,7 @@ def add_balls(
 
 
 class HumanView:
-    """Human hand of balls and rods; a frame costs at most five messages.
-
-    Args:
-        scene: the viser scene.
-        tips: (F,) landmarks of the fingertips that drive the robot, thumb first.
-        root: name of the parent node.
-    """
+    """Human hand of balls and rods, with landmarks ``tips`` as fingertips, thumb first."""
 
     def __init__(self, scene: viser.SceneApi, tips: Sequence[int], root: str) -> None:
         self._tips = np.array(tips)
@@ -156,10 +150,9 @@ def add_body(
     size: float = 1.0,
     flat: bool = False,
 ) -> Any:
-    """Adds a rigid surface; ``put`` moves it.
+    """Adds a rigid surface, which ``put`` moves.
 
     Args:
-        mesh: the surface in its own frame [m].
         color: sRGB, 0 to 255.
         opacity: 0 to 1; None for solid.
         scale: scale of the surface and of its positions.
@@ -201,18 +194,12 @@ def put(
 
 
 class BodyNodes:
-    """Nodes of the bodies of a model.
+    """Nodes of the bodies of a model, with the settings of ``add_body``.
 
     Args:
-        scene: the viser scene.
-        model: the robot.
-        meshes: body -> its surface.
         owner: (nbody,) finger of each body, -1 for the palm.
         root: name of the parent node.
         color: colour of all bodies; None for the colours of the fingers.
-        opacity: 0 to 1; None for solid.
-        scale: scale of the whole model.
-        size: scale of each body about its own origin.
     """
 
     def __init__(
@@ -278,7 +265,6 @@ class RobotBodies:
     """A robot hand in its palm frame, and a translucent second one, visible where it differs.
 
     Args:
-        scene: the viser scene.
         hand: the robot hand, which has the order of the joints.
         view: the same hand on the model to draw, with the same joint names in any order.
         root: name of the parent node, in the palm frame.
@@ -301,35 +287,19 @@ class RobotBodies:
         self._order = [drawn.joint_names.index(name) for name in hand.joint_names]
         self._pose = _palm_to_model(drawn)
         self.first = BodyNodes(scene, model, meshes, owner, f"{root}/first")
-        fingers = {body: mesh for body, mesh in meshes.items() if owner[body] >= 0}
-        self._second = (
-            BodyNodes(
-                scene,
-                model,
-                fingers,
-                owner,
-                f"{root}/second",
-                color=SIMULATED,
-                opacity=TRANSLUCENT,
-                size=_WITHIN,
-            )
-            if second
-            else None
-        )
+        self.other: BodyNodes | None = None
+        if second:
+            fingers = {body: mesh for body, mesh in meshes.items() if owner[body] >= 0}
+            looks: dict[str, Any] = {"color": SIMULATED, "opacity": TRANSLUCENT, "size": _WITHIN}
+            self.other = BodyNodes(scene, model, fingers, owner, f"{root}/second", **looks)
 
     def draw(
         self, every: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"] | None = None
     ) -> None:
         """Shows joint positions [rad]; ``other`` are those of the second hand, if they differ."""
         self.first.draw(self._qpos(every), self._pose)
-        if self._second is not None:
-            self._second.draw(self._qpos(every if other is None else other), self._pose)
-
-    def show(self, visible: bool, second: bool, opacity: float | None) -> None:
-        """Shows or hides the hands."""
-        self.first.show(visible, opacity)
-        if self._second is not None:
-            self._second.show(visible and second, TRANSLUCENT)
+        if self.other is not None:
+            self.other.draw(self._qpos(every if other is None else other), self._pose)
 
     def corners(self, every: Float[np.ndarray, " n"]) -> Float[np.ndarray, "N 3"]:
         """(N, 3) corners of the bodies' boxes, in the palm frame [m]."""
@@ -346,15 +316,11 @@ class RobotBodies:
 
 
 class RobotLooks:
-    """A robot hand with a switch between the maker's meshes and simple shapes.
+    """A robot hand with a switch between the maker's meshes and simple shapes; see ``RobotBodies``.
 
     Args:
-        scene: the viser scene.
-        hand: the robot hand, which has the order of the joints.
-        views: the hand on the models to draw, simple shapes last; see ``RobotBodies``.
-        root: name of the nodes, in the palm frame.
+        views: the hand on the models to draw, simple shapes last.
         distal: unit vector along the forearm, to cut it off below the wrist; None keeps it.
-        second: draw the second hand.
 
     Attributes:
         visible, meshes, second: True to show the hand, its meshes, and the second hand.
@@ -405,7 +371,10 @@ class RobotLooks:
         vars(self).update(choices)
         self.shown.draw(*self._pose)
         for look in self._looks:
-            look.show(self.visible and look is self.shown, self.second, self.opacity)
+            visible = self.visible and look is self.shown
+            look.first.show(visible, self.opacity)
+            if look.other is not None:
+                look.other.show(visible and self.second, TRANSLUCENT)
 
 
 def _palm_to_model(hand: Hand) -> Float[np.ndarray, "7"]:
@@ -449,16 +418,9 @@ class HandRow:
     The frames are named ``ROOT/NAME``. Fingertips in a pinch are larger and lit.
 
     Args:
-        scene: the viser scene.
-        root: name of the parent node; empty for the scene itself.
         human_tips: (F,) landmarks of the fingertips that drive the robots, thumb first.
         words: name -> label; the human hand first, then the robots.
         label: settings of all labels, for ``viser.SceneApi.add_label``.
-
-    Attributes:
-        roots: name -> frame of a hand.
-        tips: name -> node of a robot's fingertips.
-        labels: name -> label.
     """
 
     def __init__(
@@ -498,13 +460,7 @@ class HandRow:
         robot_tips: Sequence[Float[np.ndarray, "F 3"]],
         pinched: Bool[np.ndarray, " G"],
     ) -> None:
-        """Shows a frame.
-
-        Args:
-            landmarks: (21, 3) in the frame of the human hand [m]; NaN for missing ones.
-            robot_tips: fingertips of each robot, (F, 3) in its frame [m].
-            pinched: (F-1,) True for fingers that pinch with the thumb.
-        """
+        """Shows the landmarks and each robot's fingertips, in the hands' frames [m]."""
         self.human.draw(landmarks, pinched)
         lit = lit_tips(pinched)
         shades = linear(np.where(lit[:, None], np.array(HIGHLIGHT), self._palette))

@@ -33,7 +33,8 @@ _AT_ONCE: Final = 10_000
 
 
 class Inbox(ABC):
-    """An open socket.
+    """An open socket. A constructor raises SourceError for an address that it can't use, and
+    MissingExtraError without its library.
 
     Attributes:
         address: address to which it listens or is connected, with the real port for a port 0.
@@ -67,9 +68,6 @@ class UdpInbox(Inbox):
         host: address to listen on.
         port: port to listen on; 0 for any free one.
         choose: advice on naming another port, for messages.
-
-    Raises:
-        SourceError: the port is in use, or the address is not of this machine.
     """
 
     def __init__(self, host: str, port: int, choose: str = "udp:PORT") -> None:
@@ -145,9 +143,6 @@ class TcpInbox(Inbox):
         split: splits received data into messages.
         begins: recognises the protocol by the first bytes of a connection.
         source: name of the source, for messages.
-
-    Raises:
-        SourceError: the port is in use, or the address is not of this machine.
     """
 
     def __init__(self, host: str, port: int, split: Split, begins: Begins, source: str) -> None:
@@ -298,10 +293,6 @@ class ZmqInbox(Inbox):
         bind: True to listen at the address, False to connect to it.
         pattern: kind of socket.
         topic: first bytes of the messages, for ``sub``.
-
-    Raises:
-        MissingExtraError: pyzmq is not installed.
-        SourceError: the address can't be used.
     """
 
     def __init__(
@@ -378,9 +369,6 @@ class GrpcInbox(Inbox):
         address: HOST:PORT of the server, which may start later.
         method: path of the method: ``/package.Service/Method``.
         longest: size of the longest accepted message [bytes].
-
-    Raises:
-        MissingExtraError: grpcio is not installed.
     """
 
     def __init__(self, feature: str, extra: str, address: str, method: str, longest: int) -> None:

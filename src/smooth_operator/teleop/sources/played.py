@@ -121,6 +121,7 @@ class SyntheticSource(ThreadedSource):
         UnknownNameError: there is no gesture of a name.
     """
 
+    label = "the built-in operator"
     seed: int = 0
     rate: float | None = None
     side: Hands = "right"
@@ -143,11 +144,6 @@ class SyntheticSource(ThreadedSource):
     @property
     def _rate(self) -> float:
         return tracker_model(self.tracker).rate_hz if self.rate is None else self.rate
-
-    @property
-    def label(self) -> str:
-        """Name for a person, in a few words."""
-        return "the built-in operator"
 
     @property
     def pinch_gaps(self) -> Mapping[str, float]:

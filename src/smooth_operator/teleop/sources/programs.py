@@ -196,15 +196,11 @@ class HtsSource(StreamSource):
         ConfigError: a setting is outside its range.
     """
 
+    label = "Hand Tracking Streamer"
     host: str = "127.0.0.1"
     port: int | None = None
     transport: Transport = "both"
     side: Hands = "both"
-
-    @property
-    def label(self) -> str:
-        """The source in a few words."""
-        return "Hand Tracking Streamer"
 
     @property
     def hint(self) -> str:
@@ -278,15 +274,11 @@ class PicoSource(StreamSource):
         ConfigError: a setting is outside its range.
     """
 
+    label = "XRoboToolkit (PICO)"
     host: str = "127.0.0.1"
     port: int = pico_packets.PORT
     side: Hands = "both"
     axes: pico_packets.Axes = "openxr"
-
-    @property
-    def label(self) -> str:
-        """The source in a few words."""
-        return "XRoboToolkit (PICO)"
 
     @property
     def hint(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -70,16 +71,6 @@ class ArmRoom:
 
     The solid arm is at its command, a translucent one at the measured positions, if there are some.
     Three axes show the target of the wrist.
-
-    Args:
-        scene: the viser scene.
-        hands: side -> robot hand.
-        settings: settings of the arms.
-        measured: True if the arms are measured.
-        root: name of the parent node.
-
-    Attributes:
-        arms: side -> arm.
     """
 
     def __init__(
@@ -91,37 +82,26 @@ class ArmRoom:
         root: str,
     ) -> None:
         placed = place_arms(settings, hands)
-        toward = np.array(
-            [
-                np.cos(_ELEVATION) * np.cos(_AZIMUTH),
-                np.cos(_ELEVATION) * np.sin(_AZIMUTH),
-                np.sin(_ELEVATION),
-            ]
-        )
+        level, height = np.cos(_ELEVATION), np.sin(_ELEVATION)
+        toward = np.array([level * np.cos(_AZIMUTH), level * np.sin(_AZIMUTH), height])
         right = np.cross((0.0, 0.0, 1.0), toward)
         right /= np.linalg.norm(right)
         self._rows = np.stack([right, np.cross(toward, right), toward])
         self._root = scene.add_frame(f"{root}/room", show_axes=False)
         across = [carried.base[1, 3] for carried in placed.values()]
-        (x0, x1), (y0, y1), (z0, z1) = _ROOM
-        corners = np.array(
-            [
-                (x, y, z)
-                for x in (x0, x1)
-                for y in (min(across) - y0, max(across) + y1)
-                for z in (z0, z1)
-            ]
-        )
+        y = (min(across) - _ROOM[1][0], max(across) + _ROOM[1][1])
+        corners = np.array(list(itertools.product(_ROOM[0], y, _ROOM[2])))
         projected = _SCALE * corners @ self._rows.T
         self._low, self._high = projected.min(axis=0), projected.max(axis=0)
         if not settings.no_table:
+            width, cell = _SCALE * _TABLE[0], _SCALE * _TABLE[1]
             scene.add_grid(
                 f"{root}/room/table",
-                _SCALE * _TABLE[0],
-                _SCALE * _TABLE[0],
+                width,
+                width,
                 plane="xy",
-                cell_size=_SCALE * _TABLE[1],
-                section_size=_SCALE * 5 * _TABLE[1],
+                cell_size=cell,
+                section_size=5 * cell,
                 cell_color=_GRID,
                 section_color=_GRID,
                 position=_SCALE * np.array([0.35, 0.0, settings.table]),
@@ -160,34 +140,23 @@ class _ArmView:
         meshes = body_meshes(model)
         owner = np.full(model.nbody, -1)
         self._arm = BodyNodes(scene, model, meshes, owner, f"{root}/arm", scale=_SCALE, color=PALM)
-        self._measured = (
-            BodyNodes(
-                scene,
-                model,
-                meshes,
-                owner,
-                f"{root}/measured",
-                scale=_SCALE,
-                color=SIMULATED,
-                opacity=_GHOST,
-            )
-            if measured
-            else None
-        )
+        self._measured: BodyNodes | None = None
+        if measured:
+            looks: dict[str, Any] = {"scale": _SCALE, "color": SIMULATED, "opacity": _GHOST}
+            self._measured = BodyNodes(scene, model, meshes, owner, f"{root}/measured", **looks)
         hand = self._own = carried.mount.hand
         view = HandView(hand)
         self._hand = BodyNodes(
             scene, hand.model, view.meshes, view.finger_of_body, f"{root}/hand", scale=_SCALE
         )
         self._to_model = inverse(carried.mount.model_to_palm)
-        length, thickness = _AXES
         self._target = scene.add_batched_axes(
             f"{root}/target",
             np.array([[1.0, 0, 0, 0]]),
             np.zeros((1, 3)),
             scale=_SCALE,
-            axes_length=length,
-            axes_radius=thickness,
+            axes_length=_AXES[0],
+            axes_radius=_AXES[1],
             visible=False,
         )
         self.scenery = SceneryNodes(scene, f"{root}/scenery", _SCALE)
@@ -217,13 +186,7 @@ _ROUND: Final = 24  # edges of round shapes, which are small on the page
 
 
 class SceneryNodes:
-    """Shapes of a task around one robot hand, in its palm frame.
-
-    Args:
-        scene: the viser scene.
-        root: name of the node of the palm frame.
-        scale: scale of all shapes.
-    """
+    """Shapes of a task around one robot hand, in the palm frame ``root``."""
 
     def __init__(self, scene: viser.SceneApi, root: str, scale: float = 1.0) -> None:
         self._scene, self._root, self._scale = scene, root, scale
@@ -391,15 +354,10 @@ class LiveScene:
             right = (size[0] + GAP) * column
             up = (size[1] + 2 * GAP) * (rows - 1)
             step = np.array([size[0] + GAP, 0.0])
-            places = (
-                (np.zeros(2), step)
-                if rows == 1
-                else (np.array([right, up]), np.array([right, 0.0]))
-            )
-            if alone:
-                places = (np.array([right - step[0], 0.0]), np.array([right, 0.0]))
+            robot = step if rows == 1 and not alone else np.array([right, 0.0])
+            human = robot - step if rows == 1 else np.array([right, up])
             view.show_human(not alone)
-            view.put(*places)
+            view.put(human, robot)
         spread = (columns - 1) * (size[0] + GAP), (rows - 1) * (size[1] + 2 * GAP)
         middle = (low + high + np.array([*spread, 0.0])) / 2
         if self.has_task:
