@@ -1,5 +1,4 @@
-"""Tables of methods: values, means and the best method for each use; comparison of two
-benchmarks."""
+"""Tables of methods: values, means, the best method for each use; comparison of two benchmarks."""
 
 from __future__ import annotations
 
@@ -460,10 +459,10 @@ class Change:
     """A metric of a cell in both benchmarks.
 
     Attributes:
-        metric: which.
-        now: its value here.
-        before: its value there.
-        verdict: by the metric's goal; ``same`` also for metrics without a better direction.
+        metric: the metric.
+        now: its value in this benchmark.
+        before: its value in the other benchmark.
+        verdict: verdict by the metric's goal; ``same`` for metrics without a better direction.
     """
 
     metric: Metric
@@ -501,8 +500,8 @@ class Comparison:
     """Two benchmarks.
 
     Attributes:
-        name: name of the other one.
-        cells: those that succeeded in both.
+        name: name of the other benchmark.
+        cells: cells that succeeded in both.
         only_here: keys of cells that are missing or failed in the other benchmark.
         only_there: keys of cells that are missing or failed in this benchmark.
     """
@@ -513,7 +512,7 @@ class Comparison:
     only_there: tuple[tuple[str, ...], ...]
 
     def count(self, verdict: Verdict, metrics: Sequence[Metric] | None = None) -> int:
-        """Number of figures with a verdict; by default of all metrics that are numbers."""
+        """Number of values with a verdict. Default metrics: ``numbers``."""
         judged = numbers() if metrics is None else metrics
         return sum(
             change.verdict == verdict and change.metric in judged
@@ -523,10 +522,10 @@ class Comparison:
 
 
 def compare(rows: Iterable[Row], others: Iterable[Row], name: str) -> Comparison:
-    """Compares an earlier benchmark with one.
+    """Compares a benchmark with another one.
 
     Args:
-        name: name of the other, for a person.
+        name: name of the other benchmark in texts.
     """
     here = {row_key(row): row for row in rows if row.get("metrics")}
     there = {row_key(row): row for row in others if row.get("metrics")}
@@ -539,7 +538,7 @@ def compare(rows: Iterable[Row], others: Iterable[Row], name: str) -> Comparison
 
 
 def change_verdict(metric: Metric, now: float, before: float) -> Verdict:
-    """True if a value is better or worse than another, beyond noise."""
+    """Verdict on a value in comparison with another one; ``same`` within the noise."""
     noise = LATENCY_NOISE if metric.name.startswith("latency_ms") else NOISE
     gain = merit(metric, now) - merit(metric, before) if metric.goal else 0.0
     size = max(abs(merit(metric, now)), abs(merit(metric, before)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, TypeAlias
 
 from tyro.conf import OmitSubcommandPrefixes, Positional, arg, subcommand
@@ -86,37 +86,6 @@ Each has its own help: smooth-operator hands show --help"""
 _SIDES: Final[tuple[Side, ...]] = ("right", "left")
 
 
-@dataclass(frozen=True)
-class Row:
-    """A hand in the list.
-
-    Attributes:
-        name: name that loads the hand.
-        builtin: True if it comes with the program.
-        files: its spec files.
-        mirrored: sides that are a mirror image of the other side.
-        facts: properties of the hand; empty if it can't be used.
-        error: reason why the hand can't be used.
-    """
-
-    name: str
-    builtin: bool
-    files: list[str]
-    mirrored: list[str]
-    facts: dict[str, Any] = field(default_factory=dict)
-    error: str = ""
-
-    def as_json(self) -> dict[str, Any]:
-        """The row as plain values."""
-        own = {
-            "name": self.name,
-            "builtin": self.builtin,
-            "files": self.files,
-            "mirrored": self.mirrored,
-        }
-        return own | self.facts | ({"error": self.error} if self.error else {})
-
-
 def list_hands(options: List) -> None:
     """Prints the catalogue."""
     from rich.text import Text
@@ -127,55 +96,48 @@ def list_hands(options: List) -> None:
     rows = [_row(name) for name in hand_names()]
     folder = user_hands_folder()
     if options.json:
-        print(json.dumps({"folder": str(folder), "hands": [row.as_json() for row in rows]}))
+        print(json.dumps({"folder": str(folder), "hands": rows}))
         return
     console = output_console()
     table = plain_table()
     for header in ("hand", "sides", "fingers", "actuated/all", "coupled", "source"):
         table.add_column(header, no_wrap=header in ("hand", "actuated/all"))
     for row in rows:
-        if row.error:
-            table.add_row(row.name, *[""] * 4, Text(f"can't be used: {row.error}"))
+        if "error" in row:
+            table.add_row(row["name"], *[""] * 4, Text(f"can't be used: {row['error']}"))
             continue
-        sides = ", ".join(f"{side} (mirrored)" if side in row.mirrored else side for side in _SIDES)
-        facts = row.facts
+        sides = (f"{side} (mirrored)" if side in row["mirrored"] else side for side in _SIDES)
         table.add_row(
-            row.name,
-            sides,
-            str(len(facts["fingers"])),
-            f"{facts['actuated']}/{facts['joints']}",
-            str(facts["coupled"] or ""),
-            Text(facts["source"] if row.builtin else ", ".join([facts["source"], *row.files])),
+            row["name"],
+            ", ".join(sides),
+            str(len(row["fingers"])),
+            f"{row['actuated']}/{row['joints']}",
+            str(row["coupled"] or ""),
+            Text(", ".join([row["source"], *([] if row["builtin"] else row["files"])])),
         )
     console.print(table)
     console.print(f"Your own hands are in {folder}", markup=False, soft_wrap=True)
 
 
-def _row(name: str) -> Row:
+def _row(name: str) -> dict[str, Any]:
+    """A hand as plain values, with an ``error`` if it can't be used."""
     from smooth_operator.hands.registry import HANDS, find_hand, load_hand
 
+    row: dict[str, Any] = {"name": name, "builtin": name in HANDS.built_in}
+    row |= {"files": [], "mirrored": []}
     try:
         entry = find_hand(name)  # fails for a name that two hands have
+        row |= {"files": list(map(str, entry.files.values())), "mirrored": list(entry.mirrored)}
+        hand = load_hand(name, entry.default_side)
     except SmoothOperatorError as error:
-        return Row(name, name in HANDS.built_in, [], [], error=str(error))
-    row = Row(
-        entry.name,
-        entry.builtin,
-        [str(file) for file in entry.files.values()],
-        list(entry.mirrored),
-    )
-    try:
-        hand = load_hand(entry.name, "right" if "right" in entry.files else "left")
-    except SmoothOperatorError as error:
-        return Row(row.name, row.builtin, row.files, row.mirrored, error=str(error))
-    row.facts.update(
-        fingers=list(hand.fingers),
-        actuated=len(hand.actuated),
-        joints=len(hand.joint_names),
-        coupled=len(hand.couplings),
-        source=hand.spec.source,
-    )
-    return row
+        return row | {"error": str(error)}
+    return row | {
+        "fingers": list(hand.fingers),
+        "actuated": len(hand.actuated),
+        "joints": len(hand.joint_names),
+        "coupled": len(hand.couplings),
+        "source": hand.spec.source,
+    }
 
 
 def remove_hand_command(options: Remove) -> None:

@@ -1,6 +1,6 @@
-"""What a hand's parts are: capsules, and the pairs of them that must not overlap.
+"""Capsules of a hand's parts, and the pairs of capsules that must not overlap.
 
-The solver, the measure of self-collision, ``hands check`` and the pictures all take this one
+The solver, the measure of self-collision, ``hands check`` and the pictures all use this
 description. A capsule is two points and a radius, so its distance from another is cheap, and
 differentiable with respect to the points. Most collision shapes of the built-in hands are
 capsules; other shapes are filled with them (``shape_capsules``), and a link whose shapes can't be

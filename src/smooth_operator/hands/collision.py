@@ -1,4 +1,4 @@
-"""Collision shapes of a hand, whose they are, and capsules that fill them."""
+"""Collision shapes of a hand, the fingers to which they belong, and capsules that fill them."""
 
 from __future__ import annotations
 

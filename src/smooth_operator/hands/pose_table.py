@@ -1,7 +1,7 @@
-"""Poses of a hand by where its fingertips are: a start for a descent that has no good one.
+"""Table of random poses of a hand by their fingertips: starts for a descent without a good start.
 
-The fingertips that a pose is to have say which pose of each finger comes nearest to them. That
-depends on nothing that came before, and among many random poses one is in the right basin.
+For each finger, the table gives the pose whose fingertip is nearest to a target. The result does
+not depend on earlier frames, and one of many random poses is in the right basin.
 """
 
 from __future__ import annotations
@@ -47,9 +47,11 @@ class PoseTable:
         return poses.astype(np.float32), np.moveaxis(tips, 1, 0).astype(np.float32)
 
     def nearest(self, places: Float[Array, "F 3"]) -> tuple[Float[Array, " m"], Float[Array, " F"]]:
-        """(m,) the pose whose fingers are each the one of the table with the fingertip nearest to
-        its place [m], and (F,) how far away that is [m]; traceable. A joint of two fingers is as
-        the first of them has it, one of none neutral."""
+        """(m,) pose of the fingers nearest to (F, 3) targets [rad], and (F,) their distances [m].
+
+        Traceable. Each finger comes from the pose of the table whose fingertip is nearest to its
+        target. A joint of two fingers comes from the first; a joint of no finger is neutral.
+        """
         poses, tips = (jnp.asarray(part, places.dtype) for part in self._table)
         off = tips - places[:, None]
         squared = (off * off).sum(-1)

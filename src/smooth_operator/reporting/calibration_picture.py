@@ -1,4 +1,4 @@
-"""The picture of a calibration: distances from the thumb, and the pinches that were found."""
+"""The picture of a calibration: distances from the thumb, and the detected pinches."""
 
 from __future__ import annotations
 
@@ -82,4 +82,4 @@ def _pinches(axes: Any, calibration: Calibration, recording: HandRecording) -> N
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlim(stamps[0], stamps[-1])
     axes.set_xlabel("time [s]")
-    axes.set_title("pinches that were found; the paler, the less sure", loc="left", fontsize=10)
+    axes.set_title("detected pinches; a paler bar is less certain", loc="left", fontsize=10)

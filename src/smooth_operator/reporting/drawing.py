@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK: Final = "#20262d"
-"""Text and axes; on a page it becomes the colour of the text around."""
+"""Colour of text and axes; on a page, these have the colour of the surrounding text."""
 GRID: Final = "#8a939c"
 _SPARE: Final = ("#6b9c2f", "#c2455f", "#3f8f9b", "#a0843c", "#7f8790", "#4a4fa3", "#b05fb8")
-"""Colours of names that have none, such as presets that are no default."""
+"""Colours of names without their own, such as presets other than the default."""
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p")
-"""Shapes, so that nothing depends on colour alone."""
+"""Shapes of marks, which distinguish series without colour."""
 _DPI: Final = 150
 _CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
 
@@ -35,8 +35,8 @@ _CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
 def colors_of(methods: Iterable[str]) -> dict[str, str]:
     """A colour for each method: its own, or one that follows from its name.
 
-    The order of the names makes no difference. Names without a colour get different
-    ones, as long as there are enough.
+    It does not depend on the order of the names. Names without a colour get different spare
+    colours, as long as there are enough.
     """
     names = list(dict.fromkeys(methods))
     chosen: dict[str, str] = {}
@@ -46,7 +46,7 @@ def colors_of(methods: Iterable[str]) -> dict[str, str]:
 
 
 def _spare_color(name: str, taken: Iterable[str]) -> str:
-    """The first free spare colour, from a place that the name decides."""
+    """The first free spare colour, counted from a position that follows from the name."""
     start = zlib.crc32(name.encode()) % len(_SPARE)
     turned = (*_SPARE[start:], *_SPARE[:start])
     used = set(taken)
@@ -55,7 +55,7 @@ def _spare_color(name: str, taken: Iterable[str]) -> str:
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Settings of the figures drawn inside."""
+    """Sets matplotlib's style for the figures drawn inside the block."""
     import matplotlib as mpl
 
     settings: Any = {
@@ -150,12 +150,12 @@ def _meet(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
 
 
 def plain_logs(ax: Axes, both: bool = True) -> None:
-    """Label logarithmic axes with numbers rather than powers of ten, as many as have room."""
+    """Label logarithmic axes with plain numbers instead of powers of ten."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     for axis in (ax.xaxis, ax.yaxis) if both else (ax.xaxis,):
         low, high = sorted(axis.get_view_interval())
-        if axis.get_scale() != "log" or low <= 0:  # without points, limits are any
+        if axis.get_scale() != "log" or low <= 0:  # an axis without points has arbitrary limits
             continue
         decades = np.log10(high / low)
         subs = (1.0,) if decades > 3 else (1.0, 2.0, 5.0) if decades > 0.7 else _CLOSE
@@ -168,7 +168,7 @@ def write_figure(figure: Figure, stem: Path) -> str:
     """Writes ``STEM.png`` and ``STEM.svg``.
 
     Returns:
-        The SVG without a background, whose text has the colour of the text around it.
+        The SVG without a background; its text has the colour of the surrounding text.
 
     Raises:
         OutputError: a file can't be written.
@@ -176,7 +176,7 @@ def write_figure(figure: Figure, stem: Path) -> str:
     with styled():
         with atomic_write(stem.with_name(stem.name + ".png")) as file:
             figure.savefig(file, format="png", dpi=_DPI)
-        figure.set_layout_engine("none")  # it is found: a second search would take as long again
+        figure.set_layout_engine("none")  # keeps the layout of the PNG, whose search takes long
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     text = buffer.getvalue()
@@ -196,7 +196,7 @@ def _series_group(match: re.Match[str]) -> str:
 
 
 def _for_page(text: str, prefix: str) -> str:
-    """An SVG that may stand in a page with others: its own size, no clashing names, no links."""
+    """An SVG for a page with others: without a fixed size, unique names and links."""
     head = text.index(">")
     tag = re.sub(r'\s(?:height|version|xmlns(?::\w+)?)="[^"]*"', "", text[:head])
     body = re.sub(r'id="([^"]+)"', rf'id="{prefix}-\1"', text[head:])
@@ -217,20 +217,20 @@ COLORS: Final = {
     "ako": "#56b4e9",
     "geort": "#009e73",
 }
-"""Built-in method -> its colour in every report; most are of Okabe and Ito's safe palette. They go
-by name, since the settings of keyvector, hybrid, dexpilot and ako are of one class."""
+"""Built-in method -> its colour in every report, most from Okabe and Ito's safe palette. The key is
+the name, because the settings of keyvector, hybrid, dexpilot and ako have one class."""
 
 
 def method_color(name: str) -> str | None:
     """The colour of a method in reports, ``#rrggbb``; None if it has none.
 
-    A plugin's method has that of its settings, ``MethodConfig.color``.
+    The colour of a plugin's method is ``MethodConfig.color``.
     """
     if name not in METHODS.plugins:
         return COLORS.get(name)
     try:
         presets = as_presets(METHODS.load(name))
-    except SmoothOperatorError:  # reports go on without it
+    except SmoothOperatorError:  # a report needs no broken plugin
         return None
     color: str | None = next(iter(presets.values())).color
     return color

@@ -1,4 +1,4 @@
-"""HTML of reports: elements, and the page, one file with everything in it, and its plots."""
+"""HTML of reports: elements, plots, and the page, which is one file without links to others."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def paragraph(text: object, class_: str = "") -> Html:
 
 
 def join(parts: Iterable[Html | str]) -> Html:
-    """HTML after HTML."""
+    """Parts of HTML as one text."""
     return Html("\n".join(parts))
 
 
@@ -59,7 +59,7 @@ def table(
     rows: Iterable[Iterable[Html]],
     class_: str = "",
 ) -> Html:
-    """A table that scrolls by itself where it is too wide; the first column names its rows.
+    """A table that scrolls if it is too wide; the first column names its rows.
 
     Args:
         headers: headers of the columns, either bare HTML or whole ``<th>`` elements.
@@ -88,12 +88,12 @@ def text_table(
 
 
 def dot(color: str) -> Html:
-    """The mark of a series, in the colour that the plots draw it in."""
+    """The mark of a series in its colour of the plots."""
     return Html(f"<i class='dot' style='background:{escape(color)}'></i>")
 
 
 def name_cell(text: object, color: str = "", note: str = "") -> Html:
-    """The cell that names a row; with a colour, the row of a series that the plots draw in it."""
+    """The cell that names a row. A colour marks the row of a series in the plots."""
     mark = dot(color) if color else ""
     small = f" <small>{escape(note)}</small>" if note else ""
     series = {"data_series": str(text)} if color else {}
@@ -101,7 +101,7 @@ def name_cell(text: object, color: str = "", note: str = "") -> Html:
 
 
 def data(content: object) -> Html:
-    """JSON in a script element; no text in it can end the element."""
+    """JSON in a script element, escaped so that no text in it ends the element."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")
@@ -115,7 +115,7 @@ def figure(svg: str, caption: str, label: str) -> Html:
 
 
 def details(title: str, content: Html, *, opened: bool = False, class_: str = "") -> Html:
-    """An element that folds away."""
+    """An element that can be folded."""
     state = (f' class="{escape(class_)}"' if class_ else "") + (" open" if opened else "")
     return Html(f"<details{state}><summary>{escape(title)}</summary>{content}</details>")
 
@@ -131,7 +131,7 @@ Section = tuple[str, str, Html]
 
 @cache
 def templates(package: str) -> Environment:
-    """Jinja2 templates of a package, next to its modules; what they insert is escaped.
+    """Jinja2 templates of a package, next to its modules; they escape inserted values.
 
     Raises:
         MissingExtraError: Jinja2 is not installed.
@@ -161,7 +161,7 @@ def write_report_page(
     """Writes a report. It needs no other file, and nothing from the network.
 
     Args:
-        header: HTML above the sections: a heading, and what comes first.
+        header: HTML above the sections, such as a heading.
         sections: parts in their order; the navigation has a link to each.
         styles: files or texts of CSS after that of every report.
         scripts: files of JavaScript at the end of the page.
@@ -192,10 +192,10 @@ class Plots:
     """The figures of a report: files in a folder, and elements of the page.
 
     Args:
-        folder: made if need be, in one that exists.
+        folder: the folder, which is created in an existing one if it is missing.
 
     Raises:
-        OutputError: it can't be made.
+        OutputError: the folder can't be created.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -233,7 +233,7 @@ class Plots:
 
 
 def plot_name(stem: str) -> str:
-    """A stem as a file's name; one that holds the path of a hand becomes harmless."""
+    """A stem as a valid file name, also if it contains the path of a hand."""
     return stem if re.fullmatch(r"[\w.-]+", stem) else file_name(stem, (stem,))
 
 

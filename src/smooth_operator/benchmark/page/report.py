@@ -26,6 +26,7 @@ from smooth_operator.benchmark.quality import PER_FINGER
 from smooth_operator.benchmark.ranking import (
     COLUMN_GROUPS,
     COLUMNS,
+    HEADLINES,
     RANK,
     Comparison,
     Line,
@@ -119,38 +120,13 @@ BUSY: Final = 0.25
 _PAPER_HAND: Final = "mimic_p050"
 
 PAPER_TABLE: Final[dict[str, dict[str, float]]] = {
-    "DexPilot": {
-        "cosine_similarity": 0.9932,
-        "scale_ratio": 0.885,
-        "motion_preservation": 0.727,
-        "flatness": 7.71e-6,
-        "workspace_utilisation": 0.261,
-        "latency_ms.p50": 4.905,
-    },
-    "GeoRT": {
-        "cosine_similarity": 0.9799,
-        "scale_ratio": 1.050,
-        "motion_preservation": 0.695,
-        "flatness": 3.01e-6,
-        "workspace_utilisation": 0.352,
-        "latency_ms.p50": 1.410,
-    },
-    "Hybrid": {
-        "cosine_similarity": 0.9879,
-        "scale_ratio": 0.891,
-        "motion_preservation": 0.675,
-        "flatness": 6.17e-6,
-        "workspace_utilisation": 0.225,
-        "latency_ms.p50": 9.892,
-    },
-    "SBR": {
-        "cosine_similarity": 0.9969,
-        "scale_ratio": 0.877,
-        "motion_preservation": 0.776,
-        "flatness": 7.17e-7,
-        "workspace_utilisation": 0.210,
-        "latency_ms.p50": 3.664,
-    },
+    method: dict(zip((metric.name for metric in HEADLINES), values, strict=True))
+    for method, values in {
+        "DexPilot": (0.9932, 0.885, 0.727, 7.71e-6, 0.261, 4.905),
+        "GeoRT": (0.9799, 1.050, 0.695, 3.01e-6, 0.352, 1.410),
+        "Hybrid": (0.9879, 0.891, 0.675, 6.17e-6, 0.225, 9.892),
+        "SBR": (0.9969, 0.877, 0.776, 7.17e-7, 0.210, 3.664),
+    }.items()
 }
 """Source: the paper's table of simulation metrics. It has one latency per method, which is shown
 here in the column of the median."""

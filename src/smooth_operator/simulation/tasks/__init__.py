@@ -1,35 +1,15 @@
 """The study's three tasks in simulation: rubrics, scorers, trials, records."""
 
-from smooth_operator.simulation.tasks.task import (
-    TASKS,
-    Assessment,
-    Scorer,
-    SimulatedTask,
-    task_named,
-)
-from smooth_operator.simulation.tasks.task_session import TaskSession
-from smooth_operator.simulation.tasks.trial import (
-    Outcome,
-    Phase,
-    TaskRun,
-    TrialRecord,
-    read_trial,
-    rescore,
-    write_trial,
-)
-
-__all__ = [
-    "TASKS",
-    "Assessment",
-    "Outcome",
-    "Phase",
-    "Scorer",
-    "SimulatedTask",
-    "TaskRun",
-    "TaskSession",
-    "TrialRecord",
-    "read_trial",
-    "rescore",
-    "task_named",
-    "write_trial",
-]
+from smooth_operator.simulation.tasks.task import TASKS as TASKS
+from smooth_operator.simulation.tasks.task import Assessment as Assessment
+from smooth_operator.simulation.tasks.task import Scorer as Scorer
+from smooth_operator.simulation.tasks.task import SimulatedTask as SimulatedTask
+from smooth_operator.simulation.tasks.task import task_named as task_named
+from smooth_operator.simulation.tasks.task_session import TaskSession as TaskSession
+from smooth_operator.simulation.tasks.trial import Outcome as Outcome
+from smooth_operator.simulation.tasks.trial import Phase as Phase
+from smooth_operator.simulation.tasks.trial import TaskRun as TaskRun
+from smooth_operator.simulation.tasks.trial import TrialRecord as TrialRecord
+from smooth_operator.simulation.tasks.trial import read_trial as read_trial
+from smooth_operator.simulation.tasks.trial import rescore as rescore
+from smooth_operator.simulation.tasks.trial import write_trial as write_trial
