@@ -131,7 +131,7 @@ def test_damaged_loop_messages_are_named(tmp_path, hand):
         return message.SerializeToString()[:-3] if topic == "/loop" else message
 
     path = rewritten(tmp_path / "b.mcap", tmp_path / "c.mcap", damaged)
-    with pytest.raises(RecordingError, match=r"on /loop is no smooth_operator\.Loop"):
+    with pytest.raises(RecordingError, match=r"on /loop is not a valid smooth_operator\.Loop"):
         read_log(path)
 
 

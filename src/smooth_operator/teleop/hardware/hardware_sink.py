@@ -614,10 +614,6 @@ class HardwareSink(Sink):
             )
         return next(iter(hands))
 
-    def _set(self, **values: object) -> None:
-        for name, value in values.items():  # only the settings are frozen
-            object.__setattr__(self, name, value)
-
 
 def real_hand(sink: object) -> HardwareSink | None:
     """The sink if it moves a real hand, else None."""

@@ -254,7 +254,7 @@ class Ros2Sink(ThreadedSink):
         except BaseException:
             transport.close()
             raise
-        object.__setattr__(self, "_reach", transport.label)
+        self._set(_reach=transport.label)
         return link
 
     def _endpoint(self) -> Endpoint:

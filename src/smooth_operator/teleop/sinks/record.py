@@ -106,8 +106,7 @@ class RecordSink(Sink):
             flush_s=self.flush_s,
             buffer=self.buffer,
         )
-        self._set("_recorder", recorder)
-        self._set("_history", (*self._history, *files.values()))
+        self._set(_recorder=recorder, _history=(*self._history, *files.values()))
 
     def send(self, tick: Tick) -> None:
         """Put a tick into the buffer.
@@ -133,18 +132,15 @@ class RecordSink(Sink):
         recorder = self._recorder
         if recorder is None:
             return
-        self._set("_recorder", None)
+        self._set(_recorder=None)
         try:
             recorder.close()
         finally:
-            self._set("_lost", self._lost + recorder.dropped)
+            self._set(_lost=self._lost + recorder.dropped)
             for path in recorder.empty:
                 with contextlib.suppress(OSError):
                     path.unlink()
-            self._set("_history", tuple(p for p in self._history if p not in recorder.empty))
-
-    def _set(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)
+            self._set(_history=tuple(p for p in self._history if p not in recorder.empty))
 
 
 _CHUNK_BYTES: Final = 256 * 1024

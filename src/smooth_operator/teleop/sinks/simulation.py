@@ -94,7 +94,7 @@ class Simulation(Sink):
         if self._world is not None:
             raise SinkError("mujoco: it is already open")
         physics = {side: self._built(hand, self.task_now) for side, hand in hands.items()}
-        self._set("_world", World(physics, self._events, self._arms))
+        self._set(_world=World(physics, self._events, self._arms))
 
     def change_task(self, task: str) -> None:
         """Build another scene, or none, and switch to it; commands go on meanwhile.
@@ -118,8 +118,7 @@ class Simulation(Sink):
                 raise SinkError(
                     "mujoco: it was closed, or another task was requested in the meantime"
                 )
-            self._set("_task", task)
-            self._set("_world", World(physics, self._events, self._arms))
+            self._set(_task=task, _world=World(physics, self._events, self._arms))
         before.end()
 
     def send(self, tick: Tick) -> None:
@@ -251,9 +250,6 @@ class Simulation(Sink):
             return ArmPhysics(hand, arm, step, self.bandwidth)
         return HandPhysics(hand, step, self.bandwidth, self.gravity)
 
-    def _set(self, name: str, value: object) -> None:
-        object.__setattr__(self, name, value)
-
     def _open_world(self, side: Side) -> World:
         self._scene(side)  # raises without a scene
         assert self._world is not None
@@ -273,7 +269,7 @@ class Simulation(Sink):
         """Stop; a second call does nothing."""
         with self._swapping:
             world = self._world
-            self._set("_world", None)
+            self._set(_world=None)
         if world is not None:
             world.end()
 

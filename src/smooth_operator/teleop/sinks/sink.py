@@ -141,6 +141,11 @@ class Sink(ABC):
     def close(self) -> None:
         """Write pending data and close everything; a second call does nothing."""
 
+    def _set(self, **values: object) -> None:
+        """Set attributes of an open sink, of which only the settings are frozen."""
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
 
 def simulated_hands(sinks: Iterable[Sink]) -> LiveSimulation | None:
     """The first simulation among sinks; None without any."""
@@ -183,8 +188,7 @@ class ThreadedSink(Sink):
         """Open the sink; see ``Sink``."""
         if self._sender() is not None:
             raise SinkError(f"{self.label}: it is already open")
-        # Only the settings are frozen.
-        object.__setattr__(self, "_now", _Sender(self.connect(hands, config), self.label))
+        self._set(_now=_Sender(self.connect(hands, config), self.label))
 
     def send(self, tick: Tick) -> None:
         """Leave a command for the thread.
@@ -206,7 +210,7 @@ class ThreadedSink(Sink):
     def close(self) -> None:
         """Send a pending command, and close the link; a second call does nothing."""
         sender = self._sender()
-        object.__setattr__(self, "_now", None)
+        self._set(_now=None)
         if sender is not None:
             sender.end()
 

@@ -58,8 +58,7 @@ class TableSink(Sink):
         if self._thread is not None:
             raise SinkError("table: it is already open")
         panels = {side: HandPanel(side, hand) for side, hand in hands.items()}
-        drawing = _Drawing(panels, open_console(stderr=True), self.rate)
-        object.__setattr__(self, "_thread", drawing)
+        self._set(_thread=_Drawing(panels, open_console(stderr=True), self.rate))
 
     def send(self, tick: Tick) -> None:
         """Store a tick."""
@@ -76,7 +75,7 @@ class TableSink(Sink):
     def close(self) -> None:
         """Draw for the last time."""
         drawing = self._thread
-        object.__setattr__(self, "_thread", None)
+        self._set(_thread=None)
         if drawing is not None:
             drawing.end()
 
