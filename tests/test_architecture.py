@@ -3,13 +3,15 @@
 import ast
 import functools
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from typing import TypeAlias
 
 import pytest
 
 PACKAGE = "smooth_operator"
+_Line: TypeAlias = tuple[int, str]
 SOURCE = Path(__file__).resolve().parents[1] / "src" / PACKAGE
 RESEARCH = SOURCE.parents[1] / "research" / "src" / "smooth_operator_research"
 """Experiments outside the wheel: they may import all of the package, which imports none of them."""
@@ -128,13 +130,20 @@ def imported_modules(source: Path, path: Path) -> Iterator[tuple[int, str]]:
 
 
 @functools.cache
-def imports_in(text: str, package: tuple[str, ...]) -> list[tuple[int, str]]:
+def nodes_of(text: str) -> list[ast.AST]:
+    """All nodes of a module's syntax tree, parsed once for all tests."""
+    return list(ast.walk(ast.parse(text)))
+
+
+def each_once(function: Callable[..., Iterator[_Line]]) -> Callable[..., list[_Line]]:
+    """Keeps the results of a generator, which several tests want."""
+    return functools.cache(lambda *arguments: list(function(*arguments)))
+
+
+@each_once
+def imports_in(text: str, package: tuple[str, ...]) -> Iterator[tuple[int, str]]:
     """(line, name) of the imports in a module of a package, as ``imported_modules``."""
-    return list(_imports_in(text, package))
-
-
-def _imports_in(text: str, package: tuple[str, ...]) -> Iterator[tuple[int, str]]:
-    for node in ast.walk(ast.parse(text)):
+    for node in nodes_of(text):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -160,10 +169,10 @@ def own_imports(source: Path, path: Path) -> Iterator[tuple[int, str, str]]:
         yield line, child if is_module else ROOT, name
 
 
-def constants(tree: ast.AST) -> dict[str, str]:
+def constants(nodes: list[ast.AST]) -> dict[str, str]:
     """Name -> text of every assignment of a literal text in a file."""
     texts = {}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(node.value, ast.Constant):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             names = [target.id for target in targets if isinstance(target, ast.Name)]
@@ -192,18 +201,25 @@ def imported_by_text(source: Path, path: Path) -> Iterator[tuple[int, str]]:
     Text after a part that is known only at run time is left out: ``f"{HERE}.{name}"`` stands for
     the package ``HERE``. An attribute after ``:`` follows the module as in a dotted name.
     """
-    tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
-    texts = constants(tree) | {
-        "__package__": ".".join((PACKAGE, *path.relative_to(source).parent.parts))
-    }
-    for node in ast.walk(tree):
-        text = literal(node, texts)
-        if text is None or not TARGET.fullmatch(text):
-            continue
+    package = ".".join((PACKAGE, *path.relative_to(source).parent.parts))
+    for line, text in targets_in(path.read_text(encoding="utf-8"), package):
         name = text.partition(" ")[0].rstrip(".:").replace(":", ".")
         child = source.joinpath(*name.split(".")[1:2])
         if child != source and (child.is_dir() or child.with_suffix(".py").is_file()):
-            yield node.lineno, name
+            yield line, name
+
+
+@each_once
+def targets_in(module: str, package: str) -> Iterator[tuple[int, str]]:
+    """(line, text) of the texts in a module that look like the name of a module."""
+    if PACKAGE not in module and "__package__" not in module:
+        return
+    nodes = nodes_of(module)
+    texts = constants(nodes) | {"__package__": package}
+    for node in nodes:
+        text = literal(node, texts)
+        if text is not None and TARGET.fullmatch(text):
+            yield node.lineno, text
 
 
 def upward_by_text(source: Path) -> dict[str, set[str]]:
@@ -332,7 +348,7 @@ def unpickling(source: Path) -> list[str]:
             if name.split(".")[0] in UNPICKLERS and where not in RESTRICTED
         ]
         text = path.read_text(encoding="utf-8")
-        for node in ast.walk(ast.parse(text, str(path))) if "allow_pickle" in text else ():
+        for node in nodes_of(text) if "allow_pickle" in text else ():
             if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
                 off = isinstance(node.value, ast.Constant) and node.value.value is False
                 if not off:
@@ -359,7 +375,7 @@ def missing_code(source: Path) -> list[str]:
         text = path.read_text(encoding="utf-8")
         if "code_digest" not in text and "imported_modules" not in text:
             continue
-        for node in ast.walk(ast.parse(text, str(path))):
+        for node in nodes_of(text):
             name = isinstance(node, ast.Call) and getattr(node.func, "id", "")
             if name != "code_digest":
                 continue

@@ -231,19 +231,8 @@ def test_calibrate_and_retarget(tmp_path, run):
 
     def known(name: str, *more: object) -> object:
         target = tmp_path / f"{name}.npz"
-        status, _, err = run(
-            "retarget",
-            glove,
-            "--method",
-            "joint_angle",
-            "--frames",
-            ":20",
-            "--quiet",
-            "--json",
-            "--output",
-            target,
-            *more,
-        )
+        arguments = ["--method", "joint_angle", "--frames", ":20", "--quiet", "--json", "--output"]
+        status, _, err = run("retarget", glove, *arguments, target, *more)
         assert status == 0, err
         return json.loads(target.with_suffix(".json").read_text(encoding="utf-8"))["pinch_gaps"]
 
@@ -298,21 +287,8 @@ def test_a_folder_is_made_again_for_other_fingers_or_another_operator(tmp_path, 
     save(recordings / "a.npz", 0.3)
     file = tmp_path / "operator.json"
     write_operator(file, KNOWN)
-    status, _, err = run(
-        "retarget",
-        recordings,
-        "--output",
-        output,
-        "--method",
-        "joint_angle",
-        "--workers",
-        "0",
-        "--operator",
-        file,
-        "--fingers",
-        THREE,
-        "--quiet",
-    )
+    arguments = f"--method joint_angle --workers 0 --fingers {THREE} --quiet --operator".split()
+    status, _, err = run("retarget", recordings, "--output", output, *arguments, file)
     assert status == 0, err
 
     def left(fingers: str | None, operator: OperatorProfile | None, **more: object) -> int:
@@ -334,19 +310,17 @@ def test_a_benchmark_measures_again_for_other_fingers_or_another_operator(tmp_pa
     write_operator(operator, KNOWN)
 
     def bench(*more: object) -> tuple[dict[str, object], bool]:
-        status, _, err = run(
-            "bench",
-            f"{glove}@:24",
+        arguments = [
             "--methods",
             "joint_angle",
-            "--output",
-            tmp_path / "out",
             "--workers",
             "0",
             "--latency-frames",
             "0",
             "--no-report",
-            *more,
+        ]
+        status, _, err = run(
+            "bench", f"{glove}@:24", *arguments, "--output", tmp_path / "out", *more
         )
         assert status == 0, err
         (row,) = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
@@ -366,19 +340,8 @@ def test_a_benchmark_measures_again_for_other_fingers_or_another_operator(tmp_pa
 
 
 def test_the_demo_drives_some_fingers_and_says_so(tmp_path, run):
-    status, _, err = run(
-        "demo",
-        "--no-view",
-        "--duration",
-        "0.2",
-        "--method",
-        "joint_angle",
-        "--fingers",
-        THREE,
-        "--output",
-        tmp_path / "demo",
-        "--quiet",
-    )
+    arguments = f"--no-view --duration 0.2 --method joint_angle --fingers {THREE} --quiet".split()
+    status, _, err = run("demo", *arguments, "--output", tmp_path / "demo")
     assert status == 0, err
     config = json.loads((tmp_path / "demo" / "config.json").read_text(encoding="utf-8"))
     assert config["fingers"] == CHOSEN

@@ -13,8 +13,7 @@ from smooth_operator.retargeting.sbr.gpu_kernels import (
     next_gaussian,
     solve_positive_definite,
 )
-from smooth_operator.retargeting.sbr.normals import counter_normal_matrix
-from smooth_operator.retargeting.sbr.random_words import random_words
+from smooth_operator.retargeting.sbr.random_numbers import counter_normal_matrix, random_words
 from smooth_operator.synthetic import SyntheticOperator
 
 LIMITS = np.array([[-0.4, 0.5]])

@@ -9,8 +9,13 @@ import pytest
 from scipy import stats
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.retargeting.sbr.normals import counter_normal_matrix, counter_normals
-from smooth_operator.retargeting.sbr.random_words import frame_key, random_words, seed_words
+from smooth_operator.retargeting.sbr.random_numbers import (
+    counter_normal_matrix,
+    counter_normals,
+    frame_key,
+    random_words,
+    seed_words,
+)
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig, quasi_normals, sample_minimise
 
 # Many elites: with few, the covariance (about the new mean) collapses before the mean arrives.

@@ -19,7 +19,6 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig
-from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.synthetic import SyntheticOperator
 
 METHODS = ("keyvector", "hybrid", "dexpilot", "ako")
@@ -92,27 +91,6 @@ def test_ako_refuses_a_hand_without_last_joints(hand):
     with pytest.raises(ConfigError, match=r"AkoTargets needs .*index_dip.*'poor'"):
         Retargeter(poor, method="ako")
     Retargeter(poor, method="dexpilot")  # asks for tips only
-
-
-def test_objective_of_other_vectors_is_their_weighted_loss(hand):
-    objective = SampledObjective(
-        hand,
-        ObjectiveConfig(targets=AkoTargets(), loss="squared", pose_weight=0.0, velocity_weight=0.0),
-    )
-    rng = np.random.default_rng(3)
-    q = rng.uniform(*hand.limits.T)
-    layout = objective.layout
-    goals = rng.normal(scale=0.05, size=(len(layout.vectors), 3))
-    weights = rng.uniform(0.5, 2.0, len(layout.vectors))
-    at = dict(zip(hand.tree.names, hand.landmark_positions(q), strict=True))
-    from smooth_operator.landmarks import LANDMARKS
-
-    expected = 0.0
-    for k, (i, j) in enumerate(layout.vectors):
-        expected += weights[k] * ((at[LANDMARKS[j]] - at[LANDMARKS[i]] - goals[k]) ** 2).sum()
-    goal = FrameGoal(jnp.asarray(goals), jnp.asarray(weights), jnp.asarray(q), 0.0)
-    got = objective([jnp.asarray(v, jnp.float32) for v in q], goal)
-    np.testing.assert_allclose(float(got), expected, rtol=1e-4)
 
 
 def test_gradient_against_finite_differences(hand):

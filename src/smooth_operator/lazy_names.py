@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from typing import Any, Final
 
 _NO_WORD: Final = str.maketrans("(),", "   ")
-_WINGS: Final = ("teleop", "lab")
-"""Packages whose libraries are an extra of the same name."""
+_WITH_EXTRA: Final = "teleop"
+"""Package whose libraries are an extra of the same name."""
 
 
 def public_names(
@@ -71,9 +71,8 @@ def stub_imports(path: str) -> dict[str, str]:
 
 
 def _name_the_extra(name: str, error: ModuleNotFoundError) -> None:
-    """Raises MissingExtraError where a library of a wing is not installed."""
+    """Raises MissingExtraError if a library of an extra is not installed."""
     from smooth_operator.errors import MissingExtraError
 
-    wing = name.split(".")[1]
-    if wing in _WINGS and (error.name or "").split(".")[0] != __package__:
-        raise MissingExtraError(name, wing) from error
+    if name.split(".")[1] == _WITH_EXTRA and (error.name or "").split(".")[0] != __package__:
+        raise MissingExtraError(name, _WITH_EXTRA) from error

@@ -28,7 +28,7 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyKind, array_namespace
 from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
-from smooth_operator.retargeting.sbr.normals import counter_normal_matrix
+from smooth_operator.retargeting.sbr.random_numbers import counter_normal_matrix
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_minimise
 from smooth_operator_research.paper.nlopt_slsqp import NloptConfig, nlopt_minimise

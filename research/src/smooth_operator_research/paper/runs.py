@@ -33,7 +33,7 @@ from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.objective import FrameGoal
 from smooth_operator.retargeting.sbr.newton import newton_minimise
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig
-from smooth_operator.retargeting.sbr.random_words import frame_key, seed_words
+from smooth_operator.retargeting.sbr.random_numbers import frame_key, seed_words
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_minimise
 from smooth_operator.retargeting.targets import Targets

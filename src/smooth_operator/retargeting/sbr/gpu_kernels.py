@@ -19,8 +19,7 @@ from jax import lax
 from jaxtyping import Array, Float, UInt32
 
 from smooth_operator.geometry import on_gpu
-from smooth_operator.retargeting.sbr.normals import pair_of_normals
-from smooth_operator.retargeting.sbr.random_words import random_word_at
+from smooth_operator.retargeting.sbr.random_numbers import pair_of_normals, random_word_at
 
 MOST_SAMPLES: Final = 1 << 14
 """Largest number of costs that fit into the registers of one block of threads."""

@@ -29,7 +29,7 @@ from smooth_operator.retargeting.objective import FrameGoal, Objective
 from smooth_operator.retargeting.program import FrameClock
 from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
 from smooth_operator.retargeting.sbr.published import DexPilotTargets, ObjectiveConfig
-from smooth_operator.retargeting.sbr.random_words import frame_key, seed_words
+from smooth_operator.retargeting.sbr.random_numbers import frame_key, seed_words
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig, sample_minimise
 from smooth_operator.retargeting.targets import tips_of

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.retargeting.levenberg import gpu_kernels
-from smooth_operator.retargeting.sbr.random_words import random_words
+from smooth_operator.retargeting.sbr.random_numbers import random_words
 from smooth_operator.settings import check_choice, check_numbers
 
 _ROWS: Final = 32  # one bit of a word each
@@ -233,7 +233,7 @@ class _ClippedGaussian:
     def draw(self, mean: Array, chol: Array, words: Array, index: Array) -> Array:
         """(m, len(index)) draws with these indices."""
         if self.base is None:
-            from smooth_operator.retargeting.sbr.normals import counter_normal_matrix
+            from smooth_operator.retargeting.sbr.random_numbers import counter_normal_matrix
 
             normals = counter_normal_matrix(index.astype(jnp.uint32), words, self.size)
         else:
@@ -249,7 +249,7 @@ class _ClippedGaussian:
         """
         if self.base is not None:
             return list(self.draw(mean, chol, words, self.everyone))
-        from smooth_operator.retargeting.sbr.normals import counter_normals
+        from smooth_operator.retargeting.sbr.random_numbers import counter_normals
 
         normals = counter_normals(self.everyone, words, self.size)
         rows = []
