@@ -61,7 +61,7 @@ _CODE: Final = (
 
 @dataclass(frozen=True)
 class RetargetRequest:
-    """Request to retarget a recording, or each of several; see ``make_request``.
+    """Request to retarget one recording or several; see ``make_request``.
 
     Attributes:
         hand: name of the robot hand, or its description.
@@ -69,13 +69,14 @@ class RetargetRequest:
         preset: name of its preset.
         config: configuration of the preset, so that workers do not need its name.
         seed: seed of the random numbers of each recording.
-        scale: robot size over human size; None for that of the configuration.
-        side: side of the hand; None for that of each recording.
-        rate: frame rate of recordings without stamps [Hz].
-        layout: order of the landmarks in plain arrays; None for the project's own.
-        frames: range of frames of each recording, as a text; None for all.
-        fingers: robot finger -> human finger that drives it; None for all, driven by their own.
-        operator: what is known of the operator; None for nothing.
+        scale: robot size over human size; None for the scale of the configuration.
+        side: side of the hand; None for the side of each recording.
+        rate: frame rate of recordings without timestamps [Hz].
+        layout: order of the landmarks in plain arrays; None for the order of ``LANDMARKS``.
+        frames: range of frames of each recording, as text; None for all frames.
+        fingers: maps robot fingers to the human fingers that drive them; None drives each finger by
+            the human finger of its name.
+        operator: known properties of the operator, or None.
         pinch_gaps: see ``PinchGapChoice``.
     """
 
@@ -94,10 +95,10 @@ class RetargetRequest:
     pinch_gaps: PinchGapChoice = "tracker"
 
     def known_gaps(self, tracker: Mapping[str, float] = NO_GAPS) -> Mapping[str, float] | None:
-        """The ``pinch_gaps`` of a retargeter: the operator's, else those of the tracker.
+        """``pinch_gaps`` for a retargeter: those of the operator, otherwise those of the tracker.
 
         Args:
-            tracker: gaps that a live source's tracker is known for [palm lengths].
+            tracker: known gaps of a live source's tracker [palm lengths].
         """
         if self.pinch_gaps == "off":
             return None
@@ -110,28 +111,28 @@ class RetargetRequest:
         return self.hand.name if isinstance(self.hand, HandSpec) else self.hand
 
     def read_recording(self, path: Path, rate: float | None) -> HandRecording:
-        """Read a recording of the requested side.
+        """Reads a recording of the requested side.
 
-        Without a request, the side is that of the recording; a recording without a side counts as a
-        right hand, or as a left one if the robot hand has only a left side.
+        Without a requested side, it is the side of the recording. A recording without a side counts
+        as a right hand, or as a left hand if the robot hand has only a left side.
 
         Args:
             path: file of the recording.
-            rate: frames a second [Hz], for one without stamps.
+            rate: frame rate of a recording without timestamps [Hz].
 
         Raises:
-            RecordingError: it can't be read, or is of the other side by its shape.
+            RecordingError: the file can't be read, or shows the other hand.
         """
         return read_assumed(
             path, default_side(self.hand), rate=rate, side=self.side, layout=self.layout
         )
 
     def load_hand(self, side: Side) -> Hand:
-        """The robot hand of one side, with the requested fingers.
+        """Loads the robot hand of one side, with the requested fingers.
 
         Raises:
             UnknownNameError: there is no such hand, or it has no such finger.
-            HandModelError: the hand's files can't be used, or the fingers can't be chosen so.
+            HandModelError: the hand's files or the choice of fingers can't be used.
         """
         hand = self.hand
         if isinstance(hand, HandSpec) and hand.side != side:
@@ -154,7 +155,7 @@ def make_request(
     operator: OperatorProfile | Path | None = None,
     pinch_gaps: PinchGapChoice = "tracker",
 ) -> RetargetRequest:
-    """Make a request from a user's settings: resolves names, parses texts, reads the operator.
+    """Makes a request from a user's settings: resolves names, parses texts, reads files.
 
     Raises:
         UnknownNameError: there is no such method or preset.
@@ -179,11 +180,11 @@ def make_request(
 
 
 def code_of_commands(request: RetargetRequest, *more: str) -> str:
-    """Digest of the code and the hands that make the commands of a request.
+    """Digest of the code and the hands that determine the commands of a request.
 
     It covers this package's code from the reader of a file to the commands, the code of plugins for
-    methods and readers, the versions of the libraries that compute, and the descriptions and models
-    of both robot hands, wherever these stand on a machine.
+    methods and readers, the versions of the numerical libraries, and the descriptions and models of
+    both robot hands, but not their paths.
 
     Args:
         request: settings of the retargeting.
@@ -211,7 +212,7 @@ class Plan:
         preset: name of its preset.
         config: its configuration, with the scale.
         seed: seed of the random numbers.
-        fingers: requested robot finger -> human finger that drives it, for the configuration of the
+        fingers: maps the requested robot fingers to human fingers, for the configuration of the
             result; None for all.
         pinch_gaps: known gaps, as for ``Retargeter``.
     """
@@ -227,7 +228,7 @@ class Plan:
 
 
 def plan(recording: HandRecording, request: RetargetRequest) -> Plan:
-    """Plan a request for a recording: loads the hand of its side, resolves scale and operator.
+    """Plans a request for a recording: loads the hand of its side, resolves scale and operator.
 
     Args:
         recording: the human hand, with the requested side, rate and frames.
@@ -236,7 +237,7 @@ def plan(recording: HandRecording, request: RetargetRequest) -> Plan:
         UnknownNameError: there is no such hand, or it has no such finger.
         HandModelError: the choice of fingers is not valid.
         ConfigError: the scale is not valid, or the operator's file is of the other side.
-        RecordingError: the scale is to be calibrated on a recording without a usable palm.
+        RecordingError: the scale can't be calibrated, because no frame has a usable palm.
     """
     robot, config = resolve(request, recording.side, recording)
     return Plan(
@@ -254,7 +255,7 @@ def plan(recording: HandRecording, request: RetargetRequest) -> Plan:
 def resolve(
     request: RetargetRequest, side: Side, recording: HandRecording | None = None
 ) -> tuple[Hand, MethodConfig]:
-    """The requested hand, and its configuration with the scale.
+    """Returns the requested hand, and its configuration with the scale.
 
     Args:
         recording: recording for the calibration of a scale; None in live use.
@@ -269,7 +270,7 @@ def resolve(
 def resolve_config(
     request: RetargetRequest, robot: Hand, recording: HandRecording | None = None
 ) -> MethodConfig:
-    """The requested configuration with the scale, for a loaded hand.
+    """Returns the requested configuration with the scale, for a loaded hand.
 
     Raises:
         ConfigError, RecordingError: as ``plan``.
@@ -292,7 +293,7 @@ def resolve_config(
 
 
 def read_configuration(path: Path) -> dict[str, Any] | None:
-    """A configuration that this program wrote; None if there is none, or the file is another's."""
+    """Reads a configuration that this program wrote; None for a missing or any other file."""
     try:
         content = read_json(path, most_bytes=_MOST_BYTES)
     except (OSError, ValueError):
@@ -302,11 +303,7 @@ def read_configuration(path: Path) -> dict[str, Any] | None:
 
 
 def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
-    """The resolved configuration, to be written with a result.
-
-    Args:
-        todo: its plan.
-    """
+    """Resolved configuration of a plan, which is written with its result."""
     recording = todo.recording
     return {
         "program": PROGRAM,
@@ -334,10 +331,10 @@ def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
 def live_configuration(
     command: str, request: RetargetRequest, configs: Mapping[Side, MethodConfig], **more: Any
 ) -> dict[str, Any]:
-    """The resolved configuration of a run without a recording.
+    """Resolved configuration of a run without a recording.
 
     Args:
-        configs: side -> configuration of the method, from ``resolve``.
+        configs: configuration of the method by side, from ``resolve``.
     """
     return {
         "program": PROGRAM,
