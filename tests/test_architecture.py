@@ -62,6 +62,7 @@ SHARED = {
     "synthetic": 5,
     ROOT: 7,
     "baselines": 7,
+    "execution": 7,
     "planning": 7,
     "request": 7,
     "reporting": 7,

@@ -32,11 +32,12 @@ from smooth_operator.benchmark.recordings import load_sources, parse_request, un
 from smooth_operator.benchmark.suite import Row
 from smooth_operator.cli import main
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
+from smooth_operator.execution import tools_of
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.metrics import METRICS, evaluate
 from smooth_operator.parallel import run_tasks
-from smooth_operator.planning import make_request, plan, tools_of
+from smooth_operator.planning import make_request, plan
 from smooth_operator.plugins import Entry
 from smooth_operator.reporting.report_page import Plots
 from smooth_operator.retargeting.alignment import AlignmentConfig

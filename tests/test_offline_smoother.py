@@ -9,9 +9,10 @@ import pytest
 
 from smooth_operator import HandRecording, Retargeter, Status
 from smooth_operator.errors import ConfigError
+from smooth_operator.execution import answers, build, execute
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
-from smooth_operator.planning import answers, build, execute, make_request, plan
+from smooth_operator.planning import make_request, plan
 from smooth_operator.retargeting import trajectory_retargeter as trajectory_module
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.presets import PRESETS, live_presets, method_config

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.execution import execute
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import TIPS
-from smooth_operator.planning import Plan, execute
+from smooth_operator.planning import Plan
 from smooth_operator.retargeting.alignment import palm_alignment
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS

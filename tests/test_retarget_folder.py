@@ -26,7 +26,8 @@ from smooth_operator.datasets.sources import find_items
 from smooth_operator.datasets.work import Job, Results
 from smooth_operator.datasets.writing import Summary
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, UnknownNameError
-from smooth_operator.planning import RetargetRequest, checked, make_request
+from smooth_operator.execution import checked
+from smooth_operator.planning import RetargetRequest, make_request
 from smooth_operator.reporter import Reporter
 from smooth_operator.retargeting.batching import BLOCK
 from smooth_operator.retargeting.presets import method_config

@@ -291,7 +291,7 @@ def benchmark_code() -> str:
         "retargeting",
         "baselines",
         "metrics",
-        "planning.py",
+        "execution.py",
         "io",
         "formats",
     )

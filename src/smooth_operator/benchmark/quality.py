@@ -20,9 +20,10 @@ from jaxtyping import Float
 
 from smooth_operator.benchmark.cells import Cell, Settings
 from smooth_operator.errors import ConfigError
+from smooth_operator.execution import built_for, execute, measure
 from smooth_operator.metrics import Metric, Trace, accuracy, consistency, service, summary
 from smooth_operator.metrics.table import add_metrics
-from smooth_operator.planning import built_for, configuration, execute, measure
+from smooth_operator.planning import configuration
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.types import CommandTrajectory
 

@@ -19,7 +19,8 @@ from smooth_operator.cli.common_options import (
 )
 
 if TYPE_CHECKING:
-    from smooth_operator.planning import Outcome, Plan
+    from smooth_operator.execution import Outcome
+    from smooth_operator.planning import Plan
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,19 +6,12 @@ from typing import Any
 
 from smooth_operator.cli.common_options import Retargeting
 from smooth_operator.cli.console import Progressing
+from smooth_operator.execution import Outcome, build, execute, measure
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.metrics import Trace
 from smooth_operator.metrics.table import Definition
-from smooth_operator.planning import (
-    Outcome,
-    Plan,
-    RetargetRequest,
-    build,
-    execute,
-    make_request,
-    measure,
-)
+from smooth_operator.planning import Plan, RetargetRequest, make_request
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.start import start_jax
 from smooth_operator.types import Side

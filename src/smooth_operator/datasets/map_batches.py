@@ -18,9 +18,10 @@ from smooth_operator.datasets.work import read_item
 from smooth_operator.datasets.writers.parquet import clips_table
 from smooth_operator.episode_files.packed import clip_of_row
 from smooth_operator.errors import RecordingError
+from smooth_operator.execution import checked
 from smooth_operator.formats.clip import Clip, ClipRef, Frame, ReadingOptions
 from smooth_operator.parallel.tasks import describe, one_thread
-from smooth_operator.planning import checked, make_request
+from smooth_operator.planning import make_request
 from smooth_operator.result_cache import key_digest
 from smooth_operator.types import Side
 

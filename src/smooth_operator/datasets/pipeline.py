@@ -47,9 +47,10 @@ from smooth_operator.datasets.writers.npz import refused
 from smooth_operator.datasets.writers.registry import WRITERS, WritingOptions
 from smooth_operator.datasets.writing import REPORT, Order, Summary, hand_in, write_episodes
 from smooth_operator.errors import ConfigError, OutputError, RecordingError, counted
+from smooth_operator.execution import request_notes
 from smooth_operator.formats.foreign import foreign_suffix
 from smooth_operator.parallel import run_groups, usable_cores
-from smooth_operator.planning import RetargetRequest, read_configuration, request_notes
+from smooth_operator.planning import RetargetRequest, read_configuration
 from smooth_operator.reporter import Reporter
 
 BATCH: Final = 2048

@@ -16,6 +16,7 @@ from smooth_operator.datasets.clip import RobotClip
 from smooth_operator.datasets.quality import Tracks, quality_tracks
 from smooth_operator.datasets.request import DatasetRequest
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.execution import answers, checked
 from smooth_operator.formats.clip import SIDES, Clip, Frame, ReadingOptions, in_frame, with_side
 from smooth_operator.formats.registry import RESEARCH_PACKAGE
 from smooth_operator.hands.registry import default_side
@@ -24,8 +25,6 @@ from smooth_operator.planning import (
     PROGRAM,
     Plan,
     RetargetRequest,
-    answers,
-    checked,
     code_of_commands,
     make_request,
     plan,

@@ -22,13 +22,14 @@ from smooth_operator.benchmark.cells import (
 )
 from smooth_operator.benchmark.recordings import SYNTHETIC_SECONDS, Source
 from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorError
+from smooth_operator.execution import built_for
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics import consistency, joints
 from smooth_operator.metrics.accuracy import cosine_similarity
 from smooth_operator.metrics.trace import Trace
-from smooth_operator.planning import Plan, built_for
+from smooth_operator.planning import Plan
 from smooth_operator.result_cache import Job
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.alignment import AlignmentConfig

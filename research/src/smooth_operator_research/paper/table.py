@@ -16,11 +16,12 @@ from smooth_operator.benchmark.page.report import PAPER_NOTE, PAPER_TABLE
 from smooth_operator.benchmark.quality import measure_latency
 from smooth_operator.benchmark.ranking import HEADLINES, Line, best, merit, shown_value
 from smooth_operator.benchmark.recordings import Source
+from smooth_operator.execution import Outcome as Execution
+from smooth_operator.execution import built_for, execute, measure
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.io.jsonable import to_json
 from smooth_operator.metrics import Metric, evaluate
-from smooth_operator.planning import Outcome as Execution
-from smooth_operator.planning import Plan, built_for, execute, measure
+from smooth_operator.planning import Plan
 from smooth_operator_research.paper.experiment import (
     Drawing,
     ExperimentContext,

@@ -19,9 +19,10 @@ from jaxtyping import Float
 
 from smooth_operator.benchmark.cells import ALL, method_label, select_hands, select_methods
 from smooth_operator.errors import ConfigError
+from smooth_operator.execution import built_for, execute
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import load_hand
-from smooth_operator.planning import Plan, built_for, execute
+from smooth_operator.planning import Plan
 from smooth_operator.retargeting.alignment import reference_landmarks
 from smooth_operator.retargeting.known_gaps import known_gaps
 from smooth_operator.retargeting.method import MethodConfig
