@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from smooth_operator import Retargeter, assemble_trace, evaluate, load_hand, method_config
+from smooth_operator import Retargeter, assemble_trace, evaluate, load_hand
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.surfaces import tip_surface_distances
@@ -22,7 +22,6 @@ from smooth_operator.retargeting.flat_hand import palm_tilt_deg
 from smooth_operator.retargeting.sbr.method import SBR_REALTIME
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
-from smooth_operator.types import HandFrame
 
 DT = jnp.float32(1 / 60)
 
@@ -108,31 +107,23 @@ def pinch_of(hand: Hand, apart: float) -> np.ndarray:
     return pinch
 
 
-def commanded(hand: Hand, points: np.ndarray, press: float) -> np.ndarray:
-    """Joint positions after 1.5 s of one pose."""
-    config = method_config("smooth")
-    changed = replace(config, correspondence=replace(config.correspondence, press=press))
-    retargeter = Retargeter(hand, config=changed)
-    state = retargeter.init()
-    for k in range(150):
-        state, result = retargeter.step(state, HandFrame(points, 0.01 * k, "right"))
-    return result.command.joint_positions
-
-
 def test_pads_of_a_pinch_meet_and_stay_whole():
     """A tracker shows fingertips in contact 1 to 11 mm apart; fingers round a handle stay."""
     hand = load_hand("mimic_p050")
-    wanted = np.ones((1, 4), bool)
-    press = CorrespondenceConfig().press
+    retargeter = Retargeter(hand, method="smooth", rate=100.0)
     for apart in (0.001, 0.006, 0.011):
-        q = commanded(hand, pinch_of(hand, apart), press)
-        surfaces = tip_surface_distances(hand, q[None], wanted)[0, 0]
+        state = retargeter.init()
+        for _ in range(150):
+            state, result = retargeter.step(state, pinch_of(hand, apart))
+        q = result.command.joint_positions
+        surfaces = tip_surface_distances(hand, q[None], np.ones((1, 4), bool))[0, 0]
         assert -DEEP < surfaces < TOUCH_DISTANCE
-    lengths = [
-        np.linalg.norm(np.subtract(*hand.tips(commanded(hand, pinch_of(hand, 0.04), each))[1::-1]))
-        for each in (0.0, press)
+    handle, usual = np.tile(pinch_of(hand, 0.04), (50, 1, 1)), CorrespondenceConfig()
+    places = [
+        follow(Correspondence(hand, config), handle)[1]
+        for config in (usual, replace(usual, press=0.0))
     ]
-    assert abs(lengths[0] - lengths[1]) < 5e-4
+    np.testing.assert_allclose(places[0], places[1], atol=5e-4)
 
 
 def test_unknown_landmarks_leave_the_lengths(hand):

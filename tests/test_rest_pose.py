@@ -2,17 +2,14 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from trees import float64
 
 from smooth_operator import Retargeter, load_hand
-from smooth_operator.errors import ConfigError
 from smooth_operator.retargeting.objective import FrameGoal, RobotVectors
 from smooth_operator.retargeting.smooth import SMOOTH_PRECISE, SmoothConfig
 from smooth_operator.retargeting.smooth_terms import (
     FingertipPosition,
     FingertipPositionConfig,
-    SelfCollisionConfig,
 )
 from smooth_operator.retargeting.targets import KeyvectorLayout
 from smooth_operator_research.physics.reachable_motion import reachable_motion
@@ -57,16 +54,3 @@ def test_what_the_hand_can_reach_is_reached():
     """Of ``precise``, whose targets are the human's fingertips; the default's differ from them by
     what a thumb's bones differ from their mean."""
     assert reaching_error(SMOOTH_PRECISE) < 0.7e-3
-
-
-@pytest.mark.parametrize(
-    "bad",
-    [
-        lambda: FingertipPositionConfig(weight=-1.0),
-        lambda: FingertipPositionConfig(width=0.0),
-        lambda: SelfCollisionConfig(weight=-0.001),
-    ],
-)
-def test_settings_are_checked(bad):
-    with pytest.raises(ConfigError):
-        bad()
