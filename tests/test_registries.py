@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -73,6 +74,18 @@ def broken(monkeypatch, tmp_path) -> str:
     return "broken_plugin:CONFIG"
 
 
+@pytest.fixture
+def offer(monkeypatch) -> Callable[..., None]:
+    """Sets the parts that installed distributions offer in a group."""
+
+    def set_parts(kind: str, **parts: Entry) -> None:
+        group = f"smooth_operator.{kind}"
+        offered = {group: parts}
+        monkeypatch.setattr("smooth_operator.plugins._installed", lambda of: offered.get(of, {}))
+
+    return set_parts
+
+
 def test_help_imports_no_numerical_library():
     """The registries that help texts list name their parts, and import none of them."""
     heavy = "{'numpy', 'jax', 'scipy', 'mujoco'}"
@@ -133,12 +146,8 @@ def test_a_hand_and_its_sink_find_each_other(name, names, hint):
     assert did_you_mean("xyz", names) == ""
 
 
-def test_a_broken_plugin_is_an_error_only_where_it_is_asked_for(broken, monkeypatch, capsys):
-    offered = {"sbr": Entry(broken), "cracked": Entry(broken, "from cracks", "cracks")}
-    monkeypatch.setattr(
-        "smooth_operator.plugins._installed",
-        lambda group: offered if group == "smooth_operator.methods" else {},
-    )
+def test_a_broken_plugin_is_an_error_only_where_it_is_asked_for(broken, offer, capsys):
+    offer("methods", sbr=Entry(broken), cracked=Entry(broken, "from cracks", "cracks"))
     assert method_names()[-1] == "cracked"
     assert "cracked" in METHODS.describe()
     assert method_config("sbr") is PRESETS["sbr"]["realtime"]  # a built-in name stays
@@ -160,15 +169,12 @@ def test_a_hand_of_ones_own_is_named_by_its_module():
     assert hand.actuated == load_hand("allegro_hand").actuated
 
 
-def test_a_plugins_hand_is_a_spec_file_or_a_folder(broken, monkeypatch, capsys):
-    offered = {
-        "allegro_hand": Entry(broken),
-        "cracked": Entry(broken, "from cracks", "cracks"),
-        "other": Entry(f"{__name__}:SPEC", "from cracks", "cracks"),
-    }
-    monkeypatch.setattr(
-        "smooth_operator.plugins._installed",
-        lambda group: offered if group == "smooth_operator.hands" else {},
+def test_a_plugins_hand_is_a_spec_file_or_a_folder(broken, offer, capsys):
+    offer(
+        "hands",
+        allegro_hand=Entry(broken),
+        cracked=Entry(broken, "from cracks", "cracks"),
+        other=Entry(f"{__name__}:SPEC", "from cracks", "cracks"),
     )
     assert hand_names()[len(HANDS.built_in) :] == ("cracked", "other")
     assert {*known_hands()} == {*HANDS.built_in}
@@ -197,7 +203,7 @@ ROWS = Reader("a .rows file", read_rows, suffixes=(".rows",))
 WRONG = Reader("a .wrong file", lambda *given: "hands", suffixes=(".wrong",))
 
 
-def test_a_plugins_reader_recognises_its_files(broken, monkeypatch, tmp_path, capsys):
+def test_a_plugins_reader_recognises_its_files(broken, offer, tmp_path, capsys):
     recording = SyntheticOperator(seed=1).record(0.1)
     text = "\n".join(
         ",".join(map(repr, row)) for row in recording.landmarks.reshape(-1, 63).tolist()
@@ -206,15 +212,12 @@ def test_a_plugins_reader_recognises_its_files(broken, monkeypatch, tmp_path, ca
         (tmp_path / f"a.{suffix}").write_text(text)
     with pytest.raises(RecordingError, match="not a recording: it starts with"):
         read_recording(tmp_path / "a.rows")
-    offered = {
-        "cracked": Entry(broken),
-        "rows": Entry(f"{__name__}:ROWS"),
-        "wrong": Entry(f"{__name__}:WRONG"),
-        "thing": Entry(f"{__name__}:OWN"),
-    }
-    monkeypatch.setattr(
-        "smooth_operator.plugins._installed",
-        lambda group: offered if group == "smooth_operator.readers" else {},
+    offer(
+        "readers",
+        cracked=Entry(broken),
+        rows=Entry(f"{__name__}:ROWS"),
+        wrong=Entry(f"{__name__}:WRONG"),
+        thing=Entry(f"{__name__}:OWN"),
     )
     read = read_recording(tmp_path / "a.rows", rate=50.0)
     np.testing.assert_allclose(read.landmarks, recording.landmarks)
@@ -254,20 +257,17 @@ TAKEN = Metric("flatness", "", "up", "of another")
 SEVERAL = (TRAVEL, Metric("fails", "", "up", "never there", "motion", _fails))
 
 
-def test_a_plugins_metric_is_measured_and_shown(broken, monkeypatch, capsys):
+def test_a_plugins_metric_is_measured_and_shown(broken, offer, capsys):
     human = np.broadcast_to(SyntheticOperator(seed=1).record(0.1).landmarks, (10, 21, 3))
     q = np.linspace(0.0, 1.0, 10)[:, None] * [1.0, 2.0]
     trace = make_trace(human, joint_positions=q, joint_limits=np.tile([-9.0, 9.0], (2, 1)))
     before = evaluate(trace)
-    offered = {
-        "travel": Entry(f"{__name__}:TRAVEL"),
-        "fails": Entry(f"{__name__}:SEVERAL"),
-        "other": Entry(f"{__name__}:SEVERAL"),
-        "cracked": Entry(broken),
-    }
-    monkeypatch.setattr(
-        "smooth_operator.plugins._installed",
-        lambda group: offered if group == "smooth_operator.metrics" else {},
+    offer(
+        "metrics",
+        travel=Entry(f"{__name__}:TRAVEL"),
+        fails=Entry(f"{__name__}:SEVERAL"),
+        other=Entry(f"{__name__}:SEVERAL"),
+        cracked=Entry(broken),
     )
     values = evaluate(trace, extra={"first_command_s": 1.0})
     assert list(values) == [*before, "travel", "fails", "first_command_s"]
