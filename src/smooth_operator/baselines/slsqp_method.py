@@ -26,9 +26,21 @@ from smooth_operator.baselines.joint_angle import JointAngleMap, PublishedAngles
 from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.alignment import AlignmentConfig
-from smooth_operator.retargeting.host_method import HostMethod
-from smooth_operator.retargeting.method import Compiling, MethodOutput, ObjectiveMethodConfig
+from smooth_operator.retargeting.method import (
+    Compiling,
+    Method,
+    MethodOutput,
+    ObjectiveMethodConfig,
+)
 from smooth_operator.retargeting.objective import FrameGoal
+from smooth_operator.retargeting.program import (
+    FrameResult,
+    FrameState,
+    Program,
+    RetargetState,
+    align_frame,
+    packed_result,
+)
 from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
 from smooth_operator.retargeting.sbr.published import (
     DexPilotTargets,
@@ -38,6 +50,7 @@ from smooth_operator.retargeting.sbr.published import (
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.targets import Targets
 from smooth_operator.settings import check_choice, check_numbers
+from smooth_operator.types import Status
 
 
 @dataclass(frozen=True)
@@ -109,17 +122,47 @@ class SlsqpProblem(NamedTuple):
     policy: Any
 
 
-@dataclass(frozen=True, eq=False)
-class SlsqpMethod(HostMethod):
-    """A method solved by SLSQP, for one hand."""
+class SlsqpMethod(Method):
+    """A method solved by SLSQP, for one hand. Its program is compiled up to the solver, and
+    continues in plain Python."""
 
-    hand: Hand
-    config: SlsqpMethodConfig
-    compiling: Compiling | None = field(default=None, init=False, repr=False)
+    on_host = True
 
-    def compile_with(self, compiling: Compiling) -> None:
-        """Sets the function that compiles ``evaluate``."""
-        object.__setattr__(self, "compiling", compiling)
+    def __init__(self, hand: Hand, config: SlsqpMethodConfig) -> None:
+        self.hand, self.config = hand, config
+        self._compiling: Compiling = lambda function, _: jax.jit(function)
+
+    def program(self, alignment: AlignmentConfig, compiling: Compiling) -> Program:
+        """The program of one frame, with a function that compiles its parts."""
+
+        def prepare(state: Any, landmarks: Array, valid: Array, ticks: Array) -> tuple[Any, Array]:
+            frame = align_frame(self, alignment, landmarks, valid)
+            result = packed_result(frame.status, frame.scale)
+            return self.prepare(state, frame.aligned, ticks), result
+
+        self._compiling, before = compiling, compiling(prepare, "frame")
+
+        def run(
+            state: RetargetState, landmarks: np.ndarray, valid: np.ndarray, ticks: np.uint32
+        ) -> tuple[RetargetState, FrameResult]:
+            problem, flat = before(state.method, landmarks, valid, ticks)
+            code, scale = np.asarray(flat).tolist()
+            if code != Status.OK:
+                return state, FrameResult(state.q, int(code), np.nan, scale)
+            after, output = self.solve(state.method, problem)
+            loss = float(output.tracking_loss)
+            if not np.isfinite(output.q).all():
+                return state, FrameResult(state.q, Status.SOLVER_FAILED, loss, scale)
+            state = RetargetState.of(FrameState(after, np.asarray(output.q)), joined=False)
+            return state, FrameResult(output.q, int(code), loss, scale)
+
+        return run
+
+    def step(
+        self, state: SlsqpMethodState, aligned: Float[Array, "21 3"], ticks: UInt32[Array, ""]
+    ) -> tuple[SlsqpMethodState, MethodOutput]:
+        """One frame on the host; not traceable."""
+        return self.solve(state, self.prepare(state, aligned, ticks))
 
     @cached_property
     def objective(self) -> SampledObjective:
@@ -154,8 +197,7 @@ class SlsqpMethod(HostMethod):
             value, gradient = jax.value_and_grad(lambda q: self.objective(list(q), goal))(q)
             return jnp.concatenate([value[None], gradient])
 
-        compiling = self.compiling
-        evaluate = jax.jit(both) if compiling is None else compiling(both, "evaluate")
+        evaluate = self._compiling(both, "evaluate")
         # compile at the first frame, even if SLSQP is not needed before a later one
         evaluate(np.zeros(ends[-1] + 1, np.float32))
         return evaluate

@@ -52,7 +52,8 @@ class Method(ABC):
     hand: Hand
 
     on_host: ClassVar[bool] = False
-    """True for a ``HostMethod``, whose solver runs on the host, outside the program."""
+    """True if the solver is a library on the host, outside the compiled program. The method then
+    also has a function ``program(alignment, compiling)``; see ``SlsqpMethod``."""
 
     uneven: ClassVar[bool] = False
     """True if the solver takes much longer for some frames than for others. On a CPU, each

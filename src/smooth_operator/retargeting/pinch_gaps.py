@@ -20,6 +20,8 @@ from jaxtyping import Array, Bool, Float
 from smooth_operator.geometry import smooth_step
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
+from smooth_operator.retargeting.alignment import palm_alignment
+from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.retargeting.known_gaps import check_gaps
 
 _HOLD: Final = 0.2  # time for which thumb and finger keep their distance in a contact [s]
@@ -84,9 +86,6 @@ class PinchGapEstimate:
     @cached_property
     def palm(self) -> float:
         """Length of a human palm, wrist to middle knuckle, in the robot's palm frame [m]."""
-        from smooth_operator.retargeting.alignment import palm_alignment
-        from smooth_operator.retargeting.flat_hand import FLAT_HAND
-
         flat = FLAT_HAND * (1.0, -1.0, 1.0) if self.hand.spec.side == "left" else FLAT_HAND
         scale = float(palm_alignment(flat, self.hand).scale)
         return scale * float(np.linalg.norm(FLAT_HAND[BASES[2]] - FLAT_HAND[0]))

@@ -25,6 +25,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
 from smooth_operator.retargeting.presets import default_preset, method_config
@@ -318,8 +319,6 @@ class Retargeter:
         Raises:
             HandModelError: no command was found for these frames.
         """
-        from smooth_operator.retargeting.flat_hand import FLAT_HAND
-
         start = time.perf_counter()
         side, state = self.hand.spec.side, self.init()
         landmarks = FLAT_HAND * (1.0, -1.0, 1.0) if side == "left" else FLAT_HAND

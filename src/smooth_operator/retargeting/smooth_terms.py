@@ -59,12 +59,8 @@ class FingertipMotion(PointTerm):
         self, points: Float[Array, "F 3"], jacobian: Float[Array, "F J 3"], goal: FrameGoal
     ) -> Quadratic:
         """See ``PointTerm``; exact."""
-        if goal.tips is None or goal.motion_weights is None:
-            raise ValueError(
-                "the term of fingertip motion needs a goal with tips and their weights"
-            )
-        weights = jnp.repeat(goal.motion_weights / TRANSITION, 3)
-        error = points - goal.tips
+        weights = jnp.repeat(jnp.asarray(goal.motion_weights) / TRANSITION, 3)
+        error = points - jnp.asarray(goal.tips)
         return Quadratic(
             0.5 * (weights * (error * error).reshape(-1)).sum(),
             weights.reshape(error.shape) * error,
