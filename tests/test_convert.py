@@ -197,7 +197,7 @@ def test_commands_for_some_frames(tmp_path, to):
 
 
 @pytest.mark.parametrize("to", ["mcap", "npz", "hdf5"])
-def test_commands_on_a_clock_of_their_own(tmp_path, to):
+def test_commands_with_other_stamps_than_the_frames(tmp_path, to):
     value = episode()
     stamps = value.commands.stamps.copy()
     stamps[20:] += 0.001
@@ -214,7 +214,7 @@ def test_commands_on_a_clock_of_their_own(tmp_path, to):
 @pytest.mark.parametrize(
     ("rate", "fps"), [(95.3, 100), (97, 100), (29.97, 30), (118.5, 120), (22.7, 23), (44.0, 44)]
 )
-def test_a_data_set_has_a_usual_rate(tmp_path, rate, fps):
+def test_a_data_set_has_a_standard_rate(tmp_path, rate, fps):
     value = episode()
     stamps = np.arange(len(value)) / rate
     recording = replace(value.recording, stamps=stamps)
@@ -223,7 +223,7 @@ def test_a_data_set_has_a_usual_rate(tmp_path, rate, fps):
     assert json.loads((tmp_path / "d" / "meta" / "info.json").read_text())["fps"] == fps
 
 
-def test_held_commands_of_a_live_loop_are_no_rows_of_a_dataset(tmp_path):
+def test_held_commands_of_a_live_loop_are_not_rows_of_a_dataset(tmp_path):
     value = episode()
     stamps = value.commands.stamps.copy()
     stamps[20:23] += 0.001  # the tracker was silent
@@ -267,7 +267,7 @@ def bad_commands(kind):
         ("span", "1e[+]10 s, at most 1e[+]09 s"),
     ],
 )
-def test_commands_that_no_robot_could_follow_become_no_file(tmp_path, run, kind, said):
+def test_impossible_commands_are_refused(tmp_path, run, kind, said):
     value, changes = bad_commands(kind)
     names = {"stamps": "timestamps"}
     path = tmp_path / "bad.npz"
@@ -286,7 +286,7 @@ def test_commands_that_no_robot_could_follow_become_no_file(tmp_path, run, kind,
 
 
 @pytest.mark.parametrize("to", ["mcap", "hdf5"])
-def test_files_of_others_with_such_commands_are_refused(tmp_path, to, monkeypatch):
+def test_files_of_other_programs_with_impossible_commands_are_refused(tmp_path, to, monkeypatch):
     value, changes = bad_commands("1e15")
     write(tmp_path, episode(), to)  # imports the module of the format, with the check
     with monkeypatch.context() as patch:
@@ -305,7 +305,7 @@ def test_a_command_that_answers_no_frame_may_be_unknown(tmp_path):
     assert np.isnan(read_episode(path).commands.joint_positions[5]).all()
 
 
-def test_infinities_in_a_log_are_said(tmp_path, run):
+def test_infinities_in_a_log_are_reported(tmp_path, run):
     value = episode()
     value.commands.latency_ms[4] = np.inf
     write_episode(tmp_path / "a.h5", value)
@@ -329,7 +329,7 @@ def test_npz_is_what_the_other_commands_read(tmp_path):
         assert "landmark_timestamps" not in arrays
 
 
-def test_arrays_of_other_forms_beside_landmarks_are_left_alone(tmp_path):
+def test_arrays_of_other_shapes_are_ignored(tmp_path):
     points = hand(side="left").landmarks
     path = tmp_path / "a.npz"
     odd = {"metacarpals": np.ones((FRAMES, 3, 3)), "orientations": np.ones((FRAMES, 21, 3, 3))}
@@ -383,7 +383,7 @@ def test_hdf5_as_it_is_documented(tmp_path):
     }
 
 
-def test_hdf5_of_others_needs_the_documented_arrays_only(tmp_path):
+def test_hdf5_of_other_programs(tmp_path):
     path = tmp_path / "other.h5"
     with h5py.File(path, "w") as file:
         file["hand/landmarks"] = hand().landmarks.astype(np.float32)
@@ -524,7 +524,7 @@ def test_dataset_whose_extra_metadata_another_tool_dropped(tmp_path):
     assert "episode 0, does not state the side" in read_episode(root).notes[0]
 
 
-def test_a_dataset_of_another_tool_is_checked_as_other_files_are(tmp_path):
+def test_a_dataset_of_another_tool_is_checked(tmp_path):
     landmarks = SyntheticOperator(seed=3).record(0.5).landmarks
 
     def read(points: np.ndarray, side: Side, name: str, **asked: Any) -> HandRecording:
@@ -550,7 +550,7 @@ def test_a_dataset_of_another_tool_is_checked_as_other_files_are(tmp_path):
     np.testing.assert_array_equal(back.landmarks, landmarks)
 
 
-def test_statistics_leave_out_what_is_missing():
+def test_statistics_ignore_missing_values():
     rng = np.random.default_rng(0)
     values = rng.normal(size=(50, 3))
     values[:20, 1] = np.nan
@@ -594,7 +594,7 @@ def test_commands_beside_a_recording(tmp_path, run, to):
     np.testing.assert_array_equal(back.commands.status, value.commands.status)
 
 
-def test_frames_take_their_commands_along(tmp_path, run):
+def test_frames_keep_their_commands(tmp_path, run):
     value = episode()
     write_episode(tmp_path / "a.h5", value)
     assert run(tmp_path / "a.h5", "--frames", "10:25", "--output", tmp_path / "b.mcap")[0] == 0
@@ -699,7 +699,7 @@ def test_a_log_of_another_program_is_not_replaced(tmp_path, run):
         ),
     ],
 )
-def test_episodes_of_a_dataset_must_be_alike(tmp_path, run, change, match):
+def test_episodes_of_a_dataset_must_have_the_same_parts(tmp_path, run, change, match):
     write_episode(tmp_path / "1.h5", episode(name="a"))
     write_episode(tmp_path / "2.h5", change(episode(name="b", seed=1)))
     status, err = run(tmp_path / "1.h5", tmp_path / "2.h5", "--output", tmp_path / "set")
@@ -708,7 +708,7 @@ def test_episodes_of_a_dataset_must_be_alike(tmp_path, run, change, match):
     assert {p.name for p in tmp_path.iterdir()} == {"1.h5", "2.h5"}
 
 
-def test_what_stands_there(tmp_path, run):
+def test_existing_outputs(tmp_path, run):
     value = episode()
     for to in NAMES:
         source = write(tmp_path, value, "hdf5" if to != "hdf5" else "mcap")
@@ -731,7 +731,7 @@ def test_what_stands_there(tmp_path, run):
     assert not list(tmp_path.glob(".*")), "no debris"
 
 
-def test_the_rate_is_of_those_without_stamps(tmp_path, run):
+def test_the_rate_applies_to_files_without_stamps(tmp_path, run):
     """As for ``retarget FOLDER``: files with stamps keep theirs, the others are counted."""
     folder = tmp_path / "in"
     folder.mkdir()
@@ -749,7 +749,7 @@ def test_the_rate_is_of_those_without_stamps(tmp_path, run):
     assert (status, "contradict --rate 30" in err) == (2, True)
 
 
-def test_a_dataset_never_becomes_another_unasked(tmp_path, run):
+def test_a_dataset_becomes_another_only_on_request(tmp_path, run):
     root = write(tmp_path, episode(), "lerobot")
     status, err = run(root, "--output", tmp_path / "back")
     assert (status, "use --to npz, mcap or hdf5" in err) == (2, True)
@@ -778,7 +778,7 @@ def test_foreign_configuration_beside_an_npz(tmp_path, run):
 
 
 @pytest.mark.parametrize("to", NAMES)
-def test_a_failure_on_the_way_leaves_what_was_there(tmp_path, monkeypatch, to):
+def test_a_failed_write_keeps_the_former_file(tmp_path, monkeypatch, to):
     former = episode(seed=3)
     path = write(tmp_path, former, to)
     names = {p.name for p in tmp_path.iterdir()}
@@ -802,7 +802,7 @@ def test_a_failure_on_the_way_leaves_what_was_there(tmp_path, monkeypatch, to):
     assert_same(former, read_episode(path))
 
 
-def test_outputs_that_make_no_sense(tmp_path, run):
+def test_invalid_requests(tmp_path, run):
     a, b = tmp_path / "a.h5", tmp_path / "b.mcap"
     write_episode(a, episode(name="a"))
     write_episode(b, episode(name="b"))
@@ -974,7 +974,7 @@ def test_wrong_datasets(tmp_path, name, change, match):
         read_episode(root)
 
 
-def test_read_recording_names_the_way_out_of_a_dataset(tmp_path):
+def test_read_recording_advises_to_convert_a_dataset(tmp_path):
     root = write(tmp_path, episode(), "lerobot")
     with pytest.raises(RecordingError, match="LeRobot dataset; convert one of its episodes first"):
         read_recording(root)
@@ -982,7 +982,7 @@ def test_read_recording_names_the_way_out_of_a_dataset(tmp_path):
         read_recording(root / DATA)
 
 
-def test_cut_off_log_is_converted_and_said(tmp_path, run):
+def test_a_cut_log_is_converted_with_a_note(tmp_path, run):
     path = write(tmp_path, episode(), "mcap")
     path.write_bytes(path.read_bytes()[:-200])
     status, err = run(path, "--output", tmp_path / "a.h5", "--quiet")
@@ -1013,7 +1013,7 @@ def test_commands_that_do_not_fit(change, match):
 
 
 @pytest.mark.shared
-def test_real_recording_round_the_house(shared, tmp_path, run):
+def test_real_recording_through_every_format(shared, tmp_path, run):
     glove = shared / "recordings" / "manus_right_subject-000_run-010.npz"
     first = read_episode(glove).sliced(slice(2600, 2900))
     steps = ["a.mcap", "b.h5", "c", "d.npz"]

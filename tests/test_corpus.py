@@ -93,7 +93,7 @@ def test_workers_write_the_parts_of_a_large_data_set(
     assert lines[0] == lines[1]
 
 
-def test_a_run_that_is_killed_while_it_writes_goes_on(tmp_path, source, monkeypatch):
+def test_a_run_that_is_killed_while_it_writes_is_resumed(tmp_path, source, monkeypatch):
     pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
 
     class Stop(Reporter):
@@ -147,7 +147,7 @@ def test_human_clips_of_parquet_files_are_read_as_they_were(tmp_path, source):
         assert found.meta.items() >= want.meta.items()
 
 
-def test_episodes_of_the_pipeline_are_those_of_the_class_for_map_batches(tmp_path):
+def test_the_pipeline_and_the_class_for_map_batches_give_equal_episodes(tmp_path):
     pa = pytest.importorskip("pyarrow", reason=NEEDS_ARROW)
     pq = pytest.importorskip("pyarrow.parquet")
     from smooth_operator.datasets.map_batches import RetargetClips

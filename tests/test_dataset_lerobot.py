@@ -63,7 +63,7 @@ def values(table: Any, name: str) -> np.ndarray:
     return np.array(table.column(name).to_pylist())
 
 
-def test_state_and_action_are_those_of_the_robot(tmp_path):
+def test_state_and_action_of_the_robot(tmp_path):
     clips = [robot_clip(i, frames=20 + 5 * i, task=f"task {i % 2}") for i in range(4)]
     assert write(tmp_path / "out", clips) == []
     info, frames, episodes = read(tmp_path / "out")
@@ -105,7 +105,7 @@ def test_state_and_action_are_those_of_the_robot(tmp_path):
     assert stats["action"]["count"] == [start]
 
 
-def test_what_is_not_known_is_held_and_marked(tmp_path):
+def test_unknown_values_are_held_and_marked(tmp_path):
     clip = robot_clip(0)
     wrist = clip.T_world_wrist["left"].copy()
     wrist[:3] = wrist[7:9] = np.nan
@@ -190,7 +190,7 @@ def test_other_joints_are_refused(tmp_path):
         )
 
 
-def test_a_one_handed_first_clip_takes_the_columns_that_are_asked_for(tmp_path):
+def test_a_one_handed_first_clip_has_the_requested_columns(tmp_path):
     clips = [robot_clip(0, sides=("left",)), robot_clip(1)]
     write(tmp_path / "out", clips, joints={"right": JOINTS, "left": JOINTS})
     info, frames, _ = read(tmp_path / "out")
@@ -338,7 +338,7 @@ def load(root: Path, **options: Any) -> Any:
 
 @pytest.mark.lerobot
 @real
-def test_lerobots_own_class_opens_it(tmp_path):
+def test_the_class_of_lerobot_opens_it(tmp_path):
     clips = [robot_clip(i, frames=30 + i, task=["a cup", "Чашка 🍵"][i % 2]) for i in range(6)]
     write(tmp_path / "out", clips, shard_mb=0.02)
     dataset = load(tmp_path / "out", delta_timestamps={"action": [0.0, 1 / 30, 2 / 30]})

@@ -144,7 +144,7 @@ def finished(output: Path) -> dict[str, RobotClip]:
     return {clip.clip.name: clip for clip in clips}
 
 
-def test_both_hands_are_those_of_the_library(folder, whole):
+def test_both_hands_equal_results_of_the_library(folder, whole):
     clips = finished(whole[0])
     assert clips.keys() == FRAMES.keys()
     for side in SIDES:
@@ -173,7 +173,7 @@ def test_both_hands_are_those_of_the_library(folder, whole):
     assert clips["deep/c"].clip.task == "pour tea"
 
 
-def test_episodes_are_cut_where_no_hand_is_seen(whole):
+def test_episodes_are_cut_at_frames_without_a_hand(whole):
     output, summary = whole
     found = lines(output)
     kept = {name: line["frames"] for name, line in found.items() if line["kept"]}
@@ -241,7 +241,7 @@ def test_a_killed_run_is_resumed(folder, whole, tmp_path, monkeypatch):
     assert not list(output.rglob("*.tmp"))
 
 
-def test_shares_together_are_the_whole(folder, whole, tmp_path):
+def test_all_shares_make_the_complete_data_set(folder, whole, tmp_path):
     output = tmp_path / "out"
     done = [make(request(folder, output, shard=f"{i}/3")) for i in (1, 2)]
     assert not (output / "dataset").exists()
@@ -268,7 +268,7 @@ def copy(folder, whole, tmp_path) -> tuple[Path, Path]:
     return tmp_path / "clips", tmp_path / "out"
 
 
-def test_lerobot_has_no_columns_of_what_no_clip_has(copy):
+def test_lerobot_has_no_columns_without_values(copy):
     sources, out = copy
     make(replace(request(sources, out), format="lerobot"))
     info = json.loads((out / "dataset" / "meta" / "info.json").read_text(encoding="utf-8"))
@@ -303,7 +303,7 @@ def test_other_limits_retarget_nothing(copy):
     assert contents(output) == before
 
 
-def test_where_nothing_is_kept_it_is_said_which_limit_to_change(copy):
+def test_an_empty_result_names_the_limit_to_change(copy):
     """And nothing stands there that could be taken for a data set."""
     folder, output = copy
     summary = make(request(folder, output, min_seconds=1000.0, max_gap=0.25))
@@ -316,7 +316,7 @@ def test_where_nothing_is_kept_it_is_said_which_limit_to_change(copy):
     assert (output / "dataset").exists()
 
 
-def test_only_what_changed_is_done_again(copy):
+def test_only_changed_clips_are_computed_again(copy):
     folder, output = copy
     os.utime(folder / "a.pair.npz")  # another date, the same content
     count = Counting()
@@ -333,7 +333,7 @@ def test_only_what_changed_is_done_again(copy):
     assert contents(output) == contents(fresh)
 
 
-def test_a_pack_whose_clips_stand_in_others_is_deleted(copy):
+def test_a_pack_with_clips_of_other_packs_is_deleted(copy):
     """A worker of a killed run ends its pack while the next run makes the same clips."""
     folder, output = copy
     packs = sorted(output.rglob("pack-*.zip"))
@@ -346,7 +346,7 @@ def test_a_pack_whose_clips_stand_in_others_is_deleted(copy):
     assert sorted(output.rglob("pack-*.zip")) == packs
 
 
-def test_a_damaged_pack_is_made_again(copy):
+def test_a_damaged_pack_is_replaced(copy):
     folder, output = copy
     before = contents(output)
     packs = sorted((output / "work").rglob("pack-*.zip"))
@@ -445,7 +445,7 @@ def test_sources_of_every_kind(folder, tmp_path):
         ("path,rate\na,fast\n", "rate must be a number of frames a second, not 'fast'"),
     ],
 )
-def test_a_list_that_is_none(text, says, tmp_path):
+def test_invalid_lists(text, says, tmp_path):
     """A table of numbers is not taken for a list."""
     (tmp_path / "list.csv").write_text(text, encoding="utf-8")
     with pytest.raises(RecordingError, match=says):
@@ -473,7 +473,7 @@ def test_damaged_lists_are_read_or_refused(suffix, tmp_path):
     assert 0 < refused < 150
 
 
-def test_a_list_says_task_and_side(folder, tmp_path):
+def test_a_list_with_task_and_side(folder, tmp_path):
     row = {"path": str(folder / "a.pair.npz"), "task": "stir", "side": "left"}
     (tmp_path / "list.jsonl").write_text(json.dumps(row), encoding="utf-8")
     make(request(tmp_path / "list.jsonl", tmp_path / "out"))
@@ -509,7 +509,7 @@ def test_object_storage(folder, tmp_path):
         find_items(["nowhere://x"])
 
 
-def test_shares_of_the_work():
+def test_shares():
     assert parse_shard("3/16") == (3, 16)
     for text in ("0/3", "4/3", "1", "a/b", "1/0", "-1/3"):
         with pytest.raises(ConfigError, match="i from 1 to n"):
@@ -581,7 +581,7 @@ def test_a_jump_of_the_tracker_cuts(answered):
         ({"min_reach": 1.0, "max_tip_error": 1e3}, "min_reach"),
     ],
 )
-def test_what_breaks_a_limit_is_dropped(answered, limits, reason):
+def test_clips_beyond_a_limit_are_dropped(answered, limits, reason):
     far = {**answered.tracks, "right.reached": np.zeros(len(answered.clip))}
     assert episodes(replace(answered, tracks=far)) == [("deep/c", ())]
     assert episodes(replace(answered, tracks=far), **limits) == [("deep/c", (reason,))]
@@ -650,7 +650,7 @@ def test_collisions_drop_an_episode(answered):
     assert episodes(clip, max_collision=0.5) == [("deep/c", ("max_collision",))]
 
 
-def test_all_hands_may_be_needed(answered):
+def test_clips_can_be_required_to_have_all_hands(answered):
     seen = np.arange(len(answered.clip)) < 32
     clip = replace(answered, valid={**answered.valid, "right": seen})
     assert episodes(clip) == [("deep/c", ())]
@@ -660,7 +660,7 @@ def test_all_hands_may_be_needed(answered):
     ]
 
 
-def test_limits_that_can_not_be():
+def test_invalid_limits():
     with pytest.raises(ConfigError, match="min_valid must be between 0 and 1, not 2"):
         Limits(min_valid=2.0)
     with pytest.raises(ConfigError, match="max_gap must be 0 or more"):
@@ -692,7 +692,7 @@ def test_the_command(folder, tmp_path, capsys):
         assert says in capsys.readouterr().err
 
 
-def test_results_do_not_stand_among_the_sources(folder, tmp_path):
+def test_results_inside_the_source_are_refused(folder, tmp_path):
     with pytest.raises(OutputError, match="the recordings are there"):
         make(request(folder, folder))
     (tmp_path / "dataset").mkdir()
@@ -732,7 +732,7 @@ def test_clips_for_a_gpu_are_read_by_workers_and_retargeted_here(
     assert again.notes == []
 
 
-def test_a_gpu_that_is_not_there_and_work_that_is_not_for_it(tmp_path, folder):
+def test_a_missing_gpu_and_unsuitable_work(tmp_path, folder):
     asked = replace(request(folder, tmp_path / "out"), device="gpu")
     with pytest.raises(ConfigError, match=r"it sees only .*--device cpu"):
         make(asked)
@@ -756,7 +756,7 @@ def test_workers_leave_the_gpu_alone(monkeypatch):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a script in place of a program")
-def test_the_busy_share_is_what_nvidia_smi_says(tmp_path, monkeypatch):
+def test_the_busy_share_comes_from_nvidia_smi(tmp_path, monkeypatch):
     program = tmp_path / "nvidia-smi"
     program.write_text("#!/bin/sh\necho 40; echo 60; exec sleep 60\n", encoding="utf-8")
     program.chmod(0o755)
@@ -772,7 +772,7 @@ def test_the_busy_share_is_what_nvidia_smi_says(tmp_path, monkeypatch):
     assert use.busy is None
 
 
-def test_after_a_change_of_the_code_clips_and_data_set_are_made_again(copy, monkeypatch):
+def test_a_change_of_the_code_replaces_clips_and_data_set(copy, monkeypatch):
     folder, output = copy
     before, count = contents(output), Counting()
     (file,) = (output / "dataset").rglob("part-*.parquet")
@@ -800,7 +800,7 @@ def test_after_a_change_of_the_code_clips_and_data_set_are_made_again(copy, monk
     assert {"retargeting", "hands", "formats", "io"} <= {*parts}
 
 
-def test_keys_of_clips_are_of_the_code_and_of_the_readers_of_plugins(monkeypatch, tmp_path):
+def test_keys_of_clips_hold_the_code_and_the_readers_of_plugins(monkeypatch, tmp_path):
     module = tmp_path / "own_reader_module.py"
     module.write_text("READER = None\n")
     monkeypatch.syspath_prepend(tmp_path)
@@ -815,7 +815,7 @@ def test_keys_of_clips_are_of_the_code_and_of_the_readers_of_plugins(monkeypatch
     assert len(set(digests)) == 4
 
 
-def test_keys_of_clips_do_not_depend_on_where_the_hand_stands(tmp_path, monkeypatch):
+def test_keys_of_clips_do_not_depend_on_the_folder_of_the_hand(tmp_path, monkeypatch):
     hand = load_hand("mimic_p050")
     copy = Path(shutil.copy(hand.spec.model, tmp_path))
     elsewhere = replace(hand, spec=replace(hand.spec, model=copy))

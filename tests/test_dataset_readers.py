@@ -108,7 +108,7 @@ def test_a_hand_that_never_appears_is_left_out(tmp_path):
     assert list(clip_of(tmp_path / "a.jsonl").hands) == ["left"]
 
 
-def test_a_file_of_egodex_that_differs_is_refused_by_name(tmp_path):
+def test_different_files_of_egodex_are_refused(tmp_path):
     h5py = pytest.importorskip("h5py", reason="needs the extra hdf5")
     path = tmp_path / "0.hdf5"
     files.egodex_file(path, left_out=["leftRingFingerTip"])
@@ -176,7 +176,7 @@ def test_hands_of_different_rates_are_on_one_clock(tmp_path):
     assert np.flatnonzero(left.all(axis=1)).tolist() == list(range(0, COUNT, 2))
 
 
-def test_landmarks_of_both_hands_with_all_that_may_be_there(tmp_path):
+def test_landmarks_of_both_hands_with_all_optional_arrays(tmp_path):
     path, sure = tmp_path / "take_3.npz", np.linspace(0, 1, COUNT)
     (tmp_path / "take.mp4").write_bytes(b"a video")
     cup = np.tile([0.4, 0, 1, 1, 0, 0, 0], (COUNT, 1))
@@ -233,7 +233,7 @@ def test_landmarks_may_be_nodes_of_a_headset_without_stamps(tmp_path):
         ({"right": files.hand("right").points * 1000, "left": None}, "right hand: .*millimetres"),
     ],
 )
-def test_landmarks_that_differ_are_refused_by_name(tmp_path, more, said):
+def test_different_landmarks_are_refused(tmp_path, more, said):
     files.landmarks_file(tmp_path / "a.npz", **more)
     with pytest.raises(RecordingError, match=said):
         clip_of(tmp_path / "a.npz")
@@ -278,7 +278,7 @@ def test_egohandkit(tmp_path, empty_rows):
     assert np.isnan(found.confidence["left"][[6, last]]).all()
 
 
-def test_egohandkit_without_times_needs_a_rate_and_says_its_frame(tmp_path):
+def test_egohandkit_without_times_needs_a_rate(tmp_path):
     pytest.importorskip("pyarrow", reason="needs the extra lerobot")
     path = tmp_path / "hand_tracking.parquet"
     files.egohandkit_file(path, stamped=False)
@@ -326,13 +326,13 @@ def test_plain_recordings_are_still_read(tmp_path):
     assert (found.layout, list(found.hands)) == ("files", ["right"])
 
 
-def test_json_of_other_programs_is_no_data_set(tmp_path):
+def test_json_of_other_programs_is_not_a_data_set(tmp_path):
     (tmp_path / "a.jsonl").write_text(json.dumps({"x": 1}) + "\n")
     names = [name for name in READERS if READERS.load(name).matches(tmp_path / "a.jsonl")]
     assert names == ["files"]  # by its suffix; it says then what it reads
 
 
-def test_without_the_research_data_sets_messages_say_how_to_install_them(tmp_path, monkeypatch):
+def test_messages_say_how_to_install_the_research_data_sets(tmp_path, monkeypatch):
     monkeypatch.setattr(plugins, "_installed", lambda group: {})
     monkeypatch.setattr(retargeting, "find_spec", lambda name: None)
     request = RetargetRequest(
@@ -352,7 +352,7 @@ def test_without_the_research_data_sets_messages_say_how_to_install_them(tmp_pat
     assert re.search(install, refused.reason)
 
 
-def test_all_layouts_of_the_research_data_sets_are_named():
+def test_all_layouts_of_the_research_data_sets_are_listed():
     offered = {name for name, entry in READERS.plugins.items() if "smooth_hand" in entry.target}
     assert offered == set(RESEARCH_LAYOUTS)
 

@@ -75,7 +75,7 @@ def samples(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, np.ndarra
 
 
 @pytest.mark.parametrize("name", sorted(WRITERS.built_in))
-def test_every_format_says_what_it_writes(name):
+def test_every_format_has_a_description(name):
     found = WRITERS.load(name)
     WRITERS.check(name, found)
     assert len(found.what) > 5
@@ -167,7 +167,7 @@ def test_the_same_clips_give_the_same_bytes(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_a_killed_run_leaves_whole_shards_and_the_next_ends_as_if_nothing_happened(name, tmp_path):
+def test_a_killed_run_leaves_complete_shards_and_can_be_resumed(name, tmp_path):
     clips = [robot_clip(i, frames=60) for i in range(14)]
     options = WritingOptions(shard_mb=0.03)
     if name in ("parquet", "lerobot"):
@@ -212,7 +212,7 @@ def test_a_shard_without_its_index_is_written_again(name, tmp_path):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="it has no limit on the size of files")
 @pytest.mark.parametrize("name", ALL)
-def test_a_full_disk_ends_the_run_and_keeps_the_whole_shards(name, tmp_path):
+def test_a_full_disk_ends_the_run_and_keeps_complete_shards(name, tmp_path):
     import resource
 
     if name in ("parquet", "lerobot"):

@@ -50,11 +50,11 @@ def good(folder: Path, name: str = "good.npz") -> Path:
 
 
 @pytest.mark.parametrize("text", ["[1]", "{", '{"a":' * 2000 + "1" + "}" * 2000, b"\xff", "1"])
-def test_a_message_that_is_no_object_is_none(text):
+def test_json_object_of_other_values_is_none(text):
     assert json_object(text) is None
 
 
-def test_a_message_that_is_an_object_has_its_fields():
+def test_json_object_of_an_object():
     assert json_object('{"do": "status"}') == json_object(b'{"do": "status"}') == {"do": "status"}
 
 
@@ -138,7 +138,7 @@ def packed_log(path: Path, compression: str) -> Path:
         ("latency", lambda folder: packed_log(folder / "a.mcap", "LZ4"), "allowed for a file"),
     ],
 )
-def test_small_files_take_no_gigabytes(tmp_path, reader, name, make, what):
+def test_small_files_take_little_memory(tmp_path, reader, name, make, what):
     verdict = reader(name, make(tmp_path))
     assert verdict.outcome == "refused", verdict
     assert what in verdict.detail
@@ -175,7 +175,7 @@ def test_pipes_and_sockets_are_not_opened(tmp_path, capsys):
     assert "plain file" in capsys.readouterr().err
 
 
-def test_one_damaged_file_ends_no_search(tmp_path):
+def test_one_damaged_file_does_not_end_a_search(tmp_path):
     content = good(tmp_path).read_bytes()
     # NumPy hands such a header to tokenize, which raises an error of its own.
     (tmp_path / "bad.npz").write_bytes(content.replace(b"(12, 21, 3)", b"(12, 21, (3", 1))
@@ -274,7 +274,7 @@ def test_commands_without_a_time_are_refused(tmp_path, stamp):
         read_commands(path)
 
 
-def test_latency_of_what_is_no_log_says_a_command(tmp_path, capsys):
+def test_latency_of_another_file_names_a_command(tmp_path, capsys):
     path = good(tmp_path)
     assert main(["latency", str(path)]) == 2
     said = capsys.readouterr().err
@@ -303,7 +303,7 @@ def test_a_result_that_is_not_written_leaves_no_configuration(tmp_path, monkeypa
     assert (tmp_path / "old.json").read_text() == "old"
 
 
-def test_no_permission_is_said_as_such(tmp_path):
+def test_missing_permission_is_reported(tmp_path):
     denied = output_error(tmp_path, PermissionError(errno.EACCES, "Permission denied"))
     if os.name != "nt":
         assert "permission denied; choose a folder that you may write to" in str(denied)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from smooth_operator.cli import diagnosis
+from smooth_operator.cli import doctor
 from smooth_operator.errors import DocumentError
 from smooth_operator.own_files import folder_problem, make_private, read_own_file
 from smooth_operator.retargeting import program_cache as program_cache
@@ -73,7 +73,7 @@ def test_a_folder_of_others_is_not_used(cache, damage, words, caplog):
         damage(folder)
     assert program_cache.program_cache() is None
     assert program_cache.jax_folder() is None
-    assert words in diagnosis.environment()["programs"]
+    assert words in doctor.environment()["programs"]
     messages = [record.message for record in caplog.records]
     assert [words in message for message in messages] == [True, True]
     assert all("SMOOTH_OPERATOR_CACHE may name another" in message for message in messages)

@@ -104,7 +104,7 @@ def test_real_landmark_arrays(shared, name, rate, frames):
 
 
 @pytest.mark.shared
-def test_real_static_poses_are_no_recording(shared):
+def test_real_static_poses_are_refused(shared):
     path = shared / "recordings" / "pinch_poses_wilor_21x3.npz"
     message = refused(path, "4 single poses")
     for finger in ("index", "middle", "ring", "little"):
@@ -125,7 +125,7 @@ def test_manus_ids_and_quaternion_order_are_honoured(tmp_path):
     np.testing.assert_allclose(plain.orientations[:, 5], expected, atol=1e-6)
 
 
-def test_manus_extra_node_is_left_out(tmp_path):
+def test_manus_extra_node_is_ignored(tmp_path):
     data = np.asarray(manus()["data"])
     wider = manus(
         data=np.concatenate([np.full_like(data[:, :1], 9.0), data], axis=1),
@@ -135,7 +135,7 @@ def test_manus_extra_node_is_left_out(tmp_path):
     assert np.abs(recording.landmarks).max() < 1.0
 
 
-def test_manus_without_ids_is_assumed_and_says_so(tmp_path):
+def test_manus_without_ids_is_assumed_with_a_note(tmp_path):
     path = save(tmp_path / "a.npz", manus(keypoint_ids=None, quaternion_order=None))
     assert read_recording(path).meta["assumed"] == ["keypoint_ids", "quaternion_order"]
 
@@ -180,7 +180,7 @@ def test_npy_with_rate(tmp_path, dtype):
     assert (recording.side, recording.name) == ("left", "a")
 
 
-def test_content_decides_not_the_suffix(tmp_path):
+def test_files_are_recognised_by_content(tmp_path):
     np.save(tmp_path / "a.npy", hand())
     (tmp_path / "a.npy").rename(tmp_path / "a.npz")
     assert len(read_recording(tmp_path / "a.npz", rate=50.0)) == FRAMES
@@ -249,11 +249,11 @@ def test_flags_follow_the_order_of_the_landmarks(tmp_path):
         (np.ones((FRAMES, 5)), r"must have shape \(12,\), one per frame, or \(12, 21\)"),
     ],
 )
-def test_flags_that_are_none_are_refused(tmp_path, flags, match):
+def test_invalid_flags_are_refused(tmp_path, flags, match):
     refused(save(tmp_path / "a.npz", {"landmarks": hand(), "valid": flags}), match, rate=30.0)
 
 
-def test_arrays_that_look_like_flags_and_are_not_read_are_told(tmp_path):
+def test_ignored_arrays_that_look_like_flags_are_noted(tmp_path):
     arrays = {"landmarks": hand(), "side": "right", "is_tracked": SEEN[:, 0]}
     (note,) = reading_notes(read_recording(save(tmp_path / "a.npz", arrays), rate=30.0), "a.npz")
     assert "a.npz: ignored: is_tracked" in note
@@ -288,12 +288,12 @@ def test_the_wrist_may_be_matrices_or_either_order_of_quaternion(tmp_path, nodes
         (np.zeros((FRAMES - 1, 7)), r"must have shape \(12, 7\).*not \(11, 7\)"),
     ],
 )
-def test_a_wrist_that_is_no_pose_is_refused(tmp_path, wrist, match):
+def test_an_invalid_wrist_pose_is_refused(tmp_path, wrist, match):
     arrays = {"landmarks": hand(), "T_world_wrist": wrist}
     refused(save(tmp_path / "a.npz", arrays), match, rate=30.0)
 
 
-def test_a_hand_that_is_named_by_its_side_has_its_own_flags_and_wrist(tmp_path):
+def test_flags_and_wrist_of_a_hand_named_by_its_side(tmp_path):
     poses = np.tile([0.3, -0.1, 1.0, 1.0, 0.0, 0.0, 0.0], (FRAMES, 1))
     arrays = {"left": hand() * (-1, 1, 1), "valid_left": SEEN[:, 0], "T_world_wrist_left": poses}
     recording = read_recording(save(tmp_path / "a.npz", arrays), rate=30.0)
@@ -500,7 +500,7 @@ def test_all_nan_no_wrist_and_all_zero(tmp_path):
     refused(path, "landmarks coincide", rate=30.0)
 
 
-def test_landmarks_out_of_this_world_are_refused_or_not_seen(tmp_path):
+def test_landmarks_far_from_the_origin_are_refused_or_invalid(tmp_path):
     np.save(tmp_path / "a.npy", hand() + 1e8)
     refused(tmp_path / "a.npy", r"the wrist is 1e\+08 m from the origin", rate=30.0)
     points = hand()
@@ -546,7 +546,7 @@ def test_bad_stamps(tmp_path, stamps, match):
     refused(save(tmp_path / "b.npz", manus(timestamps=stamps)), match)
 
 
-def test_fingers_that_never_move_are_told(tmp_path):
+def test_fingers_that_never_move_are_noted(tmp_path):
     points, stamps = hand(90), np.arange(90) / 30.0
     still = points[:1] + 0.1 * np.sin(stamps)[:, None, None]
     noisy = still + np.random.default_rng(0).normal(0.0, 2e-4, still.shape)
@@ -565,7 +565,7 @@ def test_fingers_that_never_move_are_told(tmp_path):
     assert notes(half) == []
 
 
-def test_a_rate_stands_in_for_stamps_that_are_all_equal(tmp_path):
+def test_a_rate_replaces_stamps_that_are_all_equal(tmp_path):
     path = save(tmp_path / "a.npz", {"joints": hand(), "timestamps": np.full(FRAMES, 7.0)})
     np.testing.assert_allclose(read_recording(path, rate=30.0).stamps, np.arange(FRAMES) / 30.0)
 
@@ -638,7 +638,7 @@ def test_torch_files_are_pickles(tmp_path):
         (b"\x93NUMPY\x01\x00\x10\x00{'descr': '<f8'}", "damaged or cut off"),
     ],
 )
-def test_foreign_and_stunted_files(tmp_path, content, match):
+def test_foreign_and_incomplete_files(tmp_path, content, match):
     (tmp_path / "a.bin").write_bytes(content)
     refused(tmp_path / "a.bin", match)
 
@@ -651,7 +651,7 @@ def test_foreign_and_stunted_files(tmp_path, content, match):
         ("a.db3", b"not SQLite", "a bag of ROS 2; play it"),
     ],
 )
-def test_files_of_others_that_only_the_name_tells(tmp_path, name, content, match):
+def test_foreign_files_recognised_by_suffix(tmp_path, name, content, match):
     (tmp_path / name).write_bytes(content)
     refused(tmp_path / name, match)
 
@@ -694,7 +694,7 @@ def robot_dataset(folder: Path, version: str = "v2.1") -> Path:
     ],
     ids=lambda command: f"{command[0]} {Path(command[1]).suffix}",
 )
-def test_every_command_names_the_data_of_a_robot(tmp_path, monkeypatch, capsys, command):
+def test_every_command_recognises_data_of_a_robot(tmp_path, monkeypatch, capsys, command):
     version = "v3.0" if command[0] == "convert" else "v2.1"
     robot_dataset(tmp_path / "set", version)
     monkeypatch.chdir(tmp_path)
@@ -732,7 +732,7 @@ def test_cut_off_files(tmp_path, form):
         refused(path, "damaged or cut off|cut off after", rate=30.0)
 
 
-def test_header_of_absurd_size_asks_for_no_memory(tmp_path):
+def test_header_of_absurd_size_allocates_no_memory(tmp_path):
     header = "{'descr': '<f8', 'fortran_order': False, 'shape': (999999999999, 21, 3), }"
     header = header.ljust(117) + "\n"
     content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
@@ -744,7 +744,7 @@ def test_header_of_absurd_size_asks_for_no_memory(tmp_path):
 
 
 @pytest.mark.parametrize("text", [":500", "2600:3100", "-500:", ":", " 3 : -2 ", "-9999:7", "+1:"])
-def test_frame_slice_means_what_python_means(text):
+def test_frame_slice_equals_a_slice_of_python(text):
     frames = list(range(4000))
     expected = eval(f"frames[{text}]")
     assert frames[frame_slice(text, 4000)] == expected
@@ -766,7 +766,7 @@ def test_frame_slice_means_what_python_means(text):
         ("-2:3", "selects nothing"),
     ],
 )
-def test_frame_slice_nonsense(text, match):
+def test_invalid_frame_slices(text, match):
     with pytest.raises(ConfigError, match=match):
         frame_slice(text, 10)
     with pytest.raises(ConfigError):

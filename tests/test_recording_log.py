@@ -89,7 +89,7 @@ def test_round_trip_is_exact(tmp_path, compression, side, rich):
     assert read_recording(path).meta == {"format": "log", "truncated": False, "side_assumed": False}
 
 
-def test_opens_in_the_mcap_library_and_its_types_say_what_it_holds(tmp_path):
+def test_opens_in_the_mcap_library(tmp_path):
     hands = recording(10)
     path = write(tmp_path / "a.mcap", hands)
     with path.open("rb") as stream:
@@ -215,7 +215,7 @@ def test_optional_fields_may_come_and_go(tmp_path):
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path, compression):
+def test_a_cut_log_gives_its_complete_chunks(tmp_path, compression):
     hands = recording(60)
     whole = write(tmp_path / "a.mcap", hands, compression=compression, chunk_bytes=15_000)
     content = whole.read_bytes()
@@ -263,7 +263,7 @@ def test_cut_off_anywhere_gives_the_complete_chunks(tmp_path, compression):
         assert read_recording(cut).meta["truncated"] is True
 
 
-def test_damage_in_the_middle_keeps_what_came_before(tmp_path):
+def test_damage_in_the_middle_keeps_the_part_before_it(tmp_path):
     hands = recording(60)
     whole = write(tmp_path / "a.mcap", hands, chunk_bytes=20_000)
     content = whole.read_bytes()
@@ -320,7 +320,7 @@ def test_exception_in_the_block_still_ends_the_log(tmp_path):
     assert read_log(tmp_path / "a.mcap").truncated is False
 
 
-def test_writer_refuses_what_could_not_be_read(tmp_path):
+def test_writer_refuses_unreadable_values(tmp_path):
     hands = recording(5)
     with LogWriter(tmp_path / "a.mcap") as log:
         log.write_hand(hands[1])
@@ -371,7 +371,7 @@ def test_paths_that_can_not_be_written(tmp_path):
         LogWriter(tmp_path / "a.mcap" / "b.mcap")
 
 
-def test_a_file_that_another_run_records_is_refused(tmp_path):
+def test_the_file_of_another_running_recording_is_refused(tmp_path):
     """Two runs into one file lost the first one, and both ended with exit status 0."""
     path, take = tmp_path / "a.mcap", recording(30)
     with LogWriter(path) as first:
@@ -461,7 +461,7 @@ def test_logs_of_others(tmp_path, topic, data, version, match):
         read_log(path)
 
 
-def test_read_log_of_something_else(tmp_path):
+def test_read_log_of_another_format(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros(3))
     with pytest.raises(RecordingError, match="not a log, but a file of another format"):
         read_log(tmp_path / "a.npy")

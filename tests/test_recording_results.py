@@ -106,7 +106,7 @@ def test_bad_results(tmp_path, key, value, match):
     assert str(path) in str(caught.value)
 
 
-def test_other_files_are_no_results(tmp_path):
+def test_other_files_are_not_results(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros(3))
     with pytest.raises(RecordingError, match="not a file of commands"):
         read_commands(tmp_path / "a.npy")
@@ -178,7 +178,7 @@ with atomic_write(at / "a.json"), staged_file(at / "a.h5") as file:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
-def test_what_a_killed_process_leaves_goes_with_the_next_write(tmp_path, monkeypatch):
+def test_the_next_write_removes_files_of_a_killed_process(tmp_path, monkeypatch):
     run = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
     assert run.returncode == -signal.SIGKILL
     assert len(list(tmp_path.iterdir())) == 3
@@ -195,7 +195,7 @@ def test_what_a_killed_process_leaves_goes_with_the_next_write(tmp_path, monkeyp
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
-def test_mode_is_that_of_any_new_file(tmp_path):
+def test_mode_of_a_new_file(tmp_path):
     (tmp_path / "plain").touch()
     with atomic_write(tmp_path / "atomic") as file:
         file.write(b"x")

@@ -124,7 +124,7 @@ def expected(folder, tmp_path_factory) -> Bytes:
     return found
 
 
-def test_a_result_is_that_of_the_library(folder, tmp_path):
+def test_a_result_equals_that_of_the_library(folder, tmp_path):
     """Of a batch to the last bit, whatever else is in it; of a frame after a frame but for
     rounding."""
     output = tmp_path / "out"
@@ -203,7 +203,7 @@ def kept(recordings: Path, output: Path, request: RetargetRequest = ASKED, **mor
     return count.kept
 
 
-def test_what_is_finished_is_kept(copy, expected):
+def test_finished_results_are_kept(copy, expected):
     recordings, output = copy
     before = {path: path.stat().st_mtime_ns for path in output.rglob("*.npz")}
     os.utime(recordings / "a.npz")  # another date, the same content
@@ -226,7 +226,7 @@ def test_what_is_finished_is_kept(copy, expected):
         {"config": FAST.with_alignment(scale=0.9)},
     ],
 )
-def test_another_request_is_another_result(copy, change, expected):
+def test_another_request_replaces_the_results(copy, change, expected):
     recordings, output = copy
     for name in FRAMES:
         if name not in ("a", "e"):
@@ -263,7 +263,7 @@ def test_a_damaged_result_is_written_again(copy, spoil, expected):
     assert contents(output) == expected
 
 
-def test_two_runs_do_not_meet(tmp_path):
+def test_two_runs_in_one_folder_are_refused(tmp_path):
     pytest.importorskip("fcntl")
     with claimed(tmp_path):
         other = pytest.raises(OutputError, match="another run is writing there")
@@ -274,7 +274,7 @@ def test_two_runs_do_not_meet(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_found(tmp_path, expected):
+def test_files_that_are_found(tmp_path, expected):
     save(tmp_path / "glove.npz", hand(5))
     np.save(tmp_path / "plain.npy", hand(7).landmarks)
     with LogWriter(tmp_path / "run.mcap") as log:
@@ -340,7 +340,7 @@ def run(run) -> Run:
     return functools.partial(run, "retarget")
 
 
-def test_the_command_retargets_a_folder_and_says_what_failed(run, folder, expected, tmp_path):
+def test_the_command_retargets_a_folder_and_lists_failures(run, folder, expected, tmp_path):
     recordings, output = tmp_path / "in", tmp_path / "new" / "out"
     shutil.copytree(folder, recordings)
     (recordings / "deep" / "[bold]empty.npz").write_bytes(b"")
@@ -382,7 +382,7 @@ def test_the_command_retargets_a_folder_and_says_what_failed(run, folder, expect
     assert "0 to retarget, 7 done already" in err
 
 
-def test_notes_on_the_reading_are_told_by_the_run_that_made_a_result_and_later_ones(run, tmp_path):
+def test_every_run_shows_the_notes_on_the_reading(run, tmp_path):
     one = hand(20)
     (tmp_path / "in").mkdir()
     np.savez(
@@ -399,7 +399,7 @@ def test_notes_on_the_reading_are_told_by_the_run_that_made_a_result_and_later_o
         assert "1 clip: not read: is_tracked" in out
 
 
-def test_what_the_command_refuses(run, folder, tmp_path):
+def test_requests_that_the_command_refuses(run, folder, tmp_path):
     empty = tmp_path / "empty"
     empty.mkdir()
     output = tmp_path / "out"

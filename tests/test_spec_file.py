@@ -73,7 +73,7 @@ def changed(old: str, new: str) -> Callable[[Path], Path]:
     return lambda folder: written(folder, TEXT.replace(old, new, 1))
 
 
-def test_a_file_says_what_it_says(tmp_path):
+def test_content_of_a_file(tmp_path):
     spec = read_hand_spec(written(tmp_path))
     assert (spec.name, spec.side, spec.palm, spec.mirror) == ("pincer", "left", "palm", False)
     assert spec.model == tmp_path / "models/pincer.xml"
@@ -85,7 +85,7 @@ def test_a_file_says_what_it_says(tmp_path):
     assert spec.align == ("wrist", "thumb", "index")
 
 
-def test_what_is_written_is_read_back(tmp_path):
+def test_written_files_are_read_back(tmp_path):
     spec = replace(
         pincer(tmp_path),
         side="left",
@@ -175,7 +175,7 @@ def test_mistakes_are_named(tmp_path, old, new, message):
     assert str(caught.value).startswith(str(path)) or str(path) in str(caught.value)
 
 
-def test_what_is_no_spec_file(tmp_path):
+def test_files_that_are_not_spec_files(tmp_path):
     with pytest.raises(HandModelError, match=r"no spec file at .*no\.toml"):
         load_hand("no.toml")
     with pytest.raises(HandModelError, match="it is a folder, not a plain file"):
@@ -191,7 +191,7 @@ def test_what_is_no_spec_file(tmp_path):
         read_hand_spec(tmp_path / "deep.toml")
 
 
-def test_what_can_not_be_written(tmp_path):
+def test_specs_that_cannot_be_written(tmp_path):
     spec = pincer(tmp_path)
     with pytest.raises(HandModelError, match="can't hold the number nan"):
         write_hand_spec(replace(spec, neutral={"i1": np.nan}), tmp_path / "a.toml")
@@ -226,7 +226,7 @@ def test_a_relative_model_is_found_from_the_users_folder(tmp_path, monkeypatch):
     assert load_hand("pincer").spec.model == spec.model
 
 
-def test_a_spec_file_brings_its_side(tmp_path):
+def test_a_spec_file_has_a_side(tmp_path):
     left = replace(pincer(tmp_path), side="left")
     write_hand_spec(left, tmp_path / "a.toml")
     assert (load_hand(tmp_path / "a.toml").spec.side, load_hand(left).spec.side) == ("left", "left")
@@ -234,7 +234,7 @@ def test_a_spec_file_brings_its_side(tmp_path):
     assert (right.spec.side, right.spec.mirror) == ("right", True)
 
 
-def test_built_in_names_are_taken(tmp_path, folder):
+def test_built_in_names_are_refused(tmp_path, folder):
     mine = replace(pincer(tmp_path), name="shadow_hand")
     with pytest.raises(HandModelError, match=r"'shadow_hand' is a built-in hand.*a different name"):
         save_hand(mine)
@@ -255,7 +255,7 @@ def test_a_file_that_describes_another_hand(tmp_path, folder):
         load_hand("pincer")
 
 
-def test_where_the_users_folder_is(monkeypatch, tmp_path):
+def test_the_folder_of_the_user(monkeypatch, tmp_path):
     assert user_hands_folder().name == "hands of ünser user"
     monkeypatch.setenv("SMOOTH_OPERATOR_HANDS", "~/x")
     assert user_hands_folder() == Path.home() / "x"
@@ -298,7 +298,7 @@ def test_the_list(tmp_path, folder, capsys):
     assert (hands["pincer"]["builtin"], hands["pincer"]["mirrored"]) == (False, ["left"])
 
 
-def test_one_hand_in_words(capsys):
+def test_show(capsys):
     run("show", "ability_hand", "--side", "left", "--no-view")
     text = capsys.readouterr().out
     for words in (
@@ -337,7 +337,7 @@ def test_a_picture(tmp_path, capsys):
         run("render", "mimic_p050", "--output", str(tmp_path / "none" / "d.png"))
 
 
-def test_a_picture_on_another_model(tmp_path):
+def test_render_with_another_model(tmp_path):
     run(
         "render",
         "ability_hand",

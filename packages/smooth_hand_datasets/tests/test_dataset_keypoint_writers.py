@@ -244,7 +244,7 @@ def test_short_gaps_are_filled_and_long_ones_refused(tmp_path, cube):
         ({"mesh": Path("none.obj")}, "can't be read as the mesh"),
     ],
 )
-def test_flashdex_says_what_a_clip_lacks(change, said, tmp_path):
+def test_flashdex_refuses_incomplete_clips(change, said, tmp_path):
     with pytest.raises(RecordingError, match=said):
         write("flashdex", tmp_path / "out", [robot_clip(0, **change)])
 

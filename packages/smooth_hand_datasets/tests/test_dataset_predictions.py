@@ -85,7 +85,7 @@ def test_forms(tmp_path, form):
         clip_of(tmp_path / name, ReadingOptions())
 
 
-def test_the_video_and_how_sure_the_model_is(tmp_path):
+def test_video_and_confidence(tmp_path):
     frames = files.wilor_frames()
     for k, frame in enumerate(frames):
         frame[0]["hand_bbox"] = [1.0, 2.0, 3.0, 4.0, 0.5 + 0.01 * k]
@@ -114,7 +114,7 @@ def test_hands_without_a_place_have_no_wrist(tmp_path):
     assert all(hand.T_world_wrist is None for hand in found.hands.values())
 
 
-def test_a_frame_that_calls_a_right_hand_a_left_one_does_not_count(tmp_path):
+def test_a_frame_with_the_wrong_side_is_ignored(tmp_path):
     frames = files.wilor_frames()
     for hand in frames[12]:
         hand["is_right"] = 1.0 - hand["is_right"]
@@ -124,7 +124,7 @@ def test_a_frame_that_calls_a_right_hand_a_left_one_does_not_count(tmp_path):
     assert all(hand.meta["other_side_frames"] == 1 for hand in found.hands.values())
 
 
-def test_what_the_network_gives_of_a_mirrored_picture_is_refused(tmp_path):
+def test_mirrored_hands_are_refused(tmp_path):
     """HaMeR and WiLoR see a left hand in a mirrored picture, as a right one."""
     frames = files.wilor_frames()
     for frame in frames:
@@ -168,7 +168,7 @@ class Evil:
         ([["pred_keypoints_3d", Evil()]], "which is no data"),
     ],
 )
-def test_what_differs_is_refused_by_name(tmp_path, value, said):
+def test_different_files_are_refused(tmp_path, value, said):
     (tmp_path / "a.pkl").write_bytes(pickle.dumps(value))
     with pytest.raises(RecordingError, match=said):
         clip_of(tmp_path / "a.pkl")

@@ -88,7 +88,7 @@ def test_hawor(tmp_path):
     np.testing.assert_allclose(found.T_world_camera[1], [2.2, 0.4, 0.6, 0.5, 0.5, -0.5, 0.5])
 
 
-def test_hawor_says_what_it_needs(tmp_path):
+def test_hawor_needs_models_and_a_rate(tmp_path):
     path = hawor_folder(tmp_path / "kitchen")
     with pytest.raises(RecordingError, match=r"--mano"):
         clip_of(path)
@@ -150,7 +150,7 @@ def test_dyn_hamr(tmp_path):
         ({"cam_t": np.zeros((3, 3))}, r"cam_t: numbers of shape \(3, 7, 3\) were expected"),
     ],
 )
-def test_dyn_hamr_that_differs(tmp_path, more, said):
+def test_different_files_of_dyn_hamr_are_refused(tmp_path, more, said):
     mano_files.write_models(tmp_path / "mano")
     np.savez(tmp_path / "a.npz", **(dyn_hamr_arrays() | more))
     with pytest.raises(RecordingError, match=said):

@@ -111,7 +111,7 @@ def test_the_left_hand_mirrors_the_right_one(tmp_path):
     np.testing.assert_allclose(b.landmarks, a.landmarks * [-1.0, 1.0, 1.0], atol=1e-12)
 
 
-def test_the_published_shape_of_the_left_hand_is_mended_where_asked(folder):
+def test_the_published_shape_of_the_left_hand_is_corrected_on_request(folder):
     published, mended = load_model(folder, "left"), load_model(folder, "left", mirrored_shape=True)
     right = load_model(folder, "right")
     np.testing.assert_array_equal(published.shape_directions, right.shape_directions)
@@ -166,7 +166,7 @@ def refused(folder: Path, held: dict[str, Any], side: Side = "right", **changed:
     return str(caught.value)
 
 
-def test_what_differs_is_said(tmp_path, arrays):
+def test_different_models_are_refused(tmp_path, arrays):
     held = arrays["right"]
     cases: dict[str, tuple[dict[str, Any], str]] = {
         "a": ({"v_template": held["v_template"] * 1000}, "a hand in metres has"),
@@ -183,7 +183,7 @@ def test_what_differs_is_said(tmp_path, arrays):
     assert "it lacks posedirs" in refused(tmp_path / "h", short)
 
 
-def test_where_the_model_comes_from_is_said(tmp_path, folder):
+def test_a_missing_model_names_its_source(tmp_path, folder):
     with pytest.raises(RecordingError, match=r"MANO_RIGHT\.pkl.*https://mano\.is\.tue\.mpg\.de"):
         load_model(None, "right")
     with pytest.raises(RecordingError, match="no MANO_LEFT"):

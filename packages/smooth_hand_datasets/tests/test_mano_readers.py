@@ -35,7 +35,7 @@ def read(layout: str, path: Path, models: Path, **options: Any) -> Clip:
 
 
 @pytest.mark.parametrize("case", layouts.CASES)
-def test_a_clip_is_what_was_written(tmp_path, models, case):
+def test_clips_are_read_as_written(tmp_path, models, case):
     layout, write = layouts.CASES[case]
     made = write(tmp_path)
     found = read(layout, made.path, models)
@@ -123,7 +123,7 @@ def refused(layout: str, path: Path, models: Path) -> str:
     return str(caught.value)
 
 
-def test_what_is_missing_is_named(tmp_path, models):
+def test_missing_parts_are_named(tmp_path, models):
     made = layouts.dexycb(tmp_path / "a")
     np.savez(made.path / "pose.npz", pose_m=np.zeros((8, 1, 51)))
     assert "lacks pose_y" in refused("dexycb", made.path, models)
@@ -278,7 +278,7 @@ def test_damaged_files_are_read_soundly_or_refused(tmp_path, models, layout):
     hostile_mano.read_soundly(layout, made.path)
 
 
-def test_a_time_that_no_clock_has_is_refused(tmp_path, models):
+def test_an_impossible_time_is_refused(tmp_path, models):
     made = layouts.hot3d(tmp_path)
     table = made.path / "dynamic_objects.csv"
     table.write_text(table.read_text().replace("56752108188860", "9999999999999999999"))

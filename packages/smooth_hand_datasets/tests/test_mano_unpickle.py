@@ -68,7 +68,7 @@ def test_arrays_of_every_protocol(tmp_path, protocol):
     assert list(found["text"]) == ["ab", "é"]
 
 
-def test_what_python_2_chumpy_scipy_and_torch_wrote(tmp_path):
+def test_files_of_python_2_chumpy_scipy_and_torch(tmp_path):
     rng = np.random.default_rng(0)
     a, dense = rng.normal(size=(4, 5)), rng.normal(size=(3, 6)) * (rng.random((3, 6)) > 0.5)
     value = {
@@ -103,7 +103,7 @@ def test_numpy_files_with_tables_in_them(tmp_path):
     np.testing.assert_array_equal(by_hand["x"], np.eye(2))
 
 
-def test_what_is_expected_is_said(tmp_path):
+def test_messages_name_the_expected_values(tmp_path):
     with pytest.raises(RecordingError, match="f: it lacks poses; it has a, so"):
         table({"a": 1}, "f", ["poses"])
     with pytest.raises(RecordingError, match="a table was expected there, not a list"):
@@ -242,7 +242,7 @@ def test_an_attack_is_refused(tmp_path, name):
         assert "which is no data" in str(caught.value)
 
 
-def test_what_is_asked_for_is_named(tmp_path):
+def test_messages_name_the_refused_class(tmp_path):
     for data, name in (
         (pickle.dumps(Evil(os.system, ("true",)), 2), f"{os.system.__module__}.system"),
         (pickle.dumps(Evil(eval, ("1",)), 4), "builtins.eval"),
@@ -301,7 +301,7 @@ def test_a_zip_that_unpacks_to_too_much(tmp_path, monkeypatch):
         load_restricted(tmp_path / "a.npz")
 
 
-def test_files_that_are_none(tmp_path):
+def test_damaged_and_missing_files(tmp_path):
     for data in (b"", b".", b"N", b"\x80", b"\x80\x09N.", b"hello", b"\x93NUMPY", b"PK\x03\x04xx"):
         with pytest.raises(RecordingError, match=r"a\.pkl: "):
             load(tmp_path, data)

@@ -113,7 +113,7 @@ def test_the_sign_holds_for_a_mesh_with_a_hole():
     assert open_one.nearest(inside)[0][0] < -0.01 < 0.01 < open_one.nearest(outside)[0][0]
 
 
-def test_what_is_no_mesh_is_refused(tmp_path):
+def test_invalid_meshes_are_refused(tmp_path):
     (tmp_path / "mug.obj").write_text("nothing\n", encoding="utf-8")
     for name in ("mug.obj", "none.obj"):
         with pytest.raises((RecordingError, ImportError), match=name):
