@@ -13,6 +13,7 @@ from fuzzing import ReaderProcess, damaged_xml, each
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.discover import discover
+from smooth_operator.hands.collision import solid_shapes
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
 from smooth_operator.hands.registry import MODELS
@@ -57,8 +58,55 @@ def test_utf_8_that_declares_another_encoding_loads(tmp_path):
     assert load_model(path).model.njnt
 
 
+MASS = '<inertial><mass value="0.01"/>{}</inertial>'
+NEGATIVE = '<inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="5e-6" ixz="0" iyz="0"/>'
+
+
+@pytest.mark.parametrize("inertia", ["", NEGATIVE, NEGATIVE.replace('"5e-6"', '"small"')])
+def test_a_urdf_is_read_without_an_inertia_that_mujoco_refuses(inertia, tmp_path):
+    plain, path = tmp_path / "plain.urdf", tmp_path / "hand.urdf"
+    plain.write_text(URDF, encoding="utf-8")
+    path.write_text(URDF.replace("</link>", MASS.format(inertia) + "</link>", 2), encoding="utf-8")
+    found = discover(path)
+    assert any(note.startswith("the inertia of 2 links") for note in found.notes)
+    assert found.spec.fingers == discover(plain).spec.fingers
+
+
+def test_a_urdf_is_read_without_a_colour_that_mujoco_refuses(tmp_path):
+    path = tmp_path / "hand.urdf"
+    grey = '<material name="grey"><color>1 1 1 1</color></material>'
+    path.write_text(URDF.replace("</robot>", grey + "</robot>"), encoding="utf-8")
+    loaded = load_model(path)
+    assert loaded.model.njnt
+    assert loaded.inertias == ()
+
+
+def test_a_model_with_the_suffix_mjcf_is_read(tmp_path):
+    path = tmp_path / "hand.mjcf"
+    path.write_text(MJCF, encoding="utf-8")
+    assert load_hand_spec(discover(path).spec).joint_names
+
+
+def test_shapes_of_declared_pairs_are_collision_shapes(tmp_path):
+    shapes = MJCF.replace("<geom ", '<geom contype="0" conaffinity="0" ')
+    names = iter(range(1000))
+    named = re.sub("<geom ", lambda _: f'<geom name="g{next(names)}" ', shapes)
+    pair = '<contact><pair geom1="g0" geom2="g3"/></contact></mujoco>'
+    path = tmp_path / "hand.xml"
+    for text, count in ((named.replace("</mujoco>", pair), 2), (shapes, 0)):
+        path.write_text(text, encoding="utf-8")
+        assert solid_shapes(load_hand_spec(discover(path).spec)).sum() == count
+    path.write_text(shapes.replace("<geom ", '<geom group="3" '), encoding="utf-8")
+    assert solid_shapes(load_hand_spec(discover(path).spec)).sum() == shapes.count("<geom ")
+
+
 REFUSED: dict[str, tuple[str, str, str]] = {
     "unknown encoding": ("h.xml", declared(MJCF, "klingon"), r"encoding 'klingon'.*UTF-8"),
+    "pointer": (
+        "h.urdf",
+        "version https://git-lfs.github.com/spec/v1\noid sha256:0\n",
+        r"pointer of Git LFS.*git lfs pull",
+    ),
     "binary encoding": ("h.xml", declared(MJCF, "hex"), r"encoding 'hex'.*UTF-8"),
     "mimic inf": (
         "h.urdf",

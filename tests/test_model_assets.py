@@ -114,6 +114,32 @@ def test_what_is_wrong_with_a_mesh_is_said_as_that(tmp_path):
     assert loaded.model.ngeom == loaded.model.nbody - 2
 
 
+@pytest.mark.parametrize("suffix", ["stl", "obj"])
+def test_a_pointer_of_git_lfs_is_a_mesh_to_download(suffix, tmp_path):
+    path = ros_package(tmp_path / "hand", f"../meshes/far.{suffix}")
+    (tmp_path / "hand" / "meshes" / f"far.{suffix}").write_text(
+        "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n"
+    )
+    loaded = load_model(path)
+    assert loaded.model.ngeom == 0
+    assert "git lfs pull" in loaded.why
+    assert any("git lfs pull" in note for note in discover(path).notes)
+
+
+def test_an_obj_that_is_no_mesh_costs_its_shape_only(tmp_path):
+    path = ros_package(tmp_path / "hand", "../meshes/broken.obj")
+    (tmp_path / "hand" / "meshes" / "broken.obj").write_text("v 0 0 0\n")
+    assert "MuJoCo can't read 1 meshes" in load_model(path).why
+
+
+def test_a_mesh_in_another_folder_is_used_if_it_is_the_only_one_of_its_name(tmp_path):
+    path = ros_package(tmp_path / "hand", "parts/box.stl")
+    (tmp_path / "hand" / "meshes").rename(path.parent / "assets")
+    assert load_model(path).model.ngeom
+    write_box(path.parent / "more" / "Box.stl")
+    assert not load_model(path).model.ngeom
+
+
 def test_a_texture_that_is_not_there_costs_the_texture_only(tmp_path):
     write_box(tmp_path / "box.stl")
     path = tmp_path / "hand.xml"

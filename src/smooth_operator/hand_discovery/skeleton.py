@@ -335,12 +335,22 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
         for name, shapes in points.items():
             clouds.setdefault(_body(model, name), []).extend(shapes)
         if missing:
+            remedy = (
+                "run 'git lfs pull' in the clone of the model"
+                if loaded.pointers
+                else "put them at the paths in the file"
+            )
             notes.append(
                 f"{missing} of {len(meshes)} meshes could not be read. Joints are "
                 "unaffected, but fingertips and wrist are estimated more reliably with "
-                "meshes: put them at the paths in the file, or correct the points with "
-                "--tip and --wrist"
+                f"meshes: {remedy}, or correct the points with --tip and --wrist"
             )
+    if loaded.inertias:
+        notes.append(
+            f"the inertia of {len(loaded.inertias)} links ({loaded.inertias[0]!r} first) is "
+            "incomplete or not positive, and is not used; a simulation estimates it from the "
+            "shapes. Correct it in the file"
+        )
     bodies, joints = (
         sum(not e.get("name") for world in root.iter("worldbody") for e in world.iter(tag))
         for tag in ("body", "joint")

@@ -23,10 +23,19 @@ _RING: Final = 10  # number of them
 
 
 def solid_shapes(hand: Hand) -> Bool[np.ndarray, " g"]:
-    """(g,) mask of the hand's colliding shapes, without those of an arm or a second hand."""
+    """(g,) mask of the hand's colliding shapes, without those of an arm or a second hand.
+
+    Shapes collide by their masks or as a declared pair. If none does, the shapes of the groups 3
+    and 4 count, which models use for collision.
+    """
     model = hand.model
+    own = hand.bodies[model.geom_bodyid]
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    return np.asarray(solid & hand.bodies[model.geom_bodyid])
+    solid[model.pair_geom1] = solid[model.pair_geom2] = True
+    if not (solid & own).any():
+        primitive = model.geom_type != mujoco.mjtGeom.mjGEOM_MESH
+        solid = primitive & np.isin(model.geom_group, (3, 4))
+    return np.asarray(solid & own)
 
 
 def lacking_parts(hand: Hand) -> set[int]:

@@ -59,6 +59,8 @@ class LoadedModel:
             read or are far too large.
         why: problem of the meshes that were left out, with advice; empty if there are none.
         oversize: True if meshes of another unit than the links were left out.
+        inertias: links whose inertia was left out, because MuJoCo refuses it.
+        pointers: number of meshes that Git LFS has not downloaded.
     """
 
     model: mujoco.MjModel
@@ -66,6 +68,8 @@ class LoadedModel:
     unreadable: tuple[str, ...]
     why: str = ""
     oversize: bool = False
+    inertias: tuple[str, ...] = ()
+    pointers: int = 0
 
 
 def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
@@ -96,7 +100,8 @@ def load_model(path: Path, *, mirror: bool = False) -> LoadedModel:
         tendons = _tendons(model, {coupling.joint for coupling in equalities})
         couplings = (*equalities, *tendons)
     possible = tuple(_possible(model, coupling) for coupling in couplings)
-    return LoadedModel(model, possible, unreadable, "; ".join(why), large)
+    inertias, pointers = ((), 0) if files is None else (files.inertias, len(files.pointers))
+    return LoadedModel(model, possible, unreadable, "; ".join(why), large, inertias, pointers)
 
 
 def _model_files(path: Path) -> tuple[Path, ModelFiles | None]:
@@ -128,7 +133,7 @@ def driven_joints(model: mujoco.MjModel) -> set[int]:
 
 def _read(path: Path, files: ModelFiles | None, mirror: bool) -> mujoco.MjSpec:
     try:
-        spec = mujoco.MjSpec.from_file(str(path)) if files is None else _parsed(path)
+        spec = mujoco.MjSpec.from_file(str(path)) if files is None else _parsed(path, files)
     except MUJOCO_ERRORS as error:
         raise refused("read", path, error) from error
     _name_all(spec)
@@ -155,13 +160,17 @@ def _name_assets(spec: mujoco.MjSpec, files: ModelFiles) -> None:
             asset.file = str(file)
 
 
-def _parsed(path: Path) -> mujoco.MjSpec:
-    """The model of a file in any encoding; MuJoCo itself reads UTF-8 only."""
+def _parsed(path: Path, files: ModelFiles) -> mujoco.MjSpec:
+    """The model of a file in any encoding and with any suffix; MuJoCo itself reads UTF-8 only, and
+    only .xml and .urdf."""
+    from xml.etree import ElementTree
+
     from smooth_operator.hands.model_assets import decode_xml
 
     data = path.read_bytes()
-    text = decode_xml(data, path)
-    if data.isascii() or data.endswith(text.encode("utf-8")):
+    text = ElementTree.tostring(files.root, "unicode") if files.changed else decode_xml(data, path)
+    same = data.isascii() or data.endswith(text.encode("utf-8"))
+    if same and not files.changed and path.suffix.lower() in (".xml", ".urdf"):
         return mujoco.MjSpec.from_file(str(path))
     spec = mujoco.MjSpec.from_string(text)
     spec.modelfiledir = str(path.parent)

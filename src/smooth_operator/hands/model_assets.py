@@ -8,15 +8,19 @@ before MuJoCo, which can't be interrupted, reads it.
 from __future__ import annotations
 
 import codecs
+import itertools
 import math
 import os
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 from urllib.parse import unquote
+
+import numpy as np
 
 from smooth_operator.errors import DocumentError, HandModelError, brief
 from smooth_operator.io.plain_files import check_plain_file, is_file
@@ -39,6 +43,8 @@ _ROOM: Final = ("nkey", "nuserdata", "width", "height", "numeric size")
 _DEEPEST: Final = 20  # depth of files that include or attach each other
 _TAILS: Final = 8  # number of last parts of a path with which a file is looked for
 _NEAR: Final = 4  # folders above the model in which a file is looked for by its bare name
+_MOST_BELOW: Final = 10_000  # files below the model's folder among which one is looked for
+_LFS: Final = b"version https://git-lfs"  # first bytes of a file that Git LFS has not downloaded
 _FILES: Final = (
     "file",
     "filename",
@@ -62,12 +68,18 @@ class ModelFiles:
         documents: the model file, and the files that it includes or attaches.
         assets: name of a mesh, texture or terrain in the model -> its file, if that exists.
         attaches: True if the model attaches others, whose names count from their own folders.
+        pointers: names whose file is a pointer that Git LFS has not replaced by the content.
+        inertias: links of a URDF whose inertia MuJoCo refuses; ``root`` is without them.
+        changed: True if ``root`` is not what the file has.
     """
 
     root: ElementTree.Element
     documents: tuple[Path, ...]
     assets: dict[str, Path]
     attaches: bool
+    pointers: frozenset[str] = frozenset()
+    inertias: tuple[str, ...] = ()
+    changed: bool = False
 
 
 def model_path(path: Path) -> Path:
@@ -100,10 +112,61 @@ def read_model_files(path: Path) -> ModelFiles:
     for name in reader.names:
         reader.find(name)
     reader.check(reader.total(reader.model, ()))
-    documents = reader.documents
+    root = reader.documents[reader.model].root
+    inertias = _drop_inertias(root)
+    changed = _drop_colours(root) or bool(inertias)
     return ModelFiles(
-        documents[reader.model].root, tuple(documents), reader.assets, bool(reader.models)
+        root,
+        tuple(reader.documents),
+        reader.assets,
+        bool(reader.models),
+        frozenset(reader.pointers),
+        inertias,
+        changed,
     )
+
+
+def _drop_inertias(root: ElementTree.Element) -> tuple[str, ...]:
+    """Removes the inertias of a URDF that MuJoCo refuses, since kinematics needs none.
+
+    Returns:
+        names of their links.
+    """
+    names = []
+    for link in root.iter("link"):
+        inertial = link.find("inertial")
+        if inertial is not None and not _is_physical(inertial):
+            link.remove(inertial)
+            names.append(link.get("name", ""))
+    return tuple(names)
+
+
+def _is_physical(inertial: ElementTree.Element) -> bool:
+    """True if a URDF's inertia has a mass and a matrix with positive eigenvalues."""
+    mass, inertia = inertial.find("mass"), inertial.find("inertia")
+    if mass is None or inertia is None:
+        return False
+    try:
+        xx, xy, xz, yy, yz, zz = (
+            float(inertia.get(key, "nan")) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        )
+    except ValueError:
+        return False
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return bool(np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] > 0)
+
+
+def _drop_colours(root: ElementTree.Element) -> bool:
+    """Removes the colours of a URDF that have no ``rgba``, which MuJoCo refuses; True if any."""
+    colours = [
+        (material, colour)
+        for material in root.iter("material")
+        for colour in material.findall("color")
+        if not colour.get("rgba")
+    ]
+    for material, colour in colours:
+        material.remove(colour)
+    return root.tag == "robot" and bool(colours)
 
 
 @dataclass
@@ -130,6 +193,7 @@ class _Reader:
     models: dict[str, Path] = field(default_factory=dict)
     listings: dict[Path, dict[str, str]] = field(default_factory=dict)  # read once for all names
     assets: dict[str, Path] = field(default_factory=dict)
+    pointers: set[str] = field(default_factory=set)
     names: dict[str, None] = field(default_factory=dict)
     folders: dict[Path, None] = field(default_factory=dict)
 
@@ -215,12 +279,26 @@ class _Reader:
 
     def find(self, name: str) -> None:
         """Adds the file of that name to the assets if it exists."""
-
-        for place in _places(name, self.model, self.folders, self.listings):
+        last = re.split(r"[/\\]", name)[-1].casefold()
+        places = _places(name, self.model, self.folders, self.listings)
+        below = (file for files in (self.below.get(last, []),) if len(files) == 1 for file in files)
+        for place in itertools.chain(places, below):
             if self._is_plain(place, name):
-                if place.stat().st_size <= MOST_MESH_BYTES:
+                if is_pointer(place):
+                    self.pointers.add(name)
+                elif place.stat().st_size <= MOST_MESH_BYTES:
                     self.assets[name] = Path(os.path.normpath(place))
                 return
+
+    @cached_property
+    def below(self) -> dict[str, list[Path]]:
+        """Files in folders below the model's, by name in lower case: a last resort."""
+        walk = os.walk(self.model.parent)
+        files = (Path(folder, name) for folder, _, names in walk for name in names)
+        out: dict[str, list[Path]] = {}
+        for file in itertools.islice(files, _MOST_BELOW):
+            out.setdefault(file.name.casefold(), []).append(file)
+        return out
 
     def _is_plain(self, place: Path, name: str) -> bool:
         """True if a regular file exists; refuses a pipe or device, whose reading may never end."""
@@ -236,6 +314,15 @@ class _Reader:
                 "model file: put the file there, or remove its name from the model"
             ) from error
         return True
+
+
+def is_pointer(path: Path) -> bool:
+    """True if a file is a pointer of Git LFS, as a clone without git-lfs has it."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_LFS)) == _LFS
+    except OSError:
+        return False  # reading it reports why
 
 
 def _copies(element: ElementTree.Element) -> float:
@@ -285,6 +372,10 @@ def read_model_xml(path: Path) -> ElementTree.Element:
         raise HandModelError(
             f"{path} has {size} bytes; expected an MJCF or URDF file of at most {_MOST_BYTES}: put "
             "meshes and terrain into separate files"
+        )
+    if data.startswith(_LFS):
+        raise HandModelError(
+            f"{path} is a pointer of Git LFS, not a model; run 'git lfs pull' in its clone"
         )
     try:
         root = ElementTree.fromstring(decode_xml(data, path))

@@ -56,18 +56,25 @@ def compile_with_meshes(
     present = {"", *map(str, files.assets.values())}
     absent = {} if files.attaches else {k: v for k, v in names.items() if v not in present}
     why, dropped = [], frozenset(absent) or None
-    if absent:
+    pointers = [file for file in absent.values() if file in files.pointers]
+    missing = [file for file in absent.values() if file not in files.pointers]
+    if pointers:
         why.append(
-            f"{len(absent)} mesh files are not at the paths in the model, or are larger than "
-            f"{MOST_MESH_BYTES / 1e6:.0f} MB ({brief(next(iter(absent.values())))} first): "
+            f"{len(pointers)} mesh files are pointers of Git LFS ({brief(pointers[0])} first): run "
+            "'git lfs pull' in the clone of the model"
+        )
+    if missing:
+        why.append(
+            f"{len(missing)} mesh files are not at the paths in the model, or are larger than "
+            f"{MOST_MESH_BYTES / 1e6:.0f} MB ({brief(missing[0])} first): "
             "put them there, or correct the paths"
         )
     try:
         model, lost = _without(spec, dropped)
     except MUJOCO_ERRORS as error:  # a spec that failed to compile can't be edited: read again
-        if not _is_missing_asset(error):
-            raise refused("compile", path, error) from error
         unreadable = _unreadable_meshes(read(), absent)
+        if not unreadable and not _is_missing_asset(error):
+            raise refused("compile", path, error) from error
         try:
             dropped = frozenset(absent) | unreadable
             model, lost = _without(read(), dropped)
