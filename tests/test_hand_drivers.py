@@ -254,7 +254,7 @@ def test_a_hand_lost_in_motion_comes_back(rig):
 )
 def test_after_an_outage_the_first_command_is_where_the_hand_is(rig, seconds):
     """The operator goes on meanwhile, over half of the range."""
-    rig.patience(0.05)
+    rig.patience(0.2)
     sent: list[tuple[np.ndarray, np.ndarray]] = []
     rig.watch_targets(lambda target, at: sent.append((target, at)))
     with Driven(rig, lost_s=60.0, approach=2.0, speed=15.0) as driven:
