@@ -233,7 +233,7 @@ def compare(
             -difference, se, df, -statistic, p_raw, p, low, high, size, size_in_words(size, p)
         )
     if family.error > _ROUGH:
-        warnings.append(f"Dunnett p-values are accurate only to {family.error:.1g} only")
+        warnings.append(f"Dunnett p-values are accurate only to {family.error:.1g}")
     return Comparisons(emm, against, pairs, correlation.tolist(), tuple(warnings))
 
 

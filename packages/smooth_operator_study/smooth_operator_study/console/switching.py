@@ -318,7 +318,7 @@ class SessionTeleop:
             running = _running(self._request("method", method=condition.method, **preset))
             if running[0] != condition.method:
                 why = (
-                    f"the requested method was {condition.method!r} , but the teleoperation "
+                    f"the requested method was {condition.method!r}, but the teleoperation "
                     f"runs {running[0]!r}"
                 )
                 self._set(replace(self.status, state="refused", detail=why, running=running))
