@@ -99,7 +99,7 @@ class Servo:
         self.put(70, 1, self.error)
 
     def write(self, address: int, data: bytes) -> int:
-        """What the servo answers to a write: 0, or an error."""
+        """Answer of the servo to a write: 0, or an error."""
         if address == 11 and self.torque:
             return 7  # access
         if self.table[98] == 255 and address in (102, 116):

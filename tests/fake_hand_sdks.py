@@ -17,7 +17,7 @@ WUJI_LOWER, WUJI_UPPER = np.full(20, -0.5), np.full(20, 1.62)
 
 
 class WujiWorld:
-    """What hangs on USB; ``module`` is what ``import wujihandpy`` gives."""
+    """A simulated hand on USB; ``module`` stands for ``wujihandpy``."""
 
     def __init__(self, handedness: int = 0) -> None:
         self.servos = Servos([0.1] * 20, speed=20.0, lower=WUJI_LOWER, upper=WUJI_UPPER)
@@ -152,7 +152,7 @@ class MotorState(enum.Enum):
 
 
 class StarkWorld:
-    """What hangs on the serial line; ``main_mod`` is the module of that name in the package."""
+    """A simulated hand on a serial line; ``main_mod`` stands for the module of that name."""
 
     def __init__(self, left: bool = False) -> None:
         self.servos = Servos([0.0] * 6, speed=8000.0, lower=0.0, upper=1000.0)

@@ -43,11 +43,11 @@ class Rig:
     waits: tuple[str, ...] = ("_TIMEOUT",)
     """Names of the driver's times."""
     reports = False
-    """Whether the hand says by itself where it is, and is not asked."""
+    """True for a hand that reports its positions without a question."""
     delay_s = 0.01
     """A delay that the driver must bear."""
     prefix = True
-    """Whether messages begin with the name of the driver."""
+    """True if messages begin with the name of the driver."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.folder, self.monkeypatch = folder, monkeypatch
@@ -60,7 +60,7 @@ class Rig:
         return self.hand.faults
 
     def patience(self, seconds: float) -> None:
-        """How long the driver waits for an answer [s]; to be set before it is opened."""
+        """Set the time that the driver waits for an answer [s], before it is opened."""
         module = f"smooth_operator.teleop.hardware.drivers.{self.driver}"
         for name in self.waits:
             self.monkeypatch.setattr(f"{module}.{name}", seconds)
@@ -74,19 +74,19 @@ class Rig:
         )
 
     def positions(self) -> np.ndarray:
-        """Where the motors are, in the commands' unit."""
+        """Positions of the motors, in the unit of the commands."""
         return self.hand.servos.positions()
 
     def near(self, commands: np.ndarray) -> bool:
-        """Whether the motors have come to their commands."""
+        """True if the motors have reached their commands."""
         return bool(np.abs(self.positions() - commands).max() <= 2 * self.unit)
 
     def outside(self) -> int:
-        """How often a target beyond the ends came."""
+        """Number of targets beyond the ends."""
         return len(self.hand.servos.outside)
 
     def targets(self) -> int:
-        """How many targets came."""
+        """Number of targets."""
         return len(self.hand.servos.targets)
 
     def powered(self) -> bool | None:
@@ -102,7 +102,7 @@ class Rig:
         self.hand.servos.moves_when_looked_at(1e-4)
 
     def watch_targets(self, look: Callable[[np.ndarray, np.ndarray], None]) -> None:
-        """Call a function with each target that comes, and where the motors are then."""
+        """Call a function with each target, and the positions of the motors at that time."""
         servos = self.hand.servos
         aim = servos.aim
 
@@ -113,11 +113,11 @@ class Rig:
         self.monkeypatch.setattr(servos, "aim", aimed)
 
     def limits(self) -> list[float]:
-        """What the driver set and a restart loses; empty if it sets nothing."""
+        """Settings of the driver that a restart deletes; empty if it sets nothing."""
         return []
 
     def restart(self) -> None:
-        """Leave in the hand's memory what a restart does, with everything else as it is."""
+        """Delete the settings that a restart deletes, and nothing else."""
         raise NotImplementedError
 
     def start(self) -> None:

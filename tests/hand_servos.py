@@ -66,7 +66,7 @@ class Servos:
             self.target = np.clip(new, self.lower, self.upper)
 
     def positions(self) -> np.ndarray:
-        """Where the motors are now."""
+        """Current positions of the motors."""
         with self.lock:
             now = self._clock()
             step = self.speed * max(now - self._last, 0.0) if self.powered else 0.0
@@ -78,17 +78,17 @@ class Servos:
             return self._position.copy()
 
     def load(self) -> np.ndarray:
-        """How hard each motor pushes: distance to its target, in units."""
+        """Load of each motor: its distance to the target, in units."""
         with self.lock:
             return self.target - self.positions()
 
     def at_rest(self, tolerance: float) -> bool:
-        """Whether all motors are at their targets."""
+        """True if all motors are at their targets."""
         return bool((np.abs(self.load()) <= tolerance).all())
 
 
 class Faults:
-    """What a simulated device does wrong. A test sets the fields at any time."""
+    """Faults of a simulated device. A test sets the fields at any time."""
 
     def __init__(self) -> None:
         self.mute = False

@@ -65,7 +65,7 @@ class LinkerHand:
                 self._send(message.data[0], answer)
 
     def answer(self, kind: int, values: list[int]) -> list[int] | None:
-        """What a frame of this kind is answered with; None for nothing."""
+        """Answer to a frame of this kind; None for no answer."""
         if kind in self.layout:
             motors = self.layout[kind]
             if values:

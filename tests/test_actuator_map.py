@@ -190,7 +190,7 @@ def test_a_users_table_goes_before_the_built_in_one(tmp_path, monkeypatch):
 
 PERIOD = 0.01
 MARGIN = np.rad2deg(0.1)
-"""How far a command stays beyond the place of a contact [degrees]."""
+"""Distance of a command beyond the place of a contact [degrees]."""
 
 
 class Play:

@@ -66,7 +66,7 @@ class Stage:
         return np.array([command.pose for command in self.commands])
 
     def excess(self) -> dict[str, float]:
-        """How far the worst pair of commands goes beyond each limit, over the limit."""
+        """Relative excess of the worst pair of commands over each limit."""
         config, p, dt = self.clutch.config.wrist, self.poses, np.diff(self.times)[:, None]
         v = np.diff(p[:, :3], axis=0) / dt
         turned = poses.multiply(p[1:, 3:], poses.conjugate(p[:-1, 3:]))

@@ -52,7 +52,7 @@ def fast_retries(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def patiently(action: Callable[[], T], between: Callable[[], object] = int) -> T:
-    """What an action on the bus returns, retrying as a worker does: a busy machine is late."""
+    """Result of an action on the bus, retried as by a worker, since a busy machine is late."""
     for _ in range(5):
         with contextlib.suppress(WrongAnswerError):
             return action()
@@ -61,7 +61,7 @@ def patiently(action: Callable[[], T], between: Callable[[], object] = int) -> T
 
 
 def calm(sink: HardwareSink) -> bool:
-    """Whether the hand follows; its note may still count what went wrong before."""
+    """True if the hand follows; its note may still count earlier faults."""
     return not any(word in sink.note for word in ("approaches", "waiting", "retrying", "no answer"))
 
 
@@ -92,7 +92,7 @@ class Run:
         until(lambda: (self.tick is not None and self.sink.send(self.tick)) or done())
 
     def at(self, share: float) -> bool:
-        """Whether all servos are at a share of the joints' range."""
+        """True if all servos are at a share of the joints' range."""
         low, high = self.hand.limits.T
         wanted = dict(zip(self.hand.actuated_names, low + share * (high - low), strict=True))
         steps = {i: 2048 + wanted[str(i)] * 4096 / (2 * np.pi) for i in IDS}

@@ -1,4 +1,4 @@
-"""What drivers of real hands put on the wire, byte by byte, and what they make of the answers."""
+"""Drivers of real hands on the wire, byte by byte: their commands, and how they read answers."""
 
 import contextlib
 import importlib.util
@@ -472,7 +472,7 @@ def test_a_hand_that_is_not_calibrated_is_refused(hand, monkeypatch):
 
 
 class _Hand:
-    """What the driver calls of a hand of orca-core, with the current of its motors [mA]."""
+    """The part of a hand of orca-core that the driver uses, with the current of its motors [mA]."""
 
     last_read_ok, calibrated, absent_joints = True, True, ()
 

@@ -217,7 +217,7 @@ def sine(now: float) -> float:
 
 
 def slow(rows: list[tuple[float, np.ndarray, np.ndarray]]) -> bool:
-    """Whether no step between commands is longer than an approach allows."""
+    """True if every step between commands is as short as in an approach."""
     return bool((np.abs(np.diff([row for _, row, _ in rows], axis=0)) <= SLOW_STEP).all())
 
 

@@ -38,7 +38,7 @@ def loaded(name: str = "mimic_p050") -> Hand:
 def excess(
     hand: Hand, limits: LimitsConfig, times: Sequence[float], q: Sequence[np.ndarray]
 ) -> dict[str, float]:
-    """How far the worst pair of commands goes beyond each limit, over the limit; all joints.
+    """Relative excess of the worst pair of commands over each limit, of all joints.
 
     Velocity changes are held against the shorter of the step and the time between the middles of
     the step and the one before it.
@@ -226,13 +226,13 @@ SPAN = 8.0
 
 @dataclass
 class Played:
-    """What left: commands, and of those that answer a frame when it had come [s]."""
+    """Times of commands; time of a command that answers a frame -> arrival of the frame [s]."""
 
     commands: list[float] = field(default_factory=list)
     answered: dict[float, float] = field(default_factory=dict)
 
     def ages(self) -> np.ndarray:
-        """Of the frames when they were answered [s]."""
+        """Ages of the frames at their answers [s]."""
         return np.array([at - came for at, came in self.answered.items()])
 
 

@@ -31,7 +31,7 @@ def driven(
     noise: float = 0.0,
     moving: float = 1.0,
 ) -> MotionDelay:
-    """What a hand with a delay, read 60 times a second, gives."""
+    """Measured delay of a hand that is read 60 times a second."""
     found, count = MotionDelay(), len(hand.joint_names)
     random, base, state = np.random.default_rng(1), make_tick(hand), None
     for k in range(int(seconds * rate)):

@@ -41,7 +41,7 @@ from smooth_operator.teleop.ros2.source import HandPoseReader, Ros2Source
 from smooth_operator.teleop.ros2.transport import Endpoint, Transport, reach_of
 
 DOMAINS = (1 + (os.getpid() * 13 + i) % 100 for i in count())
-"""Of each test its own: a domain is a range of ports."""
+"""A domain, which is a range of ports, for each test."""
 LOCAL = {"network": "localhost"}
 
 

@@ -407,7 +407,7 @@ def test_what_teleop_says_of_mistakes(arguments, words, capsys, nothing_slow):
 
 @pytest.fixture
 def nothing_slow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is wrong is found before anything compiles, and before a page opens."""
+    """Mistakes are found before anything compiles, and before a page opens."""
 
     def compiled(*args: Any) -> Any:
         raise AssertionError("it compiles though something is wrong")

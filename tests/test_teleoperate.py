@@ -175,7 +175,7 @@ def test_a_sink_that_fails_is_in_the_summary_and_stops_no_other(caplog):
 
 
 class FakeLoop:
-    """What ``stopped_by`` needs of a loop."""
+    """The part of a loop that ``stopped_by`` uses."""
 
     def __init__(self) -> None:
         self.stops, self.supervisor = 0, SimpleNamespace(stopped=False)

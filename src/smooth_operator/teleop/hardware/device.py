@@ -116,8 +116,8 @@ class HandDevice(ABC):
             for name in settings:
                 if name not in names:
                     raise ConfigError(
-                        f"{self._table.file}: {self.driver} has no setting {name!r}; known: "
-                        f"{', '.join(names)}"
+                        f"{self._table.file}: {self.driver} has no setting {name!r}; expected one "
+                        f"of {', '.join(names)}"
                     )
 
     @contextlib.contextmanager

@@ -228,8 +228,8 @@ class HandWorker:
     def _lose(self, error: Exception) -> None:
         """Report the loss of the device, and wait before the next opening."""
         self.state = self.reading = None  # before the note reports the loss
-        known = error if isinstance(error, SinkError) else _described(error)
-        self.statistics.latest = self._trouble = str(known)
+        reason = error if isinstance(error, SinkError) else _described(error)
+        self.statistics.latest = self._trouble = str(reason)
         self.statistics.lost += 1
         self._close()
         with self._change:

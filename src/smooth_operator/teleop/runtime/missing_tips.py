@@ -63,9 +63,9 @@ class MissingTips:
         axis, bend = _turn(before, bone)
         length, rest = _LAST_BONE * _norm(bone), 0.0
         if tip in self._seen:
-            seen = np.diff(self._seen[tip][tip - 3 : tip + 1], axis=0)
-            (along, at_joint), (across, at_tip) = _turn(*seen[:2]), _turn(*seen[1:])
-            length = _norm(seen[2])
+            bones = np.diff(self._seen[tip][tip - 3 : tip + 1], axis=0)
+            (along, at_joint), (across, at_tip) = _turn(*bones[:2]), _turn(*bones[1:])
+            length = _norm(bones[2])
             rest = math.copysign(at_tip, float(along @ across)) - COUPLING * at_joint
         straight = bone / max(_norm(bone), 1e-9)
         angle = rest + COUPLING * bend if axis.any() else 0.0
