@@ -47,9 +47,9 @@ _NAMES: Final = 130  # width of the column of poses [px]
 _HEAD: Final = 24  # height of the row of methods [px]
 _GAP: Final = 8  # between methods [px]
 _PINCH: Final = 0.025  # largest distance of thumb and finger in a pinch, on the robot's scale [m]
-_TRIPOD: Final = 0.03  # the same of thumb, index and middle finger [m]
-_AWAY: Final = 0.65  # thumb to index finger, of the palm's length, of a thumb that is up
-_SMOOTH: Final = 5  # frames whose median counts: a tracker's single wrong frame is no pose
+_TRIPOD: Final = 0.03  # largest distance of thumb, index and middle finger in a tripod [m]
+_AWAY: Final = 0.65  # least distance of a raised thumb from the index, over the palm's length
+_SMOOTH: Final = 5  # frames of the median, which drops a tracker's single wrong frames
 _UNFOLDED: Final = 0.45  # extension from which a finger may pinch
 _HAND: Final = 0.19  # length of a human hand, as drawn [m]
 _TURN: Final = np.deg2rad(70.0)  # between the two views: no finger hides the others entirely
@@ -241,8 +241,8 @@ class HandPicture:
         """The two views side by side, each ``size`` by ``size`` pixels.
 
         Args:
-            frame: of ``common_frame``.
-            size: [px].
+            frame: result of ``common_frame``.
+            size: width and height of a view [px].
         """
         centres, half = frame
         views = zip(self.views, centres, strict=True)

@@ -130,10 +130,10 @@ def robot_landmarks(hand: Hand, joints: Float[np.ndarray, "T n"]) -> Float[np.nd
 
 def robot_bones(hand: Hand) -> list[tuple[int, int]]:
     """(parent, child) landmarks of the robot's skeleton, as far as the robot has them."""
-    has = {LANDMARKS.index(name) for name in hand.tree.names}
+    present = {LANDMARKS.index(name) for name in hand.tree.names}
     bones: list[tuple[int, int]] = []
     for base in BASES:
-        chain = [WRIST, *(i for i in range(base, base + 4) if i in has)]
+        chain = [WRIST, *(i for i in range(base, base + 4) if i in present)]
         bones += itertools.pairwise(chain)
     return bones
 
@@ -331,7 +331,7 @@ def latency_figure(
     height = 1.1 + 0.5 * len(times)
     figure = _figure((8.6, height))
     ax = figure.add_axes((0.17, 0.62 / height, 0.8, 1 - 0.95 / height))
-    spread = np.random.default_rng(0)  # where dots lie within a strip says nothing
+    spread = np.random.default_rng(0)  # the place of a dot within its strip has no meaning
     for row, (method, measured) in enumerate(times.items()):
         values = np.concatenate(measured)
         at50, at95, at99 = np.mean([np.percentile(v, (50, 95, 99)) for v in measured], axis=0)

@@ -91,7 +91,7 @@ def finger_metrics(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, dict[s
         metrics: result of ``evaluate``.
 
     Returns:
-        Finger name -> name of ``PER_FINGER`` -> value; None if it can't be measured, such as the
+        Finger name -> metric of ``PER_FINGER`` -> value; None if it can't be measured, such as the
         distance of the thumb from itself.
     """
     human, robot = trace.human_keyvectors, trace.robot_keyvectors
@@ -175,10 +175,10 @@ def measure_latency(
         advance: called as each cell is done.
 
     Returns:
-        One for each cell, in their order; with a reason where a method fails.
+        The latency of each cell, in their order; of a failed method, the reason.
     """
     runs = [_Run(cell, frames, seed) for cell in cells]
-    watch = Watch()  # building is over
+    watch = Watch()  # starts after the methods are built
     total = max((run.total for run in runs), default=0)
     for turn, start in enumerate(range(0, total, BLOCK)):
         first = turn % len(runs)
@@ -204,7 +204,7 @@ class _Run:
         try:
             self._retargeter = _built(cell, seed)
             self._state = self._retargeter.init()
-        except Exception as error:  # whatever a method does, the others go on
+        except Exception as error:  # a failed method must not stop the others
             self._fail(error)
 
     def go_on(self, start: int, stop: int) -> None:
@@ -260,7 +260,7 @@ class Watch:
 
     @staticmethod
     def load() -> float | None:
-        """Load average over the last minute; None where the system has none, as Windows."""
+        """Load average over the last minute; None on a system without one, such as Windows."""
         try:
             return os.getloadavg()[0]
         except (AttributeError, OSError):

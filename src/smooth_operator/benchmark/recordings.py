@@ -42,7 +42,7 @@ _TRACKER_OF: Final = {
     "hts": "headset",
     "egodex": "headset",
 }
-_NOTED: Final = ("side_assumed", "implausible_frames", "format")  # what a report reads of it
+_NOTED: Final = ("side_assumed", "implausible_frames", "format")  # entries that a report reads
 _RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
 _LENGTH = re.compile(r"(\d+(?:\.\d+)?)\s*cm", re.IGNORECASE)
 _SPEED = re.compile(r"(\d+(?:\.\d+)?)\s*x", re.IGNORECASE)
@@ -86,7 +86,7 @@ class Request:
         return f"{SYNTHETIC}:{self.seed}" if self.path is None else str(self.path.resolve())
 
     def operator(self) -> SyntheticOperator:
-        """The built-in operator that is asked for, with its tracker.
+        """The requested built-in operator with its tracker.
 
         Raises:
             ConfigError: the length of the hand or the tempo is outside its range.
@@ -112,7 +112,7 @@ class Source:
         recording: the frames.
         error: reason why there are no frames.
         frames: range of these frames in the file.
-        digest: SHA-256 of the frames; empty where there are none.
+        digest: SHA-256 of the frames; empty without frames.
     """
 
     request: Request
@@ -144,7 +144,7 @@ class Source:
 
     @property
     def facts(self) -> dict[str, object]:
-        """Facts for a reader of the results."""
+        """Properties of the recording for the results."""
         recording = self.recording
         return {
             "path": None if self.request.path is None else str(self.request.path),
@@ -169,7 +169,7 @@ def parse_request(
     """Parses a recording and its settings.
 
     Args:
-        text: see the module.
+        text: name and settings; see the docstring of this module.
         frames: default range of frames.
         rate: default rate.
         side: default side.
@@ -208,7 +208,7 @@ def parse_request(
                 "separated by commas"
             )
     if frames is not None:
-        frame_slice(frames, None)  # a text that is no range is refused before anything is read
+        frame_slice(frames, None)  # refuses an invalid range before anything is read
     if name == SYNTHETIC or name.startswith(f"{SYNTHETIC}:"):
         seed = name.partition(":")[2] or "0"
         if not (seed.isascii() and seed.isdigit()):
@@ -230,10 +230,10 @@ def load_sources(requests: Iterable[Request]) -> list[Source]:
     subfolders.
 
     Returns:
-        The sources in the requested order, without duplicates; unreadable ones have a reason.
+        The sources in the requested order, without duplicates; an unreadable one has a reason.
 
     Raises:
-        RecordingError: none of them can be read; the message has the reason of the first.
+        RecordingError: no recording can be read; the message has the reason of the first.
     """
     unique = dict.fromkeys(one for request in requests for one in _expanded(request))
     sources = [_load(request) for request in unique]
@@ -275,7 +275,7 @@ def unique_names(named: Sequence[tuple[str, Path | None]]) -> list[str]:
 
 
 def _ranged(name: str, source: Source) -> str:
-    """With the range of frames, where one was asked for: a part is not the whole."""
+    """The name, with the range of frames if the request has one."""
     if source.request.frames is None:
         return name
     if source.frames is None:
@@ -351,7 +351,7 @@ def _read(request: Request) -> HandRecording:
 
 
 def _suffix(request: Request) -> str:
-    """The part of a name that differs between the built-in operator's recordings of one seed."""
+    """Suffix that distinguishes the built-in operator's recordings of one seed."""
     length = "" if request.hand_length is None else f"+{1e2 * request.hand_length:g}cm"
     speed = "" if request.speed == 1.0 else f"+{request.speed:g}x"
     tracker = f"+{request.tracker}" if request.tracker else ""

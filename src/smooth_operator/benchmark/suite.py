@@ -70,7 +70,7 @@ def check_folder(
 
     Args:
         command: command whose earlier results may be in the folder.
-        former: origin of those, for the message.
+        former: origin of those results, for the message.
 
     Raises:
         OutputError: it is a file, or the folder contains anything other than such results.
@@ -241,7 +241,7 @@ def run_suite(
 
     Args:
         cells: result of ``plan_cells``.
-        reporter: is told what is done, and which kept cells can't be used.
+        reporter: reporter of the progress, and of stored cells that can't be used.
 
     Returns:
         The result of each cell, in their order.
@@ -302,7 +302,7 @@ def _to_keep(job: Job[Cell], result: TaskResult[Measured]) -> Measured | None:
     if result.value is None:
         return None
     source = job.task.source
-    # As `retarget` has them, so that `view` finds the frames again.
+    # The entries that `retarget` writes, so that `view` finds the frames.
     facts = {"source": source.facts, "rate": source.request.rate}
     return replace(
         result.value,
@@ -318,13 +318,13 @@ def _measure_latency(
     reporter: Reporter,
 ) -> None:
     settings = store.settings
-    # By hand first: its retargeters then serve one recording after the other.
+    # Sorted by hand, so that its retargeters serve one recording after the other.
     ordered = sorted(cells, key=lambda c: (c.hand, c.side, c.source.name))
     groups = [list(g) for _, g in groupby(ordered, lambda c: (c.hand, c.side, c.source.name))]
     todo = []
     for group in groups:
         loaded = [store.load_latency(cell) for cell in group]
-        # All of a group or none: figures that shall be compared are taken side by side.
+        # All of a group or none, since compared latencies must be measured side by side.
         if all(latency is not None for latency in loaded):
             latencies |= {c.key: ms for c, ms in zip(group, loaded, strict=True) if ms is not None}
         else:
@@ -358,7 +358,7 @@ _MOST_BYTES = 100_000_000  # a row for each cell, with a few kB
 
 
 def make_rows(finished: Iterable[Finished], settings: Settings) -> list[Row]:
-    """The rows, in the order of the cells."""
+    """Rows of the results, in the order of the cells."""
     return [_row(one, settings) for one in finished]
 
 

@@ -1,4 +1,4 @@
-"""A simulated camera: pictures of a hand under physics and of what it works on."""
+"""A simulated camera: pictures of a hand under physics and of its object."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from smooth_operator.simulation.physics import FURNISHED, HandPhysics
 from smooth_operator.simulation.renderer import open_renderer
 from smooth_operator.simulation.scenes.physics import ScenePhysics
 
-_DISTANCE_M: Final = 0.45  # from the camera to what it looks at
-_HAND_LENGTHS: Final = 2.0  # the same for a hand without a task, in lengths of the hand
-_SLANT: Final = np.radians(30.0)  # between the view of a hand without a task and its palm's normal
+_DISTANCE_M: Final = 0.45  # distance of the camera from the object [m]
+_HAND_LENGTHS: Final = 2.0  # distance from a hand without a task, in lengths of the hand
+_SLANT: Final = np.radians(30.0)  # angle between the view of such a hand and its palm's normal
 _TOO_COSTLY: Final = ("SHADOW", "REFLECTION")  # nine tenths of the time without a graphics card
 
 
@@ -26,9 +26,9 @@ class View:
     """Place of a camera; None follows from the hand and its task.
 
     Attributes:
-        azimuth: azimuth of the direction of view, as MuJoCo counts it [degrees].
-        elevation: likewise [degrees]; negative looks down.
-        distance: to what is looked at [m].
+        azimuth: azimuth of the direction of view, in MuJoCo's convention [degrees].
+        elevation: elevation of the direction of view [degrees]; negative looks down.
+        distance: distance from the point in the middle of the picture [m].
     """
 
     azimuth: float | None = None
@@ -37,16 +37,16 @@ class View:
 
 
 class SimulatedCamera:
-    """An off-screen camera that looks at a hand's object, or at the hand where there is no task.
+    """An off-screen camera that looks at a hand's object, or at the hand if there is no task.
 
-    It has a state of its own, so that the physics can go on in another thread. A picture must be
-    drawn on the thread that made the camera.
+    It has its own state, so the physics can go on in another thread. A picture must be drawn on the
+    thread that made the camera.
 
     Args:
         physics: the hand, and its scene if there is one.
         width: width of a picture [px].
         height: height of a picture [px].
-        view: where the camera is.
+        view: place of the camera.
 
     Raises:
         ConfigError: a size or distance is out of range; this machine can't draw with OpenGL.
@@ -64,7 +64,7 @@ class SimulatedCamera:
             raise ConfigError(f"camera: the distance must be 0.01 to 10 m, not {view.distance}")
         model = physics.model
         model.vis.quality.offsamples = 0  # antialiasing takes most of the time on a processor
-        if not isinstance(physics, ScenePhysics):  # whose world has its own light
+        if not isinstance(physics, ScenePhysics):  # a scene has its own light
             model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.4, 0.6
         self._model, self._data = model, mujoco.MjData(model)
         self._renderer = open_renderer(model, width, height)
@@ -78,10 +78,10 @@ class SimulatedCamera:
         self._camera.distance = distance if view.distance is None else view.distance
 
     def draw(self, qpos: Float[np.ndarray, " q"]) -> UInt8[np.ndarray, "h w 3"]:
-        """(height, width, 3) red, green and blue.
+        """(height, width, 3) picture: red, green and blue.
 
         Args:
-            qpos: (q,) positions of the physics' model: joints, object.
+            qpos: (q,) positions of the physics' model: joints and object.
         """
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
@@ -92,14 +92,14 @@ class SimulatedCamera:
         return np.array(self._renderer.render())
 
     def close(self) -> None:
-        """Give the OpenGL context back."""
+        """Release the OpenGL context."""
         self._renderer.close()
 
 
 def _aim(
     physics: HandPhysics, data: mujoco.MjData
 ) -> tuple[Float[np.ndarray, "3"], float, float, float]:
-    """Point that is looked at (3,) [m], azimuth and elevation [degrees], distance [m]."""
+    """(3,) point in the middle of the picture [m], azimuth, elevation [degrees], distance [m]."""
     if isinstance(physics, ScenePhysics):
         azimuth, elevation = physics.scene.view
         if physics.hand.spec.side == "left":

@@ -23,12 +23,10 @@ class SimulatedHand(Protocol):
     @property
     def positions(self) -> Float[np.ndarray, " n"]:
         """(n,) positions of all joints [rad], in the order of ``hand.joint_names``."""
-        ...
 
     @property
     def time(self) -> float:
         """Time of the state, by the clock of the loop [s]."""
-        ...
 
 
 class LiveSimulation(Protocol):
@@ -37,54 +35,41 @@ class LiveSimulation(Protocol):
     @property
     def task_now(self) -> str:
         """Name of the task; ``none`` for no task."""
-        ...
 
     @property
     def world_number(self) -> int:
-        """Changes with every scene that is built, and is 0 while there is none."""
-        ...
+        """Number that changes with every new scene; 0 without a scene."""
 
     def state(self, side: Side) -> SimulatedHand | None:
         """Current state of a hand, None without such a hand. Safe from any thread."""
-        ...
 
     def scene_state(self, side: Side) -> SceneState | None:
         """Current state of the object, None without a task or such a hand. Safe from any thread."""
-        ...
 
     def arm_base(self, side: Side) -> Matrix | None:
         """Pose (4, 4) of the base of the arm that carries a hand, in the scene around it; None
         without an arm or a task."""
-        ...
 
     def change_task(self, task: str) -> None:
         """Put another scene around the hands."""
-        ...
 
     def scene_of(self, side: Side) -> Scene:
         """The scene around a hand."""
-        ...
 
     def parts_of(self, side: Side) -> list[ScenePart]:
         """Shapes of platform and object, to draw."""
-        ...
 
     def hand_of(self, side: Side) -> Hand:
         """The robot hand of a side."""
-        ...
 
     def watch(self, side: Side, watcher: Watcher | None) -> None:
         """Call ``watcher`` after each step of the physics; None ends the calls."""
-        ...
 
     def reset_object(self, side: Side) -> int:
         """Put the object back to its start. Returns the number of the world from then on."""
-        ...
 
     def freeze(self, side: Side, frozen: bool) -> None:
         """Stop the physics and the clock of a hand and its scene, or let them go on."""
-        ...
 
     def put_away(self, side: Side) -> None:
         """Take the object out until it is put back."""
-        ...

@@ -245,7 +245,7 @@ class HandPhysics:
 
     @property
     def data(self) -> mujoco.MjData:
-        """Its state; to look at."""
+        """State of the model; callers only read it."""
         return self._data
 
     def restart(self) -> None:

@@ -21,8 +21,8 @@ _ADVICE: Final = (
 def draw_off_screen() -> None:
     """Makes MuJoCo draw by EGL or OSMesa on a Linux machine without a display.
 
-    MuJoCo chooses its OpenGL when it is imported, so this must come before. A choice in the
-    environment variable MUJOCO_GL stays.
+    MuJoCo chooses its OpenGL when it is imported, so call this before. A choice in the environment
+    variable MUJOCO_GL is kept.
 
     Raises:
         ConfigError: there is neither a display nor one of the two libraries.
@@ -37,7 +37,7 @@ def draw_off_screen() -> None:
 
 
 def _needs_a_display() -> bool:
-    """True where MuJoCo draws by a Linux display and there is none."""
+    """True if MuJoCo would draw on a Linux display and there is none."""
     choice = os.environ.get("MUJOCO_GL", "").strip().lower()
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     return sys.platform == "linux" and choice not in ("egl", "osmesa") and not display
@@ -59,7 +59,7 @@ def open_renderer(
     """
     import mujoco
 
-    if _needs_a_display():  # which MuJoCo would try to open, and may end the process
+    if _needs_a_display():  # MuJoCo would try to open it, which may end the process
         raise ConfigError(f"this machine can't draw with OpenGL: {_ADVICE}")
     model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
     model.vis.global_.offheight = max(model.vis.global_.offheight, height)

@@ -48,14 +48,14 @@ class SyntheticOperator:
         side: side of the hand; the left mirrors the right exactly.
         hand_length: distance from wrist to tip of the straight middle finger [m], 0.12 to 0.25.
             Adults have about 0.16 to 0.21.
-        rate_hz: frame rate [Hz]; None for the tracker's own.
+        rate_hz: frame rate [Hz]; None for the tracker's rate.
         gestures: gestures in order, from ``GESTURES``; repeated with new draws.
         speed: 1 is a natural tempo, with fingertips up to about 0.5 m/s; 2 doubles it as far as
             ``max_jerk`` allows.
         max_jerk: bound on the jerk of every joint angle except the DIPs, which stay below 2/3 of
             it [rad/s^3].
-        tracker: what the hand is seen through; a perfect tracker at 100 Hz by default.
-        wrist: motion of the whole hand; none by default.
+        tracker: tracker that sees the hand. Default: a perfect tracker at 100 Hz.
+        wrist: motion of the whole hand. Default: none.
 
     Raises:
         ConfigError: a setting is outside its range.
@@ -147,7 +147,7 @@ class SyntheticOperator:
             duration: length of the sequence [s]; None for an endless one.
 
         Raises:
-            ConfigError: as ``record``.
+            ConfigError: the duration is shorter than one frame, or not finite.
         """
         ticks = None if duration is None else self._ticks(duration)
         return (frame for block in self._blocks(ticks) for frame in block)

@@ -14,8 +14,8 @@ from smooth_operator.synthetic.hand_anatomy import NUM_JOINTS, draw_anatomy, mir
 def human_landmarks(hand: Hand, q: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T 21 3"]:
     """Landmarks of a robot hand in the layout of a human hand, in the palm frame.
 
-    A point that a robot finger lacks is put on the line between its neighbours. A finger that the
-    robot lacks is that of a flat synthetic hand, aligned to the robot's palm. Methods use neither,
+    A missing point of a robot finger is put on the line between its neighbours. A missing finger is
+    taken from a flat synthetic hand that is aligned to the robot's palm. Methods use neither,
     unless the hand's description makes a joint follow them.
 
     Args:

@@ -121,7 +121,7 @@ class ArmSpec:
 
     Attributes:
         name: name in the catalogue.
-        title: the maker's name of it.
+        title: the maker's name of the arm.
         links: the links, from the base.
         flange: distance of the flange from the last joint, along its z [m].
         base: capsules of the base, in its frame: z up, x forward.
@@ -391,7 +391,7 @@ class HandCapsules:
     Attributes:
         radii: (c,) radii [m].
         halves: (c,) half lengths of the segments [m].
-        fingers: (c,) whether a joint of the hand moves it.
+        fingers: (c,) mask of the capsules that joints of the hand move.
     """
 
     def __init__(self, mount: HandMount) -> None:

@@ -408,10 +408,10 @@ class ObjectVariation:
     """A variation of a task's object. The defaults change nothing.
 
     Attributes:
-        shift: (2,) of the object along x and y of the world [m].
+        shift: (2,) shift of the object along x and y of the world [m].
         turn: turn of the object about the vertical [rad].
         friction: factor of the object's friction.
-        mass: factor of its mass.
+        mass: factor of the object's mass.
     """
 
     shift: Float[np.ndarray, "2"] = field(default_factory=lambda: np.zeros(2))
@@ -420,7 +420,7 @@ class ObjectVariation:
     mass: float = 1.0
 
     def scene(self, scene: _S) -> _S:
-        """The scene with the object where it starts in this world."""
+        """The scene with the object at its start of this variation."""
         position, quaternion = scene.start
         shift = np.array([*self.shift, 0.0])
         about = np.array([np.cos(self.turn / 2), 0.0, 0.0, np.sin(self.turn / 2)])
@@ -429,22 +429,22 @@ class ObjectVariation:
         return replace(scene, start=(position + shift, turned))
 
     def prepare(self, physics: ScenePhysics) -> None:
-        """Give the object its friction and mass; once, before a trial."""
+        """Set friction and mass of the object; call it once, before a trial."""
         model = physics.model
         body = model.body(OBJECT).id
         own = np.flatnonzero(np.asarray(model.geom_bodyid) == body)
         model.geom_friction[own, :2] *= self.friction
         model.body_mass[body] *= self.mass
         model.body_inertia[body] *= self.mass
-        # What MuJoCo derives from masses; it also forgets what an object that still waits for the
-        # hand to leave its place will touch.
+        # mj_setConst derives values from masses. It also clears the collision masks of the bodies,
+        # which an object that still waits for the hand needs later.
         touches = [np.array(one) for one in (model.body_contype, model.body_conaffinity)]
         mujoco.mj_setConst(model, mujoco.MjData(model))
         model.body_contype[:], model.body_conaffinity[:] = touches
 
 
 def draw_variation(rng: np.random.Generator, scale: float = 1.0) -> ObjectVariation:
-    """A random variation, uniform within the benchmark's limits.
+    """Draws a random variation, uniform within the benchmark's limits.
 
     Args:
         scale: factor of all limits; 0 for the nominal object.

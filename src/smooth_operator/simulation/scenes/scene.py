@@ -318,9 +318,9 @@ def object_pose(
     """(7,) float32: position [m] and quaternion w x y z of the object, without jumps of sign.
 
     Args:
-        position: (3,) of the object in the world [m].
-        quaternion: (4,) w x y z of the object in the world.
-        reference: (4,) at the start; of q and -q the one that is nearer to it is taken.
+        position: (3,) position of the object in the world [m].
+        quaternion: (4,) rotation of the object, w x y z.
+        reference: (4,) rotation at the start. The result is the one of q and -q nearer to it.
     """
     sign = 1.0 if float(np.dot(quaternion, reference)) >= 0.0 else -1.0
     return np.concatenate([position, sign * quaternion]).astype(np.float32)
