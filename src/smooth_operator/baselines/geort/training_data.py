@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -17,6 +16,7 @@ from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.aligned_recording import align_recording
 from smooth_operator.retargeting.alignment import AlignmentConfig
+from smooth_operator.settings import check_numbers, check_range
 from smooth_operator.synthetic.operator import SyntheticOperator
 from smooth_operator.types import HandRecording, Side
 
@@ -88,29 +88,16 @@ class GeortTraining:
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
 
     def __post_init__(self) -> None:
-        for name, least in (("epochs", 1), ("batch", 1), ("reach", 1), ("seed", 0)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise ConfigError(
-                    f"{name} must be a whole number of at least {least}, not {value!r}"
-                )
-        for name in ("weight_decay", "direction", "coverage", "curvature", "pinch", "surround"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ConfigError(f"{name} must be finite and not negative, not {value!r}")
-        for name, most in (("learning_rate", 1.0), ("pinch_distance", 0.1)):
-            value = getattr(self, name)
-            if not 0 < value <= most:
-                raise ConfigError(f"{name} must be above 0 and at most {most:g}, not {value!r}")
-        if self.margin is not None and not 0 < self.margin <= 1:
-            raise ConfigError(
-                "margin must be above 0 and at most 1 m, or None for the whole workspace, "
-                f"not {self.margin!r}"
-            )
+        positive = ("epochs", "batch", "reach", "learning_rate", "pinch_distance", "margin")
+        check_numbers(self, positive=positive)
+        for name in ("epochs", "batch", "reach", "seed"):
+            if type(getattr(self, name)) is not int:
+                raise ConfigError(f"{name} must be a whole number, not {getattr(self, name)!r}")
+        for name, most in (("learning_rate", 1.0), ("pinch_distance", 0.1), ("margin", 1.0)):
+            check_range(name, getattr(self, name), 0.0, most)
         for name in ("ramp", "validation"):
-            value = getattr(self, name)
-            if not 0 <= value < 1:
-                raise ConfigError(f"{name} must be a fraction from 0 to below 1, not {value!r}")
+            if not getattr(self, name) < 1:
+                raise ConfigError(f"{name} must be below 1, not {getattr(self, name)!r}")
 
 
 REACH_POSES: Final = 65_536
