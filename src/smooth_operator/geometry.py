@@ -57,17 +57,17 @@ def umeyama(
 ) -> Similarity[AnyKind]:
     """Least-squares similarity of source onto target (Kabsch 1976; Umeyama 1991).
 
-    A reflection is never returned: where the best orthogonal matrix is one, the best rotation is.
-    Coplanar sets, such as three palm landmarks, are fine. There is no branch and no LAPACK call, so
-    the function compiles into the program around it on any device: the singular vectors come from
-    a fixed number of Jacobi rotations of the 3 x 3 Gram matrix, and the third pair from cross
+    The result is the best rotation, even if the best orthogonal matrix is a reflection. Coplanar
+    sets, such as three palm landmarks, are allowed. There is no branch and no LAPACK call, so the
+    function compiles into the program around it on any device: the singular vectors come from a
+    fixed number of Jacobi rotations of the 3 x 3 Gram matrix, and the third pair from cross
     products, which makes the result proper by construction.
 
     Args:
         source: (..., n, 3) points [m].
         target: (..., n, 3) corresponding points [m].
         scale: ratio of sizes to hold fixed; None estimates it.
-        weights: (..., n) how much each pair counts, 0 to leave one out; None for all alike.
+        weights: (..., n) weight of each pair; 0 leaves it out. None gives all the same weight.
 
     Returns:
         the transform. Check ``condition`` before using it: degenerate sets give a finite but
@@ -103,7 +103,7 @@ def umeyama(
     else:
         ratio = xp.broadcast_to(xp.asarray(scale, a.dtype), spread.shape)
     translation = centre_t - ratio[..., None] * _apply(rotation, centre_s, xp)
-    # Of coincident points only rounding is left, which has any shape.
+    # The differences of coincident points are rounding errors, which can have any shape.
     rounding = (4 * xp.finfo(a.dtype).eps) ** 2
     apart = spread > rounding * (source**2).sum(axis=(-2, -1))
     apart &= spread_t > rounding * (target**2).sum(axis=(-2, -1))
@@ -112,7 +112,7 @@ def umeyama(
 
 
 def smooth_step(share: Array) -> Array:
-    """The share, limited to 0 to 1, with level ends: 3 s^2 - 2 s^3 (Hermite)."""
+    """Hermite polynomial 3 s^2 - 2 s^3 of a share, clipped to 0 to 1; its ends are level."""
     share = jnp.clip(share, 0.0, 1.0)
     return share * share * (3 - 2 * share)
 

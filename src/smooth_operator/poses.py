@@ -29,10 +29,10 @@ _AFTER: Final = np.array([2, 0, 1])
 
 
 def axes(x: str, y: str, z: str) -> Float[np.ndarray, "3 3"]:
-    """A change of axes, from the names of our axes in the tracker's frame.
+    """Matrix that changes axes, from the names of our axes x, y and z in the tracker's frame.
 
     Args:
-        x: name of our x there: ``x``, ``y`` or ``z``, with a minus sign for the reversed axis.
+        x: axis of the tracker along our x: ``x``, ``y`` or ``z``, with a minus sign if reversed.
 
     Returns:
         (3, 3) matrix M with ours = M @ theirs; its determinant is -1 for a left-handed tracker.
@@ -58,11 +58,11 @@ WORLD_AXES: Final[Mapping[str, Float[np.ndarray, "3 3"]]] = MappingProxyType(
         "z_up_y_forward": axes("y", "-x", "z"),
     }
 )
-"""World axes of trackers: x forward, y left, z up, in each one's axes.
+"""World axes of trackers: our x (forward), y (left) and z (up), in the axes of each tracker.
 
 ``openxr`` is right-handed, y up, -z forward: OpenXR, WebXR, ARKit (visionOS), OpenVR (Vive
 trackers). ``unity`` is left-handed, y up, z forward. ``z_up_y_forward`` is right-handed, x right:
-libsurvive (Vive trackers), and what ``avp_stream`` makes of ARKit's. ``z_up`` is ours.
+libsurvive (Vive trackers) and ``avp_stream``. ``z_up`` is ours.
 """
 
 WRIST_AXES: Final[Mapping[str, Float[np.ndarray, "3 3"]]] = MappingProxyType(
@@ -74,7 +74,8 @@ WRIST_AXES: Final[Mapping[str, Float[np.ndarray, "3 3"]]] = MappingProxyType(
         "arkit_left": axes("x", "z", "-y"),
     }
 )
-"""Wrist axes of trackers: to the middle finger, z x x, out of the back of the hand, in each one's.
+"""Wrist axes of trackers: our x (to the middle finger), y (z cross x) and z (out of the back of the
+hand), in the axes of each tracker.
 
 ``openxr`` (XR_EXT_hand_tracking, WebXR): -z to the fingers, y out of the back, on both hands.
 ``unity`` (XR Hands): the same with z to the fingers, left-handed. ``arkit_right``, ``arkit_left``
@@ -88,13 +89,12 @@ def to_ours(
     world: Float[np.ndarray, "3 3"] = WORLD_AXES["openxr"],
     wrist: Float[np.ndarray, "3 3"] = WRIST_AXES["openxr"],
 ) -> Float[np.ndarray, "*n 7"]:
-    """Convert poses of a tracker's wrist in its world to poses of our wrist in our z-up world.
+    """Converts poses of a tracker's wrist in its world to poses of our wrist in our z-up world.
 
     Args:
-        poses: (..., 7) x y z [m], quaternion w x y z, of any length; left-handed ones as from the
-            tracker.
-        world: the tracker's world axes, of ``WORLD_AXES`` or from ``axes``.
-        wrist: its wrist axes, of ``WRIST_AXES`` or from ``axes``.
+        poses: (..., 7) x y z [m], quaternion w x y z of any length, as the tracker gives them.
+        world: the tracker's world axes, from ``WORLD_AXES`` or ``axes``.
+        wrist: its wrist axes, from ``WRIST_AXES`` or ``axes``.
 
     Raises:
         ConfigError: only one of the two is left-handed, so that no rotation maps one to the other.
@@ -118,14 +118,14 @@ def wrist_from_landmarks(
     landmarks: Float[np.ndarray, "*n 21 3"], side: Side
 ) -> Float[np.ndarray, "*n 7"]:
     """(..., 7) wrist frames of a hand without tracked orientation, from its palm's landmarks in a
-    z-up, right-handed world [m]; NaN if wrist, or index, middle or pinky MCP are missing or in
-    line."""
+    z-up, right-handed world [m]; NaN if the wrist or the index, middle or pinky MCP is missing, or
+    if they are collinear."""
     points = np.asarray(landmarks, np.float64)
     distal = _unit(points[..., 9, :] - points[..., 0, :])
     dorsal = _unit(np.cross(distal, points[..., 5, :] - points[..., 17, :]))
     dorsal = dorsal if side == "right" else -dorsal
     rotation = np.stack([distal, np.cross(dorsal, distal), dorsal], axis=-1)
-    flat = np.linalg.norm(dorsal, axis=-1) < 0.5  # points in line have no palm
+    flat = np.linalg.norm(dorsal, axis=-1) < 0.5  # collinear points
     rotation = np.where(flat[..., None, None], np.nan, rotation)
     return np.concatenate([points[..., 0, :], quaternions(rotation)], axis=-1)
 
@@ -141,20 +141,20 @@ def is_valid(poses: Float[np.ndarray, "*n 7"] | None) -> Bool[np.ndarray, "*n"]:
 
 
 def compose(a: Float[np.ndarray, "*n 7"], b: Float[np.ndarray, "*n 7"]) -> np.ndarray:
-    """``T_x_z`` of ``T_x_y`` and ``T_y_z``."""
+    """Pose ``T_x_z``, from ``T_x_y`` and ``T_y_z``."""
     return np.concatenate(
         [a[..., :3] + rotate(a[..., 3:], b[..., :3]), multiply(a[..., 3:], b[..., 3:])], axis=-1
     )
 
 
 def invert(pose: Float[np.ndarray, "*n 7"]) -> np.ndarray:
-    """``T_y_x`` of ``T_x_y``."""
+    """Pose ``T_y_x``, from ``T_x_y``."""
     back = conjugate(pose[..., 3:])
     return np.concatenate([-rotate(back, pose[..., :3]), back], axis=-1)
 
 
 def relative(a: Float[np.ndarray, "*n 7"], b: Float[np.ndarray, "*n 7"]) -> np.ndarray:
-    """``T_a_b`` of two poses in one frame: b as seen from a."""
+    """Pose ``T_a_b``, from the poses of a and b in one frame."""
     return compose(invert(a), b)
 
 
@@ -177,7 +177,7 @@ def matrices(poses: Float[np.ndarray, "*n 7"]) -> Float[np.ndarray, "*n 4 4"]:
 def is_rigid(matrix: Float[np.ndarray, "*n 4 4"]) -> Bool[np.ndarray, "*n"]:
     """True for each matrix that is a proper rotation and a position, up to rounding of float32."""
     rotation = matrix[..., :3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond any transform
+    with np.errstate(over="ignore", invalid="ignore"):  # huge numbers are not rigid
         gram = rotation @ np.swapaxes(rotation, -1, -2)
         good = (np.abs(gram - np.eye(3)) < _RIGID).all(axis=(-2, -1))
         good &= np.linalg.det(rotation) > 0
@@ -192,8 +192,8 @@ def from_matrices(matrix: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 
 
 
 def multiply(a: Float[np.ndarray, "*n 4"], b: Float[np.ndarray, "*n 4"]) -> np.ndarray:
-    """Product of quaternions: first b, then a."""
-    if a.ndim == b.ndim == 1:  # for the loop: arrays take five times as long for one pair
+    """Product of quaternions: rotates by b, then by a."""
+    if a.ndim == b.ndim == 1:  # in the live loop; arrays take five times as long for one pair
         w, x, y, z = a.tolist()
         e, f, g, h = b.tolist()
         return np.array(
@@ -223,13 +223,13 @@ def rotate(q: Float[np.ndarray, "*n 4"], points: Float[np.ndarray, "*n 3"]) -> n
 
 
 def _cross(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*n 3"]) -> np.ndarray:
-    """The cross product; a fifth of the time that NumPy's takes for one pair."""
+    """Cross product; for one pair five times as fast as NumPy's."""
     product: np.ndarray = a[..., _NEXT] * b[..., _AFTER] - a[..., _AFTER] * b[..., _NEXT]
     return product
 
 
 def rotation_vectors(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3"]:
-    """Axis times angle, 0 to pi [rad], of unit quaternions; q and -q give the same."""
+    """Axis times angle (0 to pi) of unit quaternions [rad]; q and -q give the same."""
     if q.ndim == 1:
         w, x, y, z = q.tolist()
         length = math.sqrt(x * x + y * y + z * z)
@@ -248,7 +248,7 @@ def rotation_vectors(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3"]:
 
 
 def from_rotation_vectors(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 4"]:
-    """Unit quaternions of axis times angle [rad]."""
+    """Unit quaternions, from axis times angle [rad]."""
     if vectors.ndim == 1:
         x, y, z = vectors.tolist()
         half = math.sqrt(x * x + y * y + z * z) / 2.0
@@ -257,7 +257,7 @@ def from_rotation_vectors(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarra
         factor = 0.5 * (math.sin(half) / half if half > _TINY else 1.0)
         return np.array([math.cos(half), factor * x, factor * y, factor * z])
     angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    # sinc keeps the limit at no rotation: sin(a / 2) / a = sinc(a / 2 pi) / 2
+    # sinc is defined without rotation: sin(a / 2) / a = sinc(a / 2 pi) / 2
     return np.concatenate(
         [np.cos(angle / 2.0), 0.5 * np.sinc(angle / (2.0 * np.pi)) * vectors], axis=-1
     )
