@@ -22,7 +22,6 @@ from cyclonedds.core import (
     WaitSet,
 )
 from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
@@ -176,7 +175,7 @@ def _take(
         return [RecordingError(f"a message of another type than {type_name(kind)}: {error}")]
     if not samples:
         return None
-    return [sample for sample in samples if not isinstance(sample, InvalidSample)]
+    return [sample for sample in samples if isinstance(sample, kind)]
 
 
 def _qos(reliability: Any, depth: int) -> Qos:
