@@ -112,7 +112,7 @@ def select_hands(names: tuple[str, ...]) -> tuple[str, ...]:
         except UnknownNameError:
             raise
         except SmoothOperatorError:
-            pass  # known, but of the other side only, or damaged: its cells say so
+            pass  # a hand of the other side only, or a damaged one: its cells have the reason
         chosen[name] = None
     if not chosen:
         raise ConfigError(f"name at least one hand: {', '.join(hand_names())}, or all")
@@ -176,7 +176,7 @@ def method_label(method: str, preset: str) -> str:
     """Name of a method in tables; the default preset is not shown."""
     try:
         default = next(iter(PRESETS[method]))
-    except SmoothOperatorError:  # of older results, or of a plugin that is gone
+    except SmoothOperatorError:  # a method of older results, or of a missing plugin
         default = ""
     return method if preset == default else f"{method}:{preset}"
 

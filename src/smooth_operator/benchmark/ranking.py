@@ -92,7 +92,7 @@ class Line:
 
     Attributes:
         method: name of the method.
-        values: metric name -> value, None where there is none.
+        values: metric name -> value; None for a missing value.
         failed: reason why there are no values; None if there are values.
         count: number of recordings over which the values are averaged.
         of: number of all recordings; if it is larger than ``count``, the line is not ranked.
@@ -314,7 +314,7 @@ class Use:
         name: the use.
         methods: the best methods, several if their values look the same; empty if no method
             qualifies.
-        figures: values behind the choice, or the reason why there is none.
+        figures: values behind the choice, or the reason why no method qualifies.
     """
 
     name: str

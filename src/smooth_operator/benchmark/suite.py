@@ -167,7 +167,7 @@ class BenchmarkFolder:
         self._latencies.keep(*self._latency(cell), content)
 
     def load_latency(self, cell: Cell) -> Latency | None:
-        """The latency of a cell, measured before on this kind of machine; None if there is none."""
+        """Stored latency of a cell from this kind of machine; None without one."""
         content = self._latencies.find(*self._latency(cell))
         if content is None:
             return None

@@ -46,7 +46,7 @@ def mesh_rods(
 def _within(
     edges: Float[np.ndarray, "e 2 3"], axis: int, low: float, high: float
 ) -> Float[np.ndarray, "n 3"]:
-    """Ends of what is left of the edges between two planes."""
+    """Ends of the parts of edges that lie between two planes."""
     first, last = edges[:, 0], edges[:, 1]
     run = last[:, axis] - first[:, axis]
     steep = np.where(np.abs(run) < _TINY, np.inf, run)

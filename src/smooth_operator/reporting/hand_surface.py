@@ -79,7 +79,7 @@ def landmark_surface(points: Float[np.ndarray, "21 3"]) -> Surface:
     """A hand as rods along its fingers and a palm between wrist and finger bases.
 
     Args:
-        points: (21, 3) landmarks [m]; NaN where there is none.
+        points: (21, 3) landmarks [m]; NaN for a missing one.
     """
     bases = [base for base in BASES if np.isfinite(points[base]).all()]
     chains = []

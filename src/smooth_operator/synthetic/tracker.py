@@ -169,7 +169,7 @@ class Ticks:
     lost: Bool[np.ndarray, "n 21"]
 
     def shown(self, landmarks: Float[np.ndarray, "n 21 3"]) -> Float[np.ndarray, "n 21 3"]:
-        """Where the tracker shows landmarks [m], whether or not it loses them."""
+        """Positions of the landmarks as the tracker shows them [m], including lost ones."""
         shown = np.array(landmarks)
         if any(self.model.pinch_gaps):
             palm = np.linalg.norm(shown[:, BASES[2]] - shown[:, WRIST], axis=-1)
