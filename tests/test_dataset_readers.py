@@ -286,7 +286,9 @@ def test_egohandkit_without_times_needs_a_rate(tmp_path):
     with pytest.raises(RecordingError, match="--rate"):
         clip_of(path, ReadingOptions())
     files.egohandkit_file(path, said={b"coordinate_system": b"opengl"})
-    with pytest.raises(RecordingError, match="coordinate_system = 'opengl'; 'opencv_x_right"):
+    with pytest.raises(
+        RecordingError, match="coordinate_system .* 'opencv_x_right.*', not 'opengl'"
+    ):
         clip_of(path)
 
 
@@ -357,11 +359,12 @@ def test_all_layouts_of_the_research_data_sets_are_listed():
     assert offered == set(RESEARCH_LAYOUTS)
 
 
+@pytest.mark.parametrize("tries", [6, pytest.param(24, marks=pytest.mark.weekly)])
 @pytest.mark.parametrize("layout", SWAPPED)
-def test_damaged_files_are_read_soundly_or_refused(tmp_path, layout):
+def test_damaged_files_are_read_soundly_or_refused(tmp_path, layout, tries):
     for library in ("h5py", "pyarrow"):
         pytest.importorskip(library, reason="needs extras")
     import hostile_datasets
 
     files = hostile_datasets.seeds(tmp_path)[layout]
-    assert hostile_datasets.outcomes(layout, files, tmp_path / "mutant", 12)
+    assert hostile_datasets.outcomes(layout, files, tmp_path / "mutant", tries)
