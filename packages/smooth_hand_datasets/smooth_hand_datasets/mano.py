@@ -1,8 +1,8 @@
-"""Parameters of MANO as smplx, manopth and HaMeR have them, in an ``.npz`` or a pickle.
+"""Parameters of MANO in the forms of smplx, manopth and HaMeR, in an ``.npz`` or a pickle.
 
 A file has one hand, with its side, or two: in tables ``right`` and ``left``, or with names that
-begin with ``right_`` and ``left_``. What numbers alone do not tell must stand in it: whether zeros
-are the flat hand (``flat_hand_mean``), and whether coefficients are those of principal components
+begin with ``right_`` and ``left_``. It must state what the numbers do not show: whether zeros are
+the flat hand (``flat_hand_mean``), and whether coefficients are those of principal components
 (``use_pca``). ``docs/reference/data-sets.md`` lists the names.
 """
 
@@ -44,16 +44,8 @@ _PLACE: Final = ("transl", "trans", "translation", "pred_cam_t_full")
 _HAND: Final = (*_ROOT, *_POSE, *_WHOLE, *_SHAPE, *_PLACE, "valid", "confidence")
 _SIDE: Final = ("side", "is_right", "is_rhand")
 _ABOUT: Final = (
-    *_SIDE,
-    "flat_hand_mean",
-    "use_pca",
-    "mirrored",
-    "center_idx",
-    "fps",
-    "framerate",
-    "timestamps",
-    "world",
-    "task",
+    *(*_SIDE, "flat_hand_mean", "use_pca", "mirrored", "center_idx"),
+    *("fps", "framerate", "timestamps", "world", "task"),
 )
 _WORLDS: Final = ("z_up", "openxr", "z_up_y_forward")
 _HEAD_BYTES: Final = 4 << 20
@@ -63,7 +55,7 @@ _RIGID: Final = 0.02
 class Mano:
     """Files with parameters."""
 
-    generic = True  # other layouts have such names, too: it is asked after them
+    generic = True  # other layouts have such names, too, so it is asked after them
     what = "parameters of MANO"
     expects = (
         "for each hand global_orient (T, 3), hand_pose (T, 45), betas (10,) and transl (T, 3), or "
@@ -71,7 +63,7 @@ class Mano:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it has names of a pose and a shape."""
+        """True if it has the names of a pose and a shape."""
         if not path.is_file():
             return False
         if path.suffix == ".npz":
@@ -91,11 +83,11 @@ class Mano:
         )
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The file."""
+        """List the file."""
         yield ClipRef(path.stem, path, layout="mano", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands."""
+        """Read the hands."""
         where = str(ref.path)
         names = {f"{start}{name}" for start in ("", "right_", "left_") for name in _HAND}
         names |= {f"{start}{name}" for start in ("", "right_", "left_") for name in _ABOUT}
@@ -132,10 +124,10 @@ def _complete(names: set[str]) -> bool:
 def _parts(
     held: dict[Any, Any], where: str, side: Side | None
 ) -> Iterator[tuple[Side, dict[str, Any]]]:
-    """The parameters of each hand, with what the file says of both.
+    """The parameters of each hand, and those that the file has for both.
 
     Args:
-        side: side of the hand, for a file with one that does not say it.
+        side: side of the hand, for a file with one hand that does not state its side.
     """
     body = body_parameters({"poses": getattr(held.get("poses"), "shape", ())})
     if body is not None:
@@ -193,7 +185,7 @@ class _Parameters:
     confidence: np.ndarray | None
 
     def placed(self, folder: Path | None, side: Side) -> PlacedHand:
-        """The hand; one seen in a mirrored picture is a right one, mirrored back."""
+        """Places the hand. A left hand of a mirrored image is a right one, mirrored back."""
         mirrored = self.mirrored and side == "left"
         model = load_model(folder, "right" if mirrored else side)
         if self.rotations_or_pose.ndim == 4:
@@ -207,7 +199,7 @@ class _Parameters:
             return model.place(turns, self.betas, self.translation, moves=moves)
         placed_hand = model.place(turns, self.betas, np.zeros_like(self.translation), moves=moves)
         points = placed_hand.landmarks * np.array([-1.0, 1.0, 1.0]) + self.translation[:, None]
-        with np.errstate(all="ignore"):  # of points beyond any hand, which are refused later
+        with np.errstate(all="ignore"):  # impossible points, which are refused later
             return PlacedHand(points, poses.wrist_from_landmarks(points, side))
 
 
@@ -250,7 +242,7 @@ def _parameters(part: Mapping[str, Any], where: str, side: Side) -> _Parameters:
 
 
 def _pose(part: Mapping[str, Any], label: str) -> tuple[np.ndarray, np.ndarray]:
-    """Root and fingers, both as axis times angle or coefficients, or both as matrices."""
+    """Root and fingers: both as axis times angle or coefficients, or both as matrices."""
     whole = next((part[key] for key in _WHOLE if part.get(key) is not None), None)
     if whole is not None:
         rows = array(whole, f"{label}, poses", (None, 48))

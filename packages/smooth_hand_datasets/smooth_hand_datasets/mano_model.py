@@ -1,8 +1,8 @@
-"""The MANO hand: from its parameters to 21 landmarks and the wrist's pose, in NumPy.
+"""The MANO hand: computes 21 landmarks and the wrist's pose from its parameters, in NumPy.
 
 J. Romero, D. Tzionas, M. J. Black: *Embodied Hands: Modeling and Capturing Hands and Bodies
-Together*, SIGGRAPH Asia 2017; https://mano.is.tue.mpg.de. The model files are the user's own: their
-licence forbids to pass them on. Of the 778 vertices only the five at the fingertips are skinned.
+Together*, SIGGRAPH Asia 2017; https://mano.is.tue.mpg.de. The user provides the model files,
+whose licence forbids redistribution. Only the five vertices at the fingertips are skinned.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PARENTS: Final = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
 """Parent of each of the 16 joints: wrist, index, middle, pinky, ring, thumb."""
 
 Tips: TypeAlias = Literal["manopth", "smplx"]
-"""Who says which vertices are the fingertips."""
+"""Library whose choice of fingertip vertices is used."""
 
 TIPS: Final[dict[tuple[Tips, Side], tuple[int, ...]]] = {
     ("manopth", "right"): (745, 317, 444, 556, 673),
@@ -34,7 +34,7 @@ TIPS: Final[dict[tuple[Tips, Side], tuple[int, ...]]] = {
     ("smplx", "right"): (744, 320, 443, 554, 671),
     ("smplx", "left"): (744, 320, 443, 554, 671),
 }
-"""Vertices at the tips of thumb, index, middle, ring and pinky, as the two libraries have them."""
+"""Vertices at the tips of thumb, index, middle, ring and pinky in the two libraries."""
 
 WHERE_FROM: Final = (
     "register at https://mano.is.tue.mpg.de, download 'Models & Code' (mano_v1_2.zip) and give the "
@@ -59,11 +59,11 @@ _KEYS: Final = (
 
 @dataclass(frozen=True, eq=False)
 class PlacedHand:
-    """Hands in a world.
+    """A hand in a world, frame by frame.
 
     Attributes:
-        landmarks: (T, 21, 3) [m], in the order of ``LANDMARKS``; NaN where a parameter was.
-        T_world_wrist: (T, 7) pose of the wrist, its axes those of this project.
+        landmarks: (T, 21, 3) [m], in the order of ``LANDMARKS``; NaN where a parameter is.
+        T_world_wrist: (T, 7) pose of the wrist, with the axes of this project.
     """
 
     landmarks: Float[np.ndarray, "T 21 3"]
@@ -77,10 +77,10 @@ class ManoModel:
     Attributes:
         side: side of the hand.
         template: (778, 3) vertices of the mean hand [m].
-        shape_directions: (778, 3, 10) how shape moves them.
+        shape_directions: (778, 3, 10) motion of the vertices with the shape.
         regressor: (16, 778) joints as means of vertices.
-        pose_directions: (778, 3, 135) how poses move vertices.
-        weights: (778, 16) which joints carry a vertex.
+        pose_directions: (778, 3, 135) motion of the vertices with the pose.
+        weights: (778, 16) share of each joint in a vertex.
         components: (45, 45) principal components of poses, as rows.
         mean: (45,) the mean pose [rad].
     """
@@ -94,7 +94,7 @@ class ManoModel:
     components: Float[np.ndarray, "45 45"]
     mean: Float[np.ndarray, "45"]
 
-    @np.errstate(all="ignore")  # numbers beyond any hand become NaN or are refused later
+    @np.errstate(all="ignore")  # impossible numbers become NaN or are refused later
     def rotations(
         self,
         root: Float[np.ndarray, "T 3"],
@@ -103,7 +103,7 @@ class ManoModel:
         pca: bool = False,
         flat_hand_mean: bool,
     ) -> Float[np.ndarray, "T 16 3 3"]:
-        """Rotations of the joints in their parents.
+        """Computes the rotations of the joints in their parents.
 
         Args:
             root: (T, 3) axis times angle of the whole hand [rad].
@@ -126,16 +126,16 @@ class ManoModel:
         tips: Tips = "smplx",
         template: Float[np.ndarray, "778 3"] | None = None,
     ) -> PlacedHand:
-        """Landmarks and wrists.
+        """Computes landmarks and wrists.
 
         Args:
             rotations: of the joints in their parents, the root's in the world.
-            betas: (10,) shape, or (T, 10) where it differs between frames.
+            betas: (10,) shape, or (T, 10) if it differs between frames.
             translation: [m].
-            moves: what is moved by it: the model's origin, as in smplx and manopth, or the wrist
-                joint, as with manopth's ``center_idx=0``.
-            tips: whose fingertips.
-            template: (778, 3) vertices of a hand that is known in person, in place of the mean.
+            moves: what the translation moves: the model's origin, as in smplx and manopth, or the
+                wrist joint, as with ``center_idx=0`` of manopth.
+            tips: library of the fingertips.
+            template: (778, 3) vertices of a measured hand, in place of the mean hand.
         """
         ids = list(TIPS[tips, self.side])
         shape = np.asarray(betas, np.float64).reshape(-1, 10)
@@ -154,7 +154,7 @@ class ManoModel:
             points[:, 16 + tip] += self.weights[ids[tip], joint] * (moved[:, joint] + carried)
         origin = moved[:, :1] if moves == "wrist" else 0.0
         landmarks = (points - origin + translation[:, None])[:, _ORDER]
-        # The bases of the fingers do not move in the hand, so its axes turn with the root.
+        # The bases of the fingers do not move in the hand, so the axes turn with the root.
         still = np.zeros((len(joints), 21, 3))
         still[:, :16] = joints
         axes = poses.wrist_from_landmarks(still[:, _ORDER], self.side)
@@ -202,15 +202,15 @@ def _quaternions(rotation: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "T 4
 
 
 def model_path(folder: Path | None, side: Side) -> Path:
-    """The user's model file of a side.
+    """Path of the user's model file of a side.
 
     Raises:
-        RecordingError: there is none; says where it comes from.
+        RecordingError: there is none; the message names the source.
     """
     name = f"MANO_{side.upper()}"
     if folder is None:
         raise RecordingError(
-            f"hands in MANO's parameters need its model, {name}.pkl, which may not be passed on: "
+            f"hands in MANO's parameters need {name}.pkl, which may not be redistributed: "
             f"{WHERE_FROM}, with --mano FOLDER (in Python: ReadingOptions(mano=...))"
         )
     places = [folder / inner for inner in ("", "models", "mano", "mano/models")]
@@ -222,18 +222,18 @@ def model_path(folder: Path | None, side: Side) -> Path:
 
 
 def load_model(folder: Path | None, side: Side, *, mirrored_shape: bool = False) -> ManoModel:
-    """The model of a side, from the user's file.
+    """Loads the model of a side from the user's file.
 
     Args:
-        folder: with ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl``, or the same as ``.npz``.
+        folder: folder with ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl``, or the same as ``.npz``.
         side: side of the hand.
-        mirrored_shape: True if the left hand's shape directions are the right one's mirror
-            image. In the published file their x is the right hand's own
+        mirrored_shape: True if the left hand's shape directions are the mirror image of the right
+            one's. In the published file, their x is that of the right hand
             (https://github.com/vchoutas/smplx/issues/48). Parameters that were fitted to that file
-            need it as it is; those of who mended it, as HOT3D did, need it mended.
+            need it unchanged; those of data sets that corrected it, as HOT3D, need it corrected.
 
     Raises:
-        RecordingError: there is no file, or it is no model of MANO.
+        RecordingError: there is no file, or it is not a model of MANO.
     """
     path = model_path(folder, side)
     model = _loaded(path, side, path.stat().st_mtime_ns)
@@ -243,8 +243,8 @@ def load_model(folder: Path | None, side: Side, *, mirrored_shape: bool = False)
     x = model.shape_directions[:, 0]
     if float(np.abs(x - right.shape_directions[:, 0]).sum()) >= _SAME:
         return model
-    mended = model.shape_directions * np.array([-1.0, 1.0, 1.0])[:, None]
-    return replace(model, shape_directions=mended)
+    mirrored = model.shape_directions * np.array([-1.0, 1.0, 1.0])[:, None]
+    return replace(model, shape_directions=mirrored)
 
 
 @functools.lru_cache(maxsize=8)
@@ -260,7 +260,7 @@ def _loaded(path: Path, side: Side, changed: int) -> ManoModel:
     if shapes.shape[2] < 10:
         raise RecordingError(f"{where}: its shape has {shapes.shape[2]} directions, not 10")
     if tuple(int(n) for n in tree[0][1:]) != PARENTS[1:]:
-        raise RecordingError(f"{where}: its joints are connected in another way than MANO's")
+        raise RecordingError(f"{where}: its joints are not connected as in MANO")
     model = ManoModel(
         side,
         part("v_template", _VERTICES, 3),
@@ -276,7 +276,7 @@ def _loaded(path: Path, side: Side, changed: int) -> ManoModel:
 
 
 def _check(model: ManoModel, where: str) -> None:
-    """Refuses a hand that is not in metres or is of the other side, by its shape."""
+    """Refuses a hand whose shape is not in metres, or is that of the other side."""
     joints = model.regressor @ model.template
     palm = float(np.linalg.norm(joints[4] - joints[0]))
     if not 0.05 < palm < 0.14:
@@ -291,5 +291,5 @@ def _check(model: ManoModel, where: str) -> None:
     side: Side = "right" if joints[4, 0] < joints[0, 0] else "left"
     if side != model.side:
         raise RecordingError(
-            f"{where}: by its shape it is a {side} hand; were the two files exchanged?"
+            f"{where}: judging by its shape, it is a {side} hand; were the two files exchanged?"
         )

@@ -1,10 +1,9 @@
 """Pickles of a few known classes: MANO's model files and the files of several data sets of hands.
 
 ``load_restricted`` reads them, also in ``.npy`` and ``.npz``, with an ``Unpickler`` that imports
-nothing: the names of NumPy's arrays, of sparse matrices, of chumpy's arrays and of PyTorch's
-tensors stand for classes of this module, whose numbers ``numbers`` gives. Every other name is
-refused. Files and what they unpack to are bounded by ``MOST_BYTES``; a file that is made to take
-more memory than that is not recognised.
+nothing: classes of this module replace the arrays of NumPy and chumpy, sparse matrices and tensors
+of PyTorch, and ``numbers`` returns their numbers. Every other name is refused. ``MOST_BYTES``
+limits files and what they unpack to; a pickle made to take more memory than that is not detected.
 """
 
 from __future__ import annotations
@@ -39,23 +38,22 @@ _NUMBERS: Final = re.compile(r"[<>=|]?(b1|i[1248]|u[1248]|f(2|4|8|16)|c8|c16|[SU
 
 
 class NotDataError(RecordingError):
-    """A pickle asks for a class or function that is refused, or is damaged, or too large."""
+    """A pickle names a refused class or function, is damaged, or is too large."""
 
 
 def load_restricted(path: Path, *, names: Collection[str] | None = None) -> Any:
-    """What a pickle, ``.npy`` or ``.npz`` holds, without running any code of it.
+    """Returns the content of a pickle, ``.npy`` or ``.npz``, without running any code of it.
 
     Args:
-        path: the file; what it is, its first bytes say.
-        names: names of the arrays of an ``.npz`` to read; None for all. Missing ones are
-            left out.
+        path: the file, which is recognised by its first bytes.
+        names: names of the arrays of an ``.npz`` to read; None for all. Missing ones are ignored.
 
     Returns:
-        The value of a pickle; the array of a ``.npy``, or what is in it, if it is an array of one
-        object; name -> such a value for an ``.npz``.
+        The value of a pickle; the array of a ``.npy``, or its object if it is an array of one
+        object; such values by name for an ``.npz``.
 
     Raises:
-        RecordingError: the file is missing, damaged, too large, or asks for what is no data.
+        RecordingError: the file is missing, damaged or too large, or names a refused class.
     """
     try:
         size = check_plain_file(path)
@@ -108,17 +106,17 @@ def array(
     finite: bool = False,
     batch: bool = False,
 ) -> np.ndarray:
-    """A value that must be numbers of a shape, as float64.
+    """Returns a value that must be numbers of a shape, as float64.
 
     Args:
-        value: what a file holds.
+        value: content of a file.
         where: the file and part, for messages.
-        shape: lengths; None where any will do.
+        shape: expected lengths; None for any.
         finite: True if numbers that are not finite are refused.
         batch: True if further axes of length one in front are dropped; models have such axes.
 
     Raises:
-        RecordingError: it is something else; says what was expected and what is there.
+        RecordingError: it is something else.
     """
     try:
         array = numbers(value)
@@ -140,7 +138,7 @@ def array(
 
 
 def text(value: Any, most: int = 200) -> str | None:
-    """A value as text, cut where it is long; None if it is no text."""
+    """Returns a value as text, cut to a length; None if it is not text."""
     if isinstance(value, bytes):
         value = value.decode("latin-1")
     if isinstance(value, np.ndarray) and value.shape == () and value.dtype.kind == "U":
@@ -149,7 +147,7 @@ def text(value: Any, most: int = 200) -> str | None:
 
 
 def numbers(value: Any) -> np.ndarray:
-    """The numbers of a value of a pickle, as float64 whatever held them.
+    """Returns the numbers of a value of a pickle as float64.
 
     Args:
         value: an array, a stand-in, a number, or lists of numbers up to three levels.
@@ -205,7 +203,7 @@ def _stored(item: StoredArray, where: str) -> Any:
     try:
         with item.open() as stream:
             data = stream.read(MOST_BYTES + 1)
-    except Exception as error:  # zipfile and the decompressors promise no list
+    except Exception as error:  # zipfile and the decompressors document no list of errors
         raise RecordingError(f"{where}: it is damaged or cut off ({_reason(error)})") from error
     if len(data) > MOST_BYTES:
         raise RecordingError(
@@ -223,23 +221,23 @@ def _reason(error: Exception) -> str:
 
 
 class _Unpickler(pickle.Unpickler):
-    """Gives stand-ins for the names of ``_ALLOWED``, chumpy and SciPy, and imports nothing."""
+    """Replaces names of ``_ALLOWED``, chumpy and SciPy by classes of this module; imports none."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """Stand-in for a class or function; chumpy and SciPy get a new one for each load.
+        """Returns the replacement of a class or function; a new one for chumpy and SciPy.
 
         Raises:
-            NotDataError: the name has no stand-in; the message gives the name.
+            NotDataError: the name is refused; the message has it.
         """
         whole = f"{_OLD_MODULES.get(module, module)}.{name}"
         if whole in _ALLOWED:
             return _ALLOWED[whole]
         if re.fullmatch(r"(chumpy|scipy\.sparse)(\.\w+)+", whole):
             return type("Stated", (_Stated,), {"name": whole})
-        raise NotDataError(f"it asks for {whole[:120]!r}, which is no data")
+        raise NotDataError(f"it names {whole[:120]!r}, which is not data")
 
     def persistent_load(self, pid: Any) -> Any:
-        """(element type, key, count) of a tensor's storage; nothing else is outside of a pickle."""
+        """(element type, key, count) of a tensor's storage, the only kind of external object."""
         _, kind, key, _, count, *view = pid
         if pid[0] != "storage" or any(view):
             raise NotDataError("its tensor is damaged")
@@ -247,21 +245,21 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _load(stream: io.BytesIO) -> Any:
-    """The value of the pickle at the place of a stream, which is behind it afterwards.
+    """Reads the pickle at the position of a stream.
 
     Raises:
-        NotDataError: it is damaged, or asks for a class or function that is refused.
+        NotDataError: it is damaged, or names a refused class or function.
     """
     try:
-        return _Unpickler(stream, encoding="latin1").load()  # of texts that Python 2 wrote
+        return _Unpickler(stream, encoding="latin1").load()  # for texts of Python 2
     except NotDataError:
         raise
-    except Exception as error:  # pickle promises no list
+    except Exception as error:  # pickle documents no list of errors
         raise NotDataError("it is damaged or cut off") from error
 
 
 class _Function:
-    """Stands for a function or class that a pickle calls, and can't be changed by a pickle."""
+    """Replaces a function or class that a pickle calls; a pickle can't change it."""
 
     def __init__(self, name: str, make: Callable[..., Any]) -> None:
         self.name, self._make = name, make
@@ -274,7 +272,7 @@ class _Function:
 
 
 class _Dtype:
-    """An element type: NumPy's own takes flags from a pickle unchecked."""
+    """An element type; that of NumPy takes flags from a pickle unchecked."""
 
     def __init__(self, code: Any, *_: Any) -> None:
         if not isinstance(code, str) or not _NUMBERS.fullmatch(code):
@@ -282,24 +280,24 @@ class _Dtype:
         self.value: np.dtype[Any] = np.dtype(code)
 
     def __setstate__(self, state: Any) -> None:
-        """Takes the order of bytes; fields and sub-arrays are not read."""
+        """Sets the order of bytes; fields and sub-arrays are refused."""
         if any(state[2:5]):
             raise NotDataError("it has an array of an element type that is not read")
         self.value = self.value.newbyteorder(state[1])
 
 
 class _Array(np.ndarray):
-    """An array, empty until its state has come.
+    """An array, empty until its state is set.
 
     Attributes:
-        objects: the objects of an array of them, which are not put into it.
+        objects: the objects of an array of objects, which are kept outside of it.
     """
 
     objects: list[Any] | None = None
     objects_shape: tuple[int, ...] = ()
 
     def __setstate__(self, state: Any) -> None:
-        """Takes shape, element type and bytes."""
+        """Sets shape, element type and bytes."""
         shape, dtype, fortran, raw = state[-4:]
         if dtype.value.hasobject:
             if len(raw) != math.prod(shape):
@@ -312,14 +310,14 @@ class _Array(np.ndarray):
 
 
 def _new_array(kind: Any, *_: Any) -> _Array:
-    """An empty array, as ``numpy.core.multiarray._reconstruct`` makes it."""
+    """An empty array, as from ``numpy.core.multiarray._reconstruct``."""
     if kind is not _ALLOWED["numpy.ndarray"]:
         raise NotDataError("it has an array of a kind that is not read")
     return np.ndarray.__new__(_Array, (0,), np.int8)
 
 
 def _from_buffer(raw: Any, dtype: Any, shape: Any = (), order: Any = "C") -> np.ndarray:
-    """An array of bytes that stand in the pickle, which must have just its length."""
+    """An array of bytes in the pickle, which must have exactly its length."""
     values = np.frombuffer(_bytearray(raw), dtype.value).reshape(_lengths(shape), order=order)
     if values.dtype.kind == "U":
         values.tolist()  # NumPy checks text only when it is read
@@ -330,7 +328,7 @@ def _lengths(shape: Any) -> tuple[int, ...]:
     """A shape of plain numbers that are not negative.
 
     Raises:
-        TypeError, ValueError: it is none.
+        TypeError, ValueError: the shape is invalid.
     """
     lengths = (shape,) if isinstance(shape, int) else tuple(shape)
     if not all(isinstance(n, int) and 0 <= n < 1 << 40 for n in lengths):
@@ -383,8 +381,8 @@ class _Stated:
         except (LookupError, TypeError, ValueError) as error:
             raise NotDataError(f"its array of {self.name[:80]} is damaged") from error
         raise NotDataError(
-            f"it has an array of {self.name[:80]}, which is not read; convert the file once to "
-            "plain arrays, as smplx does with tools/clean_ch.py"
+            f"it has an array of {self.name[:80]}, which is not supported; convert the file to "
+            "plain arrays first, as tools/clean_ch.py of smplx does"
         )
 
 
@@ -472,7 +470,7 @@ _ALLOWED: Final[dict[str, Any]] = {
     "collections.OrderedDict": OrderedDict,
     **{name: _Function(name, make) for name, make in _FUNCTIONS.items()},
 }
-"""Names that a pickle may ask for -> what stands for them."""
+"""Allowed names in a pickle -> their replacements."""
 
 _OLD_MODULES: Final = {
     "__builtin__": "builtins",

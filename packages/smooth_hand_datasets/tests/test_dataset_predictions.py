@@ -165,7 +165,7 @@ class Evil:
         ("pred_keypoints_3d", "it holds a str; expected frames"),
         ([{"frame": 10**7, "is_right": 1, "pred_keypoints_3d": 0}], "a frame's number"),
         ([{"frame": 900_000, "is_right": 1, "pred_keypoints_3d": np.zeros((21, 3))}], "memory"),
-        ([["pred_keypoints_3d", Evil()]], "which is no data"),
+        ([["pred_keypoints_3d", Evil()]], "which is not data"),
     ],
 )
 def test_different_files_are_refused(tmp_path, value, said):

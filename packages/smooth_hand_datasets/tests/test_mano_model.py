@@ -173,12 +173,12 @@ def test_different_models_are_refused(tmp_path, arrays):
         "b": ({"v_template": held["v_template"][:500]}, r"shape (778, 3) were expected, not (500"),
         "c": ({"weights": held["weights"] * 2}, "do not add up to one"),
         "d": ({"shapedirs": held["shapedirs"][..., :5]}, "5 directions"),
-        "e": ({"kintree_table": held["kintree_table"][:, ::-1]}, "connected in another way"),
+        "e": ({"kintree_table": held["kintree_table"][:, ::-1]}, "not connected as in MANO"),
         "f": ({"hands_mean": np.full(45, np.nan)}, "not finite"),
     }
     for name, (changed, said) in cases.items():
         assert said in refused(tmp_path / name, held, **changed)
-    assert "by its shape it is a left hand" in refused(tmp_path / "g", arrays["left"])
+    assert "judging by its shape, it is a left hand" in refused(tmp_path / "g", arrays["left"])
     del (short := dict(held))["posedirs"]
     assert "it lacks posedirs" in refused(tmp_path / "h", short)
 

@@ -239,7 +239,7 @@ def test_an_attack_is_refused(tmp_path, name):
     assert len(str(caught.value)) < 500
     assert not _ran(tmp_path).exists()
     if name in ("system", "eval", "exec", "popen", "import", "numpy", "stack global", "obj"):
-        assert "which is no data" in str(caught.value)
+        assert "which is not data" in str(caught.value)
 
 
 def test_messages_name_the_refused_class(tmp_path):
@@ -269,7 +269,7 @@ def test_the_reader_imports_nothing_that_a_file_names(tmp_path):
         [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=True
     )
     assert "RecordingError" in done.stdout
-    assert "'trap.x', which is no data" in done.stdout
+    assert "'trap.x', which is not data" in done.stdout
     assert done.stdout.strip().endswith("[]")
     assert not _ran(tmp_path).exists()
 
@@ -283,7 +283,7 @@ def test_attacks_within_numpy_files(tmp_path):
     nested[()] = {"a": np.array([{}], dtype=object)}
     np.save(tmp_path / "c.npy", nested, allow_pickle=True)
     for name in ("a.npy", "b.npz"):
-        with pytest.raises(RecordingError, match="no data"):
+        with pytest.raises(RecordingError, match="not data"):
             load_restricted(tmp_path / name)
     with pytest.raises(RecordingError, match="array of numbers, not of objects"):
         numbers(load_restricted(tmp_path / "c.npy")["a"])
