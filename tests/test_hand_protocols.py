@@ -426,14 +426,10 @@ def test_the_table_fits_our_model(side):
         assert commands == pytest.approx(bound.clip(commands), abs=0.1)
 
 
-def test_without_orca_core_the_extra_is_named(hand):
-    try:
-        import orca_core  # noqa: F401
-    except ImportError:
-        with pytest.raises(MissingExtraError, match="orca"):
-            OrcaSink().open({"right": hand}, {})
-    else:
-        pytest.skip("orca-core is installed")
+def test_without_orca_core_the_extra_is_named(hand, monkeypatch):
+    monkeypatch.setitem(sys.modules, "orca_core", None)
+    with pytest.raises(MissingExtraError, match="orca"):
+        OrcaSink().open({"right": hand}, {})
 
 
 def test_the_makers_mock_boots_approaches_and_is_read_back(hand, capsys, closing):
@@ -455,20 +451,6 @@ def test_the_makers_mock_boots_approaches_and_is_read_back(hand, capsys, closing
     assert sink.figures["wrong_answers"] == 0
     until(lambda: "it rests" in sink.note)
     assert capsys.readouterr().out == ""  # what the makers' library says is no result
-
-
-def test_a_hand_that_is_not_calibrated_is_refused(hand, monkeypatch):
-    core = pytest.importorskip("orca_core", reason="the extra orca (orca-core) is not installed")
-    real = core.load_hand
-
-    def uncalibrated(**options: object) -> object:
-        made = real(**options)
-        made.calibration = replace(made.calibration, calibrated=False)
-        return made
-
-    monkeypatch.setattr(core, "load_hand", uncalibrated)
-    with pytest.raises(SinkError, match="is not calibrated"):
-        OrcaSink(mock=True).open({"right": hand}, {})
 
 
 class _Hand:
@@ -510,21 +492,33 @@ class _Hand:
         pass
 
 
-@pytest.mark.parametrize(("limit", "current"), [(150.0, 150.0), (None, 400.0)])
-def test_the_limit_is_back_before_torque_that_was_off(monkeypatch, limit, current):
-    table = read_table(built_in_tables() / "orca_right.toml")
-    first = replace(table.actuators[0], limit=limit)
-    table = replace(table, limit=None, actuators=(first, *table.actuators[1:]))
-    hand = _Hand(table.names)
+@pytest.fixture
+def orca(monkeypatch) -> _Hand:
+    """The hand of a stand-in for orca-core."""
+    hand = _Hand(table("orca_right").names)
     core = types.ModuleType("orca_core")
     core.load_hand = lambda **_: hand
     monkeypatch.setitem(sys.modules, "orca_core", core)
-    device = OrcaSink().device(table)
+    return hand
+
+
+def test_a_hand_that_is_not_calibrated_is_refused(orca):
+    orca.calibrated = False
+    with pytest.raises(SinkError, match="is not calibrated"):
+        OrcaSink().device(table("orca_right")).open()
+
+
+@pytest.mark.parametrize(("limit", "current"), [(150.0, 150.0), (None, 400.0)])
+def test_the_limit_is_back_before_torque_that_was_off(orca, limit, current):
+    actuators = table("orca_right")
+    first = replace(actuators.actuators[0], limit=limit)
+    limited = replace(actuators, limit=None, actuators=(first, *actuators.actuators[1:]))
+    device = OrcaSink().device(limited)
     device.open()
-    commands = np.zeros(len(table.names))
+    commands = np.zeros(len(limited.names))
     device.write(commands)
     device.relax()
-    hand.current = 1750.0  # as a motor that restarted has it
+    orca.current = 1750.0  # as a motor that restarted has it
     device.write(commands)
-    assert hand.at_power == [current, current]
+    assert orca.at_power == [current, current]
     device.close()
