@@ -1,11 +1,11 @@
-"""Clips as FlashDexRetarget's ``import`` step leaves them, for its retargeting.
+"""Clips in the form of FlashDexRetarget's ``import`` step, for its retargeting.
 
 ::
 
     human_demo/CLIP.npz
     objects/OBJECT/visual.obj
 
-The clips are in tar shards, which are unpacked in the folder itself; meshes stand there already.
+Unpack the tar shards in the folder itself, which already has the meshes.
 
 ==========================  =============  ========================================================
 ``fps``                     ()             frames a second, the same for all clips
@@ -50,7 +50,7 @@ _JOINTS: Final = dict(
         for k, part in enumerate(_PARTS)
     )
 )
-"""Name of each joint -> its landmark; in the program's order."""
+"""Landmark of each joint, in the program's order."""
 
 
 class _Writer(FileShards):

@@ -1,7 +1,7 @@
-"""Human hands and objects without gaps, as SPIDER and FlashDexRetarget take them.
+"""Human hands and objects without gaps, for SPIDER and FlashDexRetarget.
 
-Both read hands of a z-up world at one number of frames a second, know no missing value, and keep
-the mesh of each object in a folder. Short gaps are filled by interpolation. The scene is moved
+Both programs read hands in a z-up world at one frame rate, accept no missing value, and keep the
+mesh of each object in a folder. Short gaps are filled by interpolation. The scene is moved
 along z so that the lowest point of the objects is on the floor, z = 0, if their meshes are known.
 """
 
@@ -28,19 +28,19 @@ from smooth_operator.formats.clip import CAMERA, SIDES, Clip, ObjectTrack
 from smooth_operator.types import Side
 
 MOST_MISSING: Final = 0.2
-"""Share of frames without a hand or an object that are filled by interpolation."""
+"""Largest share of frames without a hand or an object; these are filled by interpolation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A clip's hands and objects in a z-up world, at one rate, all known.
+    """A clip's hands and objects in a z-up world, at one rate, without missing values.
 
     Attributes:
-        points: side -> (T, 21, 3) landmarks [m].
-        wrists: side -> (T, 7) poses.
+        points: (T, 21, 3) landmarks [m] by side.
+        wrists: (T, 7) poses by side.
         objects: (T, 7) poses of each object, and the folder of its mesh, None without one.
-        holds: side -> number of the object that is nearest to the hand; none without objects.
-        filled: share of frames with something that was filled in.
+        holds: index of the object nearest to the hand, by side; empty without objects.
+        filled: share of frames with interpolated values.
     """
 
     points: Mapping[Side, Float[np.ndarray, "T 21 3"]]
@@ -51,7 +51,7 @@ class Scene:
 
 
 class FileShards(TarShards):
-    """Files at the paths that another program reads: in tar shards, or loose."""
+    """Files at the paths that another program reads, in tar shards or directly in the folder."""
 
     folder = "shards"
 
@@ -66,7 +66,7 @@ class FileShards(TarShards):
             super()._begin(number)
 
     def add_file(self, name: str, content: bytes) -> None:
-        """Adds a file to the shard, or puts it where it belongs."""
+        """Adds a file to the shard, or writes it to its place."""
         self._added += len(content)
         if self.options.loose:
             self._put(name, content)
@@ -92,12 +92,12 @@ class FileShards(TarShards):
     # The scene of a clip.
 
     def scene(self, clip: RobotClip, rate: float, folder: str) -> Scene:
-        """The hands that are tracked in the world, and the objects.
+        """Collects the hands that are tracked in the world, and the objects.
 
         Args:
             clip: the clip.
             rate: frames a second.
-            folder: where the meshes of objects go, in the output.
+            folder: folder of the objects' meshes in the output.
 
         Raises:
             RecordingError: hands are not known in a z-up world, too much is missing, or a mesh
@@ -119,7 +119,7 @@ class FileShards(TarShards):
                 continue
             world_points = landmarks_in_world(hand)
             good = np.isfinite(world_points).all(axis=(1, 2)) & poses.is_valid(hand.T_world_wrist)
-            if not good.any():  # a hand that is not in the clip
+            if not good.any():  # the hand is not in the clip
                 continue
             grid = _filled(human, good, f"the {side} hand")
             points[side] = grid.values(world_points[good])
@@ -148,7 +148,7 @@ class FileShards(TarShards):
         return Scene(points, wrists, tuple(tracks), holds, float(missing.mean()))
 
     def _mesh(self, item: ObjectTrack, folder: str) -> tuple[str, np.ndarray]:
-        """Folder of an object's mesh in metres, which is written once, and its convex hull."""
+        """Writes the mesh of an object once, in metres; returns its folder and convex hull."""
         assert item.mesh is not None
         key = (item.name, item.mesh.as_posix(), item.scale)
         if key not in self._meshes:
@@ -162,7 +162,7 @@ class FileShards(TarShards):
 
 
 def read_mesh(path: Path, scale: float) -> tuple[bytes, Float[np.ndarray, "n 3"]]:
-    """A mesh as Wavefront OBJ in metres, and the corners of its convex hull.
+    """Converts a mesh to Wavefront OBJ in metres; also returns the corners of its convex hull.
 
     Raises:
         RecordingError: it can't be read, or has no faces.
@@ -175,7 +175,7 @@ def read_mesh(path: Path, scale: float) -> tuple[bytes, Float[np.ndarray, "n 3"]
         hull = np.asarray(mesh.convex_hull.vertices, np.float64)
         lines = [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in np.asarray(mesh.vertices).tolist()]
         lines += [f"f {a} {b} {c}\n" for a, b, c in (np.asarray(mesh.faces) + 1).tolist()]
-    except Exception as error:  # trimesh promises no list of what damaged files raise
+    except Exception as error:  # trimesh documents no list of errors
         raise RecordingError(
             f"{path}: can't be read as the mesh of an object ({type(error).__name__}: "
             f"{reason(error)}); give an .obj, .ply, .stl or .glb file with faces"
@@ -184,22 +184,22 @@ def read_mesh(path: Path, scale: float) -> tuple[bytes, Float[np.ndarray, "n 3"]
 
 
 def _filled(human: Clip, good: np.ndarray, what: str) -> Grid:
-    """All frames of a clip among those where something is known.
+    """Interpolation of a hand or an object from its known frames to all frames of a clip.
 
     Raises:
-        RecordingError: it is not known in too many.
+        RecordingError: it is unknown in too many frames.
     """
     share = 1.0 - float(good.mean())
     if share > MOST_MISSING:
         raise RecordingError(
-            f"{human.name}: {what} is not known in {share:.0%} of the frames, at most "
-            f"{MOST_MISSING:.0%} are filled in; cut the clip where it is tracked"
+            f"{human.name}: {what} is not known in {share:.0%} of the frames, and at most "
+            f"{MOST_MISSING:.0%} are filled; cut the clip to the frames in which it is tracked"
         )
     return Grid.at(human.stamps[good], human.stamps)
 
 
 def _held(wrists: Mapping[Side, np.ndarray], tracks: list[np.ndarray]) -> dict[Side, int]:
-    """Which object each hand holds: the nearest on average, no object twice if there are enough."""
+    """Index of the object of each hand: the nearest on average, each object once if possible."""
     if not tracks:
         return {}
     sides = list(wrists)

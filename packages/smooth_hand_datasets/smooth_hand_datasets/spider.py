@@ -1,4 +1,4 @@
-"""Clips in the layout of SPIDER's keypoint stage, which its ``preprocess`` programs read.
+"""Clips in the layout of SPIDER's keypoint stage, for its ``preprocess`` programs.
 
 ::
 
@@ -6,8 +6,8 @@
     processed/NAME/mano/EMBODIMENT/TASK/0/trajectory_keypoints.npz
     processed/NAME/assets/objects/OBJECT/visual.obj
 
-EMBODIMENT is ``bimanual``, ``right`` or ``left``; TASK is the clip. The files are in tar shards,
-which are unpacked in the folder itself; meshes stand there already.
+EMBODIMENT is ``bimanual``, ``right`` or ``left``; TASK is the clip. Unpack the tar
+shards in the folder itself, which already has the meshes.
 
 =====================  ==========  ================================================================
 ``qpos_wrist_SIDE``    (T, 7)      wrist, x y z [m] and quaternion wxyz: z to the base of the
@@ -17,8 +17,8 @@ which are unpacked in the folder itself; meshes stand there already.
 ``qpos_obj_SIDE``      (T, 7)      the object of that hand
 =====================  ==========  ================================================================
 
-A hand or an object that the clip lacks is at zero with rotation 1 0 0 0. One object for both hands
-is the right one's. Source: https://github.com/facebookresearch/spider.
+A missing hand or object is at zero with rotation 1 0 0 0. One object of both hands counts as that
+of the right hand. Source: https://github.com/facebookresearch/spider.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from smooth_operator.io.jsonable import to_json
 _RATE: Final = 50.0  # ref_dt = 0.02, the default of SPIDER's programs
 _TIPS: Final = [4, 8, 12, 16, 20]
 _AXES: Final = np.array([0.0, 0.0, 0.0, *np.sqrt([0.5, 0.0, 0.5, 0.0])])
-"""Pose of SPIDER's wrist axes in ours: its x, y, z are our -z, y, x."""
+"""Pose of SPIDER's wrist axes in the project's: its x, y, z are -z, y, x."""
 
 
 class _Writer(FileShards):
@@ -93,7 +93,7 @@ class _Writer(FileShards):
 
 
 def _arrays(scene: Scene) -> tuple[dict[str, np.ndarray], dict[str, str | None]]:
-    """The arrays, and side -> folder of the mesh of its object."""
+    """The arrays, and the folders of the objects' meshes by side."""
     count = len(next(iter(scene.wrists.values())))
     arrays: dict[str, np.ndarray] = {}
     folders: dict[str, str | None] = {}
