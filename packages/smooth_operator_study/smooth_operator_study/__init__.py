@@ -1,6 +1,6 @@
 """User studies of retargeters: plan, console, store, power, analysis, report.
 
-A distribution of its own, which uses ``smooth_operator`` and adds the command ``study`` to it.
+A separate distribution that uses ``smooth_operator`` and adds the command ``study`` to it.
 """
 
 from smooth_operator.lazy_names import public_names

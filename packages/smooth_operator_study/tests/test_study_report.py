@@ -293,7 +293,9 @@ def test_a_refused_model_is_not_replaced_by_figures_of_the_published_one(tmp_pat
 
 
 def test_sentences_of_what_was_refused_have_minus_signs(tmp_path):
-    simulate(5, alternate=True, spread=0.0, effect=0.0, operators=range(6)).write(tmp_path)
+    two = ("dexpilot", "sbr")
+    case = simulate(5, alternate=True, spread=0.0, effect=0.0, operators=range(6), retargeters=two)
+    case.write(tmp_path)
     sentences = conclusion(analyze_study(read_study([tmp_path])))
     (success,) = [text for text in sentences if text.startswith("Success")]
     assert "working correlation −0." in success
