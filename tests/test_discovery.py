@@ -1,6 +1,7 @@
 """A hand is found in any model: by how it is built and moves, not by what it is called."""
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +29,7 @@ from smooth_operator import Point, load_hand
 from smooth_operator.cli.hands_add import Add
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError
 from smooth_operator.hand_discovery.discover import discover
-from smooth_operator.hand_discovery.landmarks import Discovery, Overrules
+from smooth_operator.hand_discovery.landmarks import UNSURE, Discovery, Overrules
 from smooth_operator.hand_discovery.skeleton import fingers_said, side_said, words
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.spec_file import read_hand_spec
@@ -515,6 +516,37 @@ def test_json_is_one_object_and_opens_no_page(tmp_path, folder, capsys):
     assert set(told["coupled"][0]) == {"joint", "follows", "multiplier", "offset", "confidence"}
     assert {"side", "palm", "thumb", "order"} <= set(told["confidence"])
     assert told["file"] == str(folder / "three.right.toml")
+
+
+def test_couple_makes_a_joint_follow_another(tmp_path, folder, capsys):
+    hand = make_hand(1, fingers=3)
+    path = written(tmp_path, urdf(hand.parts))
+    add(path, "--json", "--name", "free")
+    *_, leader, last = json.loads(capsys.readouterr().out)["fingers"][1]["joints"]
+    add(path, "--json", "--name", "led", "--couple", f"{last}={leader}*0.5-0.1")
+    (row,) = json.loads(capsys.readouterr().out)["coupled"]
+    assert (row["joint"], row["follows"], row["multiplier"]) == (last, leader, 0.5)
+    free, led = load_hand("free"), load_hand("led")
+    assert set(free.actuated_names) - set(led.actuated_names) == {last}
+    full = dict(zip(led.joint_names, led.full_configuration(led.neutral), strict=True))
+    assert full[last] == pytest.approx(0.5 * full[leader] - 0.1)
+    with pytest.raises(HandModelError, match=r"no joint 'nothing'; .* --couple"):
+        add(path, "--couple", f"{last}=nothing*0.5")
+    with pytest.raises(HandModelError, match="follows itself"):
+        add(path, "--couple", f"{last}={last}")
+
+
+def test_joints_that_nothing_moves_are_reported(tmp_path):
+    hand = make_hand(1, fingers=3)
+    last = discover(written(tmp_path, urdf(hand.parts))).fingers[1].joints[-1]
+    joints = re.findall(r'<joint name="([^"]+)"', text := mjcf(hand.parts))
+    motors = "".join(f'<position joint="{name}"/>' for name in joints if name != last)
+    text = text.replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>")
+    found = found_in(tmp_path, text, "model.xml")
+    assert sure(found, "coupled") < UNSURE
+    assert f"1 joints stand still, because they have no motor and follow no joint: {last}" in (
+        because(found, "coupled")
+    )
 
 
 def test_a_hand_of_that_name_is_not_replaced_unasked(tmp_path, folder, capsys):

@@ -12,7 +12,7 @@ from trees import limited_poses, mujoco_points, pincer, pincer_spec
 from smooth_operator import LANDMARKS, FingerSpec, HandSpec, Point, load_hand
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.hand import Hand, load_hand_spec
-from smooth_operator.hands.loading import Coupling
+from smooth_operator.hands.spec import Coupling
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 

@@ -24,7 +24,7 @@ from smooth_operator.hands.registry import (
     load_hand,
     user_hands_folder,
 )
-from smooth_operator.hands.spec import HandSpec, JointMap, Point
+from smooth_operator.hands.spec import Coupling, HandSpec, JointMap, Point
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.teleop.joint_rows import joint_rows
 from smooth_operator.teleop.pages.hand_page import HandPage
@@ -96,6 +96,7 @@ def test_written_files_are_read_back(tmp_path):
             JointMap("r-abd", 0.0),
         ),
         torque={"i1": 0.75, "r-abd": 2.0},
+        couplings=(Coupling("i2", "i1", 0.89, -0.1), Coupling("r-abd", "i2", -1.0, 0.0)),
         source='our lab, "Müller"\\ \u2028\x07',
     )
     write_hand_spec(spec, tmp_path / "a.toml", comment="made by hand\n\nfor a test")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -18,7 +19,10 @@ from smooth_operator.errors import ConfigError, SmoothOperatorError
 
 if TYPE_CHECKING:
     from smooth_operator.hand_discovery.landmarks import Discovery, Overrules
-    from smooth_operator.hands.spec import HandSpec, Point
+    from smooth_operator.hands.spec import Coupling, HandSpec, Point
+
+
+_NUMBER: Final = r"-?\d+\.?\d*(?:[eE][+-]?\d+)?"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +67,9 @@ Examples:
 
     wrist: Annotated[str | None, arg(metavar="BODY:x,y,z")] = None
     """Wrist: a body fixed to the palm, and a point in its frame [m]."""
+
+    couple: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="JOINT=LEADER*A+B")] = ()
+    """Joint without a motor, and the joint that it follows: index_dip=index_pip*0.89+0.1 [rad]."""
 
     overwrite: bool = False
     """Replace an existing spec file of that name and side."""
@@ -135,8 +142,23 @@ def _overrules(options: Add) -> Overrules:
         tips.append((finger, _point(place, f"--tip {text}")))
     wrist = None if options.wrist is None else _point(options.wrist, f"--wrist {options.wrist}")
     return Overrules(
-        palm=options.palm, thumb=options.thumb, fingers=fingers, tips=tuple(tips), wrist=wrist
+        palm=options.palm,
+        thumb=options.thumb,
+        fingers=fingers,
+        tips=tuple(tips),
+        wrist=wrist,
+        couplings=tuple(map(_coupling, options.couple)),
     )
+
+
+def _coupling(text: str) -> Coupling:
+    from smooth_operator.hands.spec import Coupling
+
+    joint, rest = _pair(text, "--couple", "JOINT=LEADER*A+B")
+    match = re.fullmatch(rf"(.+?)(?:\*({_NUMBER})([+-]{_NUMBER})?)?", rest)
+    assert match is not None  # the leader's name takes what is no number
+    leader, factor, offset = match.groups()
+    return Coupling(joint, leader, float(factor or 1.0), float(offset or 0.0))
 
 
 def _pair(text: str, option: str, form: str) -> tuple[str, str]:
@@ -294,7 +316,7 @@ def _print(discovery: Discovery, file: Path, used: Path, twin: str | None, whole
         for finding in discovery.unsure:
             say(f"  {finding.subject} ({finding.confidence:.2f}): {finding.overrule}")
     else:
-        say("To override a property: --side, --palm, --thumb, --finger, --tip, --wrist")
+        say("To override a property: --side, --palm, --thumb, --finger, --tip, --wrist, --couple")
     if used != discovery.spec.model:
         say(
             f"Copied the model and the files that it uses to {used.parent}. You may move or "

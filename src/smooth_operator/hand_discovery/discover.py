@@ -34,9 +34,9 @@ from smooth_operator.hand_discovery.motion import (
     sample_reach,
 )
 from smooth_operator.hand_discovery.skeleton import Skeleton, fingers_said, read_skeleton, side_said
-from smooth_operator.hands.loading import NO_ROOM, Coupling, shared_range
+from smooth_operator.hands.loading import NO_ROOM, driven_joints, shared_range
 from smooth_operator.hands.model_assets import model_path
-from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
+from smooth_operator.hands.spec import Coupling, FingerSpec, HandSpec, Point
 from smooth_operator.hands.spec_file import MOST_NAME
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side, as_side
@@ -105,7 +105,7 @@ def discover(
     path = Path(path)
     side = None if side is None else as_side(side)
     overrules = overrules or Overrules()
-    skeleton, notes = read_skeleton(path)
+    skeleton, notes = read_skeleton(path, overrules.couplings)
     branches = Branches(skeleton, tuple(where for _, where in overrules.fingers))
     if overrules.palm is not None:
         trees: tuple[HandTree, ...] = (branches.at(overrules.palm),)
@@ -193,9 +193,10 @@ def _described(
         align=_align(names),
         source=f"derived from {path.name}",
         neutral=neutral,
+        couplings=overrules.couplings,
     )
     moved = frozenset(j for chain in chains for j in chain.joints)
-    coupled, coupled_finding = find_couplings(skeleton, moved)
+    coupled, coupled_finding = find_couplings(skeleton, moved, overrules.couplings)
     assign = min(layout.order_confidence, layout.names_confidence)
     descriptions = tuple(
         FoundFinger(
@@ -378,17 +379,20 @@ def _name(path: Path) -> str:
 
 
 _DECLARED: Final = 0.95
+_NONE_DECLARED: Final = 0.9
+_IDLE: Final = 0.4  # joints that stand still may be coupled in the real hand
 _TENDON: Final = 0.7  # the file does not tell how the joints of a tendon share its travel
 _CONTRADICTED: Final = 0.3
 
 
 def find_couplings(
-    skeleton: Skeleton, joints: frozenset[int]
+    skeleton: Skeleton, joints: frozenset[int], given: tuple[Coupling, ...] = ()
 ) -> tuple[tuple[FoundCoupling, ...], Finding]:
     """Couplings among a hand's joints, and the finding about them.
 
     A coupling that leaves its follower no room has a low confidence: a sign in the file is wrong.
-    The loader has turned it if that gives the follower room.
+    The loader has turned it if that gives the follower room. A joint that neither a motor nor
+    another joint moves stands still, although the real one may be coupled.
     """
     names = {skeleton.joint_names[j] for j in joints}
     tendons = _on_tendons(skeleton)
@@ -398,7 +402,10 @@ def find_couplings(
             continue
         text = f"{c.joint} follows {c.follows}"
         confidence = _DECLARED
-        if c.joint in tendons:
+        if c in given:
+            confidence = 1.0
+            text += ", as given"
+        elif c.joint in tendons:
             confidence = _TENDON
             text += " on a tendon (its coefficients determine how the joints share its travel)"
         if c.turned:
@@ -412,13 +419,27 @@ def find_couplings(
             )
         couplings.append(FoundCoupling(c, confidence))
         notes.append(text)
-    overrule = "edit the model file"
-    if not couplings:
-        return (), Finding("coupled", "none", 0.9, ("the file declares no couplings",), overrule)
-    least = min(f.confidence for f in couplings)
-    return tuple(couplings), Finding(
-        "coupled", f"{len(couplings)} joints", least, (*notes, "as declared in the file"), overrule
-    )
+    overrule = "--couple JOINT=LEADER*A+B, or edit the model file"
+    least = min((f.confidence for f in couplings), default=_NONE_DECLARED)
+    notes.append("as declared in the file" if couplings else "the file declares no couplings")
+    if idle := _idle_joints(skeleton, joints):
+        least = _IDLE
+        notes.append(
+            f"{len(idle)} joints stand still, because they have no motor and follow no joint: "
+            f"{', '.join(idle)}"
+        )
+    value = f"{len(couplings)} joints" if couplings else "none"
+    return tuple(couplings), Finding("coupled", value, least, tuple(notes), overrule)
+
+
+def _idle_joints(skeleton: Skeleton, joints: frozenset[int]) -> list[str]:
+    """Joints of fingers that nothing moves, in a model whose other joints have motors."""
+    driven = driven_joints(skeleton.model)
+    if not driven & joints:
+        return []
+    followers = {c.joint for c in skeleton.couplings}
+    names = [skeleton.joint_names[j] for j in sorted(joints - driven)]
+    return [name for name in names if name not in followers]
 
 
 def _chain_notes(skeleton: Skeleton, tree: HandTree) -> Iterator[str]:

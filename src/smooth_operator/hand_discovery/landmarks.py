@@ -11,8 +11,7 @@ from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.branches import Chain
 from smooth_operator.hand_discovery.motion import Bending, Layout, Reach
 from smooth_operator.hand_discovery.skeleton import Placement, Skeleton, says_wrist
-from smooth_operator.hands.loading import Coupling
-from smooth_operator.hands.spec import FingerSpec, HandSpec, Point
+from smooth_operator.hands.spec import Coupling, FingerSpec, HandSpec, Point
 from smooth_operator.landmarks import FINGERS
 
 SURE: Final = 0.8
@@ -134,6 +133,7 @@ class Overrules:
             a model has more than five fingers, only these are used.
         tips: pairs of a human finger and the fingertip.
         wrist: the wrist point.
+        couplings: joints that follow another one.
 
     Raises:
         HandModelError: a finger is not a human one, or is named twice.
@@ -144,6 +144,7 @@ class Overrules:
     fingers: tuple[tuple[str, str], ...] = ()
     tips: tuple[tuple[str, Point], ...] = ()
     wrist: Point | None = None
+    couplings: tuple[Coupling, ...] = ()
 
     def __post_init__(self) -> None:
         for what, pairs in (("finger", self.fingers), ("tip", self.tips)):

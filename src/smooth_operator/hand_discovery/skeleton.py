@@ -18,9 +18,9 @@ import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError, require
-from smooth_operator.hands.loading import Coupling, load_model
+from smooth_operator.hands.loading import load_model, merged_couplings
 from smooth_operator.hands.model_assets import read_model_files, read_model_xml
-from smooth_operator.hands.spec import Point
+from smooth_operator.hands.spec import Coupling, Point
 from smooth_operator.io.plain_files import is_folder
 from smooth_operator.types import Side
 
@@ -196,7 +196,7 @@ class Skeleton:
                 raise HandModelError(
                     f"joint {c.joint!r} should follow {c.follows!r}, but the model has no "
                     f"joint {absent!r}; correct the name in the file's mimic or equality "
-                    "element"
+                    "element, or in --couple"
                 )
             direct[index[c.joint]] = (index[c.follows], c.multiplier, c.offset)
         resolved = {}
@@ -207,7 +207,7 @@ class Skeleton:
                 if leader in visited:
                     raise HandModelError(
                         f"joint {self.joint_names[joint]!r} follows itself through other "
-                        "joints; remove one of the couplings from the file"
+                        "joints; remove one of the couplings"
                     )
                 visited.add(leader)
                 leader, further, shift = direct[leader]
@@ -296,11 +296,14 @@ class Skeleton:
 _UNIQUE: Final = {"robot": ("link", "joint"), "mujoco": ("body", "joint", "site")}
 
 
-def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
+def read_skeleton(
+    path: Path, couplings: tuple[Coupling, ...] = ()
+) -> tuple[Skeleton, tuple[str, ...]]:
     """Reads a model.
 
     Args:
         path: URDF or MJCF file.
+        couplings: joints that follow another one, in place of what the file says of them.
 
     Returns:
         The skeleton, and notes for the user, such as on missing meshes.
@@ -372,7 +375,8 @@ def read_skeleton(path: Path) -> tuple[Skeleton, tuple[str, ...]]:
             "instead"
         )
     shapes_of = {b: tuple(shapes) for b, shapes in clouds.items()}
-    return Skeleton(model, loaded.couplings, shapes_of, pinned), tuple(notes)
+    merged = merged_couplings(loaded.couplings, couplings)
+    return Skeleton(model, merged, shapes_of, pinned), tuple(notes)
 
 
 def _parse(path: Path) -> ElementTree.Element:

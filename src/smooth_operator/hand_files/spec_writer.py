@@ -86,6 +86,12 @@ def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:
         yield "[torque] # N m"
         for joint, torque in spec.torque.items():
             yield f"{toml_key(joint)} = {toml_value(torque)}"
+    for coupling in spec.couplings:
+        yield ""
+        yield f"[couplings.{toml_key(coupling.joint)}]"
+        yield f"follows = {toml_value(coupling.follows)}"
+        yield f"multiplier = {toml_value(coupling.multiplier)}"
+        yield f"offset = {toml_value(coupling.offset)} # rad"
     for row in spec.joint_map:
         yield ""
         yield f"[joint_map.{toml_key(row.joint)}]"

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.kinematics import KinematicTree, build_tree
-from smooth_operator.hands.loading import Coupling, driven_joints, load_model
-from smooth_operator.hands.spec import HandSpec, Point
+from smooth_operator.hands.loading import driven_joints, load_model, merged_couplings
+from smooth_operator.hands.spec import Coupling, HandSpec, Point
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
 
 _SHAPES: Final = (
@@ -216,7 +216,8 @@ def load_hand_spec(spec: HandSpec) -> Hand:
         UnknownNameError: the description names a body or joint that the model lacks.
     """
     loaded = load_model(spec.model, mirror=spec.mirror)
-    model, couplings = loaded.model, loaded.couplings
+    model = loaded.model
+    couplings = merged_couplings(loaded.couplings, spec.couplings)
     palm = _body(model, spec.palm)
     own = own_joints(model, palm)
     tree = build_tree(model, palm, landmark_points(model, spec), own)

@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.mujoco_messages import MUJOCO_ERRORS, refused
+from smooth_operator.hands.spec import Coupling
 
 if TYPE_CHECKING:
     import xml.etree.ElementTree as ElementTree
@@ -31,20 +32,6 @@ MODELS: Final = Path(__file__).parent / "models"
 NO_ROOM: Final = 0.25
 """``shared_range`` below which a coupling is a mistake in the file."""
 _ROOM: Final = 0.75  # ``shared_range`` above which the coupling of the other sign is the right one
-
-
-@dataclass(frozen=True)
-class Coupling:
-    """A joint that follows another: q[joint] = multiplier * q[follows] + offset.
-
-    ``turned`` is True if the file has the other sign, which the joints' limits make impossible.
-    """
-
-    joint: str
-    follows: str
-    multiplier: float
-    offset: float
-    turned: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,6 +230,14 @@ def _urdf_mimics(root: ElementTree.Element, path: Path) -> tuple[Coupling, ...]:
                 )
             couplings.append(Coupling(name, mimic.get("joint", ""), multiplier, offset))
     return tuple(couplings)
+
+
+def merged_couplings(
+    declared: tuple[Coupling, ...], given: tuple[Coupling, ...]
+) -> tuple[Coupling, ...]:
+    """Couplings of a model file, with those of a description in place of the same joints'."""
+    joints = {coupling.joint for coupling in given}
+    return (*(coupling for coupling in declared if coupling.joint not in joints), *given)
 
 
 def _possible(model: mujoco.MjModel, coupling: Coupling) -> Coupling:

@@ -69,6 +69,20 @@ class FingerSpec:
 
 
 @dataclass(frozen=True)
+class Coupling:
+    """A joint that follows another: q[joint] = multiplier * q[follows] + offset.
+
+    ``turned`` is True if the file has the other sign, which the joints' limits make impossible.
+    """
+
+    joint: str
+    follows: str
+    multiplier: float
+    offset: float
+    turned: bool = False
+
+
+@dataclass(frozen=True)
 class JointMap:
     """Map from human joint angles to one joint: position = offset + sum of gain x angle.
 
@@ -110,6 +124,7 @@ class HandSpec:
             get a map by measuring the hand, which needs all four points of their finger.
         torque: torque limit of the motors [N m] by their maker: one number for all joints, or
             joint name -> torque; unknown for other joints, and with None for all.
+        couplings: joints that follow another one, in place of what the model file says of them.
         source: source of the figures, as a text.
     """
 
@@ -124,6 +139,7 @@ class HandSpec:
     mirror: bool = False
     joint_map: tuple[JointMap, ...] = ()
     torque: float | Mapping[str, float] | None = None
+    couplings: tuple[Coupling, ...] = ()
     source: str = ""
 
     @property
@@ -163,12 +179,13 @@ class HandSpec:
                     f"hand {self.name!r}: the torque of {joint!r} must be above 0 and below "
                     f"{_MOST_TORQUE:g} N m, not {torque}"
                 )
-        mapped = [row.joint for row in self.joint_map]
-        if twice := sorted({joint for joint in mapped if mapped.count(joint) > 1}):
-            raise HandModelError(
-                f"hand {self.name!r}: joint_map has more than one row for {twice}; keep one "
-                "row per joint"
-            )
+        for table, rows in (("joint_map", self.joint_map), ("couplings", self.couplings)):
+            named = [row.joint for row in rows]
+            if twice := sorted({joint for joint in named if named.count(joint) > 1}):
+                raise HandModelError(
+                    f"hand {self.name!r}: {table} has more than one row for {twice}; keep one "
+                    "row per joint"
+                )
 
 
 FingerChoice: TypeAlias = Mapping[str, str] | Sequence[str]

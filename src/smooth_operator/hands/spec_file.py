@@ -28,6 +28,11 @@
     [torque]                            # optional: joint -> torque limit of its motor [N m];
     i1 = 0.7                            # or, before the tables: torque = 0.7, for all joints
 
+    [couplings.i2]                      # optional: i2 = multiplier * i1 + offset [rad]
+    follows = "i1"
+    multiplier = 0.89
+    offset = 0.0
+
     [joint_map.i1]                      # optional: map from human joint angles to a joint
     offset = 0.0
     gains = { index_mcp = 1.0 }
@@ -44,7 +49,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import HandModelError, brief
-from smooth_operator.hands.spec import FingerSpec, HandSpec, JointMap, Point
+from smooth_operator.hands.spec import Coupling, FingerSpec, HandSpec, JointMap, Point
 from smooth_operator.io.entries import Entries, read_entries
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.types import Side
@@ -117,12 +122,14 @@ def _spec(entries: Entries, folder: Path) -> HandSpec:
         "neutral",
         "torque",
         "joint_map",
+        "couplings",
     )
     side: Side = entries.choice("side", ("right", "left"))
     fingers = entries.table("fingers")
     fingers.only(*FINGERS)
     neutral = entries.table("neutral", {})
     rows = entries.table("joint_map", {})
+    couplings = entries.table("couplings", {})
     more: dict[str, Any] = {}
     if "align" in entries.names:
         more["align"] = tuple(entries.texts("align", what="names of fingers or 'wrist'"))
@@ -137,6 +144,7 @@ def _spec(entries: Entries, folder: Path) -> HandSpec:
         mirror=entries.flag("mirror", False),
         joint_map=tuple(_row(rows.table(joint), joint) for joint in rows.names),
         torque=_torque(entries),
+        couplings=tuple(_coupling(couplings.table(name), name) for name in couplings.names),
         source=entries.text("source", "", lines=True),
         **more,
     )
@@ -171,6 +179,14 @@ def _point(entries: Entries) -> Point:
             "offset", f"{list(offset)} is more than a metre; offsets must be in metres"
         )
     return Point(entries.text("body", empty=False, lines=True), offset)
+
+
+def _coupling(entries: Entries, joint: str) -> Coupling:
+    entries.only("follows", "multiplier", "offset")
+    follows = entries.text("follows", empty=False, lines=True)
+    return Coupling(
+        joint, follows, entries.number("multiplier", 1.0), entries.number("offset", 0.0)
+    )
 
 
 def _row(entries: Entries, joint: str) -> JointMap:
