@@ -408,6 +408,12 @@ def find_couplings(
         elif c.joint in tendons:
             confidence = _TENDON
             text += " on a tendon (its coefficients determine how the joints share its travel)"
+        if c.error:
+            confidence = min(confidence, _TENDON)
+            text += (
+                f"; a line replaces the polynomial in the file, with an error of up to "
+                f"{np.degrees(c.error):.1f}°"
+            )
         if c.turned:
             confidence = _CONTRADICTED
             text += f" with the factor {c.multiplier:g}: {_turned(c)}"

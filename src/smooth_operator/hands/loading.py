@@ -31,6 +31,8 @@ MODELS: Final = Path(__file__).parent / "models"
 
 NO_ROOM: Final = 0.25
 """``shared_range`` below which a coupling is a mistake in the file."""
+_SAMPLES: Final = 101  # positions at which a polynomial coupling is compared with a line
+_LEAST_RATIO: Final = 1e-6  # of a joint that follows another
 _ROOM: Final = 0.75  # ``shared_range`` above which the coupling of the other sign is the right one
 
 
@@ -278,7 +280,8 @@ def shared_range(
 def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
     """Couplings from joint equalities, q1 - q1_0 = c0 + c1 (q2 - q2_0) + ...
 
-    The joint without an actuator follows.
+    The joint without an actuator follows. A line replaces a polynomial of higher degree, the one
+    with the least squares over the range of its joint.
     """
     actuated = _actuated(model)
     couplings = []
@@ -288,17 +291,30 @@ def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
         first, second = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
         names = [model.joint(j).name for j in (first, second) if j >= 0]
         c0, c1, *higher = (float(c) for c in model.eq_data[i, :5])
-        if second < 0 or c1 == 0 or any(higher):
-            raise HandModelError(
-                f"the coupling of joints {names} is not linear, q1 = a + b q2 with b != 0; "
-                "only linear couplings are supported"
-            )
         zero1, zero2 = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (first, second))
+        error = 0.0
+        if any(higher) and second >= 0 and model.jnt_limited[second]:
+            leader = np.linspace(*model.jnt_range[second], _SAMPLES) - zero2
+            follower = np.polynomial.polynomial.polyval(leader, (c0, c1, *higher))
+            c0, c1 = np.polynomial.polynomial.polyfit(leader, follower, 1).tolist()
+            error = float(np.abs(c0 + c1 * leader - follower).max())
+        elif any(higher):
+            raise HandModelError(
+                f"the coupling of joints {names} is a polynomial, but {names[-1]!r} has no limits "
+                "within which a line could replace it; add them to the file"
+            )
+        if second < 0 or abs(c1) < _LEAST_RATIO:
+            raise HandModelError(
+                f"the coupling of joints {names} must be q1 = a + b q2 with b != 0; correct it in "
+                "the file"
+            )
         offset = zero1 + c0 - c1 * zero2
         if first in actuated and second not in actuated:  # inverted: q2 = (q1 - offset) / c1
-            couplings.append(Coupling(names[1], names[0], 1 / c1, -offset / c1))
+            couplings.append(
+                Coupling(names[1], names[0], 1 / c1, -offset / c1, error=error / abs(c1))
+            )
         else:
-            couplings.append(Coupling(names[0], names[1], c1, offset))
+            couplings.append(Coupling(names[0], names[1], c1, offset, error=error))
     return tuple(couplings)
 
 

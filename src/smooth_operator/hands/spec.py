@@ -73,6 +73,7 @@ class Coupling:
     """A joint that follows another: q[joint] = multiplier * q[follows] + offset.
 
     ``turned`` is True if the file has the other sign, which the joints' limits make impossible.
+    ``error`` is the largest difference from the file's polynomial, which this line replaces [rad].
     """
 
     joint: str
@@ -80,6 +81,7 @@ class Coupling:
     multiplier: float
     offset: float
     turned: bool = False
+    error: float = 0.0
 
 
 @dataclass(frozen=True)
