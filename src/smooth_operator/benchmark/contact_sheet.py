@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from scipy.ndimage import median_filter
 
 from smooth_operator.atomic_files import atomic_write
-from smooth_operator.benchmark.figures import Panel, make_panels, view_basis
+from smooth_operator.benchmark.figures import Panel, make_panels, shortened, view_basis
 from smooth_operator.benchmark.suite import Finished
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import BASES, FINGERS, TIPS, WRIST
@@ -303,15 +303,8 @@ def _lettered(
         where = f"frame {pose.frame}"
         pen.text((6, top + 2), where, fill=_SOFT, font=small)
         if several:
-            pen.text((6, top + 15), _cut(pose.panel.key[0]), fill=_SOFT, font=small)
+            pen.text((6, top + 15), shortened(pose.panel.key[0]), fill=_SOFT, font=small)
         if row:
             line = _HEAD + row * CELL
             pen.line((0, line, image.width, line), fill=(228, 230, 233))
     return image
-
-
-def _cut(text: str, length: int = 22) -> str:
-    """Shortens a text to a number of characters. It keeps both ends, which distinguish
-    recordings."""
-    half = length // 2
-    return text if len(text) <= length else f"{text[: half - 1]}…{text[-half:]}"

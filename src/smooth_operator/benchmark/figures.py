@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import itertools
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -303,7 +304,9 @@ def tradeoff_figure(rows: Sequence[Row], colors: Mapping[str, str]) -> Figure | 
     if len(recordings) > 1:
         handles.append(_proxy(INK, "", ""))
         handles += [
-            _proxy(INK, MARKERS[i % len(MARKERS)], _cut(r)) for i, r in enumerate(recordings)
+            # A legend leaves out a text that begins with an underscore.
+            _proxy(INK, MARKERS[i % len(MARKERS)], re.sub("^_", " _", shortened(r)))
+            for i, r in enumerate(recordings)
         ]
     figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.745, 0.97), fontsize=8)
     return figure
@@ -512,7 +515,7 @@ def _line(color: str, style: Any, label: str) -> Any:
     return Line2D([], [], color=color, linestyle=style, linewidth=1.3, label=label)
 
 
-def _cut(text: str, length: int = 23) -> str:
-    if len(text) > length:  # the ends distinguish recordings
-        text = f"{text[: length // 2]}…{text[len(text) + 1 - length // 2 :]}"
-    return f" {text}" if text.startswith("_") else text  # a legend would leave it out
+def shortened(text: str, length: int = 22) -> str:
+    """A text of at most a number of characters, with both ends, which distinguish recordings."""
+    half = length // 2
+    return text if len(text) <= length else f"{text[: half - 1]}…{text[-half:]}"

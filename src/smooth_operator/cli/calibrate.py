@@ -13,8 +13,6 @@ from smooth_operator.errors import ConfigError, OutputError
 
 if TYPE_CHECKING:
     from smooth_operator.calibration.segments import Segment
-    from smooth_operator.cli.console import Progressing
-    from smooth_operator.types import HandRecording
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +69,7 @@ def calibrate_recording(options: Calibrate) -> None:
     from smooth_operator.cli.console import Progressing
     from smooth_operator.cli.outputs import folder_for
     from smooth_operator.cli.prompting import ask
+    from smooth_operator.cli.session import read_shown
     from smooth_operator.formats.environment import environment
     from smooth_operator.io.jsonable import to_json
     from smooth_operator.planning import PROGRAM
@@ -83,7 +82,11 @@ def calibrate_recording(options: Calibrate) -> None:
     picture, figures = _check_output(options.output)
     segments: list[Segment] | None = None
     if options.source is None:
-        recording = _read(options, progress)
+        if options.recording is None:
+            raise ConfigError(
+                "nothing to calibrate: name a recording, or a live source with --source"
+            )
+        recording = read_shown(options.recording, options, progress)
     else:
         side = options.side or "right"
         recording, segments = ask(build_source(options.source, side), side, progress)
@@ -107,22 +110,6 @@ def calibrate_recording(options: Calibrate) -> None:
         print(to_json(content))
     else:
         _print(content)
-
-
-def _read(options: Calibrate, progress: Progressing) -> HandRecording:
-    from smooth_operator.formats.checks import frame_slice, reading_notes
-    from smooth_operator.formats.readers import read_recording
-
-    if options.recording is None:
-        raise ConfigError("nothing to calibrate: name a recording, or a live source with --source")
-    recording = read_recording(
-        options.recording, rate=options.rate, side=options.side, layout=options.layout
-    )
-    for note in reading_notes(recording, str(options.recording)):
-        progress.note(note, matters=True)
-    if options.frames is not None:
-        recording = recording[frame_slice(options.frames, len(recording))]
-    return recording
 
 
 def _check_output(output: Path) -> tuple[Path, Path]:

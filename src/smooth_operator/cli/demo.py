@@ -51,8 +51,9 @@ Examples:
 
 def demo(options: Demo) -> None:
     """Records the operator, retargets, measures, serves the page and writes the folder."""
+    from smooth_operator.benchmark.suite import check_folder
     from smooth_operator.cli.console import Progressing, print_metrics, print_summary
-    from smooth_operator.cli.outputs import check_demo_folder, folder_for, staged
+    from smooth_operator.cli.outputs import folder_for, staged
     from smooth_operator.cli.page import hand_to_draw
     from smooth_operator.cli.sample import synthetic_operator
     from smooth_operator.cli.session import execute_shown, measure_shown, requested
@@ -61,7 +62,7 @@ def demo(options: Demo) -> None:
     from smooth_operator.planning import configuration, plan
 
     progress = Progressing(options.quiet)
-    check_demo_folder(options.output)
+    check_folder(options.output, "demo", "an earlier demo")
     if not options.no_view:  # Report an unusable address or port before any work starts.
         from smooth_operator.teleop.pages import Playback, serve
         from smooth_operator.teleop.pages.viser_server import free_port, until_interrupted

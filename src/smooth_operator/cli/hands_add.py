@@ -19,6 +19,7 @@ from smooth_operator.errors import ConfigError, SmoothOperatorError
 
 if TYPE_CHECKING:
     from smooth_operator.hand_discovery.landmarks import Discovery, Overrules
+    from smooth_operator.hands.hand import Hand
     from smooth_operator.hands.spec import Coupling, HandSpec, Point
 
 
@@ -99,12 +100,11 @@ def add_hand(options: Add) -> None:
     discovery = discover(
         options.model, side=options.side, name=options.name, overrules=_overrules(options)
     )
-    twin = _built_in(discovery)
-    discovery = replace(
-        discovery,
-        spec=_named(_mapped(discovery.spec, twin), options),
-        notes=(*discovery.notes, *_trial(discovery)),
-    )
+    hand, notes = _trial(discovery.spec)
+    twin = None if hand is None else _built_in(hand)
+    spec = discovery.spec if hand is None or twin is None else _mapped(hand, twin)
+    notes = (*discovery.notes, *notes)
+    discovery = replace(discovery, spec=_named(spec, options), notes=notes)
     file = user_hands_folder() / spec_name(discovery.spec.name, discovery.spec.side)
     if not options.overwrite and file.exists() and not _same(file, discovery.spec):
         raise ConfigError(
@@ -223,17 +223,16 @@ def _same(file: Path, spec: HandSpec) -> bool:
     return same_model and replace(there, model=spec.model) == spec
 
 
-def _trial(discovery: Discovery) -> tuple[str, ...]:
-    """Loads the hand once and returns notes on errors and missing parts."""
+def _trial(spec: HandSpec) -> tuple[Hand | None, tuple[str, ...]]:
+    """Loads the hand and returns it, None if it can't be loaded, with notes on missing parts."""
     from smooth_operator.hands.hand import load_hand_spec
     from smooth_operator.hands.stand_ins import stand_in_note
 
     try:
-        hand = load_hand_spec(discovery.spec)
+        hand = load_hand_spec(spec)
     except SmoothOperatorError as error:
-        return (f"the spec file is written, but can't be loaded yet: {error}",)
-    note = stand_in_note(hand)
-    return (note,) if note else ()
+        return None, (f"the spec file is written, but can't be loaded yet: {error}",)
+    return hand, tuple(filter(None, [stand_in_note(hand)]))
 
 
 def _comment(discovery: Discovery) -> str:
@@ -244,37 +243,32 @@ def _comment(discovery: Discovery) -> str:
     return "\n".join([*lines, *(f"Note: {note}" for note in discovery.notes), ""])
 
 
-def _built_in(discovery: Discovery) -> str | None:
+def _built_in(hand: Hand) -> str | None:
     """Returns the built-in hand with the same joints, or None.
 
     The catalogue uses the joint names of the vendor's URDF, so names can be compared. A hand of the
     other side has other prefixes and does not match.
     """
-    from smooth_operator.hands.hand import load_hand_spec
     from smooth_operator.hands.registry import known_hands, load_hand
 
-    try:
-        joints = set(load_hand_spec(discovery.spec).joint_names)
-    except SmoothOperatorError:
-        return None
+    joints, side = set(hand.joint_names), hand.spec.side
     for name, entry in known_hands().items():
         with contextlib.suppress(SmoothOperatorError):
-            if entry.builtin and joints == set(load_hand(name, discovery.spec.side).joint_names):
+            if entry.builtin and joints == set(load_hand(name, side).joint_names):
                 return name
     return None
 
 
-def _mapped(spec: HandSpec, twin: str | None) -> HandSpec:
+def _mapped(hand: Hand, twin: str) -> HandSpec:
     """Returns the description with the joint map of the built-in hand with the same joints, if that
     map gives better thumb directions than the measured map."""
     from smooth_operator.hand_discovery.joint_map import mapped_thumb_error
     from smooth_operator.hands.hand import load_hand_spec
     from smooth_operator.hands.registry import load_hand
 
-    if twin is None:
-        return spec
+    spec = hand.spec
     mapped = replace(spec, joint_map=load_hand(twin, spec.side).spec.joint_map)
-    own, theirs = (mapped_thumb_error(load_hand_spec(one)) for one in (spec, mapped))
+    own, theirs = (mapped_thumb_error(one) for one in (hand, load_hand_spec(mapped)))
     return mapped if theirs is not None and (own is None or theirs < own) else spec
 
 

@@ -84,30 +84,6 @@ def stopped(output: Path) -> KeyboardInterrupt:
     return KeyboardInterrupt(f"run the same command again to continue in {output}")
 
 
-def check_demo_folder(folder: Path) -> None:
-    """Checks that the demo may write into a folder. Does not write anything.
-
-    Raises:
-        OutputError: it is a file, or contains files that are not from an earlier demo.
-    """
-    if not folder.exists():
-        return
-    if not folder.is_dir():
-        raise OutputError(f"can't write {str(folder)!r}: it is a file; name a folder")
-    former = read_configuration(folder / "config.json")
-    if former is not None and former.get("command") == "demo":
-        return
-    try:
-        empty = not any(folder.iterdir())
-    except OSError as error:
-        raise output_error(folder, error) from error
-    if not empty:
-        raise OutputError(
-            f"can't write into {str(folder)!r}: it contains files that are not from an "
-            "earlier demo; name another folder with --output"
-        )
-
-
 @contextlib.contextmanager
 def staged(folder: Path) -> Iterator[Path]:
     """Yields a temporary folder for results; its files are moved to ``folder`` when the block ends.

@@ -1,12 +1,15 @@
-"""Retargets one recording with progress and notes; shared by ``demo`` and ``retarget``."""
+"""Reading and retargeting of a recording with progress and notes, for several commands."""
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from smooth_operator.cli.common_options import Retargeting
 from smooth_operator.cli.console import Progressing
 from smooth_operator.execution import Outcome, build, execute, measure
+from smooth_operator.formats.checks import frame_slice, reading_notes
+from smooth_operator.formats.readers import read_recording
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.metrics import Trace
@@ -14,7 +17,11 @@ from smooth_operator.metrics.table import Definition
 from smooth_operator.planning import Plan, RetargetRequest, make_request
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.start import start_jax
-from smooth_operator.types import Side
+from smooth_operator.types import HandRecording, Side
+
+if TYPE_CHECKING:
+    from smooth_operator.cli.calibrate import Calibrate
+    from smooth_operator.cli.train import Train
 
 
 def requested(
@@ -40,6 +47,18 @@ def execute_shown(todo: Plan, progress: Progressing) -> Outcome:
         start_jax(one_thread=todo.config.one_thread)
         built = build(todo)
     return execute(todo, built, progress.frames("retargeting"))
+
+
+def read_shown(
+    path: Path | str, options: Calibrate | Train, progress: Progressing
+) -> HandRecording:
+    """Reads the frames of a recording that the options select, and prints notes on it."""
+    recording = read_recording(path, rate=options.rate, side=options.side, layout=options.layout)
+    for note in reading_notes(recording, str(path)):
+        progress.note(note, matters=True)
+    if options.frames is None:
+        return recording
+    return recording[frame_slice(options.frames, len(recording))]
 
 
 def say_notes(config: MethodConfig, hand: Hand, progress: Progressing) -> None:

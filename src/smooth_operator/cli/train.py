@@ -134,8 +134,7 @@ def _recordings(
 ) -> tuple[list[HandRecording], list[HandRecording]]:
     """Recordings for training, and recordings used only for validation."""
     from smooth_operator.baselines.geort.training_data import synthetic_recordings
-    from smooth_operator.formats.checks import frame_slice, reading_notes
-    from smooth_operator.formats.readers import read_recording
+    from smooth_operator.cli.session import read_shown
     from smooth_operator.hands.registry import default_side
 
     if not options.recordings:
@@ -148,17 +147,7 @@ def _recordings(
             )
         with progress.waiting("recording the synthetic operators"):
             return synthetic_recordings(options.side or default_side(options.hand), options.seed)
-    training = []
-    for path in options.recordings:
-        recording = read_recording(
-            path, rate=options.rate, side=options.side, layout=options.layout
-        )
-        for note in reading_notes(recording, str(path)):
-            progress.note(note, matters=True)
-        if options.frames is not None:
-            recording = recording[frame_slice(options.frames, len(recording))]
-        training.append(recording)
-    return training, []
+    return [read_shown(path, options, progress) for path in options.recordings], []
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import HandModelError, UnknownNameError
+from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.skeleton import Placement, Skeleton, says_tip
 from smooth_operator.hands.spec import Point
 
@@ -127,11 +127,7 @@ class Branches:
             UnknownNameError: there is no such body.
             HandModelError: fewer than two or more than five fingers branch from it.
         """
-        model = self._skeleton.model
-        names = [str(model.body(b).name) for b in range(model.nbody)]
-        if palm not in names:
-            raise UnknownNameError("body", palm, names)
-        body = names.index(palm)
+        body = self._skeleton.body(palm)
         below = tuple(leaf for leaf in self.leaves if body in (0, *self._skeleton.path(leaf)[:-1]))
         hand = self._hand(body, below)
         if self._fingers and len(hand.chains) > 5:

@@ -181,7 +181,7 @@ def _described(
     )
     wrist, wrist_sure, wrist_why = find_wrist(skeleton, tree.palm, chains, layout, at)
     if overrules.wrist is not None:
-        _body(skeleton, overrules.wrist.body)
+        skeleton.body(overrules.wrist.body)  # fails for an unknown body
         wrist, wrist_sure, wrist_why = overrules.wrist, 1.0, ("given",)
     spec = HandSpec(
         name=name or _name(path),
@@ -329,7 +329,7 @@ def _check_joints(skeleton: Skeleton, chain: Chain) -> None:
 
 
 def _given_tip(skeleton: Skeleton, chain: Chain, finger: str, point: Point) -> Tip:
-    body = _body(skeleton, point.body)
+    body = skeleton.body(point.body)
     rigid = skeleton.rigid(chain.last)
     if body not in rigid:
         options = ", ".join(repr(skeleton.body_name(b)) for b in rigid)
@@ -351,13 +351,6 @@ def _check_tips_differ(tips: list[tuple[str, Tip]]) -> None:
                 f"each its own: --tip {finger}=BODY:x,y,z"
             )
         tip_names[tip.point] = finger
-
-
-def _body(skeleton: Skeleton, name: str) -> int:
-    names = [skeleton.body_name(b) for b in range(skeleton.model.nbody)]
-    if name not in names:
-        raise UnknownNameError("body", name, names)
-    return names.index(name)
 
 
 def _align(names: tuple[str, ...]) -> tuple[str, ...]:

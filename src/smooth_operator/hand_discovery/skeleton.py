@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from smooth_operator.errors import HandModelError, require
+from smooth_operator.errors import HandModelError, UnknownNameError, require
 from smooth_operator.hands.loading import load_model, merged_couplings
 from smooth_operator.hands.model_assets import read_model_files, read_model_xml
 from smooth_operator.hands.spec import Coupling, Point
@@ -264,6 +264,17 @@ class Skeleton:
     @cached_property
     def _data(self) -> mujoco.MjData:
         return mujoco.MjData(self.model)
+
+    def body(self, name: str) -> int:
+        """Index of a body.
+
+        Raises:
+            UnknownNameError: there is no such body.
+        """
+        names = [self.body_name(b) for b in range(self.model.nbody)]
+        if name not in names:
+            raise UnknownNameError("body", name, names)
+        return names.index(name)
 
     def body_name(self, body: int) -> str:
         """Name of a body."""
