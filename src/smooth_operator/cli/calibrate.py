@@ -86,7 +86,8 @@ def calibrate_recording(options: Calibrate) -> None:
             raise ConfigError(
                 "nothing to calibrate: name a recording, or a live source with --source"
             )
-        recording = read_shown(options.recording, options, progress)
+        reading = {"rate": options.rate, "side": options.side, "layout": options.layout}
+        recording = read_shown(options.recording, progress, options.frames, **reading)
     else:
         side = options.side or "right"
         recording, segments = ask(build_source(options.source, side), side, progress)

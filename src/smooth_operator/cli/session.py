@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from smooth_operator.cli.common_options import Retargeting
 from smooth_operator.cli.console import Progressing
@@ -18,10 +18,6 @@ from smooth_operator.planning import Plan, RetargetRequest, make_request
 from smooth_operator.retargeting.method import MethodConfig
 from smooth_operator.retargeting.start import start_jax
 from smooth_operator.types import HandRecording, Side
-
-if TYPE_CHECKING:
-    from smooth_operator.cli.calibrate import Calibrate
-    from smooth_operator.cli.train import Train
 
 
 def requested(
@@ -50,15 +46,18 @@ def execute_shown(todo: Plan, progress: Progressing) -> Outcome:
 
 
 def read_shown(
-    path: Path | str, options: Calibrate | Train, progress: Progressing
+    path: Path | str, progress: Progressing, frames: str | None, **reading: Any
 ) -> HandRecording:
-    """Reads the frames of a recording that the options select, and prints notes on it."""
-    recording = read_recording(path, rate=options.rate, side=options.side, layout=options.layout)
+    """Reads some frames of a recording, and prints notes on it.
+
+    Args:
+        frames: range ``A:B``; None for all frames.
+        reading: options of ``read_recording``.
+    """
+    recording = read_recording(path, **reading)
     for note in reading_notes(recording, str(path)):
         progress.note(note, matters=True)
-    if options.frames is None:
-        return recording
-    return recording[frame_slice(options.frames, len(recording))]
+    return recording if frames is None else recording[frame_slice(frames, len(recording))]
 
 
 def say_notes(config: MethodConfig, hand: Hand, progress: Progressing) -> None:

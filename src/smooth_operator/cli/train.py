@@ -147,7 +147,8 @@ def _recordings(
             )
         with progress.waiting("recording the synthetic operators"):
             return synthetic_recordings(options.side or default_side(options.hand), options.seed)
-    return [read_shown(path, options, progress) for path in options.recordings], []
+    reading = {"rate": options.rate, "side": options.side, "layout": options.layout}
+    return [read_shown(p, progress, options.frames, **reading) for p in options.recordings], []
 
 
 @contextlib.contextmanager
