@@ -378,11 +378,7 @@ def _filled(tracks: Tracks, block: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def lane_counts(method: Method, lanes: int | None) -> tuple[int, int]:
-    """Number of lanes of a program and number of its parallel calls that suit the device.
-
-    Args:
-        lanes: number of recordings in parallel; None for the default of ``Retargeter.batch``.
-    """
+    """Numbers of lanes and of parallel calls that suit the device; None for the usual ``lanes``."""
     if jax.default_backend() != "cpu":
         return lanes or LANES_GPU, 1
     if method.uneven:

@@ -213,11 +213,15 @@ class RobotVectors:
 
     def jacobian(self, jacobian: Float[Array, "P J 3"]) -> Float[Array, "K 3 J"]:
         """Derivatives of the vectors, from those of the moving points [m/rad]."""
-        return contracted(jacobian.transpose(1, 2, 0), self.incidence.T).transpose(2, 1, 0)
+        every = jnp.concatenate([jacobian, jnp.zeros_like(jacobian[:1])])  # the last: fixed points
+        row = {landmark: p for p, landmark in enumerate(self.moving)}
+        start, end = ([row.get(v[side], -1) for v in self.layout.vectors] for side in (0, 1))
+        return jnp.swapaxes(every[np.array(end)] - every[np.array(start)], 1, 2)
 
     def spread(self, slopes: Float[Array, "V 3"], which: slice = slice(None)) -> Array:
         """(P, 3) a cost's derivatives with respect to the points, from those by some vectors."""
-        return contracted(slopes.T, self.incidence[which]).T
+        incidence = jnp.asarray(self.incidence[which], slopes.dtype)
+        return (incidence[:, :, None] * slopes[:, None, :]).sum(axis=0)
 
 
 class VectorSlopes(NamedTuple):
