@@ -214,7 +214,7 @@ class RobotVectors:
     def jacobian(self, jacobian: Float[Array, "P J 3"]) -> Float[Array, "K 3 J"]:
         """Derivatives of the vectors, from those of the moving points [m/rad]."""
         every = jnp.concatenate([jacobian, jnp.zeros_like(jacobian[:1])])  # the last: fixed points
-        row = {landmark: p for p, landmark in enumerate(self.moving)}
+        row: dict[int | None, int] = {landmark: p for p, landmark in enumerate(self.moving)}
         start, end = ([row.get(v[side], -1) for v in self.layout.vectors] for side in (0, 1))
         return jnp.swapaxes(every[np.array(end)] - every[np.array(start)], 1, 2)
 
