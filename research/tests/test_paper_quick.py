@@ -41,8 +41,10 @@ def _check_tables_of_the_page(folder: Path) -> None:
             continue
         assert _unnumbered(ours[0]) == _unnumbered(theirs[0]), name
         rows = [{_unnumbered(line.split(" | ")[0]) for line in t[2:]} for t in (ours, theirs)]
-        # a second sampler is there where tuning prefers another deviation than the published one
-        assert {row for row in rows[0] if "tuned" not in row} == rows[1], name
+        # the page lacks a sampler that only some runs tune, and methods that changed since its run
+        assert rows[1] <= rows[0], name
+        extra = {row.removeprefix("| ") for row in rows[0] - rows[1] if "tuned" not in row}
+        assert extra <= {"ako", "keyvector"}, name
     written = docs_tables.replaced(page, "solver", "new")
     assert docs_tables.replaced(page, "none", "new") == page
     assert "new" in written

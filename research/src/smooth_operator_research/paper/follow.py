@@ -259,7 +259,7 @@ def _correlation(a: Float[np.ndarray, "S F 3"], b: Float[np.ndarray, "S F 3"]) -
 PUBLISHED_SBR: Final = "sbr:paper"
 """Label of the paper's method with the paper's settings."""
 
-BASELINES: Final = ("dexpilot:published", "geort", "hybrid:published")
+BASELINES: Final = ("dexpilot", "geort", "hybrid")
 """Labels of the baselines in the paper's table, with their authors' settings; GeoRT with our
 model."""
 
@@ -269,8 +269,8 @@ METHODS: Final = (PUBLISHED_SBR, *BASELINES, "sbr", "smooth", "ako", "joint_angl
 _EFFORT_MS: Final = {
     "sbr:paper": 20.0,
     "ako": 5.0,
-    "dexpilot:published": 8.0,
-    "hybrid:published": 8.0,
+    "dexpilot": 8.0,
+    "hybrid": 8.0,
 }
 """Approximate time of a frame [ms], to estimate the remaining time; 0.7 for others."""
 

@@ -89,9 +89,9 @@ def _plan(cell: Cell) -> Plan:
 
 
 PAPERS: Final = {
-    "dexpilot:published": "DexPilot",
+    "dexpilot": "DexPilot",
     "geort": "GeoRT",
-    "hybrid:published": "Hybrid",
+    "hybrid": "Hybrid",
     "sbr:paper": "SBR",
 }
 """Our label -> the paper's label, in the order of its columns; all except GeoRT as published."""
