@@ -25,8 +25,8 @@ work is running.
 A recording is a file, a folder of files, or `synthetic` (`synthetic:SEED`), the built-in operator.
 Default: synthetic. Settings of one recording follow its name after an @: glove.npz@:500 (frames),
 video.npz@30hz (rate), video.npz@30hz,left,camera,100:900. Results are averaged over the
-recordings of each tracker (glove, headset, camera), then over trackers. mediapipe is a
-camera whose tracker's pinch gaps are known.
+recordings of each tracker (glove, headset, camera), then over trackers. mediapipe instead of
+camera means MediaPipe's tracker, whose pinch gaps are known.
 
 Methods are names, or METHOD:PRESET, METHOD:all or METHOD:FILE (a trained model); `all` is
 each method with its default preset.

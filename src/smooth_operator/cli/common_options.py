@@ -159,8 +159,8 @@ class Page:
     """Options of every command that serves a page."""
 
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Address on which the page listens. 0.0.0.0 admits other machines with the token of the
-    printed address."""
+    """Address on which the page listens. With 0.0.0.0, other machines can connect with the
+    token in the printed address."""
 
     port: int = 8080
     """First port to try for the page; 0 chooses any free port."""

@@ -15,15 +15,14 @@ class Dataset(Common, Quiet, DatasetRequest):
 
     work: ClassVar[str] = "smooth_operator.cli.dataset:dataset"
     details: ClassVar[str] = """A SOURCE is a folder (with all subfolders), a file, some frames of a
-file (take.npz@100:500), a pattern in quotes, a list of paths (.txt: one path per line;
-.csv or .jsonl: path and optionally task, side, layout and rate), or an address of object storage (s3://,
-gs://, ...; extra datasets). The layout of each
-file is detected; --layout sets it.
+file (take.npz@100:500), a pattern in quotes, a list of paths (.txt: one path per line; .csv
+or .jsonl: path and optionally task, side, layout and rate), or an address of object storage
+(s3://, gs://, ...; extra datasets). The layout of each file is detected; --layout sets it.
 
 Both hands of a clip are retargeted. An episode has the joints and wrist poses of both robot
-hands, a flag for each valid frame, a description of the task, its source files with their digests,
-and quality figures. Clips are cut where no hand is seen or the tracker jumps;
-episodes outside the limits (--min-..., --max-...) are dropped. --whole cuts nothing.
+hands, a validity flag for each frame, a description of the task, its source files with their
+digests, and quality figures. Clips are cut where no hand is seen or the tracker jumps; episodes
+outside the limits (--min-..., --max-...) are dropped. --whole cuts nothing.
 
 FOLDER/dataset is the data set; report.html, report.json and episodes.jsonl say what was kept,
 dropped and why; work holds the retargeted clips. Run the same command again to go on where it was

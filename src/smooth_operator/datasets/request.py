@@ -46,7 +46,7 @@ class Limits:
     """Least share of an episode's frames with a good hand."""
 
     max_collision: Annotated[float, arg(metavar="SHARE")] = 0.2
-    """Largest share of frames in which links of the robot hand are over 2 mm inside each other."""
+    """Largest share of frames in which links of the robot hand overlap by over 2 mm."""
 
     max_tip_error: Annotated[float, arg(metavar="MM")] = 60.0
     """Largest mean distance between robot fingertips and the human's, on the robot's scale [mm]."""
@@ -96,7 +96,7 @@ class DatasetRequest(Limits, MethodRequest):
     """Folder of the results; created if missing."""
 
     format: Annotated[str, arg(metavar="NAME")] = "lerobot"
-    """Output format: lerobot, webdataset, parquet, npz, spider, flashdex, or one of a plugin."""
+    """Output format: lerobot, webdataset, parquet, npz, spider, flashdex, or a plugin's."""
 
     frame: Literal["world", "camera"] | None = None
     """Frame of wrists and objects. A clip that has no poses in it fails. Default: each
@@ -119,8 +119,8 @@ class DatasetRequest(Limits, MethodRequest):
 
     with_objects: bool = False
     """In clips that have an object's pose and mesh, make the robot's fingertips touch the object
-    where the human's do, without penetrating it. For whole recordings: --preset offline. Needs
-    packages/smooth_hand_datasets."""
+    where the human's do, without penetrating it. Works on whole recordings only: add
+    --preset offline. Needs packages/smooth_hand_datasets."""
 
     no_limits: bool = False
     """Keep every clip, whole; the limits have no effect."""
@@ -138,7 +138,7 @@ class DatasetRequest(Limits, MethodRequest):
     """Size at which a file of the data set is full [MB]. Default: the format's own."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """Number of processes; 0 works in this process. Default: one per core."""
+    """Number of worker processes; 0 does the work in this process. Default: one per core."""
 
     device: Literal["cpu", "gpu"] = "cpu"
     """What retargets. gpu: this process, a thousand recordings side by side, on JAX's first GPU;

@@ -294,7 +294,8 @@ def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
         zero1, zero2 = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (first, second))
         error = 0.0
         if any(higher) and second >= 0 and model.jnt_limited[second]:
-            leader = np.linspace(*model.jnt_range[second], _SAMPLES) - zero2
+            low, high = model.jnt_range[second]
+            leader = np.linspace(low, high, _SAMPLES) - zero2
             follower = np.polynomial.polynomial.polyval(leader, (c0, c1, *higher))
             c0, c1 = np.polynomial.polynomial.polyfit(leader, follower, 1).tolist()
             error = float(np.abs(c0 + c1 * leader - follower).max())

@@ -236,7 +236,7 @@ def align_frame(
 
 
 def packed_result(*parts: Array | np.ndarray | float) -> Array:
-    """Joined into one array, because reading each array has a cost."""
+    """The result, packed into one array, because reading several arrays costs more."""
     return jnp.concatenate([jnp.atleast_1d(jnp.asarray(part, jnp.float32)) for part in parts])
 
 

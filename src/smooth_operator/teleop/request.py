@@ -47,7 +47,7 @@ class TeleopRequest(MethodRequest):
     preset."""
 
     operator: Annotated[Path | None, arg(metavar="OPERATOR.json")] = None
-    """Operator file, as written by calibrate. The run updates it at its end."""
+    """Operator file, as written by calibrate. It is updated at the end of the run."""
 
     rate: Annotated[float, arg(metavar="HZ")] = 100.0
     """Maximum command rate for each hand [Hz]; also the rate at which commands are sent while no

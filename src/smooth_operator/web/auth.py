@@ -22,7 +22,7 @@ from smooth_operator.web.addresses import is_local
 
 @dataclass(frozen=True)
 class TokenAuth:
-    """Checks every request to a server, of a page and of its WebSocket.
+    """Checks the token of every request to a server, for pages and WebSockets.
 
     Attributes:
         tokens: role -> token; None if only this machine can connect.

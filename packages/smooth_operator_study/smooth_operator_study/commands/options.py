@@ -269,8 +269,8 @@ Examples:
     block."""
 
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
-    """Address on which the pages listen. 0.0.0.0 admits other machines, such as a tablet, which use
-    links with a token."""
+    """Address on which the pages listen. With 0.0.0.0, other machines, such as a tablet, can
+    connect by links with a token."""
 
     port: int = 8765
     """Port of the pages; 0 chooses any free port."""

@@ -156,7 +156,7 @@ Examples:
     """Run only a few short cases, to try the measures."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """Number of processes; 0 works in this process. Default: one per core."""
+    """Number of worker processes; 0 does the work in this process. Default: one per core."""
 
     cluster: Annotated[str | None, arg(metavar="auto|local|ADDRESS")] = None
     """Measure on a running Ray cluster (auto finds it), or start Ray here (local)."""

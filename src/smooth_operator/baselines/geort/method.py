@@ -114,7 +114,7 @@ class Geort(Method):
 
     @property
     def constants(self) -> Any:
-        """The networks, as read."""
+        """The networks, as loaded from the model file."""
         return self.model.weights, self.model.centre, self.model.scale, self.mirrored
 
     def init(self, seed: int) -> GeortState:

@@ -105,7 +105,7 @@ class VideoHead:
     codec: str
 
     def feature(self) -> dict[str, Any]:
-        """The video in the ``features`` of LeRobot's ``meta/info.json``."""
+        """Entry of the video under ``features`` in LeRobot's ``meta/info.json``."""
         rate = int(self.rate) if self.rate.denominator == 1 else float(self.rate)
         return {
             "dtype": "video",

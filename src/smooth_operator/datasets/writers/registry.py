@@ -55,7 +55,9 @@ class WritingOptions:
                 f"part must be from 0 to parts - 1 = {self.parts - 1}, not {self.part}"
             )
         if self.rate is not None and not 0.0 < self.rate < float("inf"):
-            raise ConfigError(f"rate must be a number of frames a second above 0, not {self.rate}")
+            raise ConfigError(
+                f"rate must be a positive number of frames per second, not {self.rate}"
+            )
         if self.shard_mb is not None and not self.shard_mb > 0.0:
             raise ConfigError(f"shard_mb must be above 0, not {self.shard_mb}")
         if self.objects < 0:

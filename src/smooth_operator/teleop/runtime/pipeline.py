@@ -262,7 +262,7 @@ class Driven:
 
 
 class HandPipeline:
-    """Frames of one hand to commands of one robot hand.
+    """Turns frames of one human hand into commands for one robot hand.
 
     Not thread-safe: it belongs to the loop; other threads use ``Controls``.
 
