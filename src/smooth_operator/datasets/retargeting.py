@@ -56,9 +56,7 @@ def whole_config(config: MethodConfig) -> TrajectoryMethodConfig:
         ConfigError: it answers frame by frame.
     """
     if not isinstance(config, TrajectoryMethodConfig):
-        raise ConfigError(
-            "objects are for whole recordings: choose a preset for them, such as smooth:offline"
-        )
+        raise ConfigError("objects need a preset for whole recordings, such as smooth:offline")
     return config
 
 

@@ -286,7 +286,7 @@ def _row(values: Any, where: str) -> Item:
         raise RecordingError(f"{where}: expected an object with the text 'path'")
     for name in ("task", "layout"):
         if not isinstance(values.get(name, ""), str | None):
-            raise RecordingError(f"{where}: {name} must be a text, not {brief(values[name])}")
+            raise RecordingError(f"{where}: {name} must be a string, not {brief(values[name])}")
     rate, side = values.get("rate"), values.get("side")
     try:
         rate = None if rate is None else float(rate)

@@ -140,11 +140,11 @@ class Files:
         return ending and path.is_file() and not only_commands(path)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The file."""
+        """Yields the file as one clip."""
         yield ClipRef(path.stem, path, layout="files", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hand.
+        """Reads the clip's hand.
 
         Raises:
             RecordingError: as ``read_recording``.

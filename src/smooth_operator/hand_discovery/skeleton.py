@@ -371,9 +371,9 @@ def read_skeleton(
     )
     if bodies or joints:
         notes.append(
-            f"{bodies} bodies and {joints} joints have no name in the file, and are called "
-            "body_1, joint_1 and so on, in its order; name the joints there, so that "
-            "drivers can assign the commands"
+            f"{bodies} bodies and {joints} joints have no name in the file; they are numbered "
+            "in its order (body_1, joint_1, ...). Name the joints in the file, so that drivers can "
+            "match commands and motors"
         )
     loops = sum(
         int(kind) in (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))

@@ -19,7 +19,7 @@ _TINY: Final = 1e-9
 
 
 class CompiledModel(NamedTuple):
-    """A compiled model and its losses.
+    """A compiled model, and what had to be left out of it.
 
     Attributes:
         model: the model.

@@ -79,7 +79,7 @@ class _Collected:
             self._allowance.take(frame.side, len(frames) * _FRAME_BYTES)
 
     def damaged(self, error: Exception) -> None:
-        """Counts a damaged line; raises an error about the memory for the whole file."""
+        """Counts a damaged line. An error about memory is raised for the whole file."""
         if isinstance(error, TooLargeError):
             raise error
         self._damaged += 1

@@ -66,7 +66,7 @@ class LiveSimulation(Protocol):
         """Call ``watcher`` after each step of the physics; None ends the calls."""
 
     def reset_object(self, side: Side) -> int:
-        """Put the object back to its start. Returns the number of the world from then on."""
+        """Put the object back where it started; returns the new world number."""
 
     def freeze(self, side: Side, frozen: bool) -> None:
         """Stop the physics and the clock of a hand and its scene, or let them go on."""

@@ -480,8 +480,8 @@ class _Writer(ShardedWriter):
             return None
         if clip.clip.video is None:
             raise RecordingError(
-                f"{clip.clip.name}: it has no video; in a LeRobot data set either all episodes "
-                "have one or none: write without videos, or leave it out"
+                f"{clip.clip.name} has no video; in a LeRobot data set, all episodes have one or "
+                "none has: write without videos, or leave this clip out"
             )
         return video_head(clip.clip.video)
 

@@ -227,7 +227,9 @@ def _data_file(dataset: Dataset, row: Mapping[str, Any]) -> Path:
             f"({str(error)[:200]}); copy the dataset again"
         ) from error
     if not file.is_relative_to(dataset.path.resolve()):
-        raise RecordingError(f"{dataset.path}: its metadata point out of the dataset, to {file}")
+        raise RecordingError(
+            f"{dataset.path}: its metadata names a file outside the dataset: {file}"
+        )
     return file
 
 

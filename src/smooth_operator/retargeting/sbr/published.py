@@ -231,6 +231,6 @@ class ObjectiveConfig(TermsConfig):
         return KEYVECTORS[self.loss](vectors, self.transition)
 
     def pulls(self, neutral: Float[np.ndarray, " m"]) -> tuple[JointTerm, JointTerm]:
-        """Second and third term of Eq. (1), of a hand's neutral pose [rad]."""
+        """The second and third terms of Eq. (1), for a hand with this neutral pose [rad]."""
         centre = neutral if self.pose_centre == "neutral" else np.zeros_like(neutral)
         return super().pulls(centre)

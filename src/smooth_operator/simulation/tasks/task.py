@@ -1,4 +1,4 @@
-"""Tasks of a study with their rubrics, the paper's three tasks, and scorers by these rubrics.
+"""Tasks of a study, among them the paper's three, their rubrics, and scorers that apply these.
 
 A scorer follows a scene and assesses the trial. Source of the rubrics: the paper's supplement, task
 success rubric, in our words."""

@@ -148,7 +148,7 @@ def write_episode(path: str | os.PathLike[str], episode: Episode, to: Format | N
 
 
 def losses(episode: Episode, to: Format) -> list[str]:
-    """Parts of an episode that a format can't hold, for a person."""
+    """Descriptions, for messages, of the parts of an episode that a format can't hold."""
     lost: list[str] = _logs().log_losses(episode) if to == "mcap" else []
     return lost
 

@@ -45,7 +45,7 @@ class SafetyConfig:
         )
         if not self.lost_s >= self.stale_s:
             raise ConfigError(
-                f"safety: lost_s must not be below stale_s, not {self.lost_s} < {self.stale_s}"
+                f"safety: lost_s must be at least stale_s ({self.stale_s}), not {self.lost_s}"
             )
 
 

@@ -479,7 +479,7 @@ class _SideView:
         self._with_human = self.row.roots["human"].visible = visible
 
     def put(self, human: Float[np.ndarray, "2"], robot: Float[np.ndarray, "2"]) -> None:
-        """Sets the places side by side: right and up [m]."""
+        """Sets the offsets of the pictures side by side: right and up [m]."""
         here, there = (np.array([*place, 0.0]) @ _VIEW for place in (human, robot))
         self._places = (here, there)
         self.set_overlay(self._overlaid)

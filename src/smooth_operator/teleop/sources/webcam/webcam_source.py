@@ -233,11 +233,11 @@ def track_video(
     counts = Counter(one for hands in pictures for one in hands)
     chosen = side or (counts.most_common(1)[0][0] if counts else "right")
     if not counts[chosen]:
-        others = f", but a {next(iter(counts))} hand is on {counts.total()}" if counts else ""
+        hand = f"{chosen} hand" if side else "hand"
+        others = f", but a {next(iter(counts))} hand is in {counts.total()}" if counts else ""
         raise RecordingError(
-            f"{path}: no {chosen if side else ''} hand is in any of its {len(stamps)} "
-            f"pictures{others}. If the video is mirrored, use --mirrored; otherwise use more "
-            "light and keep the whole hand in view".replace("  ", " ")
+            f"{path}: no {hand} is in any of its {len(stamps)} pictures{others}. If the video is "
+            "mirrored, use --mirrored; otherwise use more light and keep the whole hand in view"
         )
     landmarks = np.full((len(stamps), NUM_LANDMARKS, 3), np.nan)
     valid = np.zeros((len(stamps), NUM_LANDMARKS), bool)
