@@ -291,7 +291,7 @@ def test_a_folder_of_another_format_or_options_is_refused(tmp_path):
     ("wrong", "said"),
     [
         ({"part": 2, "parts": 2}, "from 0 to"),
-        ({"rate": 0.0}, "above 0"),
+        ({"rate": 0.0}, "positive"),
         ({"shard_mb": 0.0}, "above 0"),
         ({"objects": -1}, "0 or more"),
     ],

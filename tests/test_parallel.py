@@ -72,8 +72,8 @@ def die_between_two_parts(size: int) -> bytes:
 
 
 def wait_and_clean_up(marker: Path) -> None:
-    marker.touch()
-    try:
+    try:  # the signal may come as soon as the marker is there
+        marker.touch()
         time.sleep(PATIENCE_S)
     finally:
         marker.unlink()
