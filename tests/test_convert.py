@@ -935,7 +935,7 @@ ROWS = "meta/episodes/chunk-000/file-000.parquet"
             "v2.1, but only v3.0",
         ),
         ("meta/info.json", lambda p: edit(p, features={}), "with no columns: it contains no human"),
-        ("meta/info.json", lambda p: edit(p, data_path="../{chunk_index}"), "out of the dataset"),
+        ("meta/info.json", lambda p: edit(p, data_path="../{chunk_index}"), "outside the dataset"),
         ("meta/info.json", lambda p: edit(p, data_path="{x}"), "do not say where episode 0 is"),
         (DATA, lambda p: p.unlink(), "no such file; the dataset is incomplete"),
         (DATA, truncate, "damaged or cut off"),
