@@ -444,11 +444,12 @@ class Script:
         until(lambda: stage.simulation.scene_state("right").time > begun + 0.05)  # nor any more
         seen = stage.simulation.scene_state("right")
         self.state, self.positions = seen, np.zeros(len(self.session._record.joint_names))
-        self.starts = self.state.starts + 1  # beginning a trial puts the object back
 
     def show(self, seconds: float, **changes: Any) -> None:
-        end = self.state.time + seconds
-        self.state = replace(self.state, starts=self.starts, placed=True, **changes)
+        # The session takes states that are newer than the last one, of the object's last start.
+        begun, starts = max(self.state.time, self.session._last), self.session._since
+        end = begun + seconds
+        self.state = replace(self.state, time=begun, starts=starts, placed=True, **changes)
         while self.state.time < end:
             self.state: SceneState = replace(self.state, time=self.state.time + 0.02)
             self.session.observe(self.state, self.positions)
