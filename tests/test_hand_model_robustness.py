@@ -13,6 +13,7 @@ from fuzzing import ReaderProcess, damaged_xml, each
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hand_discovery.discover import discover
+from smooth_operator.hands.capsules import parts_apart
 from smooth_operator.hands.collision import solid_shapes
 from smooth_operator.hands.hand import load_hand_spec
 from smooth_operator.hands.loading import load_model
@@ -95,9 +96,15 @@ def test_shapes_of_declared_pairs_are_collision_shapes(tmp_path):
     path = tmp_path / "hand.xml"
     for text, count in ((named.replace("</mujoco>", pair), 2), (shapes, 0)):
         path.write_text(text, encoding="utf-8")
-        assert solid_shapes(load_hand_spec(discover(path).spec)).sum() == count
+        hand = load_hand_spec(discover(path).spec)
+        assert solid_shapes(hand).sum() == count
     path.write_text(shapes.replace("<geom ", '<geom group="3" '), encoding="utf-8")
-    assert solid_shapes(load_hand_spec(discover(path).spec)).sum() == shapes.count("<geom ")
+    hand = load_hand_spec(discover(path).spec)
+    assert solid_shapes(hand).sum() == shapes.count("<geom ")
+    path.write_text(MJCF, encoding="utf-8")
+    usual = load_hand_spec(discover(path).spec)  # of shapes that collide by their masks
+    assert len(parts_apart(usual).pairs)
+    np.testing.assert_array_equal(parts_apart(hand).pairs, parts_apart(usual).pairs)
 
 
 REFUSED: dict[str, tuple[str, str, str]] = {

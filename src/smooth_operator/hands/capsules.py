@@ -157,6 +157,8 @@ def candidate_pairs(hand: Hand, capsules: list[Capsule]) -> Int[np.ndarray, "P 2
         np.append(mask, -1)[geoms]  # a stand-in, of -1, collides with everything
         for mask in (model.geom_contype, model.geom_conaffinity)
     )
+    by_pairs = (kinds == 0) & (allowed == 0)  # the model has no masks for these shapes
+    kinds[by_pairs] = allowed[by_pairs] = -1
     meets = (kinds[:, None] & allowed) | (allowed[:, None] & kinds)
     low, high = np.minimum(bodies[:, None], bodies), np.maximum(bodies[:, None], bodies)
     excluded = np.isin((low << 16) + high, model.exclude_signature)
