@@ -420,7 +420,10 @@ def find_couplings(
         notes.append(text)
     overrule = "--couple JOINT=LEADER*A+B, or edit the model file"
     least = min((f.confidence for f in couplings), default=_NONE_DECLARED)
-    notes.append("as declared in the file" if couplings else "the file declares no couplings")
+    if any(c.coupling not in given for c in couplings):
+        notes.append("as declared in the file")
+    if not couplings:
+        notes.append("the file declares no couplings")
     if idle := _idle_joints(skeleton, joints):
         least = _IDLE
         notes.append(

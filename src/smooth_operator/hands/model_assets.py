@@ -113,8 +113,11 @@ def read_model_files(path: Path) -> ModelFiles:
         reader.find(name)
     reader.check(reader.total(reader.model, ()))
     root = reader.documents[reader.model].root
-    inertias = _drop_inertias(root)
-    changed = _drop_colours(root) or bool(inertias)
+    inertias: tuple[str, ...] = ()
+    changed = False
+    if root.tag == "robot":
+        inertias = _drop_inertias(root)
+        changed = _drop_colours(root) or bool(inertias)
     return ModelFiles(
         root,
         tuple(reader.documents),
@@ -166,7 +169,7 @@ def _drop_colours(root: ElementTree.Element) -> bool:
     ]
     for material, colour in colours:
         material.remove(colour)
-    return root.tag == "robot" and bool(colours)
+    return bool(colours)
 
 
 @dataclass
@@ -279,16 +282,20 @@ class _Reader:
 
     def find(self, name: str) -> None:
         """Adds the file of that name to the assets if it exists."""
-        last = re.split(r"[/\\]", name)[-1].casefold()
         places = _places(name, self.model, self.folders, self.listings)
-        below = (file for files in (self.below.get(last, []),) if len(files) == 1 for file in files)
-        for place in itertools.chain(places, below):
+        for place in itertools.chain(places, self._only_below(name)):
             if self._is_plain(place, name):
                 if is_pointer(place):
                     self.pointers.add(name)
                 elif place.stat().st_size <= MOST_MESH_BYTES:
                     self.assets[name] = Path(os.path.normpath(place))
                 return
+
+    def _only_below(self, name: str) -> Iterator[Path]:
+        """The file below the model's folder if just one has that name; read when all else fails."""
+        files = self.below.get(re.split(r"[/\\]", name)[-1].casefold(), [])
+        if len(files) == 1:
+            yield files[0]
 
     @cached_property
     def below(self) -> dict[str, list[Path]]:
