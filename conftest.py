@@ -79,6 +79,7 @@ PARTS = (
     (HOME / "research", "src"),
     (HOME / "packages" / "smooth_hand_datasets", ""),
     (HOME / "packages" / "smooth_operator_study", ""),
+    (HOME / "packages" / "smooth_operator_devices", ""),
 )
 """Folder of a distribution of this repository, and the folder in it of its modules."""
 

@@ -1,0 +1,1 @@
+"""Robot hands, trackers and ROS 2 for smooth-operator."""
