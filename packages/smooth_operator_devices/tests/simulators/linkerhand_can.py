@@ -1,0 +1,383 @@
+"""A LinkerHand on a CAN bus: O6, L6, L7, L10, L20 lite, L20, and L21, L25, G20.
+
+Sources, by the maker (Linkerbot):
+
+- `linkerbot-py` 0.5.1 (package index), `linkerbot/hand/{o6,l6,l20lite,l25}/*.py`: identifiers,
+  frames, counts of values, fault bits, serial number and versions, touch rows.
+- github.com/linker-bot/linkerhand-python-sdk, commit b3713618 (2026-02-08),
+  `LinkerHand/core/can/linker_hand_{o6,l6,l7,l10,l20,l21,l25,g20}_can.py` and
+  `LinkerHand/linker_hand_api.py`: the same, and L7, L10, L20, L21, G20.
+- github.com/linker-bot/linkerhand-cpp-sdk, commit a0100cf3 (2026-08-19), `include/core/Common.h`:
+  sides.
+
+Facts: classic CAN, 11-bit identifiers, 1 Mbit/s. **Left is 0x28, right is 0x27**, for commands and
+answers alike (all three sources; a pair of variables in `linker_hand_l20_can.py` and
+`linker_hand_l21_can.py` says the opposite and is used by nothing). The first byte is the kind. A
+frame of the kind alone asks; a frame with values writes, and the hand answers with what is
+measured. Values are 0 to 255: 255 is straight, or away from the palm.
+
+Where the sources differ:
+
+- L25: linkerhand-python-sdk puts abduction of the four fingers into the second place of a finger's
+  frame (yaw) and a middle joint into the fourth; linkerbot-py puts abduction into the first place
+  and has no middle joint. Both are here: "L25" and "L25 linkerbot-py".
+- G20: the comment and the code of `linker_hand_g20_can.py` swap the first two places of the thumb.
+  The code is followed.
+- O6: linkerhand-python-sdk reads a current (0x36), linkerbot-py has none. The hand answers it.
+
+Not found: the values after power on, the speed and torque they stand for, whether a hand keeps
+torque after power on (here it does), whether 0x01 to 0x06 are answered when they write to an L21,
+L25 or G20 (here they are, with the same kind), the unit of the fault answer to 0x84, what a hand
+does with a frame of a wrong length (here nothing), and how far apart frames must be at least (the
+maker's programs wait 0.3 to 5 ms).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from dataclasses import dataclass, field
+
+import can
+import numpy as np
+
+from .common import Clock, Faults, Motors
+
+IDENTIFIERS = {"left": 0x28, "right": 0x27}
+
+_FIVE = ("thumb", "index", "middle", "ring", "pinky")
+_SIX = ("thumb_flex", "thumb_abd", "index", "middle", "ring", "pinky")
+_TEN = (
+    "thumb_flex",
+    "thumb_abd",
+    "index_flex",
+    "middle_flex",
+    "ring_flex",
+    "pinky_flex",
+    "index_abd",
+    "ring_abd",
+    "pinky_abd",
+    "thumb_yaw",
+)
+_TWENTY = (
+    *(f"{finger}_root" for finger in _FIVE),
+    *(f"{finger}_abd" for finger in _FIVE),
+    "thumb_roll",
+    *(f"{finger}_tip" for finger in _FIVE),
+)
+
+Layout = dict[int, tuple[int | None, ...]]  # kind of frame: the joint of each value
+
+
+@dataclass(frozen=True)
+class Model:
+    """Joints of a hand, and the joints in each of its frames (None: reserved, sent as 0)."""
+
+    joints: tuple[str, ...]
+    positions: Layout
+    torques: Layout = field(default_factory=dict)
+    speeds: Layout = field(default_factory=dict)
+    temperatures: Layout = field(default_factory=dict)
+    faults: Layout = field(default_factory=dict)
+    currents: Layout = field(default_factory=dict)
+    silent_writes: Layout = field(default_factory=dict)  # positions that are not answered
+    accelerations: Layout = field(default_factory=dict)
+    clear: int | None = None  # kind that clears faults
+    clears_by_fault_frame: bool = False  # a write of a fault frame clears, too
+    touch_row: int = 6  # values of a row of the touch matrix
+    touch_rows: int = 12
+    touch_code: int = 0xC6
+    numbered_pcb_version: bool = False
+    version_frame: bool = False  # answers 0x64
+
+
+def _run(first: int, count: int) -> tuple[int, ...]:
+    return tuple(range(first, first + count))
+
+
+def _six(**changes: object) -> Model:
+    six = _run(0, 6)
+    return Model(
+        _SIX,
+        positions={0x01: six},
+        torques={0x02: six},
+        speeds={0x05: six},
+        temperatures={0x33: six},
+        faults={0x35: six},
+        currents={0x36: six},
+        version_frame=True,
+        **changes,  # type: ignore[arg-type]
+    )
+
+
+def _by_finger(thumb: tuple[str | None, ...], finger: tuple[str | None, ...]) -> Model:
+    """A hand whose frames hold the six places of one finger, or one place of five fingers."""
+    names = [
+        None if part is None else f"{name}_{part}"
+        for name in _FIVE
+        for part in (thumb if name == "thumb" else finger)
+    ]
+    joints = tuple(name for name in names if name is not None)
+    places = [None if name is None else joints.index(name) for name in names]
+
+    def frames(by_finger: int, by_place: int) -> Layout:
+        return {
+            **{by_finger + f: tuple(places[6 * f : 6 * f + 6]) for f in range(5)},
+            **{by_place + p: tuple(places[p::6]) for p in range(6)},
+        }
+
+    return Model(
+        joints,
+        positions=frames(0x41, 0x01),
+        speeds=frames(0x49, 0x09),
+        torques=frames(0x51, 0x11),
+        faults=frames(0x59, 0x19),
+        temperatures=frames(0x61, 0x21),
+        clear=0x83,
+        clears_by_fault_frame=True,
+    )
+
+
+_L10 = Model(
+    _TEN,
+    positions={0x01: _run(0, 6), 0x04: _run(6, 4)},
+    torques={0x02: _run(0, 5), 0x03: _run(5, 5)},
+    speeds={0x05: _run(0, 5), 0x06: _run(5, 5)},
+    temperatures={0x33: _run(0, 5), 0x34: _run(5, 5)},
+    faults={0x35: _run(0, 5), 0x36: _run(5, 5)},
+    version_frame=True,
+)
+_SEVEN = _run(0, 7)
+MODELS = {
+    "O6": _six(accelerations={0x87: _run(0, 6)}, touch_row=4, touch_rows=10, touch_code=0xA4),
+    "L6": _six(clear=0x83, numbered_pcb_version=True),
+    "L7": Model(
+        (*_SIX, "thumb_roll"),
+        positions={0x01: _SEVEN},
+        torques={0x02: _SEVEN},
+        speeds={0x05: _SEVEN},
+        temperatures={0x33: _SEVEN},
+        faults={0x35: _SEVEN},
+        version_frame=True,
+    ),
+    "L10": _L10,
+    "L20 lite": _L10,
+    "L20": Model(
+        _TWENTY,
+        positions={
+            0x01: _run(0, 5),
+            0x02: _run(5, 5),
+            0x03: (10, None, None, None, None),
+            0x04: _run(11, 5),
+        },
+        silent_writes={
+            0x11: _run(0, 5),
+            0x12: _run(5, 5),
+            0x13: (10, None, None, None, None),
+            0x14: _run(11, 5),
+        },
+        speeds={0x05: _run(0, 5)},  # one value a finger
+        currents={0x06: _run(0, 5)},
+        faults={0x07: _run(0, 5)},
+        clears_by_fault_frame=True,
+    ),
+    "L21": _by_finger(
+        ("roll", "abd", "root", "middle", None, "tip"), (None, "abd", "root", None, None, "tip")
+    ),
+    "L25": _by_finger(
+        ("roll", "abd", "root", "middle", None, "tip"),
+        (None, "abd", "root", "middle", None, "tip"),
+    ),
+    "L25 linkerbot-py": _by_finger(
+        ("abd", "yaw", "root", None, None, "tip"), ("abd", None, "root", None, None, "tip")
+    ),
+    "G20": _by_finger(
+        ("yaw", "abd", "root", None, None, "tip"), ("abd", None, "root", None, None, "tip")
+    ),
+}
+
+
+class LinkerHand:
+    """A simulated LinkerHand.
+
+        hand = LinkerHand("L6", "left")            # or with clock=ManualClock()
+        with hand.on(can.Bus("a", interface="virtual")): ...   # the driver opens channel "a", too
+        hand.faults.silent = True                  # outage; False again: it is back
+        hand.faults.answer_wrongly("identifier")   # or "short"
+        hand.motors.stuck.add(2); hand.raise_fault("index", 1 << 3); hand.reboot()
+        hand.motors.positions, hand.torques, hand.speeds  # state, in the device's 0 to 255
+
+    A second program on the bus is a second `can.Bus` that sends frames with the same identifier.
+    """
+
+    def __init__(self, model: str, side: str, *, clock: Clock = time.monotonic) -> None:
+        self.model = MODELS[model]
+        self.name = model
+        self.side = side
+        self.identifier = IDENTIFIERS[side]
+        count = len(self.model.joints)
+        self.faults = Faults("identifier", "short")
+        self.motors = Motors(np.full(count, 255.0), 400.0, clock=clock)
+        self.serial_number = f"LH{model[:2]}-01-001-{side[0].upper()}-A-1-A"
+        self.version = (1, 2, 3)
+        self.touch = {
+            finger: np.zeros((self.model.touch_rows, self.model.touch_row), dtype=np.uint8)
+            for finger in _FIVE
+        }
+        self.received: list[bytes] = []
+        self.reboot()
+
+    def reboot(self) -> None:
+        """Switch the hand off and on: speeds, torques and faults are the defaults again."""
+        count = len(self.model.joints)
+        self.speeds = np.full(count, 255, dtype=int)
+        self.torques = np.full(count, 255, dtype=int)
+        self.accelerations = np.full(count, 255, dtype=int)
+        self.fault_bits = np.zeros(count, dtype=int)
+        self.motors.place(self.motors.positions)
+        self.motors.set_power(True)
+        for joint in range(count):
+            self.motors.set_speed(joint, 400.0)
+
+    def raise_fault(self, joint: str, bits: int) -> None:
+        """Set fault bits of a joint: it stands still until the fault is cleared."""
+        number = self.model.joints.index(joint)
+        self.fault_bits[number] |= bits
+        self.motors.set_power(False, [number])
+
+    def answer(self, frame: can.Message) -> list[can.Message]:
+        """The frames that the hand sends back."""
+        if self.faults.silent or frame.is_extended_id or frame.is_fd:
+            return []
+        if frame.arbitration_id != self.identifier or not frame.data:
+            return []
+        self.received.append(bytes(frame.data))
+        payloads = self._answers(frame.data[0], bytes(frame.data[1:]))
+        return [self._message(payload) for payload in payloads]
+
+    @contextlib.contextmanager
+    def on(self, bus: can.BusABC):  # type: ignore[no-untyped-def]
+        """Answer on a bus in a thread of its own until the block ends, then shut the bus down."""
+        ended = threading.Event()
+
+        def run() -> None:
+            while not ended.is_set():
+                frame = bus.recv(0.02)
+                if frame is not None:
+                    for message in self.answer(frame):
+                        bus.send(message)
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        try:
+            yield self
+        finally:
+            ended.set()
+            thread.join()
+            bus.shutdown()
+
+    def _message(self, payload: bytes) -> can.Message:
+        identifier = self.identifier
+        wrong = self.faults.next_wrong()
+        if wrong == "short":
+            payload = payload[:-1]
+        if wrong == "identifier":
+            identifier = next(i for i in IDENTIFIERS.values() if i != identifier)
+        return can.Message(arbitration_id=identifier, data=payload, is_extended_id=False)
+
+    def _answers(self, kind: int, values: bytes) -> list[bytes]:
+        model = self.model
+        if kind in model.positions or kind in model.silent_writes:
+            places = {**model.positions, **model.silent_writes}[kind]
+            if values and not self._write(places, values, self._move):
+                return []
+            if kind in model.silent_writes:
+                return []
+            return [self._frame(kind, places, np.clip(self.motors.positions.round(), 0, 255))]
+        for frames, settings, apply in (
+            (model.torques, self.torques, None),
+            (model.speeds, self.speeds, self._limit_speed),
+            (model.accelerations, self.accelerations, None),
+        ):
+            if kind in frames:
+                if values:
+
+                    def store(
+                        joint: int,
+                        value: int,
+                        settings: np.ndarray = settings,
+                        apply: object = apply,
+                    ) -> None:
+                        settings[joint] = value
+                        if apply is not None:
+                            apply(joint, value)  # type: ignore[operator]
+
+                    if not self._write(frames[kind], values, store):
+                        return []
+                return [self._frame(kind, frames[kind], settings)]
+        if kind == model.clear and values:
+            self._clear(range(len(model.joints)))
+            return [bytes([kind]) + values]
+        if kind in model.faults:
+            if values and model.clears_by_fault_frame:
+                self._clear(joint for joint in model.faults[kind] if joint is not None)
+            return [self._frame(kind, model.faults[kind], self.fault_bits)]
+        if kind in model.temperatures:
+            return [self._frame(kind, model.temperatures[kind], self.motors.temperatures)]
+        if kind in model.currents:
+            return [self._frame(kind, model.currents[kind], self.motors.currents * 255 / 1400)]
+        if kind in (0x81, 0x82) and model.clear == 0x83 and 0x41 in model.positions:
+            return self._write_fingers(kind, values)
+        return self._identity(kind, values)
+
+    def _write(self, places: tuple[int | None, ...], values: bytes, store) -> bool:  # type: ignore[no-untyped-def]
+        if len(values) != len(places):
+            return False
+        for joint, value in zip(places, values, strict=True):
+            if joint is not None:
+                store(joint, value)
+        return True
+
+    def _move(self, joint: int, value: int) -> None:
+        self.motors.move([value], [joint])
+
+    def _limit_speed(self, joint: int, value: int) -> None:
+        self.motors.set_speed(joint, 400.0 * value / 255)
+
+    def _clear(self, joints) -> None:  # type: ignore[no-untyped-def]
+        for joint in joints:
+            self.fault_bits[joint] = 0
+            self.motors.set_power(True, [joint])
+
+    def _write_fingers(self, kind: int, values: bytes) -> list[bytes]:
+        """Speed (0x81) or torque (0x82) of all joints of each finger."""
+        if len(values) != 5:
+            return []
+        for finger, value in zip(_FIVE, values, strict=True):
+            for joint, name in enumerate(self.model.joints):
+                if name.startswith(finger):
+                    (self.speeds if kind == 0x81 else self.torques)[joint] = value
+                    if kind == 0x81:
+                        self._limit_speed(joint, value)
+        return [bytes([kind]) + values]
+
+    def _frame(self, kind: int, places: tuple[int | None, ...], values: np.ndarray) -> bytes:
+        return bytes([kind, *(0 if place is None else int(values[place]) for place in places)])
+
+    def _identity(self, kind: int, values: bytes) -> list[bytes]:
+        model = self.model
+        if 0xB1 <= kind <= 0xB5 and values == bytes([model.touch_code]):
+            matrix = self.touch[_FIVE[kind - 0xB1]]
+            return [bytes([kind, row << 4, *matrix[row]]) for row in range(len(matrix))]
+        if kind == 0xC0:
+            number = self.serial_number.encode().ljust(24, b"\0")
+            return [bytes([kind, i]) + number[6 * i : 6 * i + 6] for i in range(4)]
+        if kind == 0xC1 and model.numbered_pcb_version:
+            return [bytes([kind, 1, *self.version])] if values == b"\x01" else []
+        if kind in (0xC1, 0xC2, 0xC4):
+            return [bytes([kind, *self.version])]
+        if kind == 0x64 and model.version_frame:
+            side = ord(self.side[0].upper())
+            return [bytes([kind, len(model.joints), 3, 10, side, 0x11, 0x22, 1])]
+        return []

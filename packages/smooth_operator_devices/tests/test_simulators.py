@@ -1,0 +1,279 @@
+"""Simulated hands answer the frames that the makers' texts give literally."""
+
+import time
+
+import numpy as np
+import pytest
+from simulators.common import Faults, ManualClock, Motors, SerialLine
+
+
+def _hex(text: str) -> bytes:
+    return bytes.fromhex(text)
+
+
+def test_motors_follow_their_targets_at_a_limited_speed():
+    clock = ManualClock()
+    motors = Motors([0.0, 0.0, 0.0], 10.0, clock=clock)
+    motors.stuck.add(1)
+    motors.set_power(False, [2])
+    motors.move([5.0, 5.0, 5.0])
+    clock.advance(0.2)
+    assert np.allclose(motors.positions, [2.0, 0.0, 0.0])
+    assert motors.currents.tolist() == [150.0, 800.0, 0.0]
+    assert motors.velocities.tolist() == [10.0, 0.0, 0.0]
+    clock.advance(10)
+    assert np.allclose(motors.positions, [5.0, 0.0, 0.0])
+
+
+def test_faults_refuse_a_kind_that_the_connection_does_not_have():
+    with pytest.raises(ValueError, match="expected one of"):
+        Faults("short").answer_wrongly("checksum")
+
+
+# --- LinkerHand: data[0] is the kind; linkerbot-py 0.5.1 and linkerhand-python-sdk b3713618
+
+
+can = pytest.importorskip("can", reason="python-can is not installed")
+from simulators.linkerhand_can import LinkerHand  # noqa: E402
+
+
+def _ask(hand: LinkerHand, *data: int, identifier: int | None = None) -> list[str]:
+    frame = can.Message(
+        arbitration_id=hand.identifier if identifier is None else identifier,
+        data=data,
+        is_extended_id=False,
+    )
+    answers = hand.answer(frame)
+    assert all(answer.arbitration_id == hand.identifier for answer in answers)
+    return [answer.data.hex(" ") for answer in answers]
+
+
+@pytest.mark.parametrize(("side", "identifier"), [("left", 0x28), ("right", 0x27)])
+def test_linkerhand_answers_the_identifier_of_its_side_only(side, identifier):
+    hand = LinkerHand("O6", side)
+    assert hand.identifier == identifier
+    assert _ask(hand, 0x01, identifier=identifier) == ["01 ff ff ff ff ff ff"]
+    assert _ask(hand, 0x01, identifier=0x28 if identifier == 0x27 else 0x27) == []
+
+
+@pytest.mark.parametrize(
+    ("model", "request_", "answers"),
+    [
+        ("L6", [0x33], ["33 1e 1e 1e 1e 1e 1e"]),
+        ("L6", [0x35], ["35 00 00 00 00 00 00"]),
+        ("L6", [0x02, 1, 2, 3, 4, 5, 6], ["02 01 02 03 04 05 06"]),
+        ("L6", [0xC1, 0x01], ["c1 01 01 02 03"]),
+        ("O6", [0xC1], ["c1 01 02 03"]),
+        ("O6", [0x87], ["87 ff ff ff ff ff ff"]),
+        ("L7", [0x01], ["01 ff ff ff ff ff ff ff"]),
+        ("L20 lite", [0x04], ["04 ff ff ff ff"]),
+        ("L20 lite", [0x06, 1, 2, 3, 4, 5], ["06 01 02 03 04 05"]),
+        ("L10", [0x34], ["34 1e 1e 1e 1e 1e"]),
+        ("L20", [0x03], ["03 ff 00 00 00 00"]),
+        ("L20", [0x11, 1, 2, 3, 4, 5], []),
+        ("L21", [0x41], ["41 ff ff ff ff 00 ff"]),
+        ("L21", [0x42], ["42 00 ff ff 00 00 ff"]),
+        ("L25", [0x42], ["42 00 ff ff ff 00 ff"]),
+        ("L25 linkerbot-py", [0x42], ["42 ff 00 ff 00 00 ff"]),
+        ("G20", [0x41], ["41 ff ff ff 00 00 ff"]),
+        ("L21", [0x83, 1, 1, 1, 1, 1], ["83 01 01 01 01 01"]),
+        ("L6", [0x01, 1, 2], []),
+    ],
+)
+def test_linkerhand_frames_have_the_values_of_their_model(model, request_, answers):
+    assert _ask(LinkerHand(model, "right", clock=ManualClock()), *request_) == answers
+
+
+def test_linkerhand_answers_a_command_with_the_measured_positions():
+    clock = ManualClock()
+    hand = LinkerHand("L6", "left", clock=clock)
+    assert _ask(hand, 0x01, 0, 0, 0, 0, 0, 0) == ["01 ff ff ff ff ff ff"]
+    clock.advance(0.1)
+    assert _ask(hand, 0x01) == ["01 d7 d7 d7 d7 d7 d7"]
+    clock.advance(1)
+    assert _ask(hand, 0x01) == ["01 00 00 00 00 00 00"]
+
+
+def test_linkerhand_by_kind_and_by_finger_write_the_same_joints():
+    clock = ManualClock()
+    hand = LinkerHand("L21", "right", clock=clock)
+    _ask(hand, 0x03, 10, 20, 30, 40, 50)  # roots of the five fingers
+    _ask(hand, 0x43, 0, 7, 31, 0, 0, 9)
+    clock.advance(5)
+    assert _ask(hand, 0x03) == ["03 0a 14 1f 28 32"]
+    assert _ask(hand, 0x43) == ["43 00 07 1f 00 00 09"]
+
+
+def test_linkerhand_touch_and_serial_number_come_in_several_frames():
+    hand = LinkerHand("O6", "left")
+    hand.touch["index"][1] = [1, 2, 3, 4]
+    rows = _ask(hand, 0xB2, 0xA4)
+    assert len(rows) == 10
+    assert rows[1] == "b2 10 01 02 03 04"
+    number = b"".join(bytes.fromhex(frame)[2:] for frame in _ask(hand, 0xC0))
+    assert number.rstrip(b"\0").decode() == hand.serial_number
+    assert len(_ask(LinkerHand("L6", "left"), 0xB1, 0xC6)) == 12
+
+
+def test_linkerhand_fault_stops_the_joint_until_it_is_cleared():
+    clock = ManualClock()
+    hand = LinkerHand("L6", "left", clock=clock)
+    hand.raise_fault("index", 1 << 5)
+    _ask(hand, 0x01, *[0] * 6)
+    clock.advance(5)
+    assert _ask(hand, 0x35) == ["35 00 00 20 00 00 00"]
+    assert _ask(hand, 0x01) == ["01 00 00 ff 00 00 00"]
+    _ask(hand, 0x83, 1, 1, 1, 1, 1, 1)
+    clock.advance(5)
+    assert _ask(hand, 0x35) == ["35 00 00 00 00 00 00"]
+    assert _ask(hand, 0x01) == ["01 00 00 00 00 00 00"]
+
+
+def test_linkerhand_on_a_virtual_bus_falls_silent_and_answers_wrongly():
+    hand = LinkerHand("L6", "left")
+    with (
+        can.Bus("linker", interface="virtual") as host,
+        hand.on(can.Bus("linker", interface="virtual")),
+    ):
+        request = can.Message(arbitration_id=0x28, data=[0x33], is_extended_id=False)
+        host.send(request)
+        assert host.recv(2).data.hex() == "331e1e1e1e1e1e"
+        hand.faults.answer_wrongly("short")
+        host.send(request)
+        assert host.recv(2).data.hex() == "331e1e1e1e1e"
+        hand.faults.answer_wrongly("identifier")
+        host.send(request)
+        assert host.recv(2).arbitration_id == 0x27
+        hand.faults.silent = True
+        host.send(request)
+        assert host.recv(0.2) is None
+
+
+# --- Feetech: examples of the maker's "Communication Protocol User Manual" 191218-0923
+
+from simulators.feetech_bus import FeetechBus, packet  # noqa: E402
+
+
+def _sts(count: int = 1) -> FeetechBus:
+    bus = FeetechBus(dict.fromkeys(range(1, count + 1), "sts3215"), clock=ManualClock())
+    bus.motors.place([2048] * count)
+    return bus
+
+
+def test_feetech_ping_and_read_of_the_manual():
+    bus = _sts()
+    assert bus.receive(_hex("FF FF 01 02 01 FB")) == _hex("FF FF 01 02 00 FC")
+    bus.motors.place([1304])
+    assert bus.receive(_hex("FF FF 01 04 02 38 02 BE")) == _hex("FF FF 01 04 00 18 05 DD")
+
+
+def test_feetech_writes_of_the_manual_move_the_servo():
+    bus = _sts()
+    bus.receive(_hex("FF FF 01 04 03 28 01 CE"))
+    bus.motors.place([48])
+    command = _hex("FF FF 01 09 03 2A 00 08 00 00 E8 03 D5")
+    assert bus.receive(command[:5]) == b""
+    assert bus.receive(command[5:]) == _hex("FF FF 01 02 00 FC")
+    bus.motors._clock.advance(1.0)
+    assert bus.motors.positions[0] == 1048  # 1000 steps a second
+    bus.motors._clock.advance(9.0)
+    assert bus.motors.positions[0] == 2048
+
+
+def test_feetech_registered_write_of_the_manual_waits_for_the_action():
+    bus = _sts()
+    bus.receive(_hex("FF FF 01 04 03 28 01 CE"))
+    bus.motors.place([0])
+    reply = bus.receive(_hex("FF FF 01 09 04 2A 00 08 00 00 E8 03 D4"))
+    assert reply == _hex("FF FF 01 02 00 FC")
+    assert bus.motors.targets[0] == 0
+    assert bus.receive(_hex("FF FF FE 02 05 FA")) == b""
+    assert bus.motors.targets[0] == 2048
+
+
+def test_feetech_sync_write_of_the_manual_is_not_answered():
+    bus = _sts(4)
+    bus.motors.place([0] * 4)
+    command = "FF FF FE 20 83 2A 06" + "".join(f" {i:02X} 00 08 00 00 E8 03" for i in range(1, 5))
+    assert bus.receive(_hex(command + " 58")) == b""
+    assert bus.motors.targets.tolist() == [2048] * 4
+
+
+def test_feetech_sync_read_of_the_manual():
+    bus = _sts(2)
+    bus.motors.place([2048, 2047])
+    bus.motors.temperatures[:] = [30, 35]
+    bus.servos[1].memory[62], bus.servos[2].memory[62] = 0x79, 0x77
+    assert bus.receive(_hex("FF FF FE 06 82 38 08 01 02 36")) == _hex(
+        "FF FF 01 0A 00 00 08 00 00 00 00 79 1E 55 FF FF 02 0A 00 FF 07 00 00 00 00 77 23 53"
+    )
+
+
+def test_feetech_scs_words_have_the_high_byte_first_and_no_sync_read():
+    bus = FeetechBus({1: "scs0009"}, clock=ManualClock())
+    assert bus.receive(packet(1, 2, bytes([56, 2])))[5:7] == bytes([0x01, 0xFF])  # 511
+    assert bus.receive(packet(1, 2, bytes([3, 2])))[5:7] == (1284).to_bytes(2, "big")
+    assert bus.receive(packet(0xFE, 0x82, bytes([56, 2, 1]))) == b""
+
+
+def test_feetech_servo_has_no_torque_and_its_default_limit_after_power_on():
+    bus = _sts()
+    bus.receive(packet(1, 3, bytes([40, 1])))
+    bus.receive(packet(1, 3, bytes([48, 0x2C, 0x01])))
+    assert bus.servos[1].word(48) == 300
+    bus.reboot()
+    assert bus.servos[1].word(48) == 1000
+    assert bus.servos[1].memory[40] == 0
+    bus.receive(packet(1, 3, bytes([42, 0, 0])))
+    bus.motors._clock.advance(5)
+    assert bus.motors.positions[0] == 2048
+
+
+def test_feetech_overload_after_two_seconds_ends_with_a_new_goal():
+    bus = _sts()
+    bus.receive(packet(1, 3, bytes([40, 1])))
+    bus.motors.stuck.add(0)
+    bus.receive(packet(1, 3, bytes([42, 0, 0])))
+    read = packet(1, 2, bytes([60, 2]))
+    assert bus.receive(read)[4] == 0
+    bus.motors._clock.advance(2.1)
+    answer = bus.receive(read)
+    assert answer[4] == 32
+    assert int.from_bytes(answer[5:7], "little") & 0x3FF == 200  # 20 % are left
+    bus.motors.stuck.clear()
+    assert bus.receive(packet(1, 3, bytes([42, 0, 4])))[4] == 0
+
+
+def _ask_until_it_fails(port, request: bytes) -> None:
+    for _ in range(50):
+        port.write(request)
+        port.read(6)
+        time.sleep(0.02)
+
+
+def test_feetech_line_is_silent_unplugged_wrong_and_shared():
+    serial = pytest.importorskip("serial", reason="pyserial is not installed")
+    pytest.importorskip("termios", reason="this platform has no pseudo terminals")
+    bus = FeetechBus({1: "sts3215", 2: "sts3215"})
+    ping, pong = _hex("FF FF 01 02 01 FB"), _hex("FF FF 01 02 00 FC")
+    with SerialLine(bus) as line:
+        with serial.Serial(line.port, 1_000_000, timeout=2) as port:
+            port.write(ping)
+            assert port.read(6) == pong
+            bus.faults.answer_wrongly("checksum")
+            port.write(ping)
+            assert port.read(6)[:5] == pong[:5]
+            line.second_program(packet(2, 1))
+            assert port.read(6) == packet(2, 0)
+            bus.faults.silent = True
+            port.timeout = 0.2
+            port.write(ping)
+            assert port.read(6) == b""
+            bus.faults.silent = False
+            line.unplug()
+            with pytest.raises((serial.SerialException, OSError)):
+                _ask_until_it_fails(port, ping)
+        line.plug()
+        with serial.Serial(line.port, 1_000_000, timeout=2) as port:
+            port.write(ping)
+            assert port.read(6) == pong
