@@ -65,6 +65,23 @@ def checked_hands(
     return checked
 
 
+def one_hand(hands: Mapping[Side, HandRecording], side: Side | None, path: Path) -> HandRecording:
+    """The hand of a side, or the only hand in a file for None.
+
+    Raises:
+        RecordingError: the file does not have that hand, or it has both and ``side`` is None.
+    """
+    if side is None and len(hands) > 1:
+        raise RecordingError(
+            f"{path}: it contains both hands; choose one with --side right or --side left "
+            "(in Python: side='right')"
+        )
+    chosen = next(iter(hands)) if side is None else side
+    if chosen not in hands:
+        raise RecordingError(f"{path}: it contains no {side} hand; leave out --side {side}")
+    return hands[chosen]
+
+
 def _appears(hand: HandRecording) -> bool:
     assert hand.valid is not None  # filled in by HandRecording
     return bool((hand.valid[:, WRIST] & hand.valid[:, index("middle_mcp")]).any())

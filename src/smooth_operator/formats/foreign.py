@@ -50,7 +50,6 @@ _STARTS: Final[tuple[tuple[bytes, str], ...]] = (
     (b"MATLAB", f"a MATLAB file; save its landmarks with {SAVE}"),
     (b"#ROSBAG", f"a bag of ROS 1; convert it to ROS 2 (rosbags-convert), then {_BAG}"),
     (b"version https://git-lfs", "a Git LFS pointer, not the data; run 'git lfs pull'"),
-    (b"HIERARCHY", f"a BVH file, {_SKELETON}"),
     (b"Kaydara FBX", f"an FBX file, {_SKELETON}"),
     (b"; FBX", f"an FBX file, {_SKELETON}"),
     (b"NO_OF_FRAMES", f"a Qualisys table of motion capture: {_MARKERS}"),
@@ -58,7 +57,6 @@ _STARTS: Final[tuple[tuple[bytes, str], ...]] = (
     (b"SQLite format 3", f"an SQLite file, as bags of ROS 2 are (.db3); {_BAG}"),
 )
 _SUFFIXES: Final = {
-    ".bvh": f"a BVH file, {_SKELETON}",
     ".fbx": f"an FBX file, {_SKELETON}",
     ".mvnx": f"an Xsens MVNX file, {_SKELETON}",
     ".c3d": f"a C3D file of motion capture: {_MARKERS}",

@@ -75,13 +75,14 @@ def read_recording(
       ``orientations`` (T, 21, 4) wxyz;
     - the log that ``LogWriter`` writes, even if it is truncated;
     - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``);
+    - a ``.bvh`` of a body capture with fingers (``smooth_operator.formats.bvh``);
     - files that the readers of plugins recognise (``smooth_operator.formats.registry``).
 
     Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's "no
     hand") without flags of the file's own, are flagged in ``valid``. If neither the file nor the
     caller states the side, a right hand is assumed and ``meta["side_assumed"]`` is True.
-    ``meta["format"]`` is ``"manus"``, ``"array"``, ``"log"`` or ``"hdf5"``, or the name of a
-    plugin's reader. Single frames and landmarks with an implausible size are flagged as invalid;
+    ``meta["format"]`` is ``"manus"``, ``"array"``, ``"log"``, ``"hdf5"`` or ``"bvh"``, or the name
+    of a plugin's reader. Single frames and landmarks with an implausible size are flagged as invalid;
     ``meta["implausible_frames"]`` is the number of affected frames. A recording is refused if its
     shape is that of the other hand, or if its landmarks are in another order or do not form a hand
     (``check_hand``).

@@ -290,7 +290,18 @@ HTS: Final = Reader(
     "lines 'Right wrist:, ...' and 'Right landmarks:, ...', or the same with 'Left'",
     Entry(f"{_HEADSETS}:read_hts_hands"),
 )
-ONE_HAND: Final = {"npy": NPY, "npz": NPZ, "log": LOG, "hdf5": HDF5, "avp": AVP, "hts": HTS}
+BVH: Final = Reader(
+    "a .bvh of a body capture with fingers",
+    Entry(f"{_FORMATS}.bvh:read_bvh"),
+    (b"HIERARCHY", b"\xef\xbb\xbfHIERARCHY"),
+    (".bvh",),
+    "joints of the fingers by the names of Axis Studio, MotionBuilder, hc_mocap, Xsens or Rokoko",
+    Entry(f"{_FORMATS}.bvh:read_bvh_hands"),
+)
+ONE_HAND: Final = {
+    **{"npy": NPY, "npz": NPZ, "log": LOG, "hdf5": HDF5, "avp": AVP, "hts": HTS},
+    **{"bvh": BVH},
+}
 """Built-in formats of recordings: name -> reader. The first that recognises a file reads it."""
 
 READERS: Final = Registry(
@@ -388,6 +399,7 @@ def readable() -> str:
         "a .npy or .npz of landmarks (T, 21, 3) [m]",
         AVP.what,
         HTS.what,
+        BVH.what,
         LOG.what,
         HDF5.what,
         *(reader.what for name, reader in formats.items() if name not in ONE_HAND),
