@@ -277,3 +277,161 @@ def test_feetech_line_is_silent_unplugged_wrong_and_shared():
         with serial.Serial(line.port, 1_000_000, timeout=2) as port:
             port.write(ping)
             assert port.read(6) == pong
+
+
+# --- Aero Hand Open: firmware v0.1.0 of TetherIA, and aero-open-sdk 0.1.0.dev1
+
+from simulators.aero_hand import AeroHand, frame  # noqa: E402
+
+
+def test_aero_hand_answers_what_its_firmware_answers():
+    clock = ManualClock()
+    hand = AeroHand("right", clock=clock)
+    ask = lambda text: hand.receive(_hex(text)).hex(" ")  # noqa: E731
+    zeros = " 00 00" * 5
+    assert ask("31 00 03 00 E8 03" + zeros) == "31 00 03 00 e8 03" + zeros
+    assert ask("31 00 03 00 FF FF" + zeros) == "31 00 03 00 fe 7f" + zeros  # 32766
+    assert ask("32 00 06 00 FF FF" + zeros) == "32 00 06 00 ff 03" + zeros  # 1023
+    assert ask("32 00 07 00 01 00" + zeros) == "32 00 ff ff 00 00" + zeros
+    assert ask("03 00 00 00 0A 00" + zeros) == "03 00 00 00 ff 03" + zeros  # 910 + 113
+    assert ask("25 00" + " 00 00" * 7) == "25 00" + " 1e 00" * 7
+    assert ask("21 00" + " 00 00" * 7) == ""
+    assert ask("11 00" + " FF FF" * 7) == ""
+    clock.advance(0.25)
+    assert ask("22 00" + " 00 00" * 7) == "22 00" + " 00 80" * 7
+    assert ask("24 00" + " 00 00" * 7) == "24 00" + " 17 00" * 7  # 150 mA
+
+
+def test_aero_hand_keeps_all_values_while_one_servo_is_dead():
+    clock = ManualClock()
+    hand = AeroHand("left", clock=clock)
+    hand.receive(frame(0x11, *[1000] * 7))
+    clock.advance(1)
+    assert hand.receive(frame(0x22)) == frame(0x22, *[1000] * 7)
+    hand.dead.add(2)
+    hand.receive(frame(0x11, *[2000] * 7))
+    clock.advance(1)
+    assert hand.receive(frame(0x22)) == frame(0x22, *[1000] * 7)
+
+
+def test_aero_hand_is_deaf_while_it_homes_and_prints_text_at_power_on():
+    clock = ManualClock()
+    hand = AeroHand("right", homing_time=5, clock=clock)
+    assert hand.receive(frame(0x01)) == b""
+    clock.advance(4)
+    assert hand.receive(frame(0x22)) == b""
+    clock.advance(2)
+    assert hand.poll() == frame(0x01)
+    hand.receive(frame(0x31, 0, 5))
+    hand.reboot()
+    assert hand.poll().startswith(b"[BOOT] Hand Type: RIGHT_HAND\r\n")
+    assert hand.speeds[0] == 32766
+
+
+def test_aero_hand_counts_bytes_and_is_shifted_by_a_lost_one():
+    hand = AeroHand("right", clock=ManualClock())
+    assert hand.receive(frame(0x25)[:15]) == b""
+    assert hand.receive(frame(0x25)) == frame(0x25, *[30] * 7)  # completed by the first byte
+    assert hand.receive(frame(0x25)) == b""  # begins with a filler, which is no operation
+    hand = AeroHand("right", clock=ManualClock())
+    hand.faults.answer_wrongly("short")
+    assert hand.receive(frame(0x25)) == frame(0x25, *[30] * 7)[:13]
+
+
+# --- ROHand: registers and errors of OYMotion's Modbus RTU protocol V1.0 and V2.0
+
+from simulators.rohand_modbus import RoHand, crc  # noqa: E402
+
+
+def _rtu(hand: RoHand, *body: int) -> bytes:
+    request = bytes(body)
+    return hand.receive(request + crc(request))
+
+
+def test_rohand_crc_is_the_one_of_modbus():
+    # the request of node 17 in the Modbus specification's example of function 3
+    assert crc(bytes([0x11, 0x03, 0x00, 0x6B, 0x00, 0x03])) == bytes([0x76, 0x87])
+
+
+def test_rohand_reads_defaults_and_follows_a_target():
+    clock = ManualClock()
+    hand = RoHand(2, clock=clock)
+    answer = _rtu(hand, 2, 3, 0x04, 0x47, 0, 6)  # 1095: current limits
+    assert answer[:-2] == bytes([2, 3, 12]) + (1178).to_bytes(2, "big") * 6
+    assert crc(answer[:-2]) == answer[-2:]
+    echo = _rtu(hand, 2, 6, 0x04, 0x70, 0xFF, 0xFF)  # 1136: index
+    assert echo[:-2] == bytes([2, 6, 0x04, 0x70, 0xFF, 0xFF])
+    clock.advance(0.5)
+    assert hand.read(1086, 1) == [1]
+    assert hand.read(1146, 1) == [32768]
+    clock.advance(1)
+    assert hand.read(1085, 2) == [2, 2]
+    assert hand.read(1166, 1) == [10022]
+    many = _rtu(hand, 2, 16, 0x04, 0x6F, 0, 2, 4, 0, 10, 1, 2)  # 1135, two registers
+    assert many[:-2] == bytes([2, 16, 0x04, 0x6F, 0, 2])
+    assert hand.motors.targets[:2].tolist() == [10, 258]
+
+
+def test_rohand_reports_errors_and_forgets_limits_at_power_on():
+    clock = ManualClock()
+    hand = RoHand(2, init_time=3, clock=clock)
+    assert _rtu(hand, 2, 4, 0x04, 0x47, 0, 1)[:-2] == bytes([2, 0x84, 1])
+    assert _rtu(hand, 2, 3, 0x17, 0x70, 0, 1)[:-2] == bytes([2, 0x83, 2])
+    _rtu(hand, 2, 6, 0x04, 0x47, 0, 200)
+    assert hand.read(1095, 1) == [200]
+    _rtu(hand, 2, 6, 0x03, 0xF6, 0, 0)  # 1014: reset
+    assert _rtu(hand, 2, 3, 0x04, 0x47, 0, 1)[:-2] == bytes([2, 0x83, 4])
+    assert _rtu(hand, 2, 3, 0x03, 0xEE, 0, 1)[:-2] == bytes([2, 3, 2, 0, 1])  # 1006
+    clock.advance(4)
+    assert hand.read(1095, 1) == [1178]
+    assert _rtu(hand, 3, 3, 0x04, 0x47, 0, 1) == b""
+
+
+def test_rohand_stuck_finger_stops_over_its_current_limit_until_the_next_target():
+    clock = ManualClock()
+    hand = RoHand(1, clock=clock)
+    hand.motors.stuck.add(1)
+    _rtu(hand, 2, 6, 0x04, 0x70, 0xFF, 0xFF)
+    clock.advance(1)
+    assert hand.read(1086, 1) == [5]
+    _rtu(hand, 2, 6, 0x04, 0x48, 0, 200)
+    assert hand.read(1086, 1) == [3]
+    hand.motors.stuck.clear()
+    clock.advance(1)
+    assert hand.motors.positions[1] == 0
+    _rtu(hand, 2, 6, 0x04, 0x70, 0xFF, 0xFF)
+    clock.advance(1)
+    assert hand.read(1086, 1) == [2]
+
+
+@pytest.mark.parametrize(("generation", "force", "limit"), [(1, 1120, 15000), (2, 1175, 0)])
+def test_rohand_force_registers_depend_on_the_generation(generation, force, limit):
+    hand = RoHand(generation, clock=ManualClock())
+    hand.forces[:] = [1, 2, 3, 4, 5]
+    assert hand.read(force, 5) == [1, 2, 3, 4, 5]
+    assert hand.read(1115, 1) == [limit]
+
+
+def test_rohand_speaks_with_pymodbus_over_a_serial_line():
+    client_module = pytest.importorskip("pymodbus.client", reason="pymodbus is not installed")
+    pytest.importorskip("serial", reason="pyserial is not installed")
+    pytest.importorskip("termios", reason="this platform has no pseudo terminals")
+    hand = RoHand(2)
+    with SerialLine(hand) as line:
+        client = client_module.ModbusSerialClient(
+            line.port, baudrate=115200, timeout=0.5, retries=0
+        )
+        assert client.connect()
+        assert not client.write_registers(1135, [1, 2, 3, 4, 5, 6], device_id=2).isError()
+        assert client.read_holding_registers(1135, count=6, device_id=2).registers == [
+            1,
+            2,
+            3,
+            4,
+            5,
+            6,
+        ]
+        hand.faults.silent = True
+        with pytest.raises(Exception, match="No response"):
+            client.read_holding_registers(1135, count=6, device_id=2)
+        client.close()

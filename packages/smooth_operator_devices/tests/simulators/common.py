@@ -152,7 +152,10 @@ class Faults:
 
 
 class SerialDevice(Protocol):
-    """A device that takes bytes and gives bytes."""
+    """A device that takes bytes and gives bytes.
+
+    A device that speaks unasked also has `poll() -> bytes`, which a line calls again and again.
+    """
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes from the line and return the bytes of the answers, maybe none."""
@@ -229,8 +232,10 @@ class SerialLine:
             if master is None:
                 time.sleep(0.005)
                 continue
+            if hasattr(self.device, "poll") and (unasked := self.device.poll()):
+                self.send(unasked)
             try:
-                if not select.select([master], [], [], 0.02)[0]:
+                if not select.select([master], [], [], 0.01)[0]:
                     continue
                 data = os.read(master, 4096)
             except (OSError, ValueError):

@@ -1,0 +1,240 @@
+"""A ROHand (OYMotion) with Modbus RTU firmware, first and second generation.
+
+Sources, by the maker (OYMotion):
+
+- oymotion.github.io, commit 1600e846 (2025-12-23), `en/ROHand/ROH-Protocols/
+  OHandModBusRTUProtocol_Gen1` (V1.0) and `_Gen2` (V2.0): frames, errors, registers with their
+  defaults and access, angles, status codes.
+- github.com/oymotion/roh_gen2_demos, commit 026e86bb (2026-07-13), `common/roh_registers_v2.py`,
+  and github.com/oymotion/roh_demos, commit a7fbf70f (2026-01-09), `common/roh_registers_v1.py`.
+- github.com/oymotion/roh_firmware, `FAQs` (a motor over its current limit stops, and starts again
+  when its target is written again).
+
+Facts: 115200 baud 8N1, node 2; functions 3, 6 and 16. Fingers: thumb bending, index, middle, ring,
+little, thumb rotation. Target and position 0 (open) to 65535. Angles in 0.01°; those of the four
+fingers fall when they close. Defaults at every power on: current limit 1178 mA, speed 65535 a
+second. Error 4 (device failure) has its reason in register 1006.
+
+**The generations differ**: the first has force limits (15000 mN) at 1115 to 1119 and forces at 1120
+to 1124; the second has force targets (0: no force control) at 1115 to 1119 and forces at 1175 to
+1179. The thumb's angles differ, too.
+
+Not found: when the errors "motor stuck" and "invalid register value" come (here the hand accepts a
+target of a stuck finger), the answer to a register outside the table or a write to one that is read
+only (here error 2), whether broadcasts (node 0) are obeyed (here they are not), how long the hand
+initialises after power on (here `init_time`), and which end of the thumb's range is the open one
+(here the larger angle of bending and the smaller one of rotation).
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from .common import Clock, Faults, Motors
+
+FINGERS = ("thumb", "index", "middle", "ring", "little", "thumb_rotation")
+OPENING, CLOSING, REACHED, OVER_CURRENT, FORCE_REACHED, STUCK = range(6)
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE = 1, 2, 3, 4
+NOT_INITIALISED = 1
+_FINGER_ANGLES = [[17837, 10022], [17606, 9781], [17654, 10138], [17486, 9884]]
+ANGLES = {  # open, closed [0.01°] of each generation
+    1: np.array([[3676, -745], *_FINGER_ANGLES, [100, 9000]]),
+    2: np.array([[3676, 226], *_FINGER_ANGLES, [0, 9000]]),
+}
+
+
+def crc(data: bytes) -> bytes:
+    """The check of Modbus RTU, low byte first."""
+    value = 0xFFFF
+    for byte in data:
+        value ^= byte
+        for _ in range(8):
+            value = value >> 1 ^ (0xA001 if value & 1 else 0)
+    return value.to_bytes(2, "little")
+
+
+class RoHand:
+    """A simulated ROHand; bytes in, bytes out.
+
+    hand = RoHand(generation=2)                   # or with clock=ManualClock()
+    with SerialLine(hand) as line: ...            # the driver opens `line.port`
+    hand.faults.silent = True; line.unplug(); line.plug(); hand.reboot()
+    hand.faults.answer_wrongly("checksum")        # or "identifier", "short"
+    hand.motors.stuck.add(1); hand.forces[2] = 900
+    hand.motors.positions, hand.read(1095, 6)     # state, in the device's 0 to 65535
+    """
+
+    def __init__(
+        self,
+        generation: int = 2,
+        node: int = 2,
+        *,
+        init_time: float = 0.0,
+        clock: Clock = time.monotonic,
+    ) -> None:
+        self.generation = generation
+        self.node = node
+        self.init_time = init_time
+        self.faults = Faults("checksum", "identifier", "short")
+        self.motors = Motors(np.zeros(6), 65535.0, clock=clock)
+        self.forces = np.zeros(5, dtype=int)  # mN
+        self.received: list[bytes] = []
+        self._clock = clock
+        self._buffer = b""
+        self._start()
+        self._ready_at = clock()
+
+    def _start(self) -> None:
+        self._registers = {
+            1000: self.generation << 8,
+            1001: 0x0101,
+            1002: 1,
+            1003: 0x2001,
+            1004: 0x0100,
+            1006: 0,
+            1007: 24000,
+            1008: 1,
+            1009: 1,
+            **{1095 + k: 1178 for k in range(6)},
+            **{1115 + k: 15000 if self.generation == 1 else 0 for k in range(5)},
+            **{1125 + k: 65535 for k in range(6)},
+        }
+        self._stopped = [False] * 6  # by the current limit
+        for finger in range(6):
+            self.motors.set_speed(finger, 65535.0)
+        self.motors.place(self.motors.positions)
+        self.motors.set_power(True)
+
+    def reboot(self) -> None:
+        """Switch the hand off and on: limits and speeds are at their defaults again."""
+        self._start()
+        self._buffer = b""
+        self._ready_at = self._clock() + self.init_time
+
+    def receive(self, data: bytes) -> bytes:
+        """Answer the requests in the bytes; an incomplete request waits for its rest."""
+        self._buffer += data
+        answers = b""
+        while len(self._buffer) >= 8:
+            length = 8
+            if self._buffer[1] == 16:
+                length = 9 + self._buffer[6]
+            if len(self._buffer) < length:
+                break
+            request = self._buffer[:length]
+            if crc(request[:-2]) != request[-2:]:
+                self._buffer = b""  # the pause that ends a frame is not seen here
+                break
+            self._buffer = self._buffer[length:]
+            if request[0] == self.node and not self.faults.silent:
+                self.received.append(request)
+                answers += self._wrong(self._answer(request[1], request[2:-2]))
+        return answers
+
+    def _wrong(self, answer: bytes) -> bytes:
+        wrong = self.faults.next_wrong()
+        node = self.node + 1 if wrong == "identifier" else self.node
+        framed = bytes([node]) + answer
+        framed += crc(framed)
+        if wrong == "checksum":
+            framed = framed[:-1] + bytes([framed[-1] ^ 0x55])
+        return framed[:-2] if wrong == "short" else framed
+
+    def _answer(self, function: int, body: bytes) -> bytes:
+        address, count = int.from_bytes(body[:2], "big"), int.from_bytes(body[2:4], "big")
+        if function not in (3, 6, 16):
+            return bytes([function | 0x80, ILLEGAL_FUNCTION])
+        if self._clock() < self._ready_at and address != 1006:
+            self._registers[1006] = NOT_INITIALISED
+            return bytes([function | 0x80, DEVICE_FAILURE])
+        if function == 3:
+            if not 1 <= count <= 125:
+                return bytes([0x83, ILLEGAL_VALUE])
+            values = self.read(address, count)
+            if values is None:
+                return bytes([0x83, ILLEGAL_ADDRESS])
+            return bytes([3, 2 * count]) + b"".join(v.to_bytes(2, "big") for v in values)
+        if function == 6:
+            values = [count]
+        else:
+            if len(body) != 5 + 2 * count or body[4] != 2 * count:
+                return bytes([0x90, ILLEGAL_VALUE])
+            values = [int.from_bytes(body[5 + 2 * i : 7 + 2 * i], "big") for i in range(count)]
+        if not all(self._writable(address + i) for i in range(len(values))):
+            return bytes([function | 0x80, ILLEGAL_ADDRESS])
+        for i, value in enumerate(values):
+            self._write(address + i, value)
+        return bytes([function]) + body[:4]
+
+    def _writable(self, address: int) -> bool:
+        writable = (1005, 1008, 1009, 1010, 1011, 1012, 1013, 1014, 1015, 1016)
+        blocks = (1020, 1030, 1045, 1055, 1065, 1075, 1095, 1115, 1125, 1135, 1155)
+        if self.generation == 1 and 1120 <= address < 1125:
+            return False
+        return address in writable or any(start <= address < start + 10 for start in blocks)
+
+    def _write(self, address: int, value: int) -> None:
+        finger = address % 10 - 5 if address % 10 >= 5 else address % 10 + 5
+        if address == 1014:
+            if value == 0:
+                self.reboot()
+            return
+        if address == 1005:
+            self.node = value & 0xFF
+            self.reboot()
+            return
+        self._registers[address] = value
+        if finger >= 6:
+            return
+        if 1125 <= address < 1135:
+            self.motors.set_speed(finger, float(value))
+        if 1135 <= address < 1145:
+            self._go(finger, value)
+        if 1155 <= address < 1165:
+            signed = value - 0x10000 if value & 0x8000 else value
+            opened, closed = ANGLES[self.generation][finger]
+            self._go(finger, round(np.clip((signed - opened) / (closed - opened), 0, 1) * 65535))
+
+    def _go(self, finger: int, target: int) -> None:
+        self._stopped[finger] = False
+        self.motors.set_power(True, [finger])
+        self.motors.move([target], [finger])
+
+    def read(self, address: int, count: int) -> list[int] | None:
+        """Registers as they are now, or None if one of them does not exist."""
+        self._refresh()
+        values = []
+        for one in range(address, address + count):
+            blocks = range(1000, 1284) if self.generation == 2 else range(1000, 1175)
+            if one not in blocks and not (2000 <= one < 3000):
+                return None
+            values.append(self.node if one == 1005 else self._registers.get(one, 0) & 0xFFFF)
+        return values
+
+    def _refresh(self) -> None:
+        motors = self.motors
+        positions, targets, currents = motors.positions, motors.targets, motors.currents
+        for k in range(6):
+            if k in motors.stuck and currents[k] > self._registers[1095 + k]:
+                self._stopped[k] = True
+                motors.set_power(False, [k])
+            away = targets[k] - positions[k]
+            if self._stopped[k]:
+                status = OVER_CURRENT
+            elif abs(away) < 0.5:
+                status = REACHED
+            elif k in motors.stuck:
+                status = STUCK
+            else:
+                status = CLOSING if away > 0 else OPENING
+            opened, closed = ANGLES[self.generation][k]
+            angle = opened + (closed - opened) * positions[k] / 65535
+            self._registers[1085 + k] = status
+            self._registers[1105 + k] = round(0.0 if self._stopped[k] else currents[k])
+            self._registers[1145 + k] = round(positions[k])
+            self._registers[1165 + k] = round(angle)
+        first = 1120 if self.generation == 1 else 1175
+        for k in range(5):
+            self._registers[first + k] = int(self.forces[k])
