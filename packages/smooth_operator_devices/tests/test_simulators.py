@@ -1,10 +1,12 @@
 """Simulated hands answer the frames that the makers' texts give literally."""
 
+import socket
+import struct
 import time
 
 import numpy as np
 import pytest
-from simulators.common import Faults, ManualClock, Motors, SerialLine
+from simulators.common import Faults, ManualClock, Motors, SerialLine, serve_can
 
 
 def _hex(text: str) -> bytes:
@@ -133,7 +135,7 @@ def test_linkerhand_on_a_virtual_bus_falls_silent_and_answers_wrongly():
     hand = LinkerHand("L6", "left")
     with (
         can.Bus("linker", interface="virtual") as host,
-        hand.on(can.Bus("linker", interface="virtual")),
+        serve_can(hand, can.Bus("linker", interface="virtual")),
     ):
         request = can.Message(arbitration_id=0x28, data=[0x33], is_extended_id=False)
         host.send(request)
@@ -435,3 +437,221 @@ def test_rohand_speaks_with_pymodbus_over_a_serial_line():
         with pytest.raises(Exception, match="No response"):
             client.read_holding_registers(1135, count=6, device_id=2)
         client.close()
+
+
+# --- DexHand021: tests/test_dexhand_protocol.py and commands.py of DexRobot's pyzlg_dexhand
+
+from simulators.dexhand021_can import DexHand021  # noqa: E402
+
+
+def _fd(hand: DexHand021, identifier: int, data: str) -> list[tuple[int, str]]:
+    frame = can.Message(
+        arbitration_id=identifier, data=_hex(data), is_extended_id=False, is_fd=True
+    )
+    return [(m.arbitration_id, bytes(m.data).hex(" ")) for m in hand.answer(frame)]
+
+
+def test_dexhand021_confirms_configurations_as_the_maker_checks_them():
+    hand = DexHand021("left", clock=ManualClock())
+    assert _fd(hand, 0x001, "03 A4") == [(0x081, "03 a4 00 01")]
+    assert _fd(hand, 0x001, "03 74 01 32 01") == [(0x081, "03 74 00 01")]
+    assert _fd(hand, 0x007, "03 A4") == []  # a board of the right hand
+    classic = can.Message(arbitration_id=0x001, data=_hex("03 A4"), is_extended_id=False)
+    assert hand.answer(classic) == []
+
+
+def test_dexhand021_moves_in_hundredths_of_a_degree_and_sends_feedback():
+    clock = ManualClock()
+    hand = DexHand021("left", clock=clock)
+    _fd(hand, 0x001, "03 74 01 32 01")
+    # cascaded, both motors, 1000 and -2000: the values of the maker's test
+    assert _fd(hand, 0x101, "44 03 E8 03 30 F8") == []
+    clock.advance(1)
+    (feedback,) = hand.poll()
+    data = bytes(feedback.data)
+    assert feedback.arbitration_id == 0x181
+    assert len(data) == 48
+    assert np.allclose(hand.motors.positions[:2], [10, -20])
+    assert data[12:16] == _hex("E8 03 30 F8")
+    assert int.from_bytes(data[4:6], "little", signed=True) == 140  # 10 x 2.1 x 6*25*16/360
+    assert hand.poll() == []
+    clock.advance(0.5)  # 50 x 10 ms
+    assert len(hand.poll()) == 1
+
+
+def test_dexhand021_stalled_motor_sends_the_frame_that_was_captured_from_a_hand():
+    clock = ManualClock()
+    hand = DexHand021("right", clock=clock)
+    hand.motors.stuck.add(4)  # motor 1 of board 9
+    _fd(hand, 0x109, "44 01 E8 03 00 00")
+    assert hand.poll() == []
+    clock.advance(0.6)
+    (error,) = hand.poll()
+    assert error.arbitration_id == 0x609
+    assert bytes(error.data) == b"\xee\x01\x04".ljust(64, b"\0")
+    hand.motors.stuck.clear()
+    _fd(hand, 0x109, "44 01 E8 03 00 00")
+    clock.advance(1)
+    assert hand.motors.positions[4] == 0
+    _fd(hand, 0x009, "03 A4")
+    _fd(hand, 0x109, "44 01 E8 03 00 00")
+    clock.advance(1)
+    assert hand.motors.positions[4] == 10
+
+
+def test_dexhand021_speaks_on_a_virtual_bus():
+    hand = DexHand021("right")
+    with (
+        can.Bus("dex", interface="virtual") as host,
+        serve_can(hand, can.Bus("dex", interface="virtual")),
+    ):
+        config = _hex("03 74 01 01 01")
+        host.send(can.Message(arbitration_id=0x008, data=config, is_extended_id=False, is_fd=True))
+        kinds = [host.recv(2).arbitration_id for _ in range(3)]
+        assert kinds == [0x088, 0x188, 0x188]
+        hand.faults.silent = True
+        time.sleep(0.1)
+        while host.recv(0.05):
+            pass
+        assert host.recv(0.1) is None
+
+
+# --- Inspire with touch: manual RH56DFTP R1, and Unitree's inspire_hand_sdk
+
+from simulators.inspire_touch import TOUCH, InspireTouchHand  # noqa: E402
+
+
+def test_inspire_touch_addresses_are_those_of_the_manual():
+    assert TOUCH["little", "nail"] == (3018, (12, 8))
+    assert TOUCH["index", "pad"] == (4320, (10, 8))
+    assert TOUCH["thumb", "pad"] == (4708, (12, 8))
+    ends = [start + 2 * rows * columns for start, (rows, columns) in TOUCH.values()]
+    assert sorted(start for start, _ in TOUCH.values())[1:] == sorted(ends)[:-1]
+    assert max(ends) == 5124
+
+
+def test_inspire_reads_and_writes_as_the_manual_frames_them():
+    clock = ManualClock()
+    hand = InspireTouchHand(clock=clock)
+    # transaction 7, unit 255: write 100, 100, 100, 100, 2000 (refused), 0 from 1486
+    written = hand.receive(
+        _hex("00 07 00 00 00 13 FF 10 05 CE 00 06 0C 00 64 00 64 00 64 00 64 07 D0 00 00")
+    )
+    assert written == _hex("00 07 00 00 00 06 FF 10 05 CE 00 06")
+    clock.advance(1)
+    read = hand.receive(_hex("00 08 00 00 00 06 FF 03 06 0A 00 06"))
+    assert read == _hex("00 08 00 00 00 0F FF 03 0C 00 64 00 64 00 64 00 64 03 E8 00 00")
+    assert hand.receive(_hex("00 09 00 00 00 06 FF 06 05 D4 02 58"))[7:] == _hex("06 05 D4 02 58")
+    clock.advance(0.3)  # from 100 to 600 at 1000 in 0.6 s
+    assert hand.motors.positions[3] == 600
+
+
+def test_inspire_touch_cells_run_by_rows_and_the_palm_by_columns():
+    hand = InspireTouchHand(clock=ManualClock())
+    hand.touch["little", "nail"][1, 0] = 0x0102  # the ninth point
+    hand.touch["palm", "palm"][7, 1] = 0x0304  # the ninth point of the palm: row 8, column 2
+    request = lambda address, count: struct.pack(">HHHBBHH", 1, 0, 6, 255, 3, address, count)  # noqa: E731
+    assert hand.receive(request(3018, 9))[-2:] == _hex("01 02")
+    assert hand.receive(request(4900, 9))[-2:] == _hex("03 04")
+    assert hand.receive(request(3000, 126))[7:] == _hex("83 03")
+    assert hand.receive(request(5200, 1))[7:] == _hex("83 02")
+
+
+def test_inspire_heat_stays_when_faults_are_cleared():
+    hand = InspireTouchHand(clock=ManualClock())
+    hand.errors[3] |= 1
+    hand.motors.temperatures[2] = 90
+    request = _hex("00 01 00 00 00 06 FF 03 06 46 00 03")  # 1606, three registers
+    assert hand.receive(request)[9:] == _hex("00 00 01 02 00 00")
+    hand.receive(_hex("00 01 00 00 00 06 FF 06 03 EC 00 01"))
+    assert hand.receive(request)[9:] == _hex("00 00 00 02 00 00")
+    hand.motors.temperatures[2] = 40
+    assert hand.receive(request)[9:] == _hex("00 00 00 00 00 00")
+
+
+def test_inspire_server_answers_off_by_one_hangs_up_and_comes_back():
+    with InspireTouchHand() as hand:
+        request = _hex("00 10 00 00 00 06 FF 03 06 0A 00 01")
+        with socket.create_connection(hand.address, 2) as client:
+            client.sendall(request[:5])
+            client.sendall(request[5:])
+            assert client.recv(100) == _hex("00 10 00 00 00 05 FF 03 02 03 E8")
+            hand.transaction_shift = -1
+            client.sendall(request)
+            assert client.recv(100)[:2] == _hex("00 0F")
+            hand.hang_up()
+            assert client.recv(100) == b""
+        with socket.create_connection(hand.address, 2) as client:
+            client.sendall(request)
+            assert client.recv(100)
+
+
+# --- Dex3-1: types of unitree_sdk2_python, order of xr_teleoperate
+
+
+@pytest.fixture
+def dex3():
+    pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
+    from simulators import dex3_dds
+
+    return dex3_dds
+
+
+def _dex3_command(dex3, q: float, status: int = 1):
+    motors = [dex3.MotorCmd(i | status << 4, q, 0.0, 0.0, 1.5, 0.2, 0) for i in range(7)]
+    return dex3.HandCmd(motors, [0] * 4)
+
+
+def test_dex3_types_have_the_names_and_fields_of_the_maker(dex3):
+    assert dex3.HandState.__idl_typename__ == "unitree_hg.msg.dds_.HandState_"
+    message = _dex3_command(dex3, 0.5)
+    data = message.serialize()
+    # encapsulation, count of motors, then per motor: mode and three bytes of padding, five f32, u32
+    assert data[4:8] == (7).to_bytes(4, "little")
+    assert data[8] == 0x10
+    assert struct.unpack_from("<5f", data, 12) == pytest.approx((0.5, 0.0, 0.0, 1.5, 0.2))
+    assert dex3.ORDER["left"][3] == "middle_0"
+    assert dex3.ORDER["right"][3] == "index_0"
+
+
+def test_dex3_motor_is_free_until_its_mode_byte_says_on(dex3):
+    clock = ManualClock()
+    hand = dex3.Dex3Hand("left", clock=clock)
+    hand.obey(_dex3_command(dex3, 0.5, status=0))
+    clock.advance(1)
+    assert hand.motors.positions.tolist() == [0.0] * 7
+    hand.obey(_dex3_command(dex3, 0.5))
+    clock.advance(1)
+    assert [motor.q for motor in hand.state().motor_state] == [0.5] * 7
+    hand.reboot()
+    hand.obey(_dex3_command(dex3, 0.0, status=0))
+    clock.advance(1)
+    assert hand.motors.positions.tolist() == [0.5] * 7
+
+
+def test_dex3_speaks_over_dds(dex3):
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+
+    with dex3.Dex3Hand("right", domain=91) as hand:
+        try:
+            participant = DomainParticipant(91)
+        except Exception as error:  # no network interface
+            pytest.skip(f"DDS does not start here: {error}")
+        writer = DataWriter(participant, Topic(participant, "rt/dex3/right/cmd", dex3.HandCmd))
+        reader = DataReader(participant, Topic(participant, "rt/dex3/right/state", dex3.HandState))
+        deadline = time.monotonic() + 10
+        reached = False
+        while not reached and time.monotonic() < deadline:
+            writer.write(_dex3_command(dex3, 0.25))
+            time.sleep(0.02)
+            states = reader.take(100)
+            reached = bool(states) and abs(states[-1].motor_state[6].q - 0.25) < 1e-6
+        assert reached
+        hand.faults.silent = True
+        time.sleep(0.1)
+        reader.take(100)
+        time.sleep(0.1)
+        assert not reader.take(100)

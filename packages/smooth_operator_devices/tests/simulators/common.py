@@ -6,12 +6,13 @@ motors move in real time.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -245,3 +246,30 @@ class SerialLine:
             answer = self.device.receive(data)
             if answer:
                 self.send(answer)
+
+
+@contextlib.contextmanager
+def serve_can(device, bus) -> Iterator[None]:  # type: ignore[no-untyped-def]
+    """Let a device answer on a CAN bus in a thread until the block ends; then shut the bus down.
+
+    The device has `answer(message)`, and `poll()` if it sends by itself; both return messages.
+    """
+    ended = threading.Event()
+
+    def run() -> None:
+        while not ended.is_set():
+            frame = bus.recv(0.005)
+            messages = [] if frame is None else device.answer(frame)
+            if hasattr(device, "poll"):
+                messages = [*messages, *device.poll()]
+            for message in messages:
+                bus.send(message)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        bus.shutdown()

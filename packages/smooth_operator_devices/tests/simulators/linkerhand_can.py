@@ -34,8 +34,6 @@ maker's programs wait 0.3 to 5 ms).
 
 from __future__ import annotations
 
-import contextlib
-import threading
 import time
 from dataclasses import dataclass, field
 
@@ -202,7 +200,7 @@ class LinkerHand:
     """A simulated LinkerHand.
 
         hand = LinkerHand("L6", "left")            # or with clock=ManualClock()
-        with hand.on(can.Bus("a", interface="virtual")): ...   # the driver opens channel "a", too
+        with serve_can(hand, can.Bus("a", interface="virtual")): ...   # the driver opens "a", too
         hand.faults.silent = True                  # outage; False again: it is back
         hand.faults.answer_wrongly("identifier")   # or "short"
         hand.motors.stuck.add(2); hand.raise_fault("index", 1 << 3); hand.reboot()
@@ -255,27 +253,6 @@ class LinkerHand:
         self.received.append(bytes(frame.data))
         payloads = self._answers(frame.data[0], bytes(frame.data[1:]))
         return [self._message(payload) for payload in payloads]
-
-    @contextlib.contextmanager
-    def on(self, bus: can.BusABC):  # type: ignore[no-untyped-def]
-        """Answer on a bus in a thread of its own until the block ends, then shut the bus down."""
-        ended = threading.Event()
-
-        def run() -> None:
-            while not ended.is_set():
-                frame = bus.recv(0.02)
-                if frame is not None:
-                    for message in self.answer(frame):
-                        bus.send(message)
-
-        thread = threading.Thread(target=run, daemon=True)
-        thread.start()
-        try:
-            yield self
-        finally:
-            ended.set()
-            thread.join()
-            bus.shutdown()
 
     def _message(self, payload: bytes) -> can.Message:
         identifier = self.identifier

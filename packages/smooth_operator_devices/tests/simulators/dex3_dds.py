@@ -1,0 +1,212 @@
+"""A Unitree Dex3-1 on DDS (CycloneDDS).
+
+Sources, by the maker (Unitree):
+
+- github.com/unitreerobotics/unitree_sdk2_python, commit 37116c52 (2026-07-02), `unitree_sdk2py/idl/
+  unitree_hg/msg/dds_/_{HandCmd_,HandState_,MotorCmd_,MotorState_,PressSensorState_,IMUState_}.py`:
+  type names, fields and their order, final types with sequential member numbers.
+- github.com/unitreerobotics/xr_teleoperate, commit d1510db0 (2025-07-18), `teleop/robot_control/
+  robot_hand_unitree.py`: topics, order of the motors of each side, mode byte, gains, 100 Hz.
+
+Facts: topics rt/dex3/left/cmd, rt/dex3/left/state and the same of the right hand, on domain 0
+(1 in simulation). Left: thumb 0, 1, 2, middle 0, 1, index 0, 1. Right: thumb 0, 1, 2, index 0, 1,
+middle 0, 1. The mode byte has the motor's number in bits 0 to 3, its status in bits 4 to 6 (1 is
+on) and "timeout" in bit 7.
+
+Not found: what bit 7 does (here nothing), what status 0 does (here the motor is free), what the
+hand does when commands stop (here it holds its target), its rate (here 500 Hz), limits of the
+joints (here none), and the values of `motorstate` and `error` (here 0, until a test sets them).
+"""
+
+import threading
+import time
+from dataclasses import dataclass
+
+import cyclonedds.idl as idl
+import cyclonedds.idl.annotations as annotate
+import cyclonedds.idl.types as types
+import numpy as np
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+from .common import Clock, Faults, Motors
+
+ORDER = {
+    "left": ("thumb_0", "thumb_1", "thumb_2", "middle_0", "middle_1", "index_0", "index_1"),
+    "right": ("thumb_0", "thumb_1", "thumb_2", "index_0", "index_1", "middle_0", "middle_1"),
+}
+
+
+@dataclass
+@annotate.final
+@annotate.autoid("sequential")
+class MotorCmd(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorCmd_"):
+    mode: types.uint8
+    q: types.float32
+    dq: types.float32
+    tau: types.float32
+    kp: types.float32
+    kd: types.float32
+    reserve: types.uint32
+
+
+@dataclass
+@annotate.final
+@annotate.autoid("sequential")
+class HandCmd(idl.IdlStruct, typename="unitree_hg.msg.dds_.HandCmd_"):
+    motor_cmd: types.sequence[MotorCmd]
+    reserve: types.array[types.uint32, 4]
+
+
+@dataclass
+@annotate.final
+@annotate.autoid("sequential")
+class MotorState(idl.IdlStruct, typename="unitree_hg.msg.dds_.MotorState_"):
+    mode: types.uint8
+    q: types.float32
+    dq: types.float32
+    ddq: types.float32
+    tau_est: types.float32
+    temperature: types.array[types.int16, 2]
+    vol: types.float32
+    sensor: types.array[types.uint32, 2]
+    motorstate: types.uint32
+    reserve: types.array[types.uint32, 4]
+
+
+@dataclass
+@annotate.final
+@annotate.autoid("sequential")
+class PressSensorState(idl.IdlStruct, typename="unitree_hg.msg.dds_.PressSensorState_"):
+    pressure: types.array[types.float32, 12]
+    temperature: types.array[types.float32, 12]
+    lost: types.uint32
+    reserve: types.uint32
+
+
+@dataclass
+@annotate.final
+@annotate.autoid("sequential")
+class IMUState(idl.IdlStruct, typename="unitree_hg.msg.dds_.IMUState_"):
+    quaternion: types.array[types.float32, 4]
+    gyroscope: types.array[types.float32, 3]
+    accelerometer: types.array[types.float32, 3]
+    rpy: types.array[types.float32, 3]
+    temperature: types.int16
+
+
+@dataclass
+@annotate.final
+@annotate.autoid("sequential")
+class HandState(idl.IdlStruct, typename="unitree_hg.msg.dds_.HandState_"):
+    motor_state: types.sequence[MotorState]
+    press_sensor_state: types.sequence[PressSensorState]
+    imu_state: IMUState
+    power_v: types.float32
+    power_a: types.float32
+    system_v: types.float32
+    device_v: types.float32
+    error: types.array[types.uint32, 2]
+    reserve: types.array[types.uint32, 2]
+
+
+class Dex3Hand:
+    """A simulated Dex3-1 that reads commands and writes states on a DDS domain.
+
+        with Dex3Hand("left", domain=1) as hand: ...       # the driver uses the same domain
+        hand.faults.silent = True                          # outage: neither hears nor writes
+        hand.faults.answer_wrongly("short")                # a state of five motors
+        hand.motors.stuck.add(3); hand.motors.temperatures[0] = 90; hand.motor_errors[2] = 4
+        hand.motors.positions, hand.commands               # state [rad]; all commands it heard
+
+    A second program is a second writer on the topic of the commands.
+    """
+
+    def __init__(
+        self, side: str, domain: int = 1, *, rate: float = 500.0, clock: Clock = time.monotonic
+    ) -> None:
+        self.side = side
+        self.faults = Faults("short")
+        self.motors = Motors(np.zeros(7), 6.0, clock=clock)
+        self.motors.set_power(False)
+        self.motor_errors = [0] * 7
+        self.error = [0, 0]
+        self.pressure = np.zeros((9, 12))
+        self.commands: list[HandCmd] = []
+        self._modes = [0] * 7
+        self._rate = rate
+        self._domain = domain
+        self._ended = threading.Event()
+
+    def reboot(self) -> None:
+        """Switch the hand off and on: the motors are free until the next command."""
+        self.motors.set_power(False)
+        self.motors.place(self.motors.positions)
+        self._modes = [0] * 7
+        self.motor_errors = [0] * 7
+
+    def __enter__(self) -> "Dex3Hand":
+        participant = DomainParticipant(self._domain)
+        base = f"rt/dex3/{self.side}"
+        self._reader = DataReader(participant, Topic(participant, f"{base}/cmd", HandCmd))
+        self._writer = DataWriter(participant, Topic(participant, f"{base}/state", HandState))
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._ended.wait(1 / self._rate):
+            for command in self._reader.take(100):
+                if isinstance(command, HandCmd) and not self.faults.silent:
+                    self.obey(command)
+            if not self.faults.silent:
+                self._writer.write(self.state())
+
+    def obey(self, command: HandCmd) -> None:
+        """Take a command."""
+        self.commands.append(command)
+        for number, motor in enumerate(command.motor_cmd[:7]):
+            self._modes[number] = motor.mode
+            on = motor.mode >> 4 & 0x07 == 1 and motor.mode & 0x0F == number
+            self.motors.set_power(on and motor.kp > 0, [number])
+            self.motors.move([motor.q], [number])
+
+    def state(self) -> HandState:
+        """The message of this moment."""
+        positions, velocities = self.motors.positions, self.motors.velocities
+        currents = self.motors.currents
+        count = 5 if self.faults.next_wrong() == "short" else 7
+        return HandState(
+            motor_state=[
+                MotorState(
+                    mode=self._modes[i],
+                    q=float(positions[i]),
+                    dq=float(velocities[i]),
+                    ddq=0.0,
+                    tau_est=float(currents[i] / 1000),
+                    temperature=[int(self.motors.temperatures[i])] * 2,
+                    vol=24.0,
+                    sensor=[0, 0],
+                    motorstate=self.motor_errors[i],
+                    reserve=[0] * 4,
+                )
+                for i in range(count)
+            ],
+            press_sensor_state=[
+                PressSensorState(pressure=row.tolist(), temperature=[30.0] * 12, lost=0, reserve=0)
+                for row in self.pressure
+            ],
+            imu_state=IMUState([1.0, 0.0, 0.0, 0.0], [0.0] * 3, [0.0, 0.0, 9.81], [0.0] * 3, 30),
+            power_v=24.0,
+            power_a=float(currents.sum() / 1000),
+            system_v=24.0,
+            device_v=24.0,
+            error=list(self.error),
+            reserve=[0, 0],
+        )
