@@ -7,7 +7,6 @@ result.command.joint_positions        # (20,) in radians
 The public names are listed in ``__init__.pyi``, here and in each public subpackage.
 """
 
-import smooth_operator.baselines  # noqa: F401 (offers its methods)
 from smooth_operator.lazy_names import public_names
 
 __getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from smooth_operator.errors import ConfigError, SmoothOperatorError, UnknownNameError
-from smooth_operator.parts import OFFERED
 from smooth_operator.terminal import print_note
 
 _Part = TypeVar("_Part")
@@ -104,7 +103,7 @@ class Registry(Mapping[str, Entry]):
 
     Args:
         kind: kind of part, for messages, such as ``sink``.
-        built_in: maps names to built-in parts; those of ``smooth_operator.parts`` follow.
+        built_in: maps names to built-in parts.
         needs: names of the attributes that every part must have.
         advice: advice on a missing attribute, for the message.
         elsewhere: maps the name of a part of another distribution to advice on how to get it, for
@@ -120,8 +119,7 @@ class Registry(Mapping[str, Entry]):
         elsewhere: Mapping[str, str] | None = None,
     ) -> None:
         self.kind = kind
-        offered = {name: Entry(*part) for name, part in OFFERED.get(kind, {}).items()}
-        self.built_in = {**built_in, **offered}
+        self.built_in = dict(built_in)
         self._added: dict[str, Entry] = {}
         self.needs, self.advice = needs, advice
         self.elsewhere = dict(elsewhere or {})

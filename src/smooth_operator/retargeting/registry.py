@@ -11,6 +11,8 @@ from typing import Any, Final
 
 from smooth_operator.plugins import Entry, Registry
 
+_BASELINES: Final = "smooth_operator.baselines"
+
 METHODS: Final = Registry(
     "method",
     {
@@ -21,6 +23,15 @@ METHODS: Final = Registry(
         "smooth": Entry(
             "smooth_operator.retargeting.smooth:SMOOTH",
             "teleop, precise, or offline for recordings",
+        ),
+        "joint_angle": Entry(f"{_BASELINES}.joint_angle:JOINT_ANGLE_PRESETS", "default"),
+        "keyvector": Entry(f"{_BASELINES}.slsqp_method:KEYVECTOR_PRESETS", "published or fast"),
+        "hybrid": Entry(f"{_BASELINES}.slsqp_method:HYBRID_PRESETS", "published or fast"),
+        "dexpilot": Entry(f"{_BASELINES}.slsqp_method:DEXPILOT_PRESETS", "published or fast"),
+        "ako": Entry(f"{_BASELINES}.slsqp_method:AKO_PRESETS", "published or fast"),
+        "geort": Entry(
+            f"{_BASELINES}.geort.method:GEORT_PRESETS",
+            "default, or the file of your trained model",
         ),
     },
 )
