@@ -1,5 +1,8 @@
 """Simulated hands answer the frames that the makers' texts give literally."""
 
+import asyncio
+import enum
+import inspect
 import socket
 import struct
 import time
@@ -655,3 +658,197 @@ def test_dex3_speaks_over_dds(dex3):
         reader.take(100)
         time.sleep(0.1)
         assert not reader.take(100)
+
+
+# --- Stand-ins of makers' Python packages
+
+from simulators import revo3_sdk, wuji_sdk, xhand_sdk  # noqa: E402
+from simulators.sdk import installed, stub_methods  # noqa: E402
+
+
+@pytest.mark.parametrize(
+    ("package", "file", "modules", "own"),
+    [
+        ("wuji_sdk", "__init__.pyi", wuji_sdk.wuji_modules, set()),
+        ("bc_revo3_sdk", "main_mod.pyi", revo3_sdk.revo3_modules, {"value", "name"}),
+    ],
+)
+def test_stand_ins_have_the_calls_of_the_package_that_is_installed(package, file, modules, own):
+    stubs = stub_methods(package, file)
+    if stubs is None:
+        pytest.skip(f"{package} is not installed")
+    stand_in = list(modules().values())[-1]
+    compared = 0
+    for name, cls in vars(stand_in).items():
+        if not inspect.isclass(cls) or issubclass(cls, enum.Enum | Exception):
+            continue
+        assert name in stubs
+        for method, function in vars(cls).items():
+            if method.startswith("_") or method in own:
+                continue
+            if isinstance(function, property):
+                continue
+            if callable(function) or isinstance(function, staticmethod):
+                function = getattr(cls, method)
+                expected = stubs[name][method]
+                assert list(inspect.signature(function).parameters) == expected, f"{name}.{method}"
+                compared += 1
+    assert compared > 15
+
+
+def test_xhand_commands_have_the_fields_and_widths_of_the_binding():
+    clock = ManualClock()
+    hand = xhand_sdk.XHand("right", identifier=1, clock=clock)
+    with installed(xhand_sdk.xhand_modules(hand)):
+        from xhand_controller import xhand_control
+
+        device = xhand_control.XHandControl()
+        command = xhand_control.HandCommand_t()
+        assert device.send_command(1, command).error_code == 1501038  # not opened
+        assert device.enumerate_devices("RS485") == ["/dev/ttyUSB0"]
+        assert device.open_serial("/dev/ttyUSB0", 3_000_000).error_code == 0
+        assert device.list_hands_id() == [1]
+        for i in range(12):
+            finger = command.finger_command[i]
+            finger.id, finger.kp, finger.ki, finger.kd = i, 100, 0, 0
+            finger.position, finger.tor_max, finger.mode = 0.5, 300, 3
+        with pytest.raises(TypeError):
+            command.finger_command[0].kp = 100.0
+        with pytest.raises(TypeError):
+            command.finger_command[0].tor_max = -1
+        command.finger_command[0] = xhand_control.FingerCommand_t()  # of a copy of the list
+        assert device.send_command(1, command).error_code == 0
+        assert device.send_command(2, command).error_code == 1501037
+        clock.advance(1)
+        error, state = device.read_state(1, False)
+        assert error.error_code == 0
+        assert [finger.position for finger in state.finger_state] == [0.5] * 12
+        assert len(state.sensor_data[0].raw_force) == 120
+        hand.faults.silent = True
+        assert device.read_state(1)[0].error_code == 1501050
+        hand.faults.silent = False
+        hand.reboot()
+        assert device.list_hands_id() == [0]
+        hand.occupied = True
+        assert device.open_serial("/dev/ttyUSB0", 3_000_000).error_code == 1501039
+
+
+def test_wuji_frames_hold_the_joints_online_by_their_nid():
+    clock = ManualClock()
+    hand = wuji_sdk.Hand("left", clock=clock)
+    other = wuji_sdk.Hand("right", clock=clock)
+    with installed(wuji_sdk.wuji_modules(hand, other)):
+        import wuji_sdk as sdk
+
+        manager = sdk.SdkManager.instance()
+        with pytest.raises(sdk.WujiException, match="exactly one"):
+            manager.connect(device_name="hand")
+        device = manager.connect(handedness=sdk.Handedness.Left, device_name="hand")
+        assert device.serial_number[3] == "J"
+        assert [sdk.WujiHand2.nid_to_joint_index(nid) for nid in (1, 4, 6, 24)] == [0, 3, 4, 19]
+        with pytest.raises(sdk.WujiException, match="nid 5 is not a joint nid"):
+            sdk.WujiHand2.nid_to_joint_index(5)
+        publisher = device.joint_command().publish()
+        states = device.joint_states().subscribe()
+        publisher.send([sdk.JointCommand(0.5, 0.0, 0.0)] * 20)
+        clock.advance(1)
+        assert {entry.position for entry in states.recv().joints} == {0.0}  # not enabled
+        assert states.recv() is None
+        device.enable()
+        hand.offline.add(4)
+        hand.set_fault(0, wuji_sdk.OVERCURRENT)
+        hand.set_fault(1, wuji_sdk.STALL)
+        publisher.send([sdk.JointCommand(0.5, 0.0, 0.0)] * 20)
+        clock.advance(1)
+        frame = states.recv()
+        assert [entry.nid for entry in frame.joints[:6]] == [1, 2, 3, 4, 7, 8]
+        assert [entry.position for entry in frame.joints[:3]] == [0.0, 0.5, 0.5]
+        assert len(frame) == 19
+        assert device.effort_limit().get()[4] is None
+        device.clear_fault()
+        diagnostics = device.joint_diagnostics().subscribe().recv()
+        assert {entry.error_code_current for entry in diagnostics.joints} == {0}
+        with pytest.raises(sdk.WujiException):
+            publisher.send([sdk.JointCommand(0.0, 0.0, 0.0)] * 19)
+        hand.faults.silent = True
+        assert states.recv() is None
+        with pytest.raises(sdk.WujiException):
+            device.enable()
+        assert sdk.WujiHand2.describe_error(0) is None
+        assert sdk.describe_error("E-11-32-2102")["clear_policy"] == "ManualClear"
+
+
+def test_wuji_hand_stops_without_commands_if_it_watches_them():
+    clock = ManualClock()
+    hand = wuji_sdk.Hand("right", clock=clock, command_timeout=0.1)
+    with installed(wuji_sdk.wuji_modules(hand)):
+        import wuji_sdk as sdk
+
+        device = sdk.SdkManager.instance().auto_connect("hand")
+        device.enable()
+        device.joint_command().publish().send([sdk.JointCommand(1.0, 0.0, 0.0)] * 20)
+        clock.advance(0.2)
+        entry = device.joint_diagnostics().subscribe().recv().joints[0]
+        assert entry.error_code_current == wuji_sdk.COMM_TIMEOUT
+
+
+def test_revo3_order_begins_with_the_pinky():
+    assert revo3_sdk.JOINTS[:2] == ("pinky_abd", "pinky_mcp")
+    assert revo3_sdk.JOINTS[16] == "thumb_cmc_rot"
+    assert revo3_sdk.RANGES.shape == (21, 2)
+    assert revo3_sdk.RANGES[18].tolist() == [-10, 103]
+    assert revo3_sdk.RANGES[4].tolist() == [-15, 15]
+
+
+def test_revo3_servo_session_expires_and_conflicts_with_single_commands():
+    clock = ManualClock()
+    hand = revo3_sdk.Revo3("left", clock=clock)
+
+    async def run(sdk) -> None:
+        async with sdk.Manager() as manager:
+            device = await manager.connect_auto()
+            assert device.device_info.hand_side is sdk.HandSide.Left
+            await device.motion.set_position([10.0] * 21)
+            clock.advance(1)
+            assert (await device.state.snapshot()).positions_deg == [10.0] * 21
+            session = device.motion.open_servo()
+            with pytest.raises(sdk.SdkError) as conflict:
+                await device.motion.set_position([0.0] * 21)
+            assert conflict.value.code is sdk.SdkErrorCode.ControlConflict
+            await session.send_position([5.0] * 21)
+            clock.advance(0.15)
+            assert session.state is sdk.ServoSessionState.Expired
+            with pytest.raises(sdk.SdkError) as late:
+                await session.send_position([5.0] * 21)
+            assert late.value.code is sdk.SdkErrorCode.InvalidState
+            with pytest.raises(sdk.SdkError, match="expected 21"):
+                await device.motion.set_position([0.0] * 20)
+            with pytest.raises(sdk.SdkError, match="thumb_cmc_abd"):
+                await device.motion.set_joint_position(19, -5.0)
+            await device.motion.set_finger_position(1, [0.0, 1.0, 2.0, 3.0])  # the index
+            assert hand.motors.targets[12:16].tolist() == [0.0, 1.0, 2.0, 3.0]
+            hand.motor_faults[3] = 8
+            health = await device.health.snapshot()
+            assert (health.faulted_motor_count, int(health.safety_state)) == (1, 2)
+            await device.health.clear_motor_faults()
+            hand.faults.answer_wrongly("timeout")
+            with pytest.raises(sdk.SdkError) as lost:
+                await device.state.snapshot()
+            assert lost.value.retryable
+            await device.motion.software_stop()
+            with pytest.raises(sdk.SdkError, match="software stop"):
+                await device.motion.set_position([0.0] * 21)
+            await device.motion.recover_software_stop()
+            await device.motion.set_position([0.0] * 21)
+
+    with installed(revo3_sdk.revo3_modules(hand)):
+        from bc_revo3_sdk import main_mod
+
+        asyncio.run(run(main_mod))
+
+
+def test_revo3_models_other_than_the_ultra_cannot_be_moved():
+    hand = revo3_sdk.Hand(revo3_sdk.Revo3(model=revo3_sdk.Revo3Model.Pro))
+    with pytest.raises(revo3_sdk.SdkError) as refused:
+        _ = hand.motion
+    assert refused.value.code is revo3_sdk.SdkErrorCode.UnsupportedCapability

@@ -1,0 +1,557 @@
+"""A stand-in for BrainCo's `bc_revo3_sdk`, with a simulated Revo 3 behind it.
+
+Sources, by the maker (BrainCo):
+
+- `bc-revo3-sdk` 2.3.2 (package index, proprietary): `bc_revo3_sdk/main_mod.pyi` (calls, fields,
+  comments), its METADATA, and the values of its enumerations.
+- github.com/BrainCoTech/brainco-revo3-sdk, commit 7ba96ebd (2026-08-03), `python/revo3/
+  revo3_joint_map.md`: order and ranges of the motors. Its examples use an older object
+  (`revo3_servo_hand`), which 2.3.2 does not have.
+
+Facts: `from bc_revo3_sdk import main_mod as sdk`; all calls that reach the hand are awaited. Order
+of the 21 joints: **pinky** abduction, MCP, PIP, DIP, then ring, middle, index, then thumb CMC
+rotation, MCP, IP, CMC abduction, CMC flexion. Fingers are numbered the other way: 1 index, 2
+middle, 3 ring, 4 pinky; the thumb has calls of its own. Degrees, rpm, mA. `Motion.set_position`
+sends once, without a watchdog; `Motion.open_servo(command_timeout_ms)` makes a session that
+expires without commands (100 ms by default). Moving beside an open session is a ControlConflict.
+Errors are SdkError with code, retryable, operation_effect and recovery_requirement. Only the
+21-joint Ultra can be moved.
+
+Not found: what the hand does when a session expires (here it holds its target), what
+`software_stop` does (here it holds, and refuses commands until `recover_software_stop`), whether
+targets out of range are refused (here they are, as InvalidArgument), fault codes of motors, the
+identifier of the layout, and defaults of the gains. The touch, calibration, configuration and
+update domains are not here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import enum
+import math
+import time
+import types
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .common import Clock, Faults, Motors
+from .sdk import module
+
+_FINGER = ("abd", "mcp", "pip", "dip")
+JOINTS = (
+    *(f"{finger}_{part}" for finger in ("pinky", "ring", "middle", "index") for part in _FINGER),
+    *("thumb_cmc_rot", "thumb_mcp", "thumb_ip", "thumb_cmc_abd", "thumb_cmc_flex"),
+)
+_BENDING = [(-5, 90), (-12, 90), (-20, 90)]
+_THUMB = [(-30, 90), (-10, 90), (-10, 103), (0, 110), (0, 75)]
+RANGES = np.array(  # degrees
+    [(-14, 15), *_BENDING, *([(-15, 15), *_BENDING] * 3), *_THUMB]
+)
+COUNT = 21
+
+
+class _Int(enum.Enum):
+    def __int__(self) -> int:
+        return self.value
+
+    @property
+    def int_value(self) -> int:
+        return self.value
+
+
+HandSide = _Int("HandSide", {"Left": 0, "Right": 1})
+HandControlMode = _Int("HandControlMode", {"Position": 0, "Damping": 5, "Mit": 6})
+Revo3Model = _Int(
+    "Revo3Model",
+    {
+        "Ultra": 20,
+        "UltraTouch": 21,
+        "UltraVisionTouch": 22,
+        "Pro": 23,
+        "ProTouch": 24,
+        "Basic": 26,
+        "BasicTouch": 27,
+    },
+)
+SafetyState = _Int(
+    "SafetyState", {"Operational": 0, "RecoveryRequired": 1, "Faulted": 2, "Unknown": 3}
+)
+SdkErrorCode = _Int(
+    "SdkErrorCode",
+    {
+        "ConnectionFailed": 1,
+        "InvalidArgument": 2,
+        "InvalidState": 3,
+        "Timeout": 4,
+        "UnsupportedCapability": 5,
+        "DeviceFault": 6,
+        "Internal": 7,
+        "ControlConflict": 8,
+    },
+)
+ServoSessionState = _Int("ServoSessionState", {"Active": 0, "Expired": 1, "Closed": 2})
+ProtocolType = _Int("ProtocolType", {"Auto": 0, "Modbus": 1, "CanFd": 3})
+TimestampClock = _Int("TimestampClock", {"ProcessMonotonic": 0, "UnixRealtime": 1})
+OperationEffect = _Int(
+    "OperationEffect", {"NotApplied": 1, "PartiallyApplied": 2, "Indeterminate": 3}
+)
+RecoveryRequirement = _Int(
+    "RecoveryRequirement", {"None": 0, "Retry": 1, "Reconnect": 2, "OperatorAction": 3}
+)
+Rs485Baudrate = _Int(
+    "Rs485Baudrate", {"Baud1Mbps": 1, "Baud2Mbps": 2, "Baud3Mbps": 3, "Baud5Mbps": 5}
+)
+CanFdBaudrate = _Int(
+    "CanFdBaudrate", {"Baud1Mbps": 1, "Baud2Mbps": 2, "Baud4Mbps": 4, "Baud5Mbps": 5}
+)
+
+
+class SdkError(RuntimeError):
+    def __init__(
+        self,
+        code: enum.Enum,
+        message: str,
+        *,
+        retryable: bool = False,
+        effect: enum.Enum = OperationEffect.NotApplied,
+        recovery: str = "None",
+    ) -> None:
+        super().__init__(message)
+        self.code, self.message, self.retryable = code, message, retryable
+        self.operation_effect = effect
+        self.recovery_requirement = RecoveryRequirement[recovery]
+        self.low_level_cause: str | None = None
+
+
+@dataclass
+class Timestamp:
+    sec: int
+    nsec: int
+    clock: enum.Enum = TimestampClock.ProcessMonotonic
+
+
+@dataclass
+class HandState:
+    positions_deg: list[float]
+    velocities_rpm: list[float]
+    currents_ma: list[float]
+    operating_states: list[int]
+    timestamp: Timestamp
+
+    @property
+    def positions_rad(self) -> list[float]:
+        return [math.radians(value) for value in self.positions_deg]
+
+    @property
+    def velocities_rad_s(self) -> list[float]:
+        return [value * 2 * math.pi / 60 for value in self.velocities_rpm]
+
+    @property
+    def currents_a(self) -> list[float]:
+        return [value / 1000 for value in self.currents_ma]
+
+
+@dataclass
+class HealthSnapshot:
+    motor_fault_codes: list[int]
+    safety_state: enum.Enum
+    observed_at: Timestamp
+    temperature_c: int = 30
+    voltage_v: float = 24.0
+    current_ma: int = 200
+    power_w: float = 4.8
+    error_code: int = 0
+    system_state: int = 0
+
+    @property
+    def faulted_motor_count(self) -> int:
+        return sum(code != 0 for code in self.motor_fault_codes)
+
+
+@dataclass
+class DeviceInfo:
+    serial_number: str
+    hand_side: enum.Enum
+    model: enum.Enum
+    hardware_revision: str = "A"
+    product_code: str | None = "R3U"
+    motor_serial_numbers: list[str] = field(default_factory=list)
+    touch_serial_numbers: list[str] = field(default_factory=list)
+
+
+@dataclass
+class DetectedDevice:
+    port_name: str
+    slave_id: int
+    protocol_type: enum.Enum
+    serial_number: str | None
+    hand_side: enum.Enum | None
+    model: enum.Enum | None
+    firmware_version: str | None = "1.0.0"
+    hardware_revision: str | None = "A"
+    nominal_baudrate_bps: int = 1_000_000
+    data_baudrate_bps: int = 5_000_000
+
+
+@dataclass
+class JointLayout:
+    joint_count: int = COUNT
+    layout_id: str = "revo3-ultra-21"
+    version: int = 1
+
+
+@dataclass
+class Revo3:
+    """A simulated Revo 3.
+
+    hand = Revo3("right")                              # or with clock=ManualClock()
+    with installed(revo3_modules(hand)): ...           # the driver imports bc_revo3_sdk
+    hand.faults.silent = True                          # outage: SdkError Timeout
+    hand.faults.answer_wrongly("timeout")              # or "fault": one call fails
+    hand.motors.stuck.add(4); hand.motor_faults[4] = 8; hand.reboot()
+    hand.motors.positions, hand.control_mode, hand.sent    # state [degrees]; commands it got
+    """
+
+    side: str = "right"
+    port: str = "/dev/ttyUSB0"
+    model: enum.Enum = Revo3Model.Ultra
+    clock: Clock = time.monotonic
+    faults: Faults = field(default_factory=lambda: Faults("timeout", "fault"))
+
+    def __post_init__(self) -> None:
+        self.serial_number = f"R3U{self.side[0].upper()}0000001"
+        self.slave_id = 0x7E if self.side == "left" else 0x7F
+        self.motors = Motors(np.zeros(COUNT), 360.0, clock=self.clock)
+        self.offline: set[int] = set()
+        self.sent: list[tuple[str, object]] = []
+        self.reboot()
+
+    def reboot(self) -> None:
+        """Switch the hand off and on: position mode, no faults; open hands lose it."""
+        self.control_mode = HandControlMode.Position
+        self.motor_faults = [0] * COUNT
+        self.stopped = False
+        self.sessions: list[ServoSession] = []
+        self.motors.place(self.motors.positions)
+        self.motors.set_power(True)
+        self.generation = getattr(self, "generation", 0) + 1
+
+    def now(self) -> Timestamp:
+        """The time of a message."""
+        seconds = self.clock()
+        return Timestamp(int(seconds), int(seconds % 1 * 1e9))
+
+    def transact(self) -> None:
+        """Raise what a failing exchange raises."""
+        wrong = self.faults.next_wrong()
+        if self.faults.silent or wrong == "timeout":
+            raise SdkError(
+                SdkErrorCode.Timeout,
+                "device did not answer",
+                retryable=True,
+                effect=OperationEffect.Indeterminate,
+                recovery="Retry",
+            )
+        if wrong == "fault":
+            raise SdkError(SdkErrorCode.DeviceFault, "device fault", recovery="OperatorAction")
+
+    def move(self, kind: str, joints: Sequence[int], targets: Sequence[float]) -> None:
+        """Check a command of positions and send it."""
+        if len(targets) != len(joints):
+            raise SdkError(
+                SdkErrorCode.InvalidArgument, f"expected {len(joints)} values, got {len(targets)}"
+            )
+        for joint, target in zip(joints, targets, strict=True):
+            low, high = RANGES[joint]
+            if not (math.isfinite(target) and low <= target <= high):
+                raise SdkError(
+                    SdkErrorCode.InvalidArgument,
+                    f"{JOINTS[joint]}: {target} is not in {low} to {high} degrees",
+                )
+        if self.stopped:
+            raise SdkError(SdkErrorCode.InvalidState, "software stop", recovery="OperatorAction")
+        self.transact()
+        self.sent.append((kind, list(targets)))
+        for joint, target in zip(joints, targets, strict=True):
+            self.motors.set_power(not self.motor_faults[joint], [joint])
+            self.motors.move([target], [joint])
+
+
+def _finger(finger_index: int) -> range:
+    if not 1 <= finger_index <= 4:
+        raise SdkError(SdkErrorCode.InvalidArgument, f"finger_index {finger_index} is not 1 to 4")
+    first = 4 * (4 - finger_index)  # fingers count from the index, joints from the pinky
+    return range(first, first + 4)
+
+
+class ServoSession:
+    def __init__(self, hand: Revo3, command_timeout_ms: int) -> None:
+        self._hand, self._timeout = hand, command_timeout_ms / 1000
+        self._fed, self._closed, self._expired = hand.clock(), False, False
+
+    @property
+    def state(self) -> enum.Enum:
+        if self._closed:
+            return ServoSessionState.Closed
+        if self._hand.clock() - self._fed > self._timeout:
+            self._expired = True
+        return ServoSessionState.Expired if self._expired else ServoSessionState.Active
+
+    def _feed(self) -> None:
+        if self.state is not ServoSessionState.Active:
+            raise SdkError(SdkErrorCode.InvalidState, f"servo session is {self.state.name}")
+        self._fed = self._hand.clock()
+
+    async def send_position(self, position_deg: Sequence[float]) -> None:
+        self._feed()
+        self._hand.move("servo position", range(COUNT), position_deg)
+
+    async def send_impedance(
+        self, position_deg: Sequence[float], velocity_rpm: Sequence[float], kp: float, kd: float
+    ) -> None:
+        self._feed()
+        self._hand.move("servo impedance", range(COUNT), position_deg)
+
+    async def send_mit(
+        self,
+        position_deg: Sequence[float],
+        velocity_rpm: Sequence[float],
+        kp: Sequence[float],
+        kd: Sequence[float],
+        feedforward_current_ma: Sequence[float],
+    ) -> None:
+        self._feed()
+        self._hand.move("servo mit", range(COUNT), position_deg)
+
+    def close(self) -> None:
+        self._closed = True
+
+
+class Motion:
+    def __init__(self, hand: Revo3) -> None:
+        self._hand = hand
+
+    def _alone(self) -> None:
+        if any(one.state is ServoSessionState.Active for one in self._hand.sessions):
+            raise SdkError(SdkErrorCode.ControlConflict, "a servo session is active")
+
+    def open_servo(self, command_timeout_ms: int | None = None) -> ServoSession:
+        self._alone()
+        session = ServoSession(
+            self._hand, 100 if command_timeout_ms is None else command_timeout_ms
+        )
+        self._hand.sessions.append(session)
+        return session
+
+    async def set_position(self, position_deg: Sequence[float]) -> None:
+        self._alone()
+        self._hand.move("position", range(COUNT), position_deg)
+
+    async def set_joint_position(self, joint_index: int, position_deg: float) -> None:
+        self._alone()
+        self._hand.move("joint", [joint_index], [position_deg])
+
+    async def set_finger_position(self, finger_index: int, position_deg: Sequence[float]) -> None:
+        self._alone()
+        self._hand.move("finger", _finger(finger_index), position_deg)
+
+    async def set_thumb_position(self, position_deg: Sequence[float]) -> None:
+        self._alone()
+        self._hand.move("thumb", range(16, 21), position_deg)
+
+    async def set_mit(
+        self,
+        position_deg: Sequence[float],
+        velocity_rpm: Sequence[float],
+        kp: Sequence[float],
+        kd: Sequence[float],
+        feedforward_current_ma: Sequence[float],
+    ) -> None:
+        self._alone()
+        for values in (velocity_rpm, kp, kd, feedforward_current_ma):
+            if len(values) != COUNT:
+                raise SdkError(SdkErrorCode.InvalidArgument, f"expected {COUNT} values")
+        self._hand.move("mit", range(COUNT), position_deg)
+
+    async def get_control_mode(self) -> enum.Enum:
+        self._hand.transact()
+        return self._hand.control_mode
+
+    async def set_control_mode(self, mode: enum.Enum) -> None:
+        self._alone()
+        self._hand.transact()
+        self._hand.control_mode = mode
+        self._hand.motors.set_power(mode is not HandControlMode.Damping)
+
+    async def software_stop(self) -> None:
+        self._hand.transact()
+        self._hand.stopped = True
+        self._hand.motors.move(self._hand.motors.positions)
+
+    async def recover_software_stop(self) -> None:
+        self._hand.transact()
+        self._hand.stopped = False
+
+
+class StateSubscription:
+    def __init__(self, read: Callable[[], Awaitable[HandState]], period: float) -> None:
+        self._read, self._period, self._closed = read, period, False
+
+    async def next(self) -> HandState:
+        if self._closed:
+            raise SdkError(SdkErrorCode.InvalidState, "subscription is closed")
+        await asyncio.sleep(self._period)
+        return await self._read()
+
+    def close(self) -> None:
+        self._closed = True
+
+
+class State:
+    def __init__(self, hand: Revo3) -> None:
+        self._hand = hand
+
+    async def snapshot(self) -> HandState:
+        self._hand.transact()
+        motors = self._hand.motors
+        return HandState(
+            motors.positions.tolist(),
+            (motors.velocities / 6).tolist(),
+            motors.currents.tolist(),
+            [0] * COUNT,
+            self._hand.now(),
+        )
+
+    def subscribe(self, period: float | None = None) -> StateSubscription:
+        return StateSubscription(self.snapshot, 0.02 if period is None else period)
+
+
+class Health:
+    def __init__(self, hand: Revo3) -> None:
+        self._hand = hand
+
+    async def snapshot(self) -> HealthSnapshot:
+        self._hand.transact()
+        faults = list(self._hand.motor_faults)
+        state = SafetyState.Faulted if any(faults) else SafetyState.Operational
+        if self._hand.stopped:
+            state = SafetyState.RecoveryRequired
+        return HealthSnapshot(faults, state, self._hand.now())
+
+    async def clear_motor_faults(self) -> None:
+        self._hand.transact()
+        self._hand.motor_faults = [0] * COUNT
+        self._hand.motors.set_power(True)
+
+    async def motor_module_temperatures_c(self) -> list[float]:
+        self._hand.transact()
+        return self._hand.motors.temperatures.tolist()
+
+    async def motor_online_mask(self) -> int:
+        self._hand.transact()
+        return sum(1 << joint for joint in range(COUNT) if joint not in self._hand.offline)
+
+
+class Hand:
+    def __init__(self, hand: Revo3) -> None:
+        self._hand = hand
+        self.slave_id = hand.slave_id
+        self.state, self.health = State(hand), Health(hand)
+        self.joint_layout: JointLayout | None = JointLayout()
+        self.device_info: DeviceInfo | None = DeviceInfo(
+            hand.serial_number, HandSide[hand.side.capitalize()], hand.model
+        )
+
+    @property
+    def motion(self) -> Motion:
+        if self._hand.model.value > 22:
+            raise SdkError(
+                SdkErrorCode.UnsupportedCapability, f"{self._hand.model.name} can't be moved yet"
+            )
+        return Motion(self._hand)
+
+    async def close(self) -> None:
+        for session in self._hand.sessions:
+            session.close()
+
+    async def __aenter__(self) -> Hand:
+        return self
+
+    async def __aexit__(self, _exc_type: object, _exc_value: object, _traceback: object) -> None:
+        await self.close()
+
+
+def revo3_modules(*hands: Revo3) -> dict[str, types.ModuleType]:
+    """The modules of the stand-in, for `installed`, with the given hands on their ports."""
+
+    class Manager:
+        async def discover(
+            self,
+            scan_all: bool = False,
+            port: str | None = None,
+            protocol: enum.Enum | None = None,
+            slave_id: int | None = None,
+            modbus_baudrate: enum.Enum | None = None,
+            canfd_data_baudrate: enum.Enum | None = None,
+            broadcast: bool = True,
+            on_found: Callable[[DetectedDevice], bool | None] | None = None,
+        ) -> list[DetectedDevice]:
+            found = [
+                DetectedDevice(
+                    hand.port,
+                    hand.slave_id,
+                    ProtocolType.Modbus,
+                    hand.serial_number,
+                    HandSide[hand.side.capitalize()],
+                    hand.model,
+                )
+                for hand in hands
+                if not hand.faults.silent
+                and port in (None, hand.port)
+                and slave_id in (None, hand.slave_id)
+            ]
+            return found if scan_all else found[:1]
+
+        async def connect(self, detected: DetectedDevice, model: enum.Enum | None = None) -> Hand:
+            for hand in hands:
+                if (hand.port, hand.slave_id) == (detected.port_name, detected.slave_id):
+                    hand.transact()
+                    return Hand(hand)
+            raise SdkError(SdkErrorCode.ConnectionFailed, "no device", recovery="Reconnect")
+
+        async def connect_auto(
+            self,
+            port: str | None = None,
+            protocol: enum.Enum | None = None,
+            slave_id: int | None = None,
+            modbus_baudrate: enum.Enum | None = None,
+            canfd_data_baudrate: enum.Enum | None = None,
+            broadcast: bool = True,
+            model: enum.Enum | None = None,
+        ) -> Hand:
+            found = await self.discover(port=port, slave_id=slave_id)
+            if not found:
+                raise SdkError(SdkErrorCode.ConnectionFailed, "no device", recovery="Reconnect")
+            return await self.connect(found[0])
+
+        async def close(self) -> None:
+            pass
+
+        async def __aenter__(self) -> Manager:
+            return self
+
+        async def __aexit__(
+            self, _exc_type: object, _exc_value: object, _traceback: object
+        ) -> None:
+            await self.close()
+
+    public = (HandSide, HandControlMode, Revo3Model, SafetyState, SdkErrorCode, ServoSessionState)
+    public += (ProtocolType, TimestampClock, OperationEffect, RecoveryRequirement, Rs485Baudrate)
+    public += (CanFdBaudrate, SdkError, Timestamp, HandState, HealthSnapshot, DeviceInfo, Health)
+    public += (DetectedDevice, JointLayout, ServoSession, Motion, StateSubscription, State, Hand)
+    public += (Manager,)
+    main = module("bc_revo3_sdk.main_mod", **{one.__name__: one for one in public})
+    main.get_sdk_version = lambda: "2.3.2"
+    return {"bc_revo3_sdk": module("bc_revo3_sdk", main_mod=main), "bc_revo3_sdk.main_mod": main}

@@ -1,0 +1,588 @@
+"""A stand-in for Wuji's `wuji_sdk`, with simulated Wuji Hands 2 behind it.
+
+Source, by the maker (Wuji Technology): `wuji-sdk` 2026.10.26 (package index):
+`wuji_sdk/__init__.pyi` (calls, fields, comments), its METADATA (examples), and what its functions
+answer without a hand: `nid_to_joint_index`, `joint_index_to_nid`, `describe_error`, `SdkManager.connect`.
+
+Facts: `SdkManager.instance().scan()` and `connect(sn= | address= | handedness=, device_name=)`; the
+fourth character of a serial number is J on the left and K on the right. 20 joints, fingers from
+thumb to pinky, four each; commands are 20 x JointCommand(position [rad], velocity, effort) at up to
+1 kHz. **A frame of states has only the joints that are online, each with its `nid`** (bus * 5 +
+node: 1 to 4, 6 to 9, ...): `WujiHand2.nid_to_joint_index`. `Subscription.recv` returns None while
+there is nothing. Fault codes: 0 is none; 0x0... are warnings, 0x1... deferred stops, 0x2...
+immediate stops, 0x3... fatal; a second digit of 1 means that a fault stays until it is cleared, 2 that it
+needs a restart. The package has no `control_mode` of a Wuji Hand 2: `ControlMode` and
+`ControlModeVec` exist, and no call takes them.
+
+Importing the real package prints a privacy notice: it reports its use, unless
+WUJI_TELEMETRY_DISABLE=1 is set.
+
+Not found: defaults (here: not enabled, effort limit 1.5 A, kp 3, kd 0.1), ranges of the joints, the
+numbers and names of `ext_state` (here 0 "Disabled", 1 "Enabled", 2 "Fault"), the native rate of the
+states (here 500 Hz) and how many frames wait unread (here one), the texts of exceptions in an
+outage, whether a joint's fault stops the others (here it does not), and after which time without
+commands CommTimeout (0x1002) comes (here `command_timeout`, off by default).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+import types
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .common import Clock, Faults, Motors
+from .sdk import module
+
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+COMM_TIMEOUT, OVER_TEMPERATURE, STALL, OVERCURRENT, HARDWARE_DAMAGE = (
+    0x1002,
+    0x1003,
+    0x0007,
+    0x2102,
+    0x3203,
+)
+_FAULTS = {  # name, severity, clear policy: what the package says of these codes
+    STALL: ("Stall", "Warning", "AutoClear"),
+    COMM_TIMEOUT: ("CommTimeout", "DeferredStop", "AutoClear"),
+    OVER_TEMPERATURE: ("OverTemperature", "DeferredStop", "AutoClear"),
+    OVERCURRENT: ("Overcurrent", "ImmediateStop", "ManualClear"),
+    HARDWARE_DAMAGE: ("HardwareDamage", "Fatal", "NonClearable"),
+}
+
+
+class WujiException(Exception):
+    pass
+
+
+class NodeOfflineError(WujiException):
+    pass
+
+
+class _Member:
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __repr__(self) -> str:
+        return self._name
+
+
+class Handedness:
+    Left, Right = _Member("Handedness.Left"), _Member("Handedness.Right")
+
+
+class DeviceType:
+    Unknown, WujiGlove = _Member("DeviceType.Unknown"), _Member("DeviceType.WujiGlove")
+    WujiHand2, WujiHand = _Member("DeviceType.WujiHand2"), _Member("DeviceType.WujiHand")
+
+
+class TransportType:
+    Usb, Udp = _Member("TransportType.Usb"), _Member("TransportType.Udp")
+
+
+@dataclass
+class ConnectOptions:
+    timeout_ms: int = 1000
+    retry_count: int = 3
+    enable_bridge: bool = True
+    auto_time_sync_interval_ms: int | None = 30000
+
+
+@dataclass
+class DiscoveredDevice:
+    sn: str
+    address: str
+    transport_type: _Member
+    device_type: _Member
+
+
+class JointCommand:
+    def __init__(self, position: float, velocity: float, effort: float) -> None:
+        self.position, self.velocity, self.effort = float(position), float(velocity), float(effort)
+
+
+class MitParam:
+    def __init__(self, kp: float, kd: float) -> None:
+        self.kp, self.kd = float(kp), float(kd)
+
+
+@dataclass
+class FrameHeader:
+    seq: int
+    timestamp_us: int
+    frame_id: str = ""
+
+
+@dataclass
+class JointStateEntry:
+    nid: int
+    position: float
+    velocity: float
+    effort: float
+
+
+@dataclass
+class StatusWord:
+    ext_state: int
+    position_limit_active: bool = False
+    velocity_limit_active: bool = False
+    current_limit_active: bool = False
+
+    @property
+    def ext_state_name(self) -> str:
+        return ("Disabled", "Enabled", "Fault")[self.ext_state]
+
+
+@dataclass
+class JointDiagnosticsEntry:
+    nid: int
+    status_word: StatusWord
+    current: float
+    vbus_v_fb: float
+    mcu_temp_c_fb: float
+    error_code_current: int
+    comm_response_rate_pct: int = 100
+    comm_timeout_total: int = 0
+
+
+@dataclass
+class _Frame:
+    header: FrameHeader
+    num_joints: int
+    joints: list
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+
+class JointStateFrame(_Frame):
+    pass
+
+
+class JointDiagnosticsFrame(_Frame):
+    pass
+
+
+@dataclass
+class Hand:
+    """A simulated Wuji Hand 2 on the network.
+
+    hand = Hand("left")                                   # or with clock=ManualClock()
+    with installed(wuji_modules(hand)): ...               # the driver imports wuji_sdk
+    hand.faults.silent = True                             # outage: no frames, calls fail
+    hand.faults.answer_wrongly("missing")                 # a frame without its first joint
+    hand.offline.add(7); hand.set_fault(3, OVERCURRENT); hand.motors.stuck.add(2); hand.reboot()
+    hand.motors.positions, hand.enabled, hand.effort_limits   # state [rad], [A]
+    """
+
+    side: str = "right"
+    sn: str = ""
+    clock: Clock = time.monotonic
+    state_rate: float = 500.0
+    command_timeout: float | None = None
+    faults: Faults = field(default_factory=lambda: Faults("missing"))
+    offline: set[int] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.sn = self.sn or "WH2" + ("J" if self.side == "left" else "K") + "0000001"
+        self.address = "192.168.1.100:7447"
+        self.motors = Motors(np.zeros(20), 6.0, clock=self.clock)
+        self.connected = False
+        self.commands: list[list[tuple[float, float, float]]] = []
+        self.reboot()
+
+    def reboot(self) -> None:
+        """Switch the hand off and on: not enabled, limits at their defaults, no faults."""
+        self.connected = False
+        self.enabled = [False] * 20
+        self.effort_limits = [1.5] * 20
+        self.mit_params = [(3.0, 0.1)] * 20
+        self.codes = [0] * 20
+        self._commanded_at: float | None = None
+        self.motors.place(self.motors.positions)
+        self._apply()
+
+    def set_fault(self, joint: int, code: int) -> None:
+        """Give a joint a fault code; 0 ends it. All but warnings stop the joint."""
+        self.codes[joint] = code
+        self._apply()
+
+    def clear(self, joints: list[int]) -> None:
+        """Clear faults that can be cleared, as `clear_fault` does."""
+        for joint in joints:
+            if self.codes[joint] < 0x3000:
+                self.codes[joint] = 0
+        self._apply()
+
+    def _apply(self) -> None:
+        for joint in range(20):
+            on = self.enabled[joint] and self.codes[joint] < 0x1000
+            self.motors.set_power(on, [joint])
+
+    def check(self) -> None:
+        """Raise what the package raises when the hand is away."""
+        if not self.connected:
+            raise WujiException("Disconnected: Device disconnected")
+        if self.faults.silent:
+            raise WujiException("OperationTimeout: Operation timed out")
+
+    def obey(self, joints: list[JointCommand]) -> None:
+        """Take a command."""
+        if len(joints) != 20:
+            raise WujiException(f"SchemaMismatch: expected 20 joints, got {len(joints)}")
+        if not self.connected:
+            raise WujiException("Disconnected: Device disconnected")
+        if self.faults.silent:
+            return  # a datagram that no one hears
+        self.commands.append([(j.position, j.velocity, j.effort) for j in joints])
+        self._commanded_at = self.clock()
+        for joint, code in enumerate(self.codes):
+            if code == COMM_TIMEOUT:
+                self.set_fault(joint, 0)
+        self.motors.move([joint.position for joint in joints])
+
+    def _watch(self) -> None:
+        late = self.command_timeout is not None and self._commanded_at is not None
+        if late and self.clock() - self._commanded_at > self.command_timeout:
+            for joint in range(20):
+                if not self.codes[joint]:
+                    self.codes[joint] = COMM_TIMEOUT
+            self._apply()
+
+    def _online(self) -> list[int]:
+        joints = [joint for joint in range(20) if joint not in self.offline]
+        return joints[1:] if self.faults.next_wrong() == "missing" else joints
+
+    def states(self, sequence: int) -> JointStateFrame:
+        """A frame of states of this moment."""
+        self._watch()
+        positions, velocities = self.motors.positions, self.motors.velocities
+        efforts = self.motors.currents / 1000
+        entries = [
+            JointStateEntry(_nid(j), float(positions[j]), float(velocities[j]), float(efforts[j]))
+            for j in self._online()
+        ]
+        return JointStateFrame(self._header(sequence), len(entries), entries)
+
+    def diagnostics(self, sequence: int) -> JointDiagnosticsFrame:
+        """A frame of diagnostics of this moment."""
+        self._watch()
+        currents = self.motors.currents / 1000
+        entries = []
+        for j in self._online():
+            state = 2 if self.codes[j] >= 0x1000 else int(self.enabled[j])
+            temperature = float(self.motors.temperatures[j])
+            entries.append(
+                JointDiagnosticsEntry(
+                    _nid(j), StatusWord(state), float(currents[j]), 24.0, temperature, self.codes[j]
+                )
+            )
+        return JointDiagnosticsFrame(self._header(sequence), len(entries), entries)
+
+    def _header(self, sequence: int) -> FrameHeader:
+        return FrameHeader(sequence, int(self.clock() * 1e6))
+
+
+def _nid(joint: int) -> int:
+    return joint // 4 * 5 + joint % 4 + 1
+
+
+class Subscription:
+    def __init__(self, hand: Hand, make: Callable[[int], object], rate: float) -> None:
+        self._hand, self._make, self._rate = hand, make, rate
+        self._sequence, self._next, self._closed = 0, hand.clock(), False
+        self.dtype, self.stream_id = "", 1
+
+    def recv(self) -> object:
+        if self._closed or not self._hand.connected:
+            raise WujiException("StreamClosed: Stream closed")
+        now = self._hand.clock()
+        if self._hand.faults.silent or now < self._next:
+            return None
+        self._next = now + 1 / self._rate
+        self._sequence += 1
+        return self._make(self._sequence)
+
+    async def recv_async(self) -> object:
+        while (frame := self.recv()) is None:
+            await asyncio.sleep(0.001)
+        return frame
+
+    def close(self) -> None:
+        self._closed = True
+
+    def set_rate(self, frequency_hz: int) -> int:
+        if not 0 <= frequency_hz <= 65535:
+            raise OverflowError("frequency_hz outside the 0-65535 range")
+        native = self._hand.state_rate
+        self._rate = native / max(1, round(native / frequency_hz)) if frequency_hz else native
+        return int(self._rate)
+
+
+class _States:
+    def __init__(self, hand: Hand, make: Callable[[int], object], rate: float) -> None:
+        self._arguments = (hand, make, rate)
+
+    def subscribe(self) -> Subscription:
+        self._arguments[0].check()
+        return Subscription(*self._arguments)
+
+
+class JointCommandPublisher:
+    def __init__(self, hand: Hand) -> None:
+        self._hand, self._closed = hand, False
+
+    def send(self, joints: list[JointCommand]) -> None:
+        if self._closed:
+            raise WujiException("StreamClosed: Stream closed")
+        self._hand.obey(joints)
+
+    def close(self) -> None:
+        self._closed = True
+
+
+class JointCommandResource:
+    def __init__(self, hand: Hand) -> None:
+        self._hand = hand
+
+    def publish(self) -> JointCommandPublisher:
+        self._hand.check()
+        return JointCommandPublisher(self._hand)
+
+
+class DeviceEffortLimitResource:
+    def __init__(self, hand: Hand) -> None:
+        self._hand = hand
+
+    def set(self, value: float | list[float]) -> None:
+        self._hand.check()
+        values = list(value) if isinstance(value, list | tuple) else [value] * 20
+        if len(values) != 20:
+            raise WujiException(f"SchemaMismatch: expected 20 values, got {len(values)}")
+        self._hand.effort_limits = [float(one) for one in values]
+
+    def get(self) -> list[float | None]:
+        self._hand.check()
+        offline = self._hand.offline
+        return [None if j in offline else v for j, v in enumerate(self._hand.effort_limits)]
+
+
+class DeviceMitParamsResource:
+    def __init__(self, hand: Hand) -> None:
+        self._hand = hand
+
+    def set(self, value: object) -> None:
+        self._hand.check()
+        values = value if isinstance(value, list) else [value] * 20
+        if len(values) != 20:
+            raise WujiException(f"SchemaMismatch: expected 20 values, got {len(values)}")
+        self._hand.mit_params = [
+            (v.kp, v.kd) if isinstance(v, MitParam) else (float(v[0]), float(v[1])) for v in values
+        ]
+
+    def get(self) -> list[MitParam | None]:
+        self._hand.check()
+        offline = self._hand.offline
+        return [None if j in offline else MitParam(*v) for j, v in enumerate(self._hand.mit_params)]
+
+
+@dataclass
+class _Value:
+    """A resource with a value that can be read."""
+
+    read: Callable[[], object]
+
+    def get(self) -> object:
+        return self.read()
+
+
+class JointHandle:
+    def __init__(self, owner: WujiHand2, index: int) -> None:
+        self._owner, self.index = owner, index
+        self.label = f"{FINGERS[index // 4]}_j{index % 4}"
+
+    def enable(self) -> None:
+        self._owner.enable([int(j == self.index) for j in range(20)])
+
+    def disable(self) -> None:
+        self._owner.disable([int(j == self.index) for j in range(20)])
+
+    def clear_fault(self) -> None:
+        self._owner.clear_fault([int(j == self.index) for j in range(20)])
+
+    def error_code(self) -> _Value:
+        return _Value(lambda: self._owner._hand.codes[self.index])
+
+
+class WujiHand2:
+    def __init__(self, hand: Hand, device_name: str) -> None:
+        self._hand = hand
+        self.serial_number, self.device_name = hand.sn, device_name
+
+    @property
+    def is_connected(self) -> bool:
+        return self._hand.connected and not self._hand.faults.silent
+
+    def _masked(self, joints: list[int] | None) -> list[int]:
+        self._hand.check()
+        if joints is not None and len(joints) != 20:
+            raise WujiException(f"SchemaMismatch: expected a mask of 20, got {len(joints)}")
+        return [j for j in range(20) if joints is None or joints[j]]
+
+    def enable(self, joints: list[int] | None = None) -> None:
+        for joint in self._masked(joints):
+            self._hand.enabled[joint] = True
+            self._hand.motors.move([self._hand.motors.positions[joint]], [joint])
+        self._hand._apply()
+
+    def disable(self, joints: list[int] | None = None) -> None:
+        for joint in self._masked(joints):
+            self._hand.enabled[joint] = False
+        self._hand._apply()
+
+    def clear_fault(self, joints: list[int] | None = None) -> None:
+        self._hand.clear(self._masked(joints))
+
+    def emergency_stop(self) -> None:
+        self._hand.check()
+        self._hand.enabled = [False] * 20
+        self._hand._apply()
+
+    def joint_command(self) -> JointCommandResource:
+        return JointCommandResource(self._hand)
+
+    def joint_states(self) -> _States:
+        return _States(self._hand, self._hand.states, self._hand.state_rate)
+
+    def joint_diagnostics(self) -> _States:
+        return _States(self._hand, self._hand.diagnostics, 100.0)
+
+    def effort_limit(self) -> DeviceEffortLimitResource:
+        return DeviceEffortLimitResource(self._hand)
+
+    def mit_params(self) -> DeviceMitParamsResource:
+        return DeviceMitParamsResource(self._hand)
+
+    def handedness(self) -> _Value:
+        return _Value(lambda: self._hand.side)
+
+    def online_joints_count(self) -> _Value:
+        return _Value(lambda: 20 - len(self._hand.offline))
+
+    def joints(self) -> list[JointHandle]:
+        return [JointHandle(self, index) for index in range(20)]
+
+    def joint(self, joint_index: int) -> JointHandle:
+        if not 0 <= joint_index < 20:
+            raise WujiException(f"joint_index {joint_index} out of range (0..=19)")
+        return JointHandle(self, joint_index)
+
+    def reboot(self) -> None:
+        self._hand.check()
+        self._hand.reboot()
+
+    def disconnect(self) -> None:
+        self._hand.connected = False
+
+    @staticmethod
+    def nid_to_joint_index(nid: int) -> int:
+        if not 0 < nid < 25 or nid % 5 == 0:
+            raise WujiException(f"nid {nid} is not a joint nid (1-4, 6-9, 11-14, 16-19, 21-24)")
+        return nid // 5 * 4 + nid % 5 - 1
+
+    @staticmethod
+    def joint_index_to_nid(joint_index: int) -> int:
+        if not 0 <= joint_index < 20:
+            raise WujiException(f"joint_index {joint_index} out of range (0..=19)")
+        return _nid(joint_index)
+
+    @staticmethod
+    def describe_error(code: int) -> dict[str, object] | None:
+        if code not in _FAULTS:
+            return None
+        name, severity, policy = _FAULTS[code]
+        texts = dict.fromkeys(
+            ("desc", "cause", "resolution", "desc_zh", "cause_zh", "resolution_zh"), name
+        )
+        known = {"code": code, "name": name, "severity": severity, "clear_policy": policy}
+        return {**known, "is_test": False, **texts}
+
+
+def wuji_modules(*hands: Hand) -> dict[str, types.ModuleType]:
+    """The module of the stand-in, for `installed`, with the given hands on the network."""
+
+    class SdkManager:
+        _devices: dict[str, WujiHand2] = {}  # noqa: RUF012
+
+        @staticmethod
+        def instance() -> SdkManager:
+            return manager
+
+        def scan(self) -> list[DiscoveredDevice]:
+            return [
+                DiscoveredDevice(h.sn, h.address, TransportType.Udp, DeviceType.WujiHand2)
+                for h in hands
+                if not h.faults.silent
+            ]
+
+        def connect(
+            self,
+            *,
+            sn: str | None = None,
+            address: str | None = None,
+            handedness: _Member | None = None,
+            device_name: str,
+            options: ConnectOptions | None = None,
+        ) -> WujiHand2:
+            if [sn, address, handedness].count(None) != 2:
+                raise WujiException("Must specify exactly one of 'sn', 'address', or 'handedness'")
+            letter = {Handedness.Left: "J", Handedness.Right: "K"}.get(handedness)
+            found = [
+                h
+                for h in hands
+                if not h.faults.silent
+                and (h.sn == sn or h.address == address or (letter and h.sn[3] == letter))
+            ]
+            if len(found) != 1:
+                raise WujiException("Device not found" if not found else "Multiple devices found")
+            found[0].connected = True
+            self._devices[device_name] = WujiHand2(found[0], device_name)
+            return self._devices[device_name]
+
+        def auto_connect(self, device_name: str) -> WujiHand2:
+            found = self.scan()
+            if len(found) != 1:
+                raise WujiException("Device not found" if not found else "Multiple devices found")
+            return self.connect(sn=found[0].sn, device_name=device_name)
+
+        def get_device(self, device_name: str) -> WujiHand2 | None:
+            return self._devices.get(device_name)
+
+        def disconnect(self, device_name: str) -> None:
+            self._devices.pop(device_name).disconnect()
+
+        def disconnect_all(self) -> None:
+            for name in list(self._devices):
+                self.disconnect(name)
+
+    manager = SdkManager()
+    public = (
+        WujiException,
+        NodeOfflineError,
+        Handedness,
+        DeviceType,
+        TransportType,
+        ConnectOptions,
+    )
+    public += (DiscoveredDevice, JointCommand, MitParam, FrameHeader, JointStateEntry, StatusWord)
+    public += (JointStateFrame, JointDiagnosticsEntry, JointDiagnosticsFrame, Subscription)
+    public += (JointCommandPublisher, JointHandle, WujiHand2, SdkManager)
+
+    def describe_error(full_code: str) -> dict[str, object] | None:
+        return WujiHand2.describe_error(int(full_code.rsplit("-", 1)[-1], 16))
+
+    members = {one.__name__: one for one in public}
+    return {"wuji_sdk": module("wuji_sdk", describe_error=describe_error, **members)}
