@@ -2,7 +2,8 @@
 
 Source, by the maker (Wuji Technology): `wuji-sdk` 2026.10.26 (package index):
 `wuji_sdk/__init__.pyi` (calls, fields, comments), its METADATA (examples), and what its functions
-answer without a hand: `nid_to_joint_index`, `joint_index_to_nid`, `describe_error`, `SdkManager.connect`.
+answer without a hand: `nid_to_joint_index`, `joint_index_to_nid`, `describe_error`,
+`SdkManager.connect`.
 
 Facts: `SdkManager.instance().scan()` and `connect(sn= | address= | handedness=, device_name=)`; the
 fourth character of a serial number is J on the left and K on the right. 20 joints, fingers from
@@ -10,8 +11,8 @@ thumb to pinky, four each; commands are 20 x JointCommand(position [rad], veloci
 1 kHz. **A frame of states has only the joints that are online, each with its `nid`** (bus * 5 +
 node: 1 to 4, 6 to 9, ...): `WujiHand2.nid_to_joint_index`. `Subscription.recv` returns None while
 there is nothing. Fault codes: 0 is none; 0x0... are warnings, 0x1... deferred stops, 0x2...
-immediate stops, 0x3... fatal; a second digit of 1 means that a fault stays until it is cleared, 2 that it
-needs a restart. The package has no `control_mode` of a Wuji Hand 2: `ControlMode` and
+immediate stops, 0x3... fatal; a second digit of 1 means that a fault stays until it is cleared, 2
+that it needs a restart. The package has no `control_mode` of a Wuji Hand 2: `ControlMode` and
 `ControlModeVec` exist, and no call takes them.
 
 Importing the real package prints a privacy notice: it reports its use, unless
