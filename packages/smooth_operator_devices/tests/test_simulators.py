@@ -2,6 +2,7 @@
 
 import asyncio
 import enum
+import importlib
 import inspect
 import socket
 import struct
@@ -35,7 +36,7 @@ def test_faults_refuse_a_kind_that_the_connection_does_not_have():
         Faults("short").answer_wrongly("checksum")
 
 
-# --- LinkerHand: data[0] is the kind; linkerbot-py 0.5.1 and linkerhand-python-sdk b3713618
+# --- LinkerHand: data[0] is the kind; linkerbot 0.5.4 and linkerhand-python-sdk b3713618
 
 
 can = pytest.importorskip("can", reason="python-can is not installed")
@@ -79,7 +80,7 @@ def test_linkerhand_answers_the_identifier_of_its_side_only(side, identifier):
         ("L21", [0x41], ["41 ff ff ff ff 00 ff"]),
         ("L21", [0x42], ["42 00 ff ff 00 00 ff"]),
         ("L25", [0x42], ["42 00 ff ff ff 00 ff"]),
-        ("L25 linkerbot-py", [0x42], ["42 ff 00 ff 00 00 ff"]),
+        ("L25 linkerbot", [0x42], ["42 ff 00 ff 00 00 ff"]),
         ("G20", [0x41], ["41 ff ff ff 00 00 ff"]),
         ("L21", [0x83, 1, 1, 1, 1, 1], ["83 01 01 01 01 01"]),
         ("L6", [0x01, 1, 2], []),
@@ -117,6 +118,8 @@ def test_linkerhand_touch_and_serial_number_come_in_several_frames():
     assert rows[1] == "b2 10 01 02 03 04"
     number = b"".join(bytes.fromhex(frame)[2:] for frame in _ask(hand, 0xC0))
     assert number.rstrip(b"\0").decode() == hand.serial_number
+    lite = LinkerHand("L20 lite", "left")
+    assert [frame[3:5] for frame in _ask(lite, 0xC0)] == ["00", "06", "0c", "12"]
     assert len(_ask(LinkerHand("L6", "left"), 0xB1, 0xC6)) == 12
 
 
@@ -152,6 +155,35 @@ def test_linkerhand_on_a_virtual_bus_falls_silent_and_answers_wrongly():
         hand.faults.silent = True
         host.send(request)
         assert host.recv(0.2) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "model", "joints"),
+    [
+        ("o6.O6", "O6", 6),
+        ("l6.L6", "L6", 6),
+        ("l20lite.L20lite", "L20 lite", 10),
+        ("l25.L25", "L25 linkerbot", 16),
+    ],
+)
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_linkerhand_works_with_the_package_of_its_maker(name, model, joints, side):
+    pytest.importorskip("linkerbot", reason="the maker's package linkerbot is not installed")
+    module, cls = name.split(".")
+    hand = LinkerHand(model, side)
+    channel = f"{model} {side}"
+    with serve_can(hand, can.Bus(channel, interface="virtual")):
+        make = getattr(importlib.import_module(f"linkerbot.hand.{module}"), cls)
+        host = make(side=side, interface_name=channel, interface_type="virtual")
+        try:
+            host.angle.set_angles([20.0] * joints)
+            time.sleep(0.8)
+            angles = host.angle.get_blocking(timeout_ms=1000).angles.to_list()
+            assert angles == pytest.approx([20.0] * joints)
+            temperatures = host.temperature.get_blocking(timeout_ms=1000).temperatures
+            assert temperatures.to_list() == [30.0] * joints
+        finally:
+            host.close()
 
 
 # --- Feetech: examples of the maker's "Communication Protocol User Manual" 191218-0923
@@ -284,6 +316,32 @@ def test_feetech_line_is_silent_unplugged_wrong_and_shared():
             assert port.read(6) == pong
 
 
+@pytest.mark.parametrize(
+    ("model", "series", "number", "goal"),
+    [("sts3215", "sms_sts", 777, (3000, 2000, 0)), ("scs0009", "scscl", 1284, (700, 0, 1000))],
+)
+def test_feetech_servo_works_with_the_package_of_its_maker(model, series, number, goal):
+    sdk = pytest.importorskip(
+        "scservo_sdk", reason="the maker's package ftservo-python-sdk is not installed"
+    )
+    pytest.importorskip("termios", reason="this platform has no pseudo terminals")
+    bus = FeetechBus({1: model})
+    with SerialLine(bus) as line:
+        port = sdk.PortHandler(line.port)
+        assert port.openPort()
+        port.setBaudRate(1_000_000)
+        port.setPacketTimeout = lambda length: port.setPacketTimeoutMillis(2000)
+        servo = getattr(sdk, series)(port)
+        assert servo.ping(1) == (number, 0, 0)
+        servo.write1ByteTxRx(1, 40, 1)
+        (servo.WritePosEx if series == "sms_sts" else servo.WritePos)(1, *goal)
+        time.sleep(1.0)
+        assert servo.ReadPos(1) == (goal[0], 0, 0)
+        bus.faults.answer_wrongly("checksum")
+        assert servo.ReadPos(1)[1] == -7  # COMM_RX_CORRUPT
+        port.closePort()
+
+
 # --- Aero Hand Open: firmware v0.1.0 of TetherIA, and aero-open-sdk 0.1.0.dev1
 
 from simulators.aero_hand import AeroHand, frame  # noqa: E402
@@ -341,6 +399,25 @@ def test_aero_hand_counts_bytes_and_is_shifted_by_a_lost_one():
     hand = AeroHand("right", clock=ManualClock())
     hand.faults.answer_wrongly("short")
     assert hand.receive(frame(0x25)) == frame(0x25, *[30] * 7)[:13]
+
+
+def test_aero_hand_works_with_the_package_of_its_maker():
+    sdk = pytest.importorskip(
+        "aero_open_sdk.aero_hand", reason="the maker's package aero-open-sdk is not installed"
+    )
+    pytest.importorskip("termios", reason="this platform has no pseudo terminals")
+    hand = AeroHand("right", homing_time=0.2)
+    with SerialLine(hand) as line:
+        host = sdk.AeroHand(line.port)
+        host.ser.timeout = 2  # 10 ms are too few for a busy machine
+        assert host.set_speed(2, 30000) == {"Servo ID": 2, "Speed": 30000}
+        host.set_joint_positions([10.0] * 16)
+        time.sleep(1.0)
+        assert host.get_joint_positions_compact() == pytest.approx([10.0] * 7, abs=0.05)
+        assert host.get_actuator_temperatures() == [30.0] * 7
+        assert host.send_homing(5)
+        assert host.get_actuations() == pytest.approx([0, 0, -15.2789, 0, 0, 0, 0])
+        host.close()
 
 
 # --- ROHand: registers and errors of OYMotion's Modbus RTU protocol V1.0 and V2.0

@@ -2,8 +2,9 @@
 
 Sources, by the maker (Linkerbot):
 
-- `linkerbot-py` 0.5.1 (package index), `linkerbot/hand/{o6,l6,l20lite,l25}/*.py`: identifiers,
-  frames, counts of values, fault bits, serial number and versions, touch rows.
+- `linkerbot` 0.5.4 (package index; `linkerbot-py` 0.5.1, its predecessor, has the same frames),
+  `linkerbot/hand/{o6,l6,l20lite,l25}/*.py`: identifiers, frames, counts of values, fault bits,
+  serial number and versions, touch rows.
 - github.com/linker-bot/linkerhand-python-sdk, commit b3713618 (2026-02-08),
   `LinkerHand/core/can/linker_hand_{o6,l6,l7,l10,l20,l21,l25,g20}_can.py` and
   `LinkerHand/linker_hand_api.py`: the same, and L7, L10, L20, L21, G20.
@@ -19,11 +20,13 @@ measured. Values are 0 to 255: 255 is straight, or away from the palm.
 Where the sources differ:
 
 - L25: linkerhand-python-sdk puts abduction of the four fingers into the second place of a finger's
-  frame (yaw) and a middle joint into the fourth; linkerbot-py puts abduction into the first place
-  and has no middle joint. Both are here: "L25" and "L25 linkerbot-py".
+  frame (yaw) and a middle joint into the fourth; linkerbot puts abduction into the first place
+  and has no middle joint. Both are here: "L25" and "L25 linkerbot".
+- L20 lite: its frames are those of the L10, but the four frames of its serial number are numbered
+  0, 6, 12, 18, where all others have 0, 1, 2, 3.
 - G20: the comment and the code of `linker_hand_g20_can.py` swap the first two places of the thumb.
   The code is followed.
-- O6: linkerhand-python-sdk reads a current (0x36), linkerbot-py has none. The hand answers it.
+- O6: linkerhand-python-sdk reads a current (0x36), linkerbot has none. The hand answers it.
 
 Not found: the values after power on, the speed and torque they stand for, whether a hand keeps
 torque after power on (here it does), whether 0x01 to 0x06 are answered when they write to an L21,
@@ -35,7 +38,7 @@ maker's programs wait 0.3 to 5 ms).
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import can
 import numpy as np
@@ -88,6 +91,7 @@ class Model:
     touch_code: int = 0xC6
     numbered_pcb_version: bool = False
     version_frame: bool = False  # answers 0x64
+    serial_step: int = 1  # of the numbers of the serial number's frames
 
 
 def _run(first: int, count: int) -> tuple[int, ...]:
@@ -160,7 +164,7 @@ MODELS = {
         version_frame=True,
     ),
     "L10": _L10,
-    "L20 lite": _L10,
+    "L20 lite": replace(_L10, serial_step=6),
     "L20": Model(
         _TWENTY,
         positions={
@@ -187,7 +191,7 @@ MODELS = {
         ("roll", "abd", "root", "middle", None, "tip"),
         (None, "abd", "root", "middle", None, "tip"),
     ),
-    "L25 linkerbot-py": _by_finger(
+    "L25 linkerbot": _by_finger(
         ("abd", "yaw", "root", None, None, "tip"), ("abd", None, "root", None, None, "tip")
     ),
     "G20": _by_finger(
@@ -349,7 +353,8 @@ class LinkerHand:
             return [bytes([kind, row << 4, *matrix[row]]) for row in range(len(matrix))]
         if kind == 0xC0:
             number = self.serial_number.encode().ljust(24, b"\0")
-            return [bytes([kind, i]) + number[6 * i : 6 * i + 6] for i in range(4)]
+            parts = [number[6 * i : 6 * i + 6] for i in range(4)]
+            return [bytes([kind, i * model.serial_step]) + part for i, part in enumerate(parts)]
         if kind == 0xC1 and model.numbered_pcb_version:
             return [bytes([kind, 1, *self.version])] if values == b"\x01" else []
         if kind in (0xC1, 0xC2, 0xC4):

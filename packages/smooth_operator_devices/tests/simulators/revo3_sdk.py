@@ -20,8 +20,8 @@ Errors are SdkError with code, retryable, operation_effect and recovery_requirem
 Not found: what the hand does when a session expires (here it holds its target), what
 `software_stop` does (here it holds, and refuses commands until `recover_software_stop`), whether
 targets out of range are refused (here they are, as InvalidArgument), fault codes of motors, the
-identifier of the layout, and defaults of the gains. The touch, calibration, configuration and
-update domains are not here.
+identifier of the layout, and defaults of the gains. Touch, calibration, configuration, updates,
+currents and the SDK's own trajectories (`move_to` and the like) are not here.
 """
 
 from __future__ import annotations
@@ -384,6 +384,11 @@ class Motion:
         self._hand.transact()
         self._hand.control_mode = mode
         self._hand.motors.set_power(mode is not HandControlMode.Damping)
+
+    async def set_zero_force_enabled(self, enabled: bool) -> None:
+        self._alone()
+        self._hand.transact()
+        self._hand.motors.set_power(not enabled)
 
     async def software_stop(self) -> None:
         self._hand.transact()
