@@ -26,10 +26,11 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from smooth_operator.errors import RecordingError, brief, listed
+from smooth_operator.errors import RecordingError, SmoothOperatorError, brief, listed
 from smooth_operator.formats.arrays import LOG_RATIO, Allowance
 from smooth_operator.formats.both_hands import one_hand
 from smooth_operator.formats.checks import stamps_from_rate
+from smooth_operator.io.plain_files import check_plain_file
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.poses import axes, multiply, rotation_matrices, wrist_from_landmarks
 from smooth_operator.types import HandRecording, Side
@@ -347,6 +348,24 @@ def read_skeleton(lines: Iterator[str]) -> Skeleton:
     )
 
 
+def read_skeleton_file(path: Path) -> Skeleton:
+    """The skeleton of a BVH file, whatever its motion.
+
+    Raises:
+        RecordingError: the file can't be opened, or it has no skeleton with a hand and fingers.
+    """
+    try:
+        check_plain_file(path)
+        with path.open(encoding="utf-8-sig", errors="replace") as stream:
+            skeleton = read_skeleton(iter(stream))
+        assert skeleton.hands  # or it raises an error
+        return skeleton
+    except OSError as error:
+        raise RecordingError(f"{path}: can't be opened: {error.strerror or error}") from error
+    except SmoothOperatorError as error:
+        raise RecordingError(f"{path}: {error}") from error
+
+
 def _channel(kind: str) -> str:
     match = _CHANNEL.fullmatch(kind)
     if match is None:
@@ -382,7 +401,7 @@ def read_bvh_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
             allowance.take("the motion", most * skeleton.width * _NUMBER_BYTES)
             rows = [_numbers(line.split(), "a frame") for line in stream if line.strip()]
         wrong = next((row for row in rows if len(row) != skeleton.width), None)
-        if wrong is not None or len(rows) != stated or not rows:
+        if wrong is not None or len(rows) != stated:
             raise RecordingError(
                 f"the file states {stated:g} frames of {skeleton.width} numbers, but it has "
                 f"{len(rows)} frames"

@@ -82,10 +82,10 @@ def read_recording(
     hand") without flags of the file's own, are flagged in ``valid``. If neither the file nor the
     caller states the side, a right hand is assumed and ``meta["side_assumed"]`` is True.
     ``meta["format"]`` is ``"manus"``, ``"array"``, ``"log"``, ``"hdf5"`` or ``"bvh"``, or the name
-    of a plugin's reader. Single frames and landmarks with an implausible size are flagged as invalid;
-    ``meta["implausible_frames"]`` is the number of affected frames. A recording is refused if its
-    shape is that of the other hand, or if its landmarks are in another order or do not form a hand
-    (``check_hand``).
+    of a plugin's reader. Single frames and landmarks with an implausible size are flagged as
+    invalid; ``meta["implausible_frames"]`` is the number of affected frames. A recording is refused
+    if its shape is that of the other hand, or if its landmarks are in another order or do not form
+    a hand (``check_hand``).
 
     Args:
         path: the file.

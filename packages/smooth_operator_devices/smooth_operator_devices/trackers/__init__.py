@@ -1,0 +1,1 @@
+"""Live sources of trackers that speak a maker's protocol."""
