@@ -38,10 +38,10 @@ class TipIk(Method):
 
     def step(self, state, aligned, ticks):  # compiled; the state is all that is remembered
         rows = jnp.array([self.hand.tree.names.index(name) for name in self.hand.tip_names])
-        matrix, offset = map(jnp.float32, (self.hand.coupling_matrix, self.hand.coupling_offset))
 
         def error(q: jax.Array) -> jax.Array:
-            points = self.hand.tree.positions(matrix @ q + offset)  # all joints, coupled ones too
+            joints = self.hand.full_configuration_rows(list(q))  # coupled ones too
+            points = self.hand.tree.positions(jnp.stack(joints))
             return (points[rows] - aligned[jnp.array(self.needs)]).ravel()
 
         q = state

@@ -90,7 +90,7 @@ def test_coupled_joints_and_missing_answers_in_read_back(hand):
     rates = np.ones(len(names))
     speed = 4.0 / 1000.0
     assert bound.joint_velocities(commands, rates) == pytest.approx(
-        hand.coupling_matrix @ np.full(len(names), speed), abs=1e-9
+        hand.transmission.matrix @ np.full(len(names), speed), abs=1e-9
     )
     coupling = hand.couplings[0]
     commands[names.index(coupling.follows)] = np.nan

@@ -513,7 +513,14 @@ def test_json_is_one_object_and_opens_no_page(tmp_path, folder, capsys):
         assert set(finger) == {"name", "tip_body", "tip_offset", "joints", "confidence"}
         assert len(finger["tip_offset"]) == 3
     assert len(told["coupled"]) == 3
-    assert set(told["coupled"][0]) == {"joint", "follows", "multiplier", "offset", "confidence"}
+    assert set(told["coupled"][0]) == {
+        "joint",
+        "follows",
+        "multiplier",
+        "offset",
+        "higher",
+        "confidence",
+    }
     assert {"side", "palm", "thumb", "order"} <= set(told["confidence"])
     assert told["file"] == str(folder / "three.right.toml")
 

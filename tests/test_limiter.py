@@ -128,7 +128,7 @@ def test_limits_hold_with_targets_at_the_ends_of_the_range(steps):
 @pytest.mark.parametrize("name", GEARED)
 def test_a_geared_joint_keeps_the_limits_and_uses_them(name):
     hand, limits = loaded(name), LimitsConfig(velocity=3.0, acceleration=100.0)
-    assert np.abs(hand.coupling_matrix).max() == pytest.approx(GEARED[name], abs=1e-4)
+    assert np.abs(hand.transmission.matrix).max() == pytest.approx(GEARED[name], abs=1e-4)
     limiter = Limiter(hand, limits)
     times, q = [0.0], [limiter.q]
     for k in range(400):

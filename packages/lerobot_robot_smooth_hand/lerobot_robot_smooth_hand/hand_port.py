@@ -205,7 +205,7 @@ class HandPort:
             self.side,
             self.hand.name,
             JointCommand(positions, self.hand.joint_names, now),
-            self.hand.coupling_matrix @ self._limiter.velocity,
+            self.hand.transmission.slopes(self._limiter.q) @ self._limiter.velocity,
             Mode.TRACKING,
             now,
             self._number,

@@ -311,7 +311,7 @@ def _joints_of(hand: Hand, finger: str) -> list[str]:
         while joint >= 0:
             moving.add(hand.tree.joints[joint].source)
             joint = hand.tree.joints[joint].parent
-    drives = np.abs(hand.coupling_matrix[sorted(moving)]).sum(axis=0) > 0
+    drives = np.abs(hand.transmission.matrix[sorted(moving)]).sum(axis=0) > 0
     return [name for name, drive in zip(hand.actuated_names, drives, strict=True) if drive]
 
 

@@ -70,7 +70,8 @@ Examples:
     """Wrist: a body fixed to the palm, and a point in its frame [m]."""
 
     couple: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="JOINT=LEADER*A+B")] = ()
-    """Joint without a motor, and the joint that it follows: index_dip=index_pip*0.89+0.1 [rad]."""
+    """Joint without a motor, and the joint that it follows: index_dip=index_pip*0.89+0.1 [rad].
+    Or a polynomial by its coefficients, constant first: index_dip=index_pip:0,0.7,0.2."""
 
     overwrite: bool = False
     """Replace an existing spec file of that name and side."""
@@ -155,6 +156,9 @@ def _coupling(text: str) -> Coupling:
     from smooth_operator.hands.spec import Coupling
 
     joint, rest = _pair(text, "--couple", "JOINT=LEADER*A+B")
+    leader, sign, numbers = rest.rpartition(":")
+    if sign and re.fullmatch(rf"{_NUMBER}(,{_NUMBER})+", numbers):
+        return Coupling.of(joint, leader, [float(number) for number in numbers.split(",")])
     match = re.fullmatch(rf"(.+?)(?:\*({_NUMBER})([+-]{_NUMBER})?)?", rest)
     assert match is not None  # the leader's name takes what is no number
     leader, factor, offset = match.groups()

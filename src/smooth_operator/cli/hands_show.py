@@ -121,6 +121,7 @@ def describe(hand: Hand) -> dict[str, Any]:
                 "follows": coupling.follows,
                 "multiplier": coupling.multiplier,
                 "offset": coupling.offset,
+                "higher": list(coupling.higher),
             }
         joints.append(joint)
     return {

@@ -403,18 +403,15 @@ def find_couplings(
             text += " on a tendon (its coefficients determine how the joints share its travel)"
         if c.error:
             confidence = min(confidence, _TENDON)
-            text += (
-                f"; a line replaces the polynomial in the file, with an error of up to "
-                f"{np.degrees(c.error):.1f}°"
-            )
+            text += f"; the polynomial is fitted, with an error of up to {np.degrees(c.error):.2f}°"
         if c.turned:
             confidence = _CONTRADICTED
             text += f" with the factor {c.multiplier:g}: {_turned(c)}"
         elif _contradicted(skeleton, c.joint):
             confidence = _CONTRADICTED
             text += (
-                f" with the factor {c.multiplier:g}, as declared, but its own limits do not "
-                "allow this: correct the factor or the limits in the file"
+                f" as {c.formula}, as declared, but its own limits do not allow this: correct "
+                "the coupling or the limits in the file"
             )
         couplings.append(FoundCoupling(c, confidence))
         notes.append(text)
@@ -484,12 +481,11 @@ def _turned(coupling: Coupling) -> str:
 
 def _contradicted(skeleton: Skeleton, name: str) -> bool:
     follower = skeleton.joint_names.index(name)
-    leader, gain, offset = skeleton.leaders[follower]
+    leader, curve = skeleton.leaders[follower]
     ranges = skeleton.limits[[follower, leader]]
     if not np.isfinite(ranges).all():
         return False
-    resolved = Coupling(name, skeleton.joint_names[leader], gain, offset)
-    return shared_range(resolved, *ranges) < NO_ROOM
+    return shared_range(curve, *ranges) < NO_ROOM
 
 
 def _on_tendons(skeleton: Skeleton) -> set[str]:

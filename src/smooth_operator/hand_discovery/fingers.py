@@ -119,7 +119,7 @@ class _Bend:
             axis = palm.T @ data.xaxis[joint]
             self.axis = self.axis if self.axis.any() else axis
             if abs(along := float(axis @ self.axis)) > _PARALLEL:
-                weights = hand.coupling_matrix[j]
+                weights = hand.transmission.slopes(hand.neutral)[j]
                 for k in np.flatnonzero(weights):
                     self._drives[int(k)] = self._drives.get(int(k), 0.0) + along * weights[k]
 

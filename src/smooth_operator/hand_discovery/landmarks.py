@@ -18,7 +18,7 @@ SURE: Final = 0.8
 """Least confidence of a finding that needs no check by the user."""
 UNSURE: Final = 0.5
 """Confidence below which a finding is little better than a guess, which the checklist marks."""
-_COUPLING: Final = ("joint", "follows", "multiplier", "offset")
+_COUPLING: Final = ("joint", "follows", "multiplier", "offset", "higher")
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,8 @@ class Discovery:
         Returns:
             ``side`` and ``palm`` (strings), ``fingers`` (``name``, ``tip_body``, ``tip_offset``
             [m], ``joints``, ``confidence``), ``coupled`` (``joint``, ``follows``, ``multiplier``,
-            ``offset`` [rad], ``confidence``), ``confidence`` (subject -> number), ``evidence``
-            (subject -> reasons), and the other entries of the description.
+            ``offset`` [rad], ``higher``, ``confidence``), ``confidence`` (subject -> number),
+            ``evidence`` (subject -> reasons), and the other entries of the description.
         """
         spec = self.spec
         return {

@@ -9,6 +9,7 @@ from typing import Final
 import mujoco
 import numpy as np
 from jaxtyping import Float
+from numpy.polynomial import Polynomial
 
 from smooth_operator.hand_discovery.branches import Chain, Tip
 from smooth_operator.hand_discovery.skeleton import Placement, Skeleton
@@ -135,9 +136,10 @@ def _bending(
     def folded(sense: int) -> float:
         q = skeleton.reference.copy()
         for j, sign in zip(joints, along, strict=True):
-            leader, gain, _ = skeleton.leaders.get(j, (j, 1.0, 0.0))
+            leader, curve = skeleton.leaders.get(j, (j, Polynomial((0.0, 1.0))))
             if skeleton.bounded[leader]:
-                q[leader] = skeleton.limits[leader][int(sign * sense * np.sign(gain) > 0)]
+                ends = skeleton.limits[leader]
+                q[leader] = ends[int(sign * sense * np.sign(np.diff(curve(ends))[0]) > 0)]
         at = skeleton.place(skeleton.coupled(q))
         return float(np.linalg.norm(at.world(chain.last, local) - at.anchors[joints[0]]))
 

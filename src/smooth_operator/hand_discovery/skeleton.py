@@ -16,6 +16,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 from jaxtyping import Float
+from numpy.polynomial import Polynomial
 
 from smooth_operator.errors import HandModelError, UnknownNameError, require
 from smooth_operator.hands.loading import load_model, merged_couplings
@@ -186,10 +187,10 @@ class Skeleton:
         return span >= _FULL_TURN and joint not in self.leaders
 
     @cached_property
-    def leaders(self) -> Mapping[int, tuple[int, float, float]]:
-        """Follower -> (leader, multiplier, offset), where the leader follows no other joint."""
+    def leaders(self) -> Mapping[int, tuple[int, Polynomial]]:
+        """Follower -> (leader that follows no other joint, position as a polynomial of its)."""
         index = {name: j for j, name in enumerate(self.joint_names)}
-        direct: dict[int, tuple[int, float, float]] = {}
+        direct: dict[int, tuple[int, Polynomial]] = {}
         for c in self.couplings:
             if c.joint not in index or c.follows not in index:
                 absent = c.joint if c.joint not in index else c.follows
@@ -198,10 +199,10 @@ class Skeleton:
                     f"joint {absent!r}; correct the name in the file's mimic or equality "
                     "element, or in --couple"
                 )
-            direct[index[c.joint]] = (index[c.follows], c.multiplier, c.offset)
+            direct[index[c.joint]] = (index[c.follows], Polynomial(c.coefficients))
         resolved = {}
         for joint in direct:
-            leader, gain, offset = direct[joint]
+            leader, curve = direct[joint]
             visited = {joint}
             while leader in direct:
                 if leader in visited:
@@ -210,10 +211,9 @@ class Skeleton:
                         "joints; remove one of the couplings"
                     )
                 visited.add(leader)
-                leader, further, shift = direct[leader]
-                offset += gain * shift
-                gain *= further
-            resolved[joint] = (leader, gain, offset)
+                leader, inner = direct[leader]
+                curve = curve(inner)
+            resolved[joint] = (leader, curve)
         return resolved
 
     @cached_property
@@ -225,8 +225,8 @@ class Skeleton:
     def coupled(self, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """The pose with each follower at the position that its leader gives, within its limits."""
         out = np.array(q, float)
-        for joint, (leader, gain, offset) in self.leaders.items():
-            out[joint] = np.clip(gain * q[leader] + offset, *self.limits[joint])
+        for joint, (leader, curve) in self.leaders.items():
+            out[joint] = np.clip(curve(q[leader]), *self.limits[joint])
         return out
 
     def posed(self, named: Mapping[str, float]) -> Float[np.ndarray, " n"]:

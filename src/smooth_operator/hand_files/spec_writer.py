@@ -90,6 +90,9 @@ def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:
         yield ""
         yield f"[couplings.{toml_key(coupling.joint)}]"
         yield f"follows = {toml_value(coupling.follows)}"
+        if coupling.higher:
+            yield f"coefficients = {toml_value(coupling.coefficients)} # rad, constant first"
+            continue
         yield f"multiplier = {toml_value(coupling.multiplier)}"
         yield f"offset = {toml_value(coupling.offset)} # rad"
     for row in spec.joint_map:

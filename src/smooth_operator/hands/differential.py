@@ -165,7 +165,43 @@ class PointKinematics:
 
 def all_joints(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:
     """Traceable ``Hand.full_configuration`` of one pose, as sums."""
-    return contracted(q, hand.coupling_matrix.T) + hand.coupling_offset.astype(q.dtype)
+    return hand.transmission.curved(_linear(hand, q))
+
+
+def _linear(hand: Hand, q: Float[Array, " m"]) -> Float[Array, " n"]:
+    """A q + b of the hand's transmission."""
+    transmission = hand.transmission
+    return contracted(q, transmission.matrix.T) + transmission.offset.astype(q.dtype)
+
+
+def before_curves(
+    hand: Hand,
+    q: Float[Array, " m"],
+    joints: Sequence[int],
+    slope: Float[Array, " J"],
+    curvature: Float[Array, "J J"],
+) -> tuple[Float[Array, " J"], Float[Array, "J J"]]:
+    """First and second derivatives by A q + b of the hand's transmission, from those by the
+    positions of some joints: the chain rule of p. They are the same for a hand without curves."""
+    if not hand.transmission.curves:
+        return slope, curvature
+    linear, at = _linear(hand, q), np.array(joints)
+    first, second = (hand.transmission.curved(linear, order)[at] for order in (1, 2))
+    return slope * first, first[:, None] * curvature * first + jnp.diag(slope * second)
+
+
+def joint_motion(
+    hand: Hand, q: Float[Array, " m"]
+) -> tuple[Float[Array, " n"], Float[Array, "n m"]]:
+    """Positions of all joints [rad] and their derivatives by the actuated ones; traceable."""
+    transmission = hand.transmission
+    matrix, offset = (
+        jnp.asarray(part, q.dtype) for part in (transmission.matrix, transmission.offset)
+    )
+    linear = matrix @ q + offset
+    if not transmission.curves:
+        return linear, matrix
+    return transmission.curved(linear), transmission.curved(linear, 1)[:, None] * matrix
 
 
 def contracted(values: Float[Array, "*batch J"], matrix: np.ndarray) -> Float[Array, "*batch m"]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, NamedTuple
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -18,6 +17,11 @@ from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hands.kinematics import KinematicTree, build_tree
 from smooth_operator.hands.loading import driven_joints, load_model, merged_couplings
 from smooth_operator.hands.spec import Coupling, HandSpec, Point
+from smooth_operator.hands.transmission import (
+    Transmission,
+    build_transmission,
+    leader_range,
+)
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, TIPS, WRIST
 
 _SHAPES: Final = (
@@ -52,9 +56,7 @@ class Hand:
         limits: (m, 2) limits of the actuated joints [rad], such that coupled joints keep theirs.
         neutral: (m,) neutral pose of the actuated joints [rad].
         tree: kinematics of the hand's landmarks in the palm frame.
-        coupling_matrix: (n, m) derivative of all joint positions with respect to the actuated ones:
-            a row of the identity for an actuated joint, gear ratios for a coupled one.
-        coupling_offset: (n,) positions of all joints with the actuated ones at zero [rad].
+        transmission: positions of all joints as a function of the actuated ones.
         unreadable: names of bodies whose colliding shapes could not be read.
         why: problem of the meshes that were left out, with advice; empty if there are none.
     """
@@ -67,8 +69,7 @@ class Hand:
     limits: Float[np.ndarray, "m 2"]
     neutral: Float[np.ndarray, " m"]
     tree: KinematicTree
-    coupling_matrix: Float[np.ndarray, "n m"]
-    coupling_offset: Float[np.ndarray, " n"]
+    transmission: Transmission
     unreadable: tuple[str, ...] = ()
     why: str = ""
 
@@ -173,20 +174,11 @@ class Hand:
     def full_configuration(self, q: ArrayLike) -> Float[np.ndarray, "*batch n"]:
         """(..., n) positions of all joints [rad] in the order of ``joint_names``, from those of the
         actuated joints, (..., m) [rad]."""
-        full: np.ndarray = np.asarray(q, float) @ self.coupling_matrix.T + self.coupling_offset
-        return full
+        return self.transmission.positions(q)
 
     def full_configuration_rows(self, q: Sequence[Array]) -> list[Array]:
         """The same for m arrays of a common shape (batch last), inside a compiled program."""
-        rows: list[Array] = []
-        for weights, constant in zip(self.coupling_matrix, self.coupling_offset, strict=True):
-            (used,) = np.nonzero(weights)
-            row: Array | float = float(constant)
-            for k in used:
-                term = q[int(k)] if weights[k] == 1 else float(weights[k]) * q[int(k)]
-                row = term if isinstance(row, float) and row == 0 else row + term
-            rows.append(jnp.full_like(q[0], row) if isinstance(row, float) else row)
-        return rows
+        return self.transmission.rows(q)
 
     def landmark_positions(self, q: ArrayLike) -> Float[np.ndarray, "*batch k 3"]:
         """(..., k, 3) landmarks in the palm frame [m] in the order of ``tree.names``, at (..., m)
@@ -235,8 +227,8 @@ def load_hand_spec(spec: HandSpec) -> Hand:
     if not actuated:
         raise HandModelError(f"hand {spec.name!r} has no joint that can be commanded")
     held = {name: float(model.joint(name).qpos0[0]) for name in every if name not in names}
-    coupling = _coupling(names, actuated, couplings, held)
-    limits = _limits(names, actuated, coupling, tree.limits)
+    transmission = build_transmission(names, actuated, couplings, held)
+    limits = _limits(names, actuated, transmission, tree.limits)
     neutral = np.clip(
         [spec.neutral.get(names[j], 0.0) for j in actuated], limits[:, 0], limits[:, 1]
     )
@@ -250,7 +242,7 @@ def load_hand_spec(spec: HandSpec) -> Hand:
         limits,
         neutral,
         tree,
-        *coupling,
+        transmission,
         loaded.unreadable,
         loaded.why,
     )
@@ -275,8 +267,9 @@ def fingerprint(hand: Hand) -> str:
     arrays = [
         hand.limits,
         hand.neutral,
-        hand.coupling_matrix,
-        hand.coupling_offset,
+        hand.transmission.matrix,
+        hand.transmission.offset,
+        *(np.array([i, *curve]) for i, curve in sorted(hand.transmission.curves.items())),
         tree.limits,
         hand.align_points,
         *(j.rotation for j in tree.joints),
@@ -324,51 +317,21 @@ def _commanded(model: mujoco.MjModel, own: tuple[int, ...], tree: KinematicTree)
     return (driven_joints(model) & set(own) or set(own)) - endless
 
 
-def _coupling(
-    names: tuple[str, ...],
-    actuated: tuple[int, ...],
-    couplings: tuple[Coupling, ...],
-    held: Mapping[str, float],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix and offset from actuated to all joints; a joint that follows a held one is held."""
-    matrix, offset = np.zeros((len(names), len(actuated))), np.zeros(len(names))
-    done = set(actuated)
-    matrix[list(actuated), range(len(actuated))] = 1
-    pending = []
-    for c in couplings:
-        if c.follows in held:
-            i = names.index(c.joint)
-            offset[i] = c.multiplier * held[c.follows] + c.offset
-            done.add(i)
-        else:
-            pending.append(c)
-    while pending:  # a follower may follow a follower
-        ready = [c for c in pending if names.index(c.follows) in done]
-        if not ready:
-            raise HandModelError(
-                f"joints {[c.joint for c in pending]} follow joints that nothing drives"
-            )
-        for c in ready:
-            i, k = names.index(c.joint), names.index(c.follows)
-            matrix[i] = c.multiplier * matrix[k]
-            offset[i] = c.multiplier * offset[k] + c.offset
-            done.add(i)
-            pending.remove(c)
-    return matrix, offset
-
-
 def _limits(
     names: tuple[str, ...],
     actuated: tuple[int, ...],
-    coupling: tuple[np.ndarray, np.ndarray],
+    transmission: Transmission,
     all_limits: np.ndarray,
 ) -> np.ndarray:
     """Limits of the actuated joints, narrowed so that no follower leaves its own."""
-    matrix, offset = coupling
+    matrix, offset = transmission.matrix, transmission.offset
     limits = all_limits[list(actuated)].copy()
     for i, (weights, constant) in enumerate(zip(matrix, offset, strict=True)):
         (used,) = np.nonzero(weights)
-        if len(used) == 1:
+        if i in transmission.curves:
+            (k,) = used
+            limits[k] = leader_range(transmission.curves[i], limits[k], all_limits[i])
+        elif len(used) == 1:
             k = used[0]
             ends = np.sort((all_limits[i] - constant) / weights[k])
             limits[k] = max(limits[k, 0], ends[0]), min(limits[k, 1], ends[1])
@@ -472,7 +435,7 @@ def knuckle_joints(hand: Hand) -> Bool[np.ndarray, " m"]:
             off.append(float(np.linalg.norm(np.cross(at - axis.xanchor, axis.xaxis))))
             tip = tree.joints[tip].parent
         before = joints[int(np.argmin(np.array([*off, np.inf]))) + 1 :]
-        mask |= (hand.coupling_matrix[before] != 0).any(axis=0)
+        mask |= (hand.transmission.matrix[before] != 0).any(axis=0)
     return mask
 
 

@@ -8,6 +8,7 @@ files that it does not resolve (``package://``), models whose meshes are missing
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,10 +17,11 @@ from typing import TYPE_CHECKING, Final
 import mujoco
 import numpy as np
 from jaxtyping import Float
+from numpy.polynomial import Polynomial
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.mujoco_messages import MUJOCO_ERRORS, refused
-from smooth_operator.hands.spec import Coupling
+from smooth_operator.hands.spec import MOST_DEGREE, Coupling
 
 if TYPE_CHECKING:
     import xml.etree.ElementTree as ElementTree
@@ -31,7 +33,10 @@ MODELS: Final = Path(__file__).parent / "models"
 
 NO_ROOM: Final = 0.25
 """``shared_range`` below which a coupling is a mistake in the file."""
-_SAMPLES: Final = 101  # positions at which a polynomial coupling is compared with a line
+_SAMPLES: Final = 101  # positions of a leader
+MOST_ERROR: Final = math.radians(0.5)
+"""Largest error of a polynomial in place of a linkage [rad]."""
+_CLOSE: Final = math.radians(0.01)  # error at which a polynomial needs no higher degree
 _LEAST_RATIO: Final = 1e-6  # of a joint that follows another
 _ROOM: Final = 0.75  # ``shared_range`` above which the coupling of the other sign is the right one
 
@@ -251,25 +256,28 @@ def _possible(model: mujoco.MjModel, coupling: Coupling) -> Coupling:
         mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
         for name in (coupling.joint, coupling.follows)
     ]
-    if min(ids) < 0 or not model.jnt_limited[ids].all():
+    if coupling.higher or min(ids) < 0 or not model.jnt_limited[ids].all():
         return coupling
     own, leader = np.asarray(model.jnt_range[ids], float)
     turned = [  # the sign of the joint is wrong, or that of its leader
         replace(coupling, multiplier=-coupling.multiplier, offset=offset, turned=True)
         for offset in (0.0 - coupling.offset, coupling.offset)
     ]
-    best = max(turned, key=lambda c: shared_range(c, own, leader))
-    if shared_range(coupling, own, leader) < NO_ROOM and shared_range(best, own, leader) > _ROOM:
+    best = max(turned, key=lambda c: shared_range(c.at, own, leader))
+    here, there = (shared_range(c.at, own, leader) for c in (coupling, best))
+    if here < NO_ROOM and there > _ROOM:
         return best
     return coupling
 
 
 def shared_range(
-    coupling: Coupling, own: Float[np.ndarray, "2"], leader: Float[np.ndarray, "2"]
+    curve: Callable[[float], float], own: Float[np.ndarray, "2"], leader: Float[np.ndarray, "2"]
 ) -> float:
-    """Overlap of the ranges of a coupled joint and of its leader [rad], over the smaller range: at
-    most 1; negative if the ranges do not meet, 1 if one is a point inside the other."""
-    led = np.sort(coupling.multiplier * leader + coupling.offset)
+    """Overlap of the ranges of a coupled joint, position ``curve(q)`` at q of its leader, and of
+    the leader [rad], over the smaller range: at most 1; negative if the ranges do not meet, 1 if
+    one is a point inside the other."""
+    reached = [curve(float(q)) for q in np.linspace(*leader, _SAMPLES)]
+    led = np.array([min(reached), max(reached)])
     overlap = min(own[1], led[1]) - max(own[0], led[0])
     smaller = min(np.ptp(own), np.ptp(led))
     if smaller <= 0:
@@ -280,8 +288,8 @@ def shared_range(
 def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
     """Couplings from joint equalities, q1 - q1_0 = c0 + c1 (q2 - q2_0) + ...
 
-    The joint without an actuator follows. A line replaces a polynomial of higher degree, the one
-    with the least squares over the range of its joint.
+    The joint without an actuator follows. If that is q2 and the polynomial is no line, its inverse
+    is fitted over the range of q2.
     """
     actuated = _actuated(model)
     couplings = []
@@ -292,31 +300,72 @@ def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
         names = [model.joint(j).name for j in (first, second) if j >= 0]
         c0, c1, *higher = (float(c) for c in model.eq_data[i, :5])
         zero1, zero2 = (float(model.qpos0[model.jnt_qposadr[j]]) for j in (first, second))
-        error = 0.0
-        if any(higher) and second >= 0 and model.jnt_limited[second]:
-            low, high = model.jnt_range[second]
-            leader = np.linspace(low, high, _SAMPLES) - zero2
-            follower = np.polynomial.polynomial.polyval(leader, (c0, c1, *higher))
-            c0, c1 = np.polynomial.polynomial.polyfit(leader, follower, 1).tolist()
-            error = float(np.abs(c0 + c1 * leader - follower).max())
-        elif any(higher):
+        if second < 0 or (abs(c1) < _LEAST_RATIO and not any(higher)):
             raise HandModelError(
-                f"the coupling of joints {names} is a polynomial, but {names[-1]!r} has no limits "
-                "within which a line could replace it; add them to the file"
+                f"the coupling of joints {names} must be a polynomial, q1 = a + b q2 + ..., that "
+                "moves q1; correct it in the file"
             )
-        if second < 0 or abs(c1) < _LEAST_RATIO:
-            raise HandModelError(
-                f"the coupling of joints {names} must be q1 = a + b q2 with b != 0; correct it in "
-                "the file"
-            )
+        inverted = first in actuated and second not in actuated
+        if any(higher):
+            shifted = Polynomial((c0, c1, *higher))(Polynomial((-zero2, 1.0))) + zero1
+            coupling = Coupling.of(names[0], names[1], shifted.coef)
+            if inverted:
+                limits = model.jnt_range[second] if model.jnt_limited[second] else None
+                coupling = _inverted(coupling, limits)
+            couplings.append(coupling)
+            continue
         offset = zero1 + c0 - c1 * zero2
-        if first in actuated and second not in actuated:  # inverted: q2 = (q1 - offset) / c1
-            couplings.append(
-                Coupling(names[1], names[0], 1 / c1, -offset / c1, error=error / abs(c1))
-            )
+        if inverted:  # q2 = (q1 - offset) / c1
+            couplings.append(Coupling(names[1], names[0], 1 / c1, -offset / c1))
         else:
-            couplings.append(Coupling(names[0], names[1], c1, offset, error=error))
+            couplings.append(Coupling(names[0], names[1], c1, offset))
     return tuple(couplings)
+
+
+def _inverted(coupling: Coupling, limits: Float[np.ndarray, "2"] | None) -> Coupling:
+    """The leader as a polynomial of its follower, within the leader's limits."""
+    if limits is None:
+        raise HandModelError(
+            f"the motor of joint {coupling.joint!r} moves {coupling.follows!r} by a polynomial, "
+            "which can be inverted only within limits: add a range to "
+            f"{coupling.follows!r} in the file"
+        )
+    leader = np.linspace(*limits, _SAMPLES)
+    follower = np.array([coupling.at(q) for q in leader.tolist()])
+    return fitted_coupling(coupling.follows, coupling.joint, follower, leader)
+
+
+def fitted_coupling(
+    joint: str,
+    follows: str,
+    leader: Float[np.ndarray, " s"],
+    follower: Float[np.ndarray, " s"],
+) -> Coupling:
+    """A coupling from samples: the polynomial of the lowest degree that is exact to ``_CLOSE``, or
+    else that of the highest degree.
+
+    Args:
+        joint: the joint that follows.
+        follows: its leader.
+        leader: positions of the leader [rad].
+        follower: positions of the joint at these [rad].
+
+    Raises:
+        HandModelError: the largest error exceeds ``MOST_ERROR``.
+    """
+    for degree in range(1, MOST_DEGREE + 1):
+        fit = Polynomial.fit(leader, follower, degree).convert()
+        error = float(np.abs(fit(leader) - follower).max())
+        if error < _CLOSE:
+            break
+    if error > MOST_ERROR:
+        raise HandModelError(
+            f"joint {joint!r} can't follow {follows!r}: the best polynomial of degree "
+            f"{MOST_DEGREE} is up to {math.degrees(error):.1f} degrees off, more than "
+            f"{math.degrees(MOST_ERROR):g}"
+        )
+    coupling = Coupling.of(joint, follows, fit.coef)
+    return replace(coupling, error=error)
 
 
 def _tendons(model: mujoco.MjModel, followers: set[str]) -> tuple[Coupling, ...]:

@@ -34,7 +34,7 @@ class PoseTable:
     def moves(self) -> Bool[np.ndarray, "F m"]:
         """(F, m) mask of the actuated joints that move each fingertip."""
         tips = PointKinematics(self.hand.tree, self.hand.tip_names)
-        coupling = np.abs(self.hand.coupling_matrix[np.array(tips.order)])
+        coupling = np.abs(self.hand.transmission.matrix[np.array(tips.order)])
         moves: np.ndarray = tips.moves.astype(float) @ coupling > 0
         return moves
 

@@ -6,12 +6,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Final, TypeAlias
+
+import numpy as np
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side
 
+MOST_DEGREE: Final = 4
+"""Highest degree of a coupling."""
 _MOST_TORQUE = 100.0  # [N m]; URDFs have 1000 for an unknown torque
 
 
@@ -70,10 +74,19 @@ class FingerSpec:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A joint that follows another: q[joint] = multiplier * q[follows] + offset.
+    """A joint that follows another by a polynomial, q[joint] = p(q[follows]) in radians.
 
-    ``turned`` is True if the file has the other sign, which the joints' limits make impossible.
-    ``error`` is the largest difference from the file's polynomial, which this line replaces [rad].
+    A line is enough for gears and most tendons; bars need more.
+
+    Attributes:
+        joint: the joint that follows.
+        follows: its leader.
+        multiplier: coefficient of q[follows].
+        offset: constant coefficient.
+        higher: coefficients of the square, cube and fourth power; none for a line. MuJoCo's
+            ``polycoef`` ends there, too.
+        turned: True if the file has the other sign, which the joints' limits make impossible.
+        error: largest error of a polynomial that was fitted to a closed loop [rad].
     """
 
     joint: str
@@ -81,7 +94,49 @@ class Coupling:
     multiplier: float
     offset: float
     turned: bool = False
-    error: float = 0.0
+    error: float = field(default=0.0, compare=False)
+    higher: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (len(self.higher) <= MOST_DEGREE - 1 and np.isfinite(self.coefficients).all()):
+            raise HandModelError(
+                f"coupling of {self.joint!r}: expected one to {MOST_DEGREE + 1} finite "
+                f"coefficients, constant first, not {list(self.coefficients)}"
+            )
+
+    @classmethod
+    def of(cls, joint: str, follows: str, coefficients: Sequence[float]) -> Coupling:
+        """The coupling with these coefficients, constant first; zeros at the end are dropped."""
+        offset, *powers = map(float, coefficients)
+        while powers and not powers[-1]:
+            powers.pop()
+        multiplier, *higher = powers or [0.0]
+        return cls(joint, follows, multiplier, offset, higher=tuple(higher))
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """Coefficients of the polynomial, constant first."""
+        return (self.offset, self.multiplier, *self.higher)
+
+    @property
+    def formula(self) -> str:
+        """The polynomial in words: ``1.06 index_1 - 0.05``."""
+        text = ""
+        for power, c in reversed(tuple(enumerate(self.coefficients))):
+            if not c:
+                continue
+            size = "" if c == 1 and power else f"{abs(c):.4g}"
+            name = "" if not power else self.follows + (f"^{power}" if power > 1 else "")
+            sign = " - " if c < 0 else " + "
+            text += (sign if text else sign.strip(" +")) + " ".join(filter(None, [size, name]))
+        return text or "0"
+
+    def at(self, leader: float) -> float:
+        """Position of the joint at a position of its leader [rad]."""
+        value = self.coefficients[-1]
+        for c in self.coefficients[-2::-1]:
+            value = value * leader + c
+        return value
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,10 @@
     multiplier = 0.89
     offset = 0.0
 
+    [couplings.i3]                      # or a polynomial of up to the fourth power:
+    follows = "i1"                      # i3 = 0.75 i1 + 0.2 i1^2
+    coefficients = [0.0, 0.75, 0.2]     # constant first
+
     [joint_map.i1]                      # optional: map from human joint angles to a joint
     offset = 0.0
     gains = { index_mcp = 1.0 }
@@ -49,7 +53,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from smooth_operator.errors import HandModelError, brief
-from smooth_operator.hands.spec import Coupling, FingerSpec, HandSpec, JointMap, Point
+from smooth_operator.hands.spec import MOST_DEGREE, Coupling, FingerSpec, HandSpec, JointMap, Point
 from smooth_operator.io.entries import Entries, read_entries
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
 from smooth_operator.types import Side
@@ -182,11 +186,25 @@ def _point(entries: Entries) -> Point:
 
 
 def _coupling(entries: Entries, joint: str) -> Coupling:
-    entries.only("follows", "multiplier", "offset")
     follows = entries.text("follows", empty=False, lines=True)
+    if "coefficients" in entries.names:
+        entries.only("follows", "coefficients")
+        return Coupling.of(joint, follows, _coefficients(entries))
+    entries.only("follows", "multiplier", "offset")
     return Coupling(
         joint, follows, entries.number("multiplier", 1.0), entries.number("offset", 0.0)
     )
+
+
+def _coefficients(entries: Entries) -> tuple[float, ...]:
+    values, most = entries.values["coefficients"], MOST_DEGREE + 1
+    if not isinstance(values, list) or not 2 <= len(values) <= most:
+        raise entries.error(
+            "coefficients",
+            f"expected a list of 2 to {most} numbers, constant first, not {brief(values)}",
+        )
+    numbers: tuple[float, ...] = entries.numbers("coefficients", len(values))
+    return numbers
 
 
 def _row(entries: Entries, joint: str) -> JointMap:

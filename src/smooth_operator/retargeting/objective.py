@@ -28,7 +28,13 @@ from jaxtyping import Array, Float
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import AnyArray, AnyKind, array_namespace
-from smooth_operator.hands.differential import PointKinematics, PointMotion, all_joints, contracted
+from smooth_operator.hands.differential import (
+    PointKinematics,
+    PointMotion,
+    all_joints,
+    before_curves,
+    contracted,
+)
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
 from smooth_operator.landmarks import LANDMARKS
@@ -476,7 +482,7 @@ class Objective:
         The Hessian is as exact as those of the terms; the terms of Eq. (1) are exact, except at the
         kinks of smooth-L1 (a set of measure zero).
         """
-        kinematics, joints = self.kinematics, self.hand.coupling_matrix
+        kinematics, joints = self.kinematics, self.hand.transmission.matrix
         motion = kinematics(all_joints(self.hand, q))
         each = [
             term.expand(motion.points[at], kinematics.jacobian(motion, at), goal)
@@ -492,8 +498,11 @@ class Objective:
         moments = kinematics.moments(motion._replace(points=motion.points[points]), gradient)
         total = jnp.asarray(moves.T, q.dtype) @ moments
         slope, curvature = kinematics.derivatives(motion, total)
+        slope, hessian = before_curves(
+            self.hand, q, kinematics.order, slope, weighted.T @ rows + curvature
+        )
         joints = joints[np.array(kinematics.order)]
-        half = contracted(weighted.T @ rows + curvature, joints)
+        half = contracted(hessian, joints)
         cost, first, second = self.regularisation(q, goal)
         return (
             functools.reduce(operator.add, [one.cost for one in each]) + cost,

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.differential import PointKinematics
+from smooth_operator.hands.differential import PointKinematics, joint_motion
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.retargeting.batching import Progress, progressing
@@ -397,12 +397,10 @@ def fingertips(
     hand: Hand, q: Float[Array, " m"]
 ) -> tuple[Float[Array, "F 3"], Float[Array, "F 3 m"]]:
     """Returns the fingertips at a pose [m] and their derivatives [m/rad]; traceable."""
-    matrix, offset = (
-        jnp.asarray(part, q.dtype) for part in (hand.coupling_matrix, hand.coupling_offset)
-    )
+    joints, slopes = joint_motion(hand, q)
     kinematics = PointKinematics(hand.tree, hand.tip_names)
-    motion = kinematics(matrix @ q + offset)
-    spread = matrix[np.array(kinematics.order)]
+    motion = kinematics(joints)
+    spread = slopes[np.array(kinematics.order)]
     return motion.points, jnp.einsum("fjc,jm->fcm", kinematics.jacobian(motion), spread)
 
 

@@ -14,6 +14,7 @@ from typing import Final
 import mujoco
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.polynomial import Polynomial
 
 from smooth_operator.errors import ConfigError, HandModelError
 from smooth_operator.hands.hand import Hand
@@ -128,10 +129,11 @@ def _bare(hand: Hand, timestep: float, gravity: bool) -> mujoco.MjSpec:
         equality = spec.add_equality()
         equality.type, equality.active = joint_equality, True
         equality.name1, equality.name2 = coupling.joint, coupling.follows
-        # q1 - ref1 = c0 + c1 (q2 - ref2)
-        offset = coupling.multiplier * reference[coupling.follows] + coupling.offset
+        # q1 - ref1 = c0 + c1 (q2 - ref2) + c2 (q2 - ref2)^2 + ...
+        shifted = Polynomial(coupling.coefficients)(Polynomial([reference[coupling.follows], 1.0]))
         data = np.zeros_like(np.asarray(equality.data))
-        data[:2] = offset - reference[coupling.joint], coupling.multiplier
+        data[: len(shifted.coef)] = shifted.coef
+        data[0] -= reference[coupling.joint]
         equality.data = data
     for joint in spec.joints:
         joint.armature = max(float(joint.armature), ARMATURE)
@@ -154,7 +156,7 @@ def _inertia(hand: Hand, model: mujoco.MjModel) -> Float[np.ndarray, " m"]:
     dofs = [int(model.joint(name).dofadr[0]) for name in hand.joint_names]
     data.qpos[addresses] = hand.full_configuration(hand.neutral)
     mujoco.mj_forward(model, data)
-    matrix = hand.coupling_matrix
+    matrix = hand.transmission.slopes(hand.neutral)
     reduced = matrix.T @ inertia_matrix(model, data)[np.ix_(dofs, dofs)] @ matrix
     return np.asarray(np.diag(reduced))
 

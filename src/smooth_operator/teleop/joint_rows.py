@@ -33,12 +33,7 @@ def joint_rows(hand: Hand) -> list[JointRow]:
     limits = hand.joint_limits.copy()
     limits[list(hand.actuated)] = hand.limits
     neutral = hand.full_configuration(hand.neutral)
-    words = {
-        c.joint: (f"{c.multiplier:.4g} " if c.multiplier != 1 else "")
-        + c.follows
-        + (f" {'-' if c.offset < 0 else '+'} {abs(c.offset):.4g}" if c.offset else "")
-        for c in hand.couplings
-    }
+    words = {c.joint: c.formula for c in hand.couplings}
     return [
         JointRow(
             name,

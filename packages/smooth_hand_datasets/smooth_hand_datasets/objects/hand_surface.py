@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.collision import Capsule, shape_capsules, solid_shapes
-from smooth_operator.hands.differential import PointKinematics
+from smooth_operator.hands.differential import PointKinematics, joint_motion
 from smooth_operator.hands.hand import Hand, landmark_points, tree_with
 from smooth_operator.hands.stand_ins import stand_ins
 
@@ -103,10 +103,10 @@ class HandSurface:
         self, q: Float[Array, " m"]
     ) -> tuple[Float[Array, "B 4 3"], Float[Array, "B 4 3 m"]]:
         """The bodies' four points [m] and their derivatives by the actuated joints; traceable."""
-        hand, kinematics = self.hand, self.kinematics
-        matrix = jnp.asarray(hand.coupling_matrix, q.dtype)
-        motion = kinematics(matrix @ q + jnp.asarray(hand.coupling_offset, q.dtype))
-        spread = jnp.asarray(hand.coupling_matrix[np.array(kinematics.order)], q.dtype)
+        kinematics = self.kinematics
+        joints, by_actuated = joint_motion(self.hand, q)
+        motion = kinematics(joints)
+        spread = by_actuated[np.array(kinematics.order)]
         slopes = jnp.einsum("pjc,jm->pcm", kinematics.jacobian(motion), spread)
         count = len(self.bodies)
         return motion.points.reshape(count, 4, 3), slopes.reshape(count, 4, 3, -1)

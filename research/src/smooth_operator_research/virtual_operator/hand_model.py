@@ -80,7 +80,7 @@ class HandPoints:
             world = data.xpos[body] + data.xmat[body].reshape(3, 3) @ offset
             mujoco.mj_jac(model, data, rows, None, world, body)
             points[k] = (world - palm) @ turn
-            jacobian[k] = turn.T @ rows[:, self._dofs] @ hand.coupling_matrix
+            jacobian[k] = turn.T @ rows[:, self._dofs] @ hand.transmission.slopes(q)
         return points, jacobian
 
 

@@ -212,7 +212,7 @@ def finger_joints(hand: Hand) -> tuple[tuple[int, ...], ...]:
     Raises:
         HandModelError: a finger has no joint of its own.
     """
-    matrix = hand.coupling_matrix
+    matrix = hand.transmission.matrix
     moves = np.zeros((len(hand.fingers), len(hand.actuated)), bool)
     for row, name in zip(moves, hand.tip_names, strict=True):
         at = hand.tree.keypoints[name].joint

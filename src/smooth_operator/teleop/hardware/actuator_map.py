@@ -32,6 +32,7 @@ Rest: TypeAlias = Literal["hold", "relax"]
 
 _KNOWN: Final = 1e-6
 """Tolerance of the share of a joint that the actuators determine."""
+_NEWTON_STEPS: Final = 8  # from the neutral pose to joint positions; for polynomial couplings
 
 
 @dataclass(frozen=True)
@@ -231,9 +232,10 @@ class BoundMap:
                     )
                 row[self.names.index(joint)] += weight
         self._curves = [_curve(actuator.points) for actuator in actuators.actuators]
-        # q = C qa + o of the model's own couplings, and drive angles x = W q: solved for qa, with
-        # the least norm where one actuator moves several joints.
-        self._gears, self._offset = hand.coupling_matrix, hand.coupling_offset
+        # q = p(C qa + o) of the model's own couplings, and drive angles x = W q: solved for qa,
+        # with the least norm where one actuator moves several joints.
+        self._hand, self._transmission = hand, hand.transmission
+        self._gears, self._offset = hand.transmission.matrix, hand.transmission.offset
         reduced = self._weights @ self._gears
         self._inverse = np.linalg.pinv(reduced)
         touched = (self._weights @ self._gears != 0).any(axis=0)
@@ -266,8 +268,11 @@ class BoundMap:
 
         NaN for a joint that no actuator moves, or whose actuator's position is NaN.
         """
-        angles = self.drive_angles(commands) - self._weights @ self._offset
-        result: np.ndarray = self._spread(angles) + self._offset
+        angles = self.drive_angles(commands)
+        if self._transmission.curves:
+            q = self._actuated(angles)
+            return self._known(self._transmission.positions(q), ~np.isfinite(angles))
+        result: np.ndarray = self._spread(angles - self._weights @ self._offset) + self._offset
         return result
 
     def joint_velocities(
@@ -276,17 +281,38 @@ class BoundMap:
         """(n,) joint velocities [rad/s] from measured positions and velocities of actuators."""
         step = 1e-3
         ahead = self.drive_angles(commands + step * rates)
-        return self._spread((ahead - self.drive_angles(commands)) / step)
+        angles = self.drive_angles(commands)
+        speeds = (ahead - angles) / step
+        if self._transmission.curves:
+            slopes = self._transmission.slopes(self._actuated(angles))
+            lost = ~np.isfinite(speeds)
+            found = np.linalg.pinv(self._weights @ slopes) @ np.where(lost, 0.0, speeds)
+            return self._known(slopes @ found, lost)
+        return self._spread(speeds)
+
+    def _actuated(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " m"]:
+        """Positions of the actuated joints at drive angles [rad], by Newton's steps."""
+        q = self._hand.neutral
+        for _ in range(_NEWTON_STEPS):
+            left = angles - self._weights @ self._transmission.positions(q)
+            jacobian = self._weights @ self._transmission.slopes(q)
+            q = q + np.linalg.pinv(jacobian) @ np.where(np.isfinite(left), left, 0.0)
+        return q
 
     def _spread(self, angles: Float[np.ndarray, " a"]) -> Float[np.ndarray, " n"]:
         missing = ~np.isfinite(angles)
-        spread: np.ndarray = self._gears @ (self._inverse @ np.where(missing, 0.0, angles))
+        return self._known(self._gears @ (self._inverse @ np.where(missing, 0.0, angles)), missing)
+
+    def _known(
+        self, joints: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " a"]
+    ) -> Float[np.ndarray, " n"]:
+        """Values of joints, NaN for those that no actuator determines, or only missing ones."""
         unknown = ~self.determined
         if missing.any():
             lost = (np.abs(self._inverse[:, missing]) > _KNOWN).any(axis=1)
             unknown = unknown | ((np.abs(self._gears) @ lost) > 0)
-        spread[unknown] = np.nan
-        return spread
+        joints[unknown] = np.nan
+        return joints
 
 
 _Curve: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]

@@ -181,11 +181,18 @@ class Limiter(JointLimiter):
                 f"joint range of hand {hand.name!r}, {room:.3g} rad"
             )
         # the fastest joint that an actuated one moves, itself or one that follows it
-        gearing = np.maximum(np.abs(hand.coupling_matrix).max(axis=0), 1.0)
+        slopes, curvatures = hand.transmission.steepest(hand.limits)
+        gearing = np.maximum(slopes.max(axis=0), 1.0)
+        # a polynomial adds p'' v^2 to its follower's acceleration: at most half of the limit
+        curvature = curvatures.max(axis=0)
+        velocity = np.full(len(gearing), config.velocity) / gearing
+        bent = curvature > 0
+        top = np.sqrt(config.acceleration / (2 * curvature[bent]))
+        velocity[bent] = np.minimum(velocity[bent], top)
         super().__init__(
             hand.limits,
-            config.velocity / gearing,
-            config.acceleration / gearing,
+            velocity,
+            (config.acceleration - curvature * velocity**2) / gearing,
             hand.neutral,
             config.margin,
         )

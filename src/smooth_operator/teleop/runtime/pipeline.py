@@ -490,7 +490,7 @@ class HandPipeline:
             self.side,
             hand.name,
             command,
-            hand.coupling_matrix @ velocity,
+            hand.transmission.slopes(q) @ velocity,
             mode,
             guarded,
             self._number,
