@@ -21,7 +21,7 @@ from numpy.polynomial import Polynomial
 
 from smooth_operator.errors import HandModelError
 from smooth_operator.hands.mujoco_messages import MUJOCO_ERRORS, refused
-from smooth_operator.hands.spec import MOST_DEGREE, Coupling
+from smooth_operator.hands.spec import Coupling
 
 if TYPE_CHECKING:
     import xml.etree.ElementTree as ElementTree
@@ -34,9 +34,6 @@ MODELS: Final = Path(__file__).parent / "models"
 NO_ROOM: Final = 0.25
 """``shared_range`` below which a coupling is a mistake in the file."""
 _SAMPLES: Final = 101  # positions of a leader
-MOST_ERROR: Final = math.radians(0.5)
-"""Largest error of a polynomial in place of a linkage [rad]."""
-_CLOSE: Final = math.radians(0.01)  # error at which a polynomial needs no higher degree
 _LEAST_RATIO: Final = 1e-6  # of a joint that follows another
 _ROOM: Final = 0.75  # ``shared_range`` above which the coupling of the other sign is the right one
 
@@ -121,8 +118,15 @@ def _check_finite(model: mujoco.MjModel, path: Path) -> None:
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
-    """Joints with an actuator of their own, and the first joints of driven fixed tendons."""
-    return _actuated(model) | {joints[0] for joints, _ in _driven_tendons(model)}
+    """Joints with an actuator of their own, the first joints of driven fixed tendons, and joints of
+    which a driven one is a polynomial, but no line."""
+    driven = _actuated(model) | {joints[0] for joints, _ in _driven_tendons(model)}
+    curved = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_data[:, 2:5].any(axis=1)
+    return driven | {
+        int(model.eq_obj2id[i])
+        for i in np.flatnonzero(curved & model.eq_active0)
+        if model.eq_obj1id[i] in driven
+    }
 
 
 def _read(path: Path, files: ModelFiles | None, mirror: bool) -> mujoco.MjSpec:
@@ -288,8 +292,8 @@ def shared_range(
 def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
     """Couplings from joint equalities, q1 - q1_0 = c0 + c1 (q2 - q2_0) + ...
 
-    The joint without an actuator follows. If that is q2 and the polynomial is no line, its inverse
-    is fitted over the range of q2.
+    The joint without an actuator follows. q1 always follows by a polynomial of higher degree, whose
+    inverse is none: q2 counts as driven.
     """
     actuated = _actuated(model)
     couplings = []
@@ -305,67 +309,16 @@ def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
                 f"the coupling of joints {names} must be a polynomial, q1 = a + b q2 + ..., that "
                 "moves q1; correct it in the file"
             )
-        inverted = first in actuated and second not in actuated
         if any(higher):
             shifted = Polynomial((c0, c1, *higher))(Polynomial((-zero2, 1.0))) + zero1
-            coupling = Coupling.of(names[0], names[1], shifted.coef)
-            if inverted:
-                limits = model.jnt_range[second] if model.jnt_limited[second] else None
-                coupling = _inverted(coupling, limits)
-            couplings.append(coupling)
+            couplings.append(Coupling.of(names[0], names[1], shifted.coef))
             continue
         offset = zero1 + c0 - c1 * zero2
-        if inverted:  # q2 = (q1 - offset) / c1
+        if first in actuated and second not in actuated:  # inverted: q2 = (q1 - offset) / c1
             couplings.append(Coupling(names[1], names[0], 1 / c1, -offset / c1))
         else:
             couplings.append(Coupling(names[0], names[1], c1, offset))
     return tuple(couplings)
-
-
-def _inverted(coupling: Coupling, limits: Float[np.ndarray, "2"] | None) -> Coupling:
-    """The leader as a polynomial of its follower, within the leader's limits."""
-    if limits is None:
-        raise HandModelError(
-            f"the motor of joint {coupling.joint!r} moves {coupling.follows!r} by a polynomial, "
-            "which can be inverted only within limits: add a range to "
-            f"{coupling.follows!r} in the file"
-        )
-    leader = np.linspace(*limits, _SAMPLES)
-    follower = np.array([coupling.at(q) for q in leader.tolist()])
-    return fitted_coupling(coupling.follows, coupling.joint, follower, leader)
-
-
-def fitted_coupling(
-    joint: str,
-    follows: str,
-    leader: Float[np.ndarray, " s"],
-    follower: Float[np.ndarray, " s"],
-) -> Coupling:
-    """A coupling from samples: the polynomial of the lowest degree that is exact to ``_CLOSE``, or
-    else that of the highest degree.
-
-    Args:
-        joint: the joint that follows.
-        follows: its leader.
-        leader: positions of the leader [rad].
-        follower: positions of the joint at these [rad].
-
-    Raises:
-        HandModelError: the largest error exceeds ``MOST_ERROR``.
-    """
-    for degree in range(1, MOST_DEGREE + 1):
-        fit = Polynomial.fit(leader, follower, degree).convert()
-        error = float(np.abs(fit(leader) - follower).max())
-        if error < _CLOSE:
-            break
-    if error > MOST_ERROR:
-        raise HandModelError(
-            f"joint {joint!r} can't follow {follows!r}: the best polynomial of degree "
-            f"{MOST_DEGREE} is up to {math.degrees(error):.1f} degrees off, more than "
-            f"{math.degrees(MOST_ERROR):g}"
-        )
-    coupling = Coupling.of(joint, follows, fit.coef)
-    return replace(coupling, error=error)
 
 
 def _tendons(model: mujoco.MjModel, followers: set[str]) -> tuple[Coupling, ...]:

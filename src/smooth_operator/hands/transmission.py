@@ -28,7 +28,6 @@ from smooth_operator.errors import HandModelError
 from smooth_operator.geometry import AnyKind
 from smooth_operator.hands.spec import Coupling
 
-_SAMPLES = 201  # positions of a leader at which the slope of a polynomial is measured
 _FAR = 1e3  # stands for an infinite limit [rad]
 
 Coefficients: TypeAlias = tuple[float, ...]
@@ -103,19 +102,6 @@ class Transmission:
             np.stack([_padded(each.deriv(order).coef, degree + 1) for each in every], axis=1)
             for order in range(3)
         )
-
-    def steepest(
-        self, limits: Float[np.ndarray, "m 2"]
-    ) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
-        """Largest |dq_i/dq_k| and |d2q_i/dq_k^2| over the limits of the actuated joints [rad]."""
-        first, second = np.abs(self.matrix), np.zeros_like(self.matrix)
-        for i in self.curves:
-            (k,) = np.flatnonzero(self.matrix[i])
-            linear = np.zeros((_SAMPLES, len(self.offset)))
-            linear[:, i] = np.linspace(*limits[k], _SAMPLES)
-            for order, out in ((1, first), (2, second)):
-                out[i, k] = np.abs(self.curved(linear, order)[:, i]).max()
-        return first, second
 
 
 def build_transmission(

@@ -17,6 +17,8 @@ from smooth_operator.teleop.runtime.settings import LimitsConfig, LoopConfig, Wr
 from smooth_operator.teleop.sinks.tick import Mode, WristCommand
 from smooth_operator.teleop.sources.live import Arrival
 
+_SAMPLES: Final = 201  # positions of a leader at which the slope of a polynomial is measured
+
 MAX_STEP_S: Final = 0.1
 """Longest time step that is used between two commands [s], so that the robot does not catch up
 after a pause."""
@@ -180,11 +182,10 @@ class Limiter(JointLimiter):
                 f"limits: a margin of {config.margin} rad leaves no room in the smallest "
                 f"joint range of hand {hand.name!r}, {room:.3g} rad"
             )
-        # the fastest joint that an actuated one moves, itself or one that follows it
-        slopes, curvatures = hand.transmission.steepest(hand.limits)
-        gearing = np.maximum(slopes.max(axis=0), 1.0)
+        # of the fastest joint that an actuated one moves, itself or one that follows it
+        slopes, curvature = _steepest(hand)
+        gearing = np.maximum(slopes, 1.0)
         # a polynomial adds p'' v^2 to its follower's acceleration: at most half of the limit
-        curvature = curvatures.max(axis=0)
         velocity = np.full(len(gearing), config.velocity) / gearing
         bent = curvature > 0
         top = np.sqrt(config.acceleration / (2 * curvature[bent]))
@@ -196,6 +197,20 @@ class Limiter(JointLimiter):
             hand.neutral,
             config.margin,
         )
+
+
+def _steepest(hand: Hand) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """Largest |dq_i/dq_k| and |d2q_i/dq_k^2| of any joint i over the range of actuated joint k."""
+    transmission = hand.transmission
+    first, second = np.abs(transmission.matrix), np.zeros_like(transmission.matrix)
+    for i in transmission.curves:
+        (k,) = np.flatnonzero(transmission.matrix[i])
+        linear = np.zeros((_SAMPLES, len(first)))
+        linear[:, i] = np.linspace(*hand.limits[k], _SAMPLES)
+        first[i, k], second[i, k] = (
+            np.abs(transmission.curved(linear, order)[:, i]).max() for order in (1, 2)
+        )
+    return first.max(axis=0), second.max(axis=0)
 
 
 def stoppable_speed(
