@@ -27,7 +27,11 @@ from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
 _PROJECT = Path(__file__).resolve().parents[1]
-SOURCES = (_PROJECT / "src", _PROJECT / "packages" / "smooth_operator_study")
+SOURCES = (
+    _PROJECT / "src",
+    _PROJECT / "packages" / "smooth_operator_study",
+    _PROJECT / "packages" / "smooth_operator_devices",
+)
 """Folders that the packages are in."""
 ROOT = "smooth_operator"
 EVIDENCE = {
@@ -164,7 +168,7 @@ def _rows(text: str, heading: str) -> dict[str, dict[str, str]]:
 
 def _drivers() -> dict[str, str]:
     """Hand -> the driver whose table of actuators names it."""
-    tables = _folder(f"{ROOT}.teleop.hardware.tables").glob("*.toml")
+    tables = _folder("smooth_operator_devices.hands.tables").glob("*.toml")
     found = (tomllib.loads(path.read_text(encoding="utf-8")) for path in sorted(tables))
     return {table["hand"]: table["driver"] for table in found if "hand" in table}
 

@@ -474,6 +474,8 @@ def test_ctrl_c_on_a_page_is_the_usual_end(run, monkeypatch):
         ("study", "./packages/smooth_operator_study"),
         ("study --help", "./packages/smooth_operator_study"),
         ("study analyze trials.csv --output out", "./packages/smooth_operator_study"),
+        ("hardware list", "./packages/smooth_operator_devices"),
+        ("hardware --help", "./packages/smooth_operator_devices"),
     ],
 )
 def test_a_command_of_another_distribution_says_what_to_install(

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import smooth_operator
+import smooth_operator_devices
 import smooth_operator_study
 from smooth_operator.formats.csv_table import csv_text, plain_cell
 
@@ -47,7 +48,9 @@ def test_headers_are_cells_too():
     assert cells(csv_text(["=1+1"], []))[0] == ["'=1+1"]
 
 
-@pytest.mark.parametrize("package", [smooth_operator, smooth_operator_study])
+@pytest.mark.parametrize(
+    "package", [smooth_operator, smooth_operator_study, smooth_operator_devices]
+)
 def test_there_is_one_writer(package):
     root = Path(package.__file__).parent
     writing = re.compile(r"csv\.(writer|DictWriter)|from csv import|to_csv|savetxt")

@@ -51,8 +51,8 @@ ELSEWHERE = {
     r"calibrate --source webcam": "asks a person for a minute; tests/test_calibration.py runs it",
     r"study simulate my-study --operators 18": "takes minutes; research/tests runs it",
     r"study analyze my-study/simulated": "needs the trials of the line above",
-    r"hardware check dynamixel": "asks about each motor; tests/test_hardware_command.py answers",
-    r"teleop .*dynamixel:": "needs the table of that check; tests/test_dynamixel.py has one",
+    r"hardware check dynamixel": "asks about each motor; test_hardware_command.py answers",
+    r"teleop .*dynamixel:": "needs the table of that check; test_dynamixel.py has one",
     r"teleop .*orca:": "the extra orca is not in the extra test",
     r"study metrics my-study": "needs takes of its trials; test_study_metrics.py has some",
 }

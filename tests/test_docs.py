@@ -22,6 +22,7 @@ PAGES = [
 SOURCE = PROJECT / "src" / "smooth_operator"
 RESEARCH = PROJECT / "research" / "src" / "smooth_operator_research"
 STUDY = PROJECT / "packages" / "smooth_operator_study" / "smooth_operator_study"
+DEVICES = PROJECT / "packages" / "smooth_operator_devices" / "smooth_operator_devices"
 OTHER_NAMES = {
     "smooth_operator.method",
     "smooth_operator.origin",  # metadata records of the log
@@ -156,11 +157,11 @@ def test_level_table_is_the_test_of_imports():
 def test_names_of_modules_and_files_exist(page):
     """Dotted names of the package, and paths of its Python files."""
     text = page.read_text(encoding="utf-8")
-    named = re.findall(r"\bsmooth_operator(?:_research|_study)?(?:\.(?!md\b)\w+)+", text)
+    named = re.findall(r"\bsmooth_operator(?:_research|_study|_devices)?(?:\.(?!md\b)\w+)+", text)
     dotted = set(named) - OTHER_NAMES
     absent = [name for name in sorted(dotted) if not resolves(name)]
     paths = set(re.findall(r"`((?:\w+/)+\w+\.py)\b", text))
-    places = (SOURCE, PROJECT, PROJECT / "research", RESEARCH, STUDY)
+    places = (SOURCE, PROJECT, PROJECT / "research", RESEARCH, STUDY, DEVICES)
     absent += [path for path in sorted(paths) if not any((p / path).is_file() for p in places)]
     assert absent == []
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from email.message import Message
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -26,26 +27,16 @@ EXTRAS = [
     "teleop",
     "lab",
     "all",
-    "ability",
-    "allegro",
     "arm",
     "avp",
     "cluster",
     "datasets",
-    "dynamixel",
     "hdf5",
-    "inspire",
-    "isaac",
     "lerobot",
-    "linker",
     "menagerie",
-    "orca",
-    "ros2",
-    "rerun",
-    "revo2",
+    "serial",
     "webcam",
     "webxr",
-    "wuji",
     "zmq",
     "docs",
     "test",
@@ -86,10 +77,8 @@ LIBRARIES = [
 """Modules of the extras."""
 AT_THE_TOP = (
     "teleop/arm/",
-    "teleop/isaac.py",
     "teleop/pages/",
     "teleop/recording/messages.py",
-    "teleop/ros2/",
 )
 """Where they may be imported with the module: its package says first what is missing."""
 
@@ -160,18 +149,22 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
     def pretend(record: object = None, *, there: bool = True) -> None:
         def distribution(name: str) -> Distribution:
-            assert name == "smooth-retargeting"
+            assert name in ("smooth-retargeting", extras.DEVICES)
             if not there:
                 raise metadata.PackageNotFoundError(name)
             text = record if isinstance(record, str | None) else json.dumps(record)
             return Distribution(text)
 
         monkeypatch.setattr(metadata, "distribution", distribution)
+        forget()
+
+    def forget() -> None:
         extras._installed_from.cache_clear()
+        extras._owner.cache_clear()
 
     yield pretend
     monkeypatch.undo()
-    extras._installed_from.cache_clear()
+    forget()
 
 
 def test_an_extra_is_added_to_what_is_installed(installed, monkeypatch, tmp_path):
@@ -195,6 +188,21 @@ def test_an_extra_is_added_to_what_is_installed(installed, monkeypatch, tmp_path
     assert install_command("zmq") == f'python -m pip install "{ROOT}[zmq]"'
     installed({"url": (tmp_path / "removed").as_uri(), "dir_info": {}})
     assert install_command("zmq") == by_name
+
+
+def test_extras_of_devices_are_installed_from_their_folder(installed, monkeypatch, tmp_path):
+    about = Message()
+    about["Provides-Extra"] = "orca"
+    monkeypatch.setattr(metadata, "metadata", {extras.DEVICES: about}.__getitem__)
+    folder = ROOT / "packages" / "smooth_operator_devices"
+    installed({"url": folder.as_uri(), "dir_info": {"editable": True}})
+    monkeypatch.chdir(ROOT)
+    assert install_command("orca") == f'python -m pip install -e "./packages/{folder.name}[orca]"'
+    monkeypatch.chdir(tmp_path)
+    assert install_command("orca") == f'python -m pip install -e "{folder}[orca]"'
+    installed(None)
+    assert install_command("orca") == 'python -m pip install "smooth-operator-devices[orca]"'
+    assert install_command("zmq") == 'python -m pip install "smooth-retargeting[zmq]"'
 
 
 def test_a_library_is_looked_for_and_not_imported(monkeypatch):

@@ -235,7 +235,7 @@ def test_a_driver_is_moved_and_its_currents_observed(robot, fake, plugin):
 def test_joints_that_are_not_measured_are_refused_or_observed_as_commanded(
     robot, fake, plugin, monkeypatch
 ):
-    from smooth_operator.teleop.hardware.device import Reading
+    from smooth_operator_devices.hands.device import Reading
 
     def read(self: FakeHand) -> Reading:
         self._bus("read")

@@ -26,9 +26,9 @@ from smooth_operator.retargeting.sbr.published import ObjectiveConfig
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.trajectory_retargeter import fingertips
 from smooth_operator.simulation.physics import HandPhysics
-from smooth_operator.teleop.hardware.actuator_map import Actuator, ActuatorMap, BoundMap
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.settings import LimitsConfig
+from smooth_operator_devices.hands.actuator_map import Actuator, ActuatorMap, BoundMap
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 

@@ -50,6 +50,7 @@ from smooth_operator.retargeting.presets import (
 from smooth_operator.retargeting.registry import METHODS
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.synthetic import SyntheticOperator
+from smooth_operator.teleop.components import SINKS, SOURCES, build_component
 
 OWN = SbrConfig(settle_rounds=3)
 TWO = {"fast": OWN, "slow": SbrConfig(settle_rounds=30)}
@@ -84,6 +85,34 @@ def offer(monkeypatch) -> Callable[..., None]:
         monkeypatch.setattr("smooth_operator.plugins._installed", lambda of: offered.get(of, {}))
 
     return set_parts
+
+
+@pytest.mark.parametrize(
+    ("registry", "text", "extra"),
+    [
+        (SINKS, "leap:/dev/ttyUSB0", "dynamixel"),
+        (SINKS, "inspire:COM3", "inspire"),
+        (SINKS, "rerun", "rerun"),
+        (SOURCES, "ros2:/hand", "ros2"),
+    ],
+)
+def test_a_device_without_its_distribution_names_the_install_command(registry, text, extra, offer):
+    offer("sinks")
+    name = text.partition(":")[0]
+    with pytest.raises(ConfigError) as caught:
+        build_component(registry, text)
+    assert str(caught.value) == (
+        f"{registry.kind} {name!r} is in the distribution smooth-operator-devices, which is not "
+        "installed; in a clone of the repository, run: "
+        f'python -m pip install ".[teleop]" "./packages/smooth_operator_devices[{extra}]"'
+    )
+    assert re.search(rf"\n  not installed: .*\b{name}\b", registry.describe())
+
+
+def test_help_describes_the_devices_of_an_installed_distribution(offer):
+    offer("sinks", leap=Entry("somewhere:LeapSink", "from devices", "smooth-operator-devices"))
+    assert "  leap    the LEAP hand (dynamixel extra)\n  not installed: " in SINKS.describe()
+    assert not re.search(r"not installed: .*\bleap\b", SINKS.describe())
 
 
 def test_help_imports_no_numerical_library():

@@ -25,7 +25,6 @@ from smooth_operator.landmarks import FINGERS, LAYOUTS, TIPS
 from smooth_operator.retargeting.program import RetargetState
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import SINKS, SOURCES, build_component
-from smooth_operator.teleop.hardware.guard import GuardSettings
 from smooth_operator.teleop.runtime import statistics as run_statistics
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.pipeline import (
@@ -105,7 +104,7 @@ def test_impossible_settings_are_refused(make):
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 1e300])
 def test_a_setting_is_a_finite_number(value):
     """Infinity as "no limit" made every command NaN."""
-    for kind in (SafetyConfig, LimitsConfig, WristConfig, LoopConfig, GuardSettings):
+    for kind in (SafetyConfig, LimitsConfig, WristConfig, LoopConfig):
         for field in dataclasses.fields(kind):
             if isinstance(field.default, float):
                 with pytest.raises(ConfigError, match=field.name):

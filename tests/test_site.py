@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import smooth_operator
+import smooth_operator_devices
 import smooth_operator_study
 from smooth_operator.hands import hand_names, load_hand
 
@@ -133,3 +134,11 @@ def test_the_study_has_a_page_of_its_names_and_modules(site):
     assert set(smooth_operator_study.__all__) <= documented
     for name in ("analysis", "analysis.gee", "chunks", "commands.run", "design.plan"):
         assert f"smooth_operator_study.{name}<" in page
+
+
+def test_the_devices_have_a_page_of_their_names_and_modules(site):
+    page = (site / "reference" / "api" / "devices" / "index.html").read_text(encoding="utf-8")
+    documented = set(re.findall(r'id="smooth_operator_devices\.[\w.]*?(\w+)"', page))
+    assert set(smooth_operator_devices.__all__) <= documented
+    for name in ("hands.drivers.dynamixel", "hands.guard", "ros2.sink", "commands.hardware"):
+        assert f"smooth_operator_devices.{name}<" in page

@@ -472,7 +472,7 @@ def test_what_is_missing_or_taken_is_found_before_anything_slow(
 def test_a_missing_extra_is_found_before_anything_slow(
     arguments, library, extra, monkeypatch, capsys, nothing_slow
 ):
-    for name in [n for n in sys.modules if n.startswith("smooth_operator.teleop.ros2")]:
+    for name in [n for n in sys.modules if n.startswith("smooth_operator_devices.ros2")]:
         monkeypatch.delitem(sys.modules, name)  # another test of this process has imported it
     monkeypatch.setitem(sys.modules, library, None)
     assert main(["teleop", "--no-view", "--method", "joint_angle", *arguments]) == 2

@@ -9,21 +9,44 @@ from typing import Final
 DISTRIBUTION: Final = "smooth-retargeting"
 """Name of the distribution; ``smooth-operator`` on the package index is another program."""
 
+DEVICES: Final = "smooth-operator-devices"
+"""Name of the distribution of real hands, trackers and ROS 2, which has extras of its own."""
+
 UPGRADE: Final = "git pull && python -m pip install ."
 """Commands that update this program, in a clone."""
 
 
 def install_command(extra: str) -> str:
-    """Command that installs an extra, from the folder of the installation or by name."""
-    folder, options = _installed_from()
+    """Command that installs an extra, of this distribution or of ``DEVICES``, from the folder of
+    the installation or by name."""
+    owner = _owner(extra)
+    folder, options = _installed_from(owner)
     if folder is None:
-        return f'python -m pip install "{DISTRIBUTION}[{extra}]"'
-    return f'python -m pip install {options}"{"." if folder == Path.cwd() else folder}[{extra}]"'
+        return f'python -m pip install "{owner}[{extra}]"'
+    here = Path.cwd()
+    if folder.is_relative_to(here):
+        inside = folder.relative_to(here).as_posix()
+        return (
+            f'python -m pip install {options}"{"." if inside == "." else f"./{inside}"}[{extra}]"'
+        )
+    return f'python -m pip install {options}"{folder}[{extra}]"'
 
 
 @functools.cache
-def _installed_from() -> tuple[Path | None, str]:
-    """Folder from which the project was installed (None for a wheel), and options of the install
+def _owner(extra: str) -> str:
+    """Distribution that has an extra."""
+    from importlib.metadata import PackageNotFoundError, metadata
+
+    try:
+        extras = metadata(DEVICES).get_all("Provides-Extra") or ()
+    except PackageNotFoundError:
+        return DISTRIBUTION
+    return DEVICES if extra in extras else DISTRIBUTION
+
+
+@functools.cache
+def _installed_from(distribution_name: str) -> tuple[Path | None, str]:
+    """Folder from which a distribution was installed (None for a wheel), and options of the install
     command."""
     import json  # here, for who misses something: these take 20 ms
     from importlib.metadata import PackageNotFoundError, distribution
@@ -31,7 +54,7 @@ def _installed_from() -> tuple[Path | None, str]:
     from urllib.request import url2pathname
 
     try:
-        origin = json.loads(distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
+        origin = json.loads(distribution(distribution_name).read_text("direct_url.json") or "{}")
         folder = Path(url2pathname(urlsplit(origin["url"]).path))
         options = "-e " if origin["dir_info"].get("editable") else ""
     except PackageNotFoundError:  # run from a source tree that was never installed

@@ -13,7 +13,7 @@ import importlib.util
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -108,6 +108,8 @@ class Registry(Mapping[str, Entry]):
         advice: advice on a missing attribute, for the message.
         elsewhere: maps the name of a part of another distribution to advice on how to get it, for
             the message.
+        summaries: maps the name of a part of another distribution to its line for ``--help``, since
+            entry points have none.
     """
 
     def __init__(
@@ -117,12 +119,13 @@ class Registry(Mapping[str, Entry]):
         needs: tuple[str, ...] = (),
         advice: str = "",
         elsewhere: Mapping[str, str] | None = None,
+        summaries: Mapping[str, str] | None = None,
     ) -> None:
         self.kind = kind
         self.built_in = dict(built_in)
         self._added: dict[str, Entry] = {}
         self.needs, self.advice = needs, advice
-        self.elsewhere = dict(elsewhere or {})
+        self.elsewhere, self.summaries = dict(elsewhere or {}), dict(summaries or {})
 
     @property
     def group(self) -> str:
@@ -133,7 +136,11 @@ class Registry(Mapping[str, Entry]):
     def plugins(self) -> dict[str, Entry]:
         """Maps names to the parts of installed distributions and to added parts."""
         offered = {**_installed(self.group), **self._added}
-        return {name: entry for name, entry in offered.items() if name not in self.built_in}
+        return {
+            name: replace(entry, summary=self.summaries.get(name, entry.summary))
+            for name, entry in offered.items()
+            if name not in self.built_in
+        }
 
     def add(self, name: str, entry: Entry) -> None:
         """Adds a part in this process only, for example one that the command line names.
@@ -240,9 +247,12 @@ class Registry(Mapping[str, Entry]):
             )
 
     def describe(self) -> str:
-        """Returns the names with their summaries, one per line."""
+        """Returns the names with their summaries, one per line, and the names that are not
+        installed."""
         width = max(map(len, self), default=0)
-        return "\n".join(f"  {name:{width}}  {self[name].summary}" for name in self)
+        lines = [f"  {name:{width}}  {entry.summary}" for name, entry in self.items()]
+        absent = [name for name in self.elsewhere if name not in self]
+        return "\n".join(lines + [f"  not installed: {', '.join(absent)}"] * bool(absent))
 
 
 def is_target(text: str) -> bool:

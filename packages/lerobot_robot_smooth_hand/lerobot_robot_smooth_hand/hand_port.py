@@ -13,12 +13,12 @@ from lerobot.utils.errors import DeviceNotConnectedError
 from lerobot_robot_smooth_hand.config_smooth_hand import SmoothHandConfig
 from lerobot_robot_smooth_hand.wrist_port import WristPort
 from smooth_operator.hands.hand import Hand
-from smooth_operator.teleop.hardware.hardware_sink import HardwareSink
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.settings import LimitsConfig
 from smooth_operator.teleop.sinks.sink import Sink
 from smooth_operator.teleop.sinks.tick import ArmCommand, HandState, Mode, Tick, WristCommand
 from smooth_operator.types import JointCommand
+from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 if TYPE_CHECKING:  # which needs the extra arm
     from smooth_operator.teleop.arm.controller import ArmController

@@ -27,7 +27,6 @@ from smooth_operator.cli.dataset_options import Dataset
 from smooth_operator.cli.demo import Demo
 from smooth_operator.cli.doctor import Doctor
 from smooth_operator.cli.hands import Hands
-from smooth_operator.cli.hardware_options import Hardware
 from smooth_operator.cli.latency import Latency
 from smooth_operator.cli.retarget import Retarget
 from smooth_operator.cli.sample import Sample
@@ -35,7 +34,9 @@ from smooth_operator.cli.teleop import Teleop
 from smooth_operator.cli.train import Train
 from smooth_operator.cli.view import View
 from smooth_operator.errors import ConfigError, UnknownNameError, did_you_mean
+from smooth_operator.extras import DEVICES
 from smooth_operator.plugins import Entry, Registry
+from smooth_operator.teleop.components import devices_command
 
 _NARROWEST = 40
 _BOXED = re.compile(r"\s*(\x1b\[[0-9;]*m)*[╭│╰|+]")
@@ -222,7 +223,7 @@ EXAMPLES: Final = """Examples:
   smooth-operator hands list
       list the robot hands; hands show NAME prints joints and limits, and opens a page
   smooth-operator hardware list
-      list drivers, actuator tables and ports of real hands; hardware check writes a table
+      list drivers, actuator tables and ports of real hands (packages/smooth_operator_devices)
   smooth-operator study analyze trials.csv tlx.csv --output out
       analyse a user study: models, corrected p-values, a report (packages/smooth_operator_study)
   smooth-operator doctor
@@ -240,7 +241,6 @@ Command: TypeAlias = (
     | Demo
     | Doctor
     | Hands
-    | Hardware
     | Latency
     | Retarget
     | Sample
@@ -261,7 +261,6 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
     "bench": Bench,
     "train": Train,
     "hands": Hands,
-    "hardware": Hardware,
     "calibrate": Calibrate,
     "doctor": Doctor,
 }
@@ -271,12 +270,14 @@ _STUDY: Final = (
     "the distribution smooth-operator-study",
     'python -m pip install ".[teleop]" ./packages/smooth_operator_study',
 )
+_DEVICES: Final = (f"the distribution {DEVICES}", devices_command())
 _RESEARCH: Final = (
     "the research distribution",
     "python -m pip install . ./packages/smooth_operator_study ./research",
 )
 _DISTRIBUTIONS: Final = {
     "study": _STUDY,
+    "hardware": _DEVICES,
     **dict.fromkeys(("paper", "ablate", "physics", "study.simulate"), _RESEARCH),
 }
 """Maps a command to the distribution of this repository that adds it, and to the line that installs

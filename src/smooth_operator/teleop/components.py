@@ -21,6 +21,7 @@ from typing import (
 )
 
 from smooth_operator.errors import ConfigError, UnknownNameError
+from smooth_operator.extras import DEVICES
 from smooth_operator.plugins import Entry, Registry
 from smooth_operator.settings import LARGEST
 
@@ -49,7 +50,7 @@ def build_component(registry: Registry, text: str) -> Any:
     """
     kind = registry.kind
     word, rest = registry.split(text)
-    if word not in registry:
+    if word not in registry and word not in registry.elsewhere:
         if Path(f"{word}.py").is_file():
             more = (
                 f"{word}.py is in the current folder: add the name of its class, as in "
@@ -159,6 +160,46 @@ def _named(hint: Any) -> str:
 
 _SOURCES: Final = "smooth_operator.teleop.sources"
 
+_ROS2: Final = "needs no ROS 2 installation"
+_DEVICE_SOURCES: Final = {
+    "bvh": ("a body capture that broadcasts BVH over UDP: bvh:FILE", ""),
+    "rokoko": ("gloves or suit, from Rokoko Studio", "rokoko"),
+    "ros2": (f"hand poses from ROS 2 topics; {_ROS2}", "ros2"),
+}
+_DEVICE_SINKS: Final = {
+    "ros2": (f"ROS 2 topics; {_ROS2}", "ros2"),
+    "rerun": ("Rerun's viewer, or a file for it", "rerun"),
+    "dynamixel": ("a hand of Dynamixel servos, described by a table file", "dynamixel"),
+    "leap": ("the LEAP hand", "dynamixel"),
+    "orca": ("the ORCA hand", "orca"),
+    "inspire": ("an Inspire RH56 hand", "inspire"),
+    "linker": ("a LinkerHand L10 or L20", "linker"),
+    "allegro": ("an Allegro Hand V4 or V5", "allegro"),
+    "ability": ("an Ability Hand", "ability"),
+    "wuji": ("a Wuji Hand", "wuji"),
+    "revo2": ("a BrainCo Revo2", "revo2"),
+}
+"""Sources and sinks of the distribution of devices: name -> (summary, extra or ``""``). An entry
+point has no summary, and is known only if the distribution is installed."""
+
+
+def devices_command(extra: str = "") -> str:
+    """Command that installs the distribution of devices with an extra, in a clone."""
+    folder = "./packages/smooth_operator_devices"
+    return 'python -m pip install ".[teleop]" ' + (f'"{folder}[{extra}]"' if extra else folder)
+
+
+def _summary(text: str, extra: str) -> str:
+    return f"{text} ({extra} extra)" if extra else text
+
+
+def _advice(extra: str) -> str:
+    return (
+        f"in the distribution {DEVICES}, which is not installed; in a clone of the repository, "
+        f"run: {devices_command(extra)}"
+    )
+
+
 SOURCES: Final = Registry(
     "source",
     {
@@ -194,13 +235,11 @@ SOURCES: Final = Registry(
             "the ZeroMQ stream of glove bridges (zmq extra)",
         ),
         "zmq": Entry(f"{_SOURCES}.programs:ZmqSource", "landmarks over ZeroMQ (zmq extra)"),
-        "ros2": Entry(
-            "smooth_operator.teleop.ros2.source:Ros2Source",
-            "hand poses from ROS 2 topics; needs no ROS 2 installation (ros2 extra)",
-        ),
         "udp": Entry(f"{_SOURCES}.programs:UdpSource", "landmarks over UDP: udp:PORT"),
     },
     needs=("label", "start", "stop", "health"),
+    elsewhere={name: _advice(extra) for name, (_, extra) in _DEVICE_SOURCES.items()},
+    summaries={name: _summary(*part) for name, part in _DEVICE_SOURCES.items()},
 )
 """Registry of sources: dataclasses of settings (``LiveSource``)."""
 
@@ -245,7 +284,6 @@ def _word_for(path: Path) -> str | None:
 
 
 _SINKS: Final = "smooth_operator.teleop.sinks"
-_DRIVERS: Final = "smooth_operator.teleop.hardware.drivers"
 
 SINKS: Final = Registry(
     "sink",
@@ -255,33 +293,13 @@ SINKS: Final = Registry(
             "simulated physics with position actuators, shown on the page",
         ),
         "zmq": Entry(f"{_SINKS}.zmq_sink:ZmqSink", "commands over ZeroMQ (zmq extra)"),
-        "ros2": Entry(
-            "smooth_operator.teleop.ros2.sink:Ros2Sink",
-            "ROS 2 topics; needs no ROS 2 installation (ros2 extra)",
-        ),
         "record": Entry(f"{_SINKS}.record:RecordSink", "an MCAP log: record:FILE"),
-        "rerun": Entry(
-            f"{_SINKS}.rerun_sink:RerunSink",
-            "Rerun's viewer, or a file for it (rerun extra)",
-        ),
         "table": Entry(f"{_SINKS}.table:TableSink", "a table in the terminal"),
-        "dynamixel": Entry(
-            f"{_DRIVERS}.dynamixel:DynamixelSink",
-            "a hand of Dynamixel servos, described by a table file (dynamixel extra)",
-        ),
-        "leap": Entry(f"{_DRIVERS}.dynamixel:LeapSink", "the LEAP hand (dynamixel extra)"),
-        "orca": Entry(f"{_DRIVERS}.orca:OrcaSink", "the ORCA hand (orca extra)"),
-        "inspire": Entry(f"{_DRIVERS}.inspire:InspireSink", "an Inspire RH56 hand (inspire extra)"),
-        "linker": Entry(f"{_DRIVERS}.linker:LinkerSink", "a LinkerHand L10 or L20 (linker extra)"),
-        "allegro": Entry(
-            f"{_DRIVERS}.allegro:AllegroSink", "an Allegro Hand V4 or V5 (allegro extra)"
-        ),
-        "ability": Entry(f"{_DRIVERS}.ability:AbilitySink", "an Ability Hand (ability extra)"),
-        "wuji": Entry(f"{_DRIVERS}.wuji:WujiSink", "a Wuji Hand (wuji extra)"),
-        "revo2": Entry(f"{_DRIVERS}.revo2:Revo2Sink", "a BrainCo Revo2 (revo2 extra)"),
     },
     needs=("label", "open", "send", "stalled", "close", "simulation"),
     advice="derive the class from smooth_operator.teleop.Sink",
+    elsewhere={name: _advice(extra) for name, (_, extra) in _DEVICE_SINKS.items()},
+    summaries={name: _summary(*part) for name, part in _DEVICE_SINKS.items()},
 )
 """Registry of sinks: dataclasses of settings (``Sink``)."""
 

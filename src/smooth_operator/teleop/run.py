@@ -42,7 +42,6 @@ from smooth_operator.teleop.control.reporter import LoggingReporter, summarise
 from smooth_operator.teleop.control.rpc import RpcHandlers
 from smooth_operator.teleop.control.switches import StopInput, keyboard, stopped_by
 from smooth_operator.teleop.control.task_trials import TaskTrials, with_task
-from smooth_operator.teleop.hardware.hardware_sink import real_hand
 from smooth_operator.teleop.request import TeleopRequest
 from smooth_operator.teleop.runtime.limiter import Limiter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
@@ -218,7 +217,8 @@ class _Run:
     @property
     def other_hands(self) -> list[str]:
         """Names of the hands with which the run can go on; empty if its hand is fixed."""
-        fixed = self.teleop.task is not None or self.teleop.blind or any(map(real_hand, self.sinks))
+        real = any(sink.moves_real_hand for sink in self.sinks)
+        fixed = real or self.teleop.task is not None or self.teleop.blind
         if fixed or not isinstance(self.request.hand, str):
             return []
         return list(hand_names())

@@ -205,7 +205,7 @@ class StopInput:
         text: ``file:PATH``: released while the file's first character is 1, as the value of a GPIO
             line whose button opens a closed contact, or a file that another program writes;
             ``serial:PORT``: a normally closed button between the pins RTS and CTS of a serial
-            adapter, released while CTS is high (extra ``dynamixel``, for pyserial);
+            adapter, released while CTS is high (extra ``serial``);
             ``udp:PORT`` or ``udp:ADDRESS:PORT``: released while datagrams that begin with 1 come,
             one every 0.3 s at least; it listens on this machine unless an address is given.
 
@@ -296,7 +296,7 @@ def _serial(port: str) -> tuple[Callable[[], bool], Callable[[], object]]:
     try:
         import serial
     except ImportError as error:
-        raise MissingExtraError("an emergency stop on a serial adapter", "dynamixel") from error
+        raise MissingExtraError("an emergency stop on a serial adapter", "serial") from error
     try:
         line: Any = serial.Serial(port, exclusive=True)
         line.rts = True  # feeds the button

@@ -40,6 +40,9 @@ class Sink(ABC):
     """True for a sink that moves nothing, such as a log or a table. It gets its ticks after the
     other sinks, with the time of sending among the stages."""
 
+    moves_real_hand: ClassVar[bool] = False
+    """True for a sink that moves one real hand, so that the run can't go on with another one."""
+
     @property
     @abstractmethod
     def label(self) -> str:

@@ -1,0 +1,1 @@
+"""The command ``smooth-operator hardware``: its options and its subcommands."""

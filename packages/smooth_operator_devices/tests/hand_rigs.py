@@ -1,0 +1,413 @@
+"""Each driver of a real hand with a simulator on its wire, in one form for the shared tests."""
+
+import importlib.util
+import itertools
+import os
+import sys
+import time
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from ability_simulator import AbilityHand
+from allegro_simulator import AllegroHand
+from fake_hand_sdks import FingerUnitMode, StarkWorld, WujiWorld
+from hand_servos import Faults
+from inspire_simulator import InspireHand, RtuServer, TcpServer
+from linker_simulator import LinkerHand
+from revo2_simulator import Revo2Hand
+
+from smooth_operator.teleop.components import build_sink
+from smooth_operator_devices.hands.hardware_sink import HardwareSink
+
+_channels = itertools.count()
+
+
+class Rig:
+    """A simulated hand, and what is needed to reach it.
+
+    Attributes:
+        driver: name of the driver.
+        sink: text of the sink, without settings.
+        faults: what the simulated device does wrong.
+        unit: how near a motor comes to its command, in the commands' unit.
+        moved: what came over the wire that makes the hand move, counted.
+    """
+
+    driver: str = ""
+    library: str = ""
+    unit: float = 1.0
+    waits: tuple[str, ...] = ("_TIMEOUT",)
+    """Names of the driver's times."""
+    reports = False
+    """True for a hand that reports its positions without a question."""
+    delay_s = 0.01
+    """A delay that the driver must bear."""
+    prefix = True
+    """True if messages begin with the name of the driver."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.folder, self.monkeypatch = folder, monkeypatch
+        self.sink = self.driver
+        self.hand: Any = None
+        self.start()
+
+    @property
+    def faults(self) -> Faults:
+        return self.hand.faults
+
+    def patience(self, seconds: float) -> None:
+        """Set the time that the driver waits for an answer [s], before it is opened."""
+        module = f"smooth_operator_devices.hands.drivers.{self.driver}"
+        for name in self.waits:
+            self.monkeypatch.setattr(f"{module}.{name}", seconds)
+
+    def build(self, **settings: object) -> HardwareSink:
+        """The sink, with fast motion unless told otherwise."""
+        values = {"approach": 50.0, "speed": 50.0, **settings}
+        joint = "," if ":" in self.sink else ":"
+        return build_sink(
+            self.sink + joint + ",".join(f"{name}={value}" for name, value in values.items())
+        )
+
+    def positions(self) -> np.ndarray:
+        """Positions of the motors, in the unit of the commands."""
+        return self.hand.servos.positions()
+
+    def near(self, commands: np.ndarray) -> bool:
+        """True if the motors have reached their commands."""
+        return bool(np.abs(self.positions() - commands).max() <= 2 * self.unit)
+
+    def outside(self) -> int:
+        """Number of targets beyond the ends."""
+        return len(self.hand.servos.outside)
+
+    def targets(self) -> int:
+        """Number of targets."""
+        return len(self.hand.servos.targets)
+
+    def powered(self) -> bool | None:
+        """True if the motors have torque; None for a hand that can't switch it off."""
+        return None
+
+    def stick(self, motor: int) -> None:
+        """Block a motor."""
+        self.hand.servos.stuck.add(motor)
+
+    def slow(self) -> None:
+        """Make the motors so slow that even a stalled machine can stop them on their way."""
+        self.hand.servos.moves_when_looked_at(1e-4)
+
+    def watch_targets(self, look: Callable[[np.ndarray, np.ndarray], None]) -> None:
+        """Call a function with each target, and the positions of the motors at that time."""
+        servos = self.hand.servos
+        aim = servos.aim
+
+        def aimed(target: Any) -> None:
+            look(np.array(target, float), servos.positions())
+            aim(target)
+
+        self.monkeypatch.setattr(servos, "aim", aimed)
+
+    def limits(self) -> list[float]:
+        """Settings of the driver that a restart deletes; empty if it sets nothing."""
+        return []
+
+    def restart(self) -> None:
+        """Delete the settings that a restart deletes, and nothing else."""
+        raise NotImplementedError
+
+    def start(self) -> None:
+        """Put the hand on its wire."""
+        raise NotImplementedError
+
+    def lose(self) -> None:
+        """Take the hand off its wire, in motion."""
+        self.faults.mute = True
+
+    def back(self) -> None:
+        """Put it back."""
+        self.faults.mute = False
+
+    def close(self) -> None:
+        """End."""
+        self.hand.close()
+
+
+class Packaged(Rig):
+    """A hand behind a stand-in of its maker's package."""
+
+    def lose(self) -> None:
+        self.hand.plugged_in = False
+
+    def back(self) -> None:
+        self.hand.plugged_in = True
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+
+class InspireTcp(Rig):
+    driver, library = "inspire", "pymodbus"
+
+    def start(self) -> None:
+        self.hand = self.hand or InspireHand()
+        self.server: Any = TcpServer(self.hand)
+        self.sink = f"inspire:127.0.0.1:{self.server.port}"
+
+    def limits(self) -> list[float]:
+        return [*self.hand.force_limit, *self.hand.speed]
+
+    def restart(self) -> None:
+        self.hand.force_limit, self.hand.speed = [1000] * 6, [1000] * 6
+
+    def lose(self) -> None:
+        super().lose()
+        self.server.drop()
+
+    def close(self) -> None:
+        self.server.close()
+
+
+class InspireRtu(InspireTcp):
+    library = "serial"
+
+    def start(self) -> None:
+        self.hand = self.hand or InspireHand()
+        self.server = RtuServer(self.hand)
+        self.sink = f"inspire:{_linked(self.folder / 'ttyHand', self.server.port)}"
+
+    def lose(self) -> None:
+        self.server.close()
+
+    def back(self) -> None:
+        self.start()
+
+
+class Linker(Rig):
+    driver, library = "linker", "can"
+    model = "l20"
+
+    def start(self) -> None:
+        self.channel = f"linker-{next(_channels)}-{os.getpid()}"
+        self.hand = LinkerHand(self.channel, self.model)
+        self.sink = f"linker:virtual:{self.channel},model={self.model}"
+
+    def limits(self) -> list[float]:
+        settings = dict(self.hand.settings)  # the hand's thread may change it
+        return [value for kind in sorted(settings) for value in settings[kind]]
+
+    def restart(self) -> None:
+        self.hand.settings.clear()
+
+
+class LinkerL10(Linker):
+    model = "l10"
+
+
+class Allegro(Rig):
+    driver, library, unit, reports = "allegro", "can", 0.06, True
+    waits = ("_LATE_S", "_STALE_S", "_OPENING_S")
+    version = "v5"
+    table = "allegro_v5"
+
+    def start(self) -> None:
+        self.channel = f"allegro-{next(_channels)}-{os.getpid()}"
+        self.hand = AllegroHand(self.channel, self.version)
+        clock = types.SimpleNamespace(perf_counter=lambda: self.hand.now, sleep=time.sleep)
+        self.monkeypatch.setattr("smooth_operator_devices.hands.drivers.allegro.time", clock)
+        self.sink = f"allegro:virtual:{self.channel},table={self.table}"
+
+    def positions(self) -> np.ndarray:
+        return self.hand.position.copy()
+
+    def outside(self) -> int:
+        """Torques above the table's limit: the hand is sent no positions."""
+        return int(self.hand.largest_torque > (150 if self.version == "v5" else 300))
+
+    def targets(self) -> int:
+        return int(self.hand.torque_frames) if any(self.hand.switched) else 0
+
+    def powered(self) -> bool:
+        return bool(self.hand.servo_on)
+
+    def restart(self) -> None:
+        self.hand.period_s, self.hand.servo_on = 0.0, False
+
+    def stick(self, motor: int) -> None:
+        self.hand.stuck.add(motor)
+
+    def slow(self) -> None:
+        self.hand.friction *= 8
+
+
+class AllegroV4(Allegro):
+    version, table = "v4", "allegro"
+
+
+class Ability(Rig):
+    driver, library, unit = "ability", "serial", 0.3
+
+    def start(self) -> None:
+        self.hand = AbilityHand()
+        port = _linked(self.folder / "ttyAbility", self.hand.port)
+        self.sink = f"ability:{port},baud=115200"  # macOS has no other bauds on a pty
+
+    def powered(self) -> bool:
+        return bool(self.hand.servos.powered)
+
+    def lose(self) -> None:
+        self.hand.close()
+
+    def back(self) -> None:
+        self.start()
+
+
+class Leap(Rig):
+    driver, library, unit = "dynamixel", "dynamixel_sdk", 0.01
+    prefix = False
+
+    def start(self) -> None:
+        from dynamixel_bank import ServoBank
+
+        self.hand = ServoBank(list(range(16)))
+        self.port = str(self.folder / "ttyLeap")
+        self.lose()
+        self.back()
+        self.sink = f"leap:{self.port},baud=57600"
+
+    def patience(self, seconds: float) -> None:
+        module = "smooth_operator_devices.hands.drivers.dynamixel"
+        self.monkeypatch.setattr(f"{module}._SLOW_ANSWER_MS", 1e3 * seconds)
+
+    def positions(self) -> np.ndarray:
+        return RADIAN * np.array([servo.position for servo in self.hand.servos.values()])
+
+    def outside(self) -> int:
+        ends = np.array([a.ends for a in self.build().actuators("right").actuators]) / RADIAN
+        goals = np.array([list(goals.values()) for goals in self.hand.goals if len(goals) == 16])
+        return int(((goals < ends[:, 0] - 1) | (goals > ends[:, 1] + 1)).any(axis=1).sum())
+
+    def targets(self) -> int:
+        return len(self.hand.goals)
+
+    def powered(self) -> bool:
+        return any(servo.torque for servo in self.hand.servos.values())
+
+    def stick(self, motor: int) -> None:
+        self.hand.servos[motor].stop = self.hand.servos[motor].position
+
+    def slow(self) -> None:
+        for servo in self.hand.servos.values():
+            servo.speed = 30.0
+
+    def watch_targets(self, look: Callable[[np.ndarray, np.ndarray], None]) -> None:
+        self.hand.aimed = lambda goals: look(RADIAN * np.array([*goals.values()]), self.positions())
+
+    def limits(self) -> list[float]:
+        return [servo.get(at, 2) for servo in self.hand.servos.values() for at in (84, 102)]
+
+    def restart(self) -> None:
+        for servo in self.hand.servos.values():
+            servo.restart()
+
+    def lose(self) -> None:
+        self.hand.unplug()
+
+    def back(self) -> None:
+        self.hand.plug(self.port)
+
+    def close(self) -> None:
+        self.hand.unplug()
+
+
+RADIAN: Final = 2 * np.pi / 4096
+"""Radians of a step of a Dynamixel servo."""
+
+
+class Wuji(Packaged):
+    driver, unit = "wuji", 0.01
+    waits = ()
+
+    def start(self) -> None:
+        self.hand = self.hand or WujiWorld()
+        self.sink = f"wuji:{self.folder.name}-{os.getpid()}"  # a serial number of its own
+        self.monkeypatch.setitem(sys.modules, "wujihandpy", self.hand.module)
+
+    def powered(self) -> bool:
+        return bool(self.hand.servos.powered)
+
+    def limits(self) -> list[float]:
+        return self.hand.effort_limit.ravel().tolist()
+
+    def restart(self) -> None:
+        self.hand.effort_limit = np.full((5, 4), 1.5)
+
+
+class Revo2(Packaged):
+    driver = "revo2"
+
+    def start(self) -> None:
+        self.hand = self.hand or StarkWorld()
+        self.sink = f"revo2:{self.folder / 'ttyRevo2'}"
+        self.monkeypatch.setitem(sys.modules, "bc_stark_sdk", self.hand.package)
+        self.monkeypatch.setitem(sys.modules, "bc_stark_sdk.main_mod", self.hand.main_mod)
+
+    def limits(self) -> list[float]:
+        return [0.0 if self.hand.unit is None else float(self.hand.unit is FingerUnitMode.Physical)]
+
+    def restart(self) -> None:
+        self.hand.unit = FingerUnitMode.Physical
+
+
+class Revo2Real(InspireRtu):
+    """With the maker's real package, on a line."""
+
+    driver, library = "revo2", "bc_stark_sdk"
+
+    def start(self) -> None:
+        self.hand = self.hand or Revo2Hand()
+        self.server = RtuServer(self.hand)
+        self.sink = f"revo2:{_linked(self.folder / 'ttyRevo2', self.server.port)}"
+
+    def limits(self) -> list[float]:
+        return [float(self.hand.unit_mode or 0)]
+
+    def restart(self) -> None:
+        self.hand.unit_mode = 1 - int(self.hand.unit_mode or 0)
+
+
+def _linked(link: Path, port: str) -> Path:
+    """A fixed name for a port that changes when the adapter is plugged in again, as udev's."""
+    link.unlink(missing_ok=True)
+    link.symlink_to(port)
+    return link
+
+
+RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
+    "inspire": InspireTcp,
+    "inspire-rtu": InspireRtu,
+    "linker-l20": Linker,
+    "linker-l10": LinkerL10,
+    "allegro-v5": Allegro,
+    "allegro-v4": AllegroV4,
+    "ability": Ability,
+    "leap": Leap,
+    "wuji": Wuji,
+    "revo2": Revo2,
+    "revo2-sdk": Revo2Real,
+}
+"""Name -> a driver with its simulator."""
+
+ON_A_PTY: Final = ("inspire-rtu", "ability", "leap", "revo2-sdk")
+
+
+def missing(name: str) -> str:
+    """Why a rig can't be used here; empty if it can."""
+    library = RIGS[name].library
+    if library and importlib.util.find_spec(library) is None:
+        return f"needs {library}"
+    return "needs a pty" if name in ON_A_PTY and sys.platform == "win32" else ""

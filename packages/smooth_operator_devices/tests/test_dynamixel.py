@@ -1,0 +1,242 @@
+"""The Dynamixel driver against servos on a pseudo-terminal that speak protocol 2.0."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+import pytest
+from live_time import until
+from ticks import make_tick
+
+from smooth_operator import Hand, load_hand
+from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.teleop import TeleopRequest, teleoperate
+from smooth_operator.teleop.components import build_sink
+from smooth_operator.teleop.recording.log_reader import read_log
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.types import JointCommand
+from smooth_operator_devices.hands.device import WrongAnswerError
+from smooth_operator_devices.hands.hardware_sink import HardwareSink
+
+pytest.importorskip("dynamixel_sdk", reason="the extra dynamixel is not installed")
+if sys.platform == "win32":
+    pytest.skip("needs pseudo-terminals", allow_module_level=True)
+
+from dynamixel_bank import ServoBank, crc16, packet
+
+from smooth_operator_devices.hands.drivers.dynamixel import LeapSink
+
+IDS = list(range(16))
+
+T = TypeVar("T")
+
+
+@pytest.fixture(scope="module")
+def hand() -> Hand:
+    return load_hand("leap_hand")
+
+
+@pytest.fixture
+def bank() -> Iterator[ServoBank]:
+    bank = ServoBank(IDS)
+    yield bank
+    bank.unplug()
+
+
+@pytest.fixture(autouse=True)
+def fast_retries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("smooth_operator_devices.hands.hardware_sink._RETRY_S", 0.05)
+
+
+def patiently(action: Callable[[], T], between: Callable[[], object] = int) -> T:
+    """Result of an action on the bus, retried as by a worker, since a busy machine is late."""
+    for _ in range(5):
+        with contextlib.suppress(WrongAnswerError):
+            return action()
+        between()
+    return action()
+
+
+def calm(sink: HardwareSink) -> bool:
+    """True if the hand follows; its note may still count earlier faults."""
+    return not any(word in sink.note for word in ("approaches", "waiting", "retrying", "no answer"))
+
+
+def tick_at(hand: Hand, share: float, mode: Mode = Mode.TRACKING) -> Tick:
+    """A command at a share of every joint's range."""
+    low, high = hand.limits.T
+    q = hand.full_configuration(low + share * (high - low))
+    return replace(make_tick(hand, mode=mode), command=JointCommand(q, hand.joint_names))
+
+
+class Run:
+    """A LEAP hand's sink on a bank, to which the same command goes until another one comes."""
+
+    def __init__(self, bank: ServoBank, hand: Hand, **settings: object) -> None:
+        settings = {"approach": 10.0, "speed": 20.0, "baud": 57600, **settings}
+        self.sink = LeapSink(port=bank.path, **settings)
+        self.hand, self.bank = hand, bank
+        self.tick: Tick | None = None
+
+    def __enter__(self) -> "Run":
+        self.sink.open({"right": self.hand}, {})
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.sink.close()
+
+    def until(self, done: Callable[[], object]) -> None:
+        until(lambda: (self.tick is not None and self.sink.send(self.tick)) or done())
+
+    def at(self, share: float) -> bool:
+        """True if all servos are at a share of the joints' range."""
+        low, high = self.hand.limits.T
+        wanted = dict(zip(self.hand.actuated_names, low + share * (high - low), strict=True))
+        steps = {i: 2048 + wanted[str(i)] * 4096 / (2 * np.pi) for i in IDS}
+        return all(abs(self.bank.servos[i].position - steps[i]) < 12 for i in IDS)
+
+
+def test_checksum_and_packets_are_those_of_the_published_protocol():
+    # the examples of the protocol's description: ping of servo 1, and its answer
+    assert crc16(bytes.fromhex("fffffd0001030001")) == 0x4E19
+    assert packet(1, bytes([0x06, 0x04, 0x26])) == bytes.fromhex("fffffd000107005500060426655d")
+    assert b"\xff\xff\xfd\xfd" in packet(1, b"\xff\xff\xfd")
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_a_leap_hand_boots_approaches_and_is_read_back(bank, hand, fast):
+    bank.fast = fast
+    with Run(bank, hand) as run:
+        state = run.sink.state("right")
+        assert state.positions == pytest.approx(0.0, abs=0.001)  # pi is open
+        assert not any(servo.torque for servo in bank.servos.values())  # nothing moves yet
+        servo = bank.servos[0]
+        assert servo.get(11, 1) == 5
+        assert [servo.get(102, 2), servo.get(84, 2), servo.get(80, 2)] == [350, 450, 150]
+        assert bank.servos[1].get(84, 2) == 600
+        run.tick = tick_at(hand, 0.5)
+        run.until(lambda: calm(run.sink) and run.at(0.5))
+        first = bank.goals[0]
+        assert all(abs(goal - 2048) < 10 * 0.04 * 652 for goal in first.values())
+        until(lambda: np.abs(_measured(run) - run.tick.command.joint_positions).max() < 0.02)
+        assert servo.get(98, 1) == 25  # the servos' own watchdog: half a second
+        state = run.sink.state("right")
+        assert set(state.temperatures.tolist()) == {33.0}
+    until(lambda: not any(servo.torque for servo in bank.servos.values()))
+    until(lambda: bank.servos[0].get(98, 1) == 0)
+    assert bank.bad == 0
+
+
+def _measured(run: Run) -> np.ndarray:
+    state = run.sink.state("right")
+    return state.positions
+
+
+def test_servos_that_stopped_themselves_follow_again(bank, hand):
+    """A machine stood still longer than the servos' watchdog allows: they refuse goals then."""
+    with Run(bank, hand) as run:
+        run.tick = tick_at(hand, 0.4)
+        run.until(lambda: calm(run.sink) and run.at(0.4))
+        for servo in bank.servos.values():
+            servo.table[98] = 255
+        run.tick = tick_at(hand, 0.6)
+        run.until(lambda: run.sink.figures["device_lost"])
+        assert "stopped themselves" in run.sink.note
+        run.until(lambda: calm(run.sink) and run.at(0.6))
+
+
+def test_a_servo_whose_torque_stays_off_is_a_wrong_answer(bank, hand):
+    sink = LeapSink(port=bank.path, baud=57600)
+    device = sink.device(sink.actuators("right"))
+    patiently(device.open, device.close)
+    start, servo = patiently(device.read).positions, bank.servos[3]
+    takes = servo.write
+    servo.write = lambda address, data: 0 if address == 64 else takes(address, data)
+
+    def refused() -> bool:
+        with pytest.raises(WrongAnswerError) as caught:
+            device.write(start)
+        return "a servo did not switch its torque on" in str(caught.value)
+
+    until(refused)
+    servo.write = takes
+    patiently(lambda: device.write(start))
+    until(lambda: servo.torque)
+    device.close()
+
+
+def test_servos_with_another_control_table_are_refused(bank, hand):
+    bank.servos[7].put(0, 2, 350)  # XL-320
+    written = bytes(bank.servos[7].table[:126])  # what follows is measured
+    with pytest.raises(SinkError, match=r"servo 7 \(middle_dip\) is of model number 350.* XL330"):
+        Run(bank, hand).__enter__()
+    assert bytes(bank.servos[7].table[:126]) == written
+
+
+def test_the_current_limit_is_the_lowest_of_table_run_and_servo(bank, hand):
+    bank.servos[5].put(38, 2, 120)
+    with Run(bank, hand, limit=200.0):
+        assert bank.servos[4].get(102, 2) == 200
+        assert bank.servos[5].get(102, 2) == 120
+
+
+def test_a_servo_with_an_error_is_shown(bank, hand):
+    with Run(bank, hand) as run:
+        run.tick = tick_at(hand, 0.4)
+        bank.servos[3].error = 0x20
+        bank.servos[9].put(146, 1, 72)
+        run.until(lambda: "index_dip: overload; switch its power off and on" in run.sink.note)
+        run.until(lambda: "hot: ring_forward 72 °C" in run.sink.note)
+
+
+def test_a_whole_run_has_measured_joints_in_its_log(bank, hand, tmp_path):
+    for duration in (1.5, 15.0):  # a machine that stalls takes longer
+        take = tmp_path / f"{duration}.mcap"
+        request = TeleopRequest(sink=(f"record:{take}",), method="joint_angle", duration=duration)
+        sink = LeapSink(port=bank.path, baud=57600, approach=10.0)
+        summary = teleoperate(request, sinks=[sink], hand=hand)
+        states = read_log(take).states
+        if len(states) > 20:
+            break
+    assert len(states) > 20
+    assert set(states.names) == set(hand.joint_names)
+    assert np.ptp(states.positions, axis=0).max() > 0.1  # it moved
+    (sink, _) = summary["sinks"]
+    assert sink["figures"]["cycles"] > 20
+    assert "right" in summary["motion_delay_ms"]
+
+
+def test_what_can_not_be_opened(bank, hand, tmp_path):
+    with pytest.raises(SinkError, match="there is no serial port"):
+        LeapSink(port="/dev/ttyNONE").open({"right": hand}, {})
+    bank.silent.add(7)
+    with pytest.raises(SinkError, match=r"no answer from the servos 7 \(middle_dip\)"):
+        Run(bank, hand).__enter__()
+    bank.silent.update(IDS)
+    with pytest.raises(SinkError, match="no servo answers at 57600 baud"):
+        Run(bank, hand).__enter__()
+    bank.silent.clear()
+    with Run(bank, hand):
+        second = Run(bank, hand)
+        with pytest.raises(SinkError, match="in use by another run"):
+            second.__enter__()
+    text = 'format=1\ndriver="dynamixel"\nhand="leap_hand"\nside="right"\nunit="{}"\n{}\n'
+    row = '[[actuators]]\nname="a"\n{}joint="0"\npoints=[[0,0],[1,1]]\n'
+    for unit, head, each, said in (
+        ("furlong", "", "id=1\n", "the unit of servos"),
+        ("rad", "", "", "every servo needs an id"),
+        ("rad", "settings={baut=1}", "id=1\n", "no setting 'baut'"),
+        ("rad", "settings={watchdog=9}", "id=1\n", "watchdog must be"),
+        ("rad", "settings={watchdog=inf}", "id=1\n", "watchdog must be finite"),
+        ("rad", "settings={current_unit=0}", "id=1\n", "current_unit must be over 0"),
+        ("rad", "limit=inf", "id=1\n", "expected a finite number, not inf"),
+        ("rad", "", "id=1\nlimit=-1\n", "limit must be over 0 and finite, not -1"),
+    ):
+        path = tmp_path / "x.toml"
+        path.write_text(text.format(unit, head) + row.format(each))
+        sink = build_sink(f"dynamixel:{bank.path},table={path}")
+        with pytest.raises(ConfigError, match=said):
+            sink.open({"right": hand}, {})

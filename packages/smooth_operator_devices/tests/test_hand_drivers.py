@@ -1,0 +1,414 @@
+"""All drivers of real hands on simulators of their wire protocols: one set of tests for each."""
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hand_rigs import RIGS, Rig, missing
+from inspire_simulator import ANGLE_ACT
+from live_time import until
+from ticks import make_tick
+
+from smooth_operator import Hand, load_hand
+from smooth_operator.errors import ConfigError, SinkError
+from smooth_operator.teleop.sinks.tick import Mode, Tick
+from smooth_operator.types import JointCommand
+from smooth_operator_devices.hands import bus_lock
+from smooth_operator_devices.hands.actuator_map import (
+    ActuatorMap,
+    BoundMap,
+    built_in_tables,
+    read_table,
+)
+from smooth_operator_devices.hands.device import HandDevice, SettingsWatch, WrongAnswerError
+from smooth_operator_devices.hands.drivers.linker import LinkerSink
+from smooth_operator_devices.hands.hardware_sink import HardwareSink
+
+TABLES = sorted(path.stem for path in built_in_tables().glob("*.toml"))
+
+
+@pytest.fixture(params=list(RIGS))
+def rig(request, tmp_path, monkeypatch) -> Iterator[Rig]:
+    if why := missing(request.param):
+        pytest.skip(why)
+    monkeypatch.setattr("smooth_operator_devices.hands.hardware_sink._RETRY_S", 0.02)
+    # Locks of buses are files there. A pty that another run of the tests has lost, and still has
+    # locked, gives its name to the next one.
+    monkeypatch.setattr(bus_lock, "lock_folder", lambda: tmp_path)
+    made = RIGS[request.param](tmp_path, monkeypatch)
+    made.patience(3.0)  # the machine may be busy
+    yield made
+    made.close()
+
+
+_hands: dict[str, Hand] = {}
+
+
+def hand_of(table: ActuatorMap) -> Hand:
+    if table.hand not in _hands:
+        _hands[table.hand] = load_hand(table.hand, side=table.side)
+    return _hands[table.hand]
+
+
+def within(table: ActuatorMap, share: float) -> np.ndarray:
+    """Commands at a share of the way between the ends, for each actuator."""
+    low, high = np.array([actuator.ends for actuator in table.actuators]).T
+    return low + share * (high - low)
+
+
+class Opened:
+    """A device of a rig, open; and its table, bound to the model of the hand."""
+
+    def __init__(self, rig: Rig, patient: bool = True, **settings: object) -> None:
+        sink = rig.build(**settings)
+        self.table = sink.actuators("right")
+        self.bound = BoundMap(self.table, hand_of(self.table))
+        self.device: HandDevice = sink.device(self.table)
+        tries = 5 if patient else 1  # as a sink does: a busy machine answers late
+        while True:
+            try:
+                self.device.open()
+                return
+            except WrongAnswerError:
+                self.device.close()
+                tries -= 1
+                if not tries:
+                    raise
+
+    def __enter__(self) -> "Opened":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.device.close()
+        self.device.close()  # a second call does nothing
+
+
+class Driven:
+    """A sink that gets a command every few milliseconds, as from a loop."""
+
+    def __init__(self, rig: Rig, **settings: object) -> None:
+        self.sink: HardwareSink = rig.build(**settings)
+        self.table = self.sink.actuators("right")
+        self.hand = hand_of(self.table)
+        self.bound = BoundMap(self.table, self.hand)
+        self.tick: Tick | None = None
+        self.longest = 0.0
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> "Driven":
+        self.sink.open({"right": self.hand}, {})
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+        self.sink.close()
+
+    def _run(self) -> None:
+        while not self._done.wait(0.005):
+            if self.tick is not None:
+                begin = time.thread_time()
+                self.sink.send(self.tick)
+                self.longest = max(self.longest, time.thread_time() - begin)
+
+    def ask(self, share: float) -> np.ndarray:
+        """Ask for the joints at a share of each actuator's way; returns the commands."""
+        commands = within(self.table, share)
+        self.ask_joints(self.bound.joints(commands))
+        return commands
+
+    def ask_joints(self, joints: np.ndarray) -> None:
+        joints = np.where(np.isfinite(joints), joints, 0.0)
+        tick = make_tick(self.hand)
+        self.tick = replace(tick, command=JointCommand(joints, self.hand.joint_names, 0.0))
+
+    def statistics(self) -> dict[str, float]:
+        return self.sink.figures
+
+
+@pytest.mark.parametrize("hand", ["linker_l10", "linker_l20"])
+def test_a_driver_of_several_models_takes_the_table_of_the_runs_hand(hand):
+    assert LinkerSink().actuators("right", hand).hand == hand
+    assert LinkerSink(model="l20").actuators("right", hand).hand == "linker_l20"
+    with pytest.raises(ConfigError, match=r"is the table of the hand 'linker_l20'"):
+        BoundMap(LinkerSink(model="l20").actuators("right"), load_hand("leap_hand"))
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_fits_its_hand(name):
+    table = read_table(built_in_tables() / f"{name}.toml")
+    hand = load_hand(table.hand, side=table.side)
+    bound = BoundMap(table, hand)
+    assert name == f"{name.rsplit('_', 1)[0]}_{table.side}"
+    assert table.source
+    # every joint that the hand's motors move is moved by an actuator of the table
+    assert bound.determined.all(), [
+        n for n, k in zip(hand.joint_names, bound.determined, strict=True) if not k
+    ]
+    # and the way to the actuators and back is the same place
+    for share in (0.0, 0.3, 1.0):
+        commands = within(table, share)
+        back = bound.commands(bound.angles(bound.joints(commands)))
+        assert back == pytest.approx(commands, abs=1e-6)
+
+
+def test_opening_moves_nothing_and_reads_where_the_hand_is(rig):
+    before = rig.positions()
+    with Opened(rig) as opened:
+        reading = opened.device.read()
+        assert reading.positions == pytest.approx(before, abs=rig.unit)
+        assert reading.errors == ()
+        assert rig.targets() == 0
+        assert opened.device.read().positions.shape == (len(opened.table.actuators),)
+    assert rig.positions() == pytest.approx(before, abs=rig.unit)
+
+
+def test_it_goes_where_it_is_told_and_reads_it_back(rig):
+    with Driven(rig) as driven:
+        wanted = driven.ask(0.4)
+        until(lambda: rig.near(wanted))
+        wished = driven.bound.joints(wanted)
+
+        def read_back() -> bool:
+            state = driven.sink.state("right")
+            if state is None:
+                return False
+            measured = driven.bound.commands(driven.bound.angles(state.positions))
+            return bool(np.abs(measured - wanted).max() <= 2 * rig.unit)
+
+        until(read_back)
+        state = driven.sink.state("right")
+        assert state is not None
+        assert np.isfinite(wished).all()
+        # a wish far beyond every joint never leaves the ends
+        driven.ask_joints(np.full(len(driven.hand.joint_names), 9.0))
+        until(lambda: np.abs(rig.positions() - wanted).max() > 5 * rig.unit)
+        driven.ask_joints(np.full(len(driven.hand.joint_names), -9.0))
+        time.sleep(0.02)
+    assert rig.outside() == 0
+
+
+def test_a_stop_holds_the_hand_on_its_way(rig):
+    with Driven(rig) as driven:
+        start = rig.positions()
+        rig.slow()
+        goal = driven.ask(0.6)
+        until(lambda: np.abs(rig.positions() - start).max() > 3 * rig.unit)
+        driven.tick = replace(driven.tick, mode=Mode.STOPPED)
+        until(lambda: "emergency stop" in driven.sink.note)
+        last = rig.positions()
+
+        def stands() -> bool:
+            nonlocal last
+            cycles = driven.statistics()["cycles"]
+            until(lambda: driven.statistics()["cycles"] > cycles + 1)
+            before, last = last, rig.positions()
+            return bool(np.abs(last - before).max() < 0.1 * rig.unit)
+
+        until(stands)
+        assert np.abs(last - goal).max() > 3 * rig.unit
+    assert rig.outside() == 0
+
+
+def test_relaxing_is_taken_by_every_hand(rig):
+    with Opened(rig) as opened:
+        opened.device.write(opened.device.read().positions)
+        if rig.powered() is None:  # it can't: then nothing is sent
+            opened.device.read()  # the hand answers when it has its command
+            sent = rig.targets()
+            opened.device.relax()
+            opened.device.read()
+            assert rig.targets() == sent
+        else:
+            until(rig.powered)
+            opened.device.relax()
+            until(lambda: not rig.powered())
+
+
+def test_a_hand_lost_in_motion_comes_back(rig):
+    rig.patience(0.5)
+    with Driven(rig, lost_s=1.0) as driven:
+        driven.ask(0.2)
+        until(lambda: driven.statistics()["cycles"] > 3)
+        before = driven.statistics()["device_lost"]  # on a starved machine it was late before
+        rig.lose()
+        until(lambda: driven.statistics()["device_lost"] > before)
+        assert driven.sink.state("right") is None
+        assert "retrying" in driven.sink.note
+        rig.back()
+        wanted = driven.ask(0.5)
+        until(lambda: driven.sink.state("right") is not None and rig.near(wanted))
+    assert rig.outside() == 0
+
+
+@pytest.mark.parametrize("seconds", [0.1, pytest.param(0.4, marks=pytest.mark.weekly)])
+@pytest.mark.parametrize(
+    "rig",
+    [name for name in RIGS if not name.startswith("allegro")],
+    indirect=True,
+)
+def test_after_an_outage_the_first_command_is_where_the_hand_is(rig, seconds):
+    """The operator goes on meanwhile, over half of the range."""
+    rig.patience(0.2)
+    sent: list[tuple[np.ndarray, np.ndarray]] = []
+    rig.watch_targets(lambda target, at: sent.append((target, at)))
+    with Driven(rig, lost_s=60.0, approach=2.0, speed=15.0) as driven:
+        wanted = driven.ask(0.2)
+        until(lambda: rig.near(wanted))
+        wrong = driven.statistics()["wrong_answers"]
+        rig.faults.mute = True
+        until(lambda: driven.statistics()["wrong_answers"] > wrong)
+        wanted = driven.ask(0.7)
+        time.sleep(seconds)
+        before = len(sent)
+        rig.faults.mute = False
+        until(lambda: len(sent) > before)
+        angles = [driven.bound.drive_angles(row) for row in sent[before]]
+    assert np.nanmax(np.abs(angles[0] - angles[1])) < 0.05  # a frame of a LinkerHand has not all
+
+
+@pytest.mark.parametrize("rig", ["inspire", "inspire-rtu"], indirect=True)
+@pytest.mark.parametrize("words", [[0xFFFF] * 6, [1000, 0xFFFF, 1000, 1000, 1000, 1000]])
+def test_a_stop_while_an_inspire_hand_has_no_angles(rig, monkeypatch, words):
+    """0xFFFF, -1, is no angle: taken for one, the stop would close an open hand."""
+    with Driven(rig, lost_s=60.0) as driven:
+        wanted = driven.ask(0.8)
+        until(lambda: rig.near(wanted))
+        registers = rig.hand.registers
+        monkeypatch.setattr(
+            rig.hand, "registers", lambda a, n: words if a == ANGLE_ACT else registers(a, n)
+        )
+        wrong = driven.statistics()["wrong_answers"]
+        driven.tick = replace(driven.tick, mode=Mode.STOPPED)
+        until(lambda: driven.statistics()["wrong_answers"] > wrong + 3)
+        assert rig.near(wanted)
+        monkeypatch.setattr(rig.hand, "registers", registers)
+        cycles = driven.statistics()["cycles"]
+        until(lambda: driven.statistics()["cycles"] > cycles + 5)
+    assert rig.near(wanted)
+
+
+WITH_LIMITS = (
+    *("inspire", "inspire-rtu", "linker-l20", "linker-l10"),
+    *("leap", "wuji", "revo2", "revo2-sdk"),
+)
+"""Hands in which the driver sets what a restart loses."""
+
+
+@pytest.mark.parametrize("rig", [*WITH_LIMITS, "allegro-v5", "allegro-v4"], indirect=True)
+def test_a_hand_that_restarts_in_motion_is_lost_and_limited_again(rig, monkeypatch):
+    readings: list[float] = []
+    look = SettingsWatch.look
+
+    def counted(watch: SettingsWatch) -> None:
+        look(watch)
+        readings.append(time.perf_counter())
+
+    monkeypatch.setattr("smooth_operator_devices.hands.device._EVERY_S", 0.0)
+    monkeypatch.setattr(SettingsWatch, "look", counted)
+    if rig.reports:
+        rig.patience(0.2)
+    with Driven(rig, **LIMITED.get(rig.driver, {})) as driven:
+        goal = driven.ask(0.3)
+        until(lambda: rig.near(goal))
+        limits, some = rig.limits(), len(readings) + 3
+        until(lambda: len(readings) > some)
+        before = driven.statistics()["device_lost"]
+        rig.restart()
+        assert rig.limits() != limits or not limits
+        until(lambda: driven.statistics()["device_lost"] > before)
+        goal = driven.ask(0.6)
+        until(lambda: rig.near(goal))
+        assert rig.limits() == limits
+    assert rig.outside() == 0
+
+
+LIMITED: dict[str, dict[str, object]] = {"linker": {"limit": 60.0}, "wuji": {"limit": 300.0}}
+
+
+@pytest.mark.parametrize("rig", WITH_LIMITS, indirect=True)
+def test_limits_are_back_before_a_hand_moves_again(rig):
+    at_targets: list[list[float]] = []
+    rig.watch_targets(lambda target, at: at_targets.append(rig.limits()))
+    with Opened(rig, **LIMITED.get(rig.driver, {})) as opened:
+        start = opened.device.read().positions
+        opened.device.write(start)
+        opened.device.read()
+        limits = at_targets[-1]
+        opened.device.relax()
+        opened.device.read()  # it has received that, too
+        rig.restart()
+        assert rig.limits() != limits
+        count = len(at_targets)
+        opened.device.write(start)
+        opened.device.read()
+        assert len(at_targets) > count
+        assert all(there == limits for there in at_targets[count:])
+
+
+def test_a_hand_in_which_the_driver_sets_nothing_has_nothing_to_lose(rig):
+    with Opened(rig) as opened:
+        names = [setting.name for setting in opened.device.settings()]
+    assert bool(names) == bool(rig.limits())
+
+
+def test_wrong_answers_move_nothing_and_pass(rig):
+    rig.patience(0.2)
+    with Opened(rig) as opened:
+        rig.faults.garble = True
+        if rig.reports:  # what it reports by itself is dropped where it is damaged
+            opened.device.read()
+        else:
+            with pytest.raises(WrongAnswerError, match=f"^{rig.driver}" if rig.prefix else None):
+                opened.device.read()
+        rig.faults.garble = False
+
+        def right() -> bool:
+            try:
+                return bool(
+                    np.abs(opened.device.read().positions - rig.positions()).max() <= rig.unit
+                )
+            except WrongAnswerError:
+                return False
+
+        until(right)
+    assert rig.targets() == 0
+
+
+def test_a_slow_bus_costs_the_loop_nothing(rig):
+    with Driven(rig, lost_s=2.0) as driven:
+        rig.faults.delay_s = rig.delay_s
+        driven.ask(0.3)
+        cycles = driven.statistics()["cycles"]
+        until(lambda: driven.statistics()["cycles"] > cycles + 2)
+        assert driven.longest < 0.005  # of the processor; the bus takes tens of milliseconds
+        rig.faults.delay_s = 0.0
+    assert rig.outside() == 0
+
+
+def test_nothing_on_the_wire_is_one_sentence(rig):
+    rig.patience(0.1)
+    rig.lose()
+    with pytest.raises(SinkError) as caught, Opened(rig, patient=False):
+        pass
+    text = str(caught.value)
+    assert text.startswith(rig.driver) or not rig.prefix
+    assert "check" in text
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize("rig", ["inspire", "allegro-v5", "ability", "leap"], indirect=True)
+def test_a_blocked_motor_squeezes_no_further(rig):
+    with Driven(rig) as driven:
+        before = driven.ask(0.5)
+        until(lambda: rig.near(before))
+        rig.stick(1)
+        driven.ask(0.9)
+        name = driven.table.names[1]
+        until(lambda: f"contact limit reached: {name}" in driven.sink.note)
+    assert rig.outside() == 0
