@@ -33,16 +33,14 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from smooth_operator.errors import DocumentError, RecordingError, brief
-from smooth_operator.formats.checks import check_palm
+from smooth_operator.headsets.openxr_joints import JOINTS, Axes, openxr_frame
 from smooth_operator.io import documents
-from smooth_operator.landmarks import FROM_OPENXR_26, METACARPALS_OPENXR_26
-from smooth_operator.poses import WORLD_AXES, WRIST_AXES, points_to_ours, to_ours
 from smooth_operator.types import HandFrame, Side
 
 PORT: Final = 63_901
@@ -51,22 +49,13 @@ WORLD: Final = "pico"
 MOST_BYTES: Final = 60_000
 """Size of the longest accepted body; all data that the app can track have half of it."""
 
-Axes: TypeAlias = Literal["openxr", "unity"]
-"""Axes of the joints."""
-
 HEAD: Final = 0x3F
 END: Final = 0xA5
 FUNCTION: Final = 0x6D
 
 _HEADER: Final = struct.Struct("<BBI")
 _TAIL: Final = struct.Struct("<qB")
-_JOINTS: Final = 26
-_POSITION_VALID: Final = 2
-_ORIENTATION_VALID: Final = 1
-_LANDMARKS: Final = np.array(FROM_OPENXR_26)
-_METACARPALS: Final = np.array(METACARPALS_OPENXR_26)
 _SIDES: Final[tuple[tuple[str, Side], ...]] = (("leftHand", "left"), ("rightHand", "right"))
-_WXYZ: Final = [0, 1, 2, 6, 3, 4, 5]
 
 
 def split_packets(buffer: bytearray) -> list[bytes]:
@@ -160,32 +149,16 @@ def _stamp(value: Any) -> float | None:
 def _hand(hand: Any, key: str, side: Side, stamp: float | None, axes: Axes) -> HandFrame | None:
     """A hand; None if the headset does not see it."""
     joints = hand.get("HandJointLocations") if isinstance(hand, dict) else None
-    if not isinstance(joints, list) or len(joints) != _JOINTS:
+    if not isinstance(joints, list) or len(joints) != JOINTS:
         raise RecordingError(
-            f"'{key}' must have {_JOINTS} 'HandJointLocations', not "
+            f"'{key}' must have {JOINTS} 'HandJointLocations', not "
             f"{len(joints) if isinstance(joints, list) else brief(joints)}"
         )
     if not hand.get("isActive", True):
         return None
     poses, flags = _joints(joints, key)
-    poses[(flags & _POSITION_VALID) == 0, :3] = np.nan
-    turned = poses[:, _WXYZ]
-    turned[(flags & _ORIENTATION_VALID) == 0, 3:] = np.nan
-    points = points_to_ours(poses[:, :3], WORLD_AXES[axes])
-    landmarks = points[_LANDMARKS]
-    valid: Bool[np.ndarray, "21"] = np.isfinite(landmarks).all(axis=1)
-    check_palm(landmarks, valid, f"'{key}'")
-    ours = to_ours(turned, WORLD_AXES[axes], WRIST_AXES[axes])
-    return HandFrame(
-        landmarks,
-        stamp,
-        side,
-        valid=valid,
-        metacarpals=points[_METACARPALS],
-        orientations=ours[_LANDMARKS, 3:],
-        T_world_wrist=ours[1],
-        world=WORLD,
-    )
+    where = f"'{key}'"
+    return openxr_frame(poses, flags, side, stamp, world=WORLD, where=where, axes=axes)
 
 
 def _joints(

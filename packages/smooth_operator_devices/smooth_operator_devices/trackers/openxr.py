@@ -1,0 +1,70 @@
+"""Hands of the active OpenXR runtime of this computer: SteamVR, Monado, Virtual Desktop and others.
+
+The runtime gives 26 joints of each hand with ``XR_EXT_hand_tracking``, whatever tracks them: a
+headset, a camera, or gloves whose maker has an OpenXR layer. The session shows nothing
+(``XR_MND_headless``), so it needs no window, and another program may draw in the headset if the
+runtime allows two. The times of the joints are asked for by ``XR_KHR_convert_timespec_time``, on
+Windows by ``XR_KHR_win32_convert_performance_counter_time``.
+
+Source: the OpenXR specification, https://registry.khronos.org/OpenXR/specs/1.1/html/xrspec.html
+(session life cycle, XrSpaceLocationFlags, the extensions above), and the bindings of
+https://github.com/cmbruns/pyopenxr, 1.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from smooth_operator.errors import ConfigError
+from smooth_operator.headsets.openxr_joints import openxr_frame
+from smooth_operator.headsets.repeats import Repeats
+from smooth_operator.teleop.sources.inboxes import Inbox, Message
+from smooth_operator.teleop.sources.payload import Reading
+from smooth_operator.teleop.sources.stream import Hands, Reader, StreamSource
+from smooth_operator_devices.trackers.openxr_session import OpenXrInbox
+
+WORLD: Final = "openxr"
+"""Name of the world frame: the runtime's stage on the floor, or else the place of its start."""
+
+
+@dataclass(frozen=True)
+class OpenXrSource(StreamSource):
+    """Both hands from the active OpenXR runtime of this computer.
+
+    Attributes:
+        rate: number of times per second that the joints are asked for [Hz].
+        side: hands to use.
+
+    Raises:
+        ConfigError: a setting is outside its range.
+    """
+
+    label = "OpenXR"
+    rate: float = 90.0
+    side: Hands = "both"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1.0 <= self.rate <= 1000.0:
+            raise ConfigError(f"rate must be 1 to 1000 Hz, not {self.rate:g}")
+
+    def connect(self) -> Inbox:
+        """Starts a session of the runtime."""
+        return OpenXrInbox(tuple(self.sides), 1.0 / self.rate)
+
+    def reader(self) -> Reader:
+        """Reads the joints of a hand."""
+        repeats = Repeats()
+
+        def read(message: Message, received: float) -> Sequence[Reading]:
+            side, joints = message
+            poses = np.concatenate([joints["place"], joints["turn"]], axis=1)
+            where = f"the {side} hand"
+            frame = openxr_frame(poses, joints["flags"], side, received, world=WORLD, where=where)
+            return () if repeats.new(frame) is None else (Reading(frame),)
+
+        return read

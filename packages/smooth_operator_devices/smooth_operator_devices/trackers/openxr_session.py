@@ -1,0 +1,180 @@
+"""A session of the active OpenXR runtime that asks for hands and shows nothing.
+
+Source: the OpenXR specification, https://registry.khronos.org/OpenXR/specs/1.1/html/xrspec.html
+(session life cycle, ``XR_EXT_hand_tracking``, ``XR_MND_headless``), and the bindings of
+https://github.com/cmbruns/pyopenxr, 1.1.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from smooth_operator.errors import MissingExtraError, SourceError, listed, reason
+from smooth_operator.headsets.openxr_joints import JOINTS
+from smooth_operator.teleop.sources.inboxes import Inbox, Message
+from smooth_operator.types import Side
+
+_WINDOWS: Final = sys.platform == "win32"
+_TIME: Final = "win32_convert_performance_counter" if _WINDOWS else "convert_timespec"
+_EXTENSIONS: Final = ("XR_EXT_hand_tracking", "XR_MND_headless", f"XR_KHR_{_TIME}_time")
+_JOINT: Final = np.dtype(
+    [("flags", "<u8"), ("turn", "<f4", 4), ("place", "<f4", 3), ("radius", "<f4")]
+)
+"""XrHandJointLocationEXT; the quaternion is x y z w."""
+
+
+class OpenXrInbox(Inbox):
+    """A session without pictures; a message is the side and the 26 joints of a tracked hand.
+
+    Args:
+        sides: hands to ask for.
+        period: time between two questions [s].
+
+    Raises:
+        MissingExtraError: pyopenxr is missing.
+        SourceError: there is no runtime, or it can't track hands.
+    """
+
+    def __init__(self, sides: Sequence[Side], period: float) -> None:
+        try:
+            import xr
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("the source 'openxr'", "openxr") from error
+        self._xr: Any = xr
+        self._period, self._next = period, 0.0
+        self._instance: Any = None
+        self._runs = False
+        self.address = "the OpenXR runtime"
+        self.problem = "the session has not begun; put the headset on, or wake it"
+        try:
+            self._open(sides)
+        except xr.XrException as error:
+            self.close()
+            raise SourceError(self._refusal(error)) from error
+
+    def _refusal(self, error: Exception) -> str:
+        """Reason why there is no session, and what to do."""
+        xr = self._xr
+        if isinstance(error, xr.RuntimeUnavailableError):
+            return (
+                "no OpenXR runtime is active on this computer; start SteamVR, Monado or Virtual "
+                "Desktop and make it the active runtime in its settings, or set XR_RUNTIME_JSON to "
+                "its manifest"
+            )
+        if isinstance(error, xr.FormFactorUnavailableError):
+            return f"{self.address} has no headset now; connect it"
+        if isinstance(error, xr.FeatureUnsupportedError):
+            return (
+                f"{self.address} can't track hands with this headset; switch on hand tracking, or "
+                "install the OpenXR layer of the gloves"
+            )
+        return f"{self.address} refused a session: {reason(error)}"
+
+    def _open(self, sides: Sequence[Side]) -> None:
+        xr = self._xr
+        offered = {str(each) for each in xr.enumerate_instance_extension_properties()}
+        if missing := [name for name in _EXTENSIONS if name not in offered]:
+            raise SourceError(
+                f"the active OpenXR runtime lacks {listed(missing)}, which this source needs; "
+                "Monado, SteamVR and Virtual Desktop have them"
+            )
+        info = xr.ApplicationInfo(application_name="smooth-operator")
+        self._instance = xr.create_instance(
+            xr.InstanceCreateInfo(application_info=info, enabled_extension_names=_EXTENSIONS)
+        )
+        name = xr.get_instance_properties(self._instance).runtime_name
+        self.address = f"the OpenXR runtime {name.decode('utf-8', 'replace')}"
+        system = xr.get_system(self._instance)
+        self._session = xr.create_session(self._instance, xr.SessionCreateInfo(system_id=system))
+        kinds, stage = xr.ReferenceSpaceType, xr.ReferenceSpaceType.STAGE
+        kind = stage if stage in xr.enumerate_reference_spaces(self._session) else kinds.LOCAL
+        self._space = xr.create_reference_space(
+            self._session, xr.ReferenceSpaceCreateInfo(reference_space_type=kind)
+        )
+        hands = {"left": xr.HandEXT.LEFT, "right": xr.HandEXT.RIGHT}
+        self._trackers = {
+            side: xr.create_hand_tracker_ext(
+                self._session, xr.HandTrackerCreateInfoEXT(hand=hands[side])
+            )
+            for side in sides
+        }
+        # pyopenxr's own function passes no array of joints, which the specification demands.
+        self._locate = ctypes.cast(
+            xr.get_instance_proc_addr(self._instance, "xrLocateHandJointsEXT"),
+            xr.PFN_xrLocateHandJointsEXT,
+        )
+
+    def receive(self, timeout: float) -> list[Message]:
+        """Waits for the next moment, and returns the hands that are tracked; see ``Inbox``."""
+        xr = self._xr
+        now = time.monotonic()
+        self._next = max(self._next + self._period, now)
+        time.sleep(min(timeout, self._next - now))
+        try:
+            self._follow_events()
+            if not self._runs:
+                return []
+            info = xr.HandJointsLocateInfoEXT(base_space=self._space, time=self._time())
+            messages = [
+                (side, joints)
+                for side, tracker in self._trackers.items()
+                if (joints := self._joints(tracker, info)) is not None
+            ]
+        except xr.XrException as error:
+            raise SourceError(f"{self.address} failed: {reason(error)}") from error
+        self.problem = "" if messages else f"{self.address} tracks no hand now"
+        return messages
+
+    def _joints(self, tracker: Any, info: Any) -> np.ndarray | None:
+        """Joints of a hand; None while it is not tracked."""
+        xr = self._xr
+        joints = (xr.HandJointLocationEXT * JOINTS)()
+        locations = xr.HandJointLocationsEXT(joint_locations=joints)
+        result = self._locate(tracker, ctypes.byref(info), ctypes.byref(locations))
+        if result < 0:
+            raise SourceError(f"{self.address} can't locate a hand: {xr.Result(result).name}")
+        return np.frombuffer(bytes(joints), _JOINT) if locations.is_active else None
+
+    def _follow_events(self) -> None:
+        """Begins and ends the session as the runtime's events say."""
+        xr, states = self._xr, self._xr.SessionState
+        while True:
+            try:
+                event = xr.poll_event(self._instance)
+            except xr.EventUnavailable:
+                return
+            if event.type != xr.StructureType.EVENT_DATA_SESSION_STATE_CHANGED:
+                continue
+            kind = ctypes.POINTER(xr.EventDataSessionStateChanged)
+            state = ctypes.cast(ctypes.byref(event), kind).contents.state
+            if state == states.READY:
+                views = xr.ViewConfigurationType.PRIMARY_STEREO
+                xr.begin_session(self._session, xr.SessionBeginInfo(views))
+                self._runs = True
+            elif state == states.STOPPING:
+                xr.end_session(self._session)
+                self._runs, self.problem = False, f"{self.address} has paused the session"
+            elif state in (states.EXITING, states.LOSS_PENDING):
+                raise SourceError(f"{self.address} ended the session; start it and this again")
+
+    def _time(self) -> Any:
+        """The present, as the runtime counts time."""
+        xr = self._xr
+        if not _WINDOWS:
+            now = xr.timespec(*divmod(time.clock_gettime_ns(time.CLOCK_MONOTONIC), 10**9))
+            return xr.convert_timespec_time_to_time_khr(self._instance, now)
+        counter = ctypes.c_longlong()
+        ctypes.windll.kernel32.QueryPerformanceCounter(ctypes.byref(counter))
+        return xr.convert_win32_performance_counter_to_time_khr(self._instance, counter)
+
+    def close(self) -> None:
+        """Ends the session with all that belongs to it."""
+        if self._instance is not None:
+            self._xr.destroy_instance(self._instance)
+            self._instance = None

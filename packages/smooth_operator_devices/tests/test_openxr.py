@@ -1,0 +1,211 @@
+"""The source ``openxr`` with the real loader and a runtime in C, written from the specification."""
+
+import ctypes
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import headset_apps as app
+import numpy as np
+import pytest
+from live_time import until
+from tracker_session import started
+
+from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
+from smooth_operator.io.anatomy import chirality
+from smooth_operator.poses import separation
+from smooth_operator.types import Side
+from smooth_operator_devices.trackers.openxr import OpenXrSource
+
+xr = pytest.importorskip("xr", reason="the extra 'openxr' is not installed")
+COMPILER = shutil.which("cc") or shutil.which("gcc")
+pytestmark = pytest.mark.skipif(
+    COMPILER is None or sys.platform != "linux", reason="needs Linux and a C compiler"
+)
+
+HANDS: dict[Side, int] = {"left": 1, "right": 2}
+POSES: dict[Side, app.Pose] = {
+    "left": (0.5, 0.25, 1.0, 1.0, 0.0, 0.0, 0.0),
+    "right": (0.4, -0.3, 1.1, 0.6, -0.48, 0.384, 0.512),
+}
+ALL, HEADLESS, TRACKING = 7, 2, 1
+STOPPING, LOSS_PENDING, READY = 6, 7, 2
+
+
+class Joint(ctypes.Structure):
+    """XrHandJointLocationEXT."""
+
+    _fields_ = (
+        ("flags", ctypes.c_uint64),
+        ("orientation", ctypes.c_float * 4),
+        ("position", ctypes.c_float * 3),
+        ("radius", ctypes.c_float),
+    )
+
+
+def joints(side: Side, move: float = 0.0, flags: Sequence[int] = (15,) * 26) -> Any:
+    """26 joints in OpenXR's axes: the palm, then those of WebXR, all turned as the wrist."""
+    pose, hand = POSES[side], app.hand(side)
+    local = np.vstack([(hand[10] + hand[11]) / 2, hand])
+    world = local @ app.turn(pose[3:]).T + np.asarray(pose[:3]) + [move, 0.0, 0.0]
+    array = (Joint * 26)()
+    for one, point, flag in zip(array, world, flags, strict=True):
+        one.flags, one.radius = flag, 0.01
+        one.position[:] = app.openxr_point(point)
+        one.orientation[:] = app.openxr_turn(pose[3:])
+    return array
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("openxr")
+    source, path = Path(__file__).with_name("openxr_runtime.c"), folder / "runtime.so"
+    subprocess.run([COMPILER, "-shared", "-fPIC", "-w", "-o", path, source], check=True)
+    manifest = {"file_format_version": "1.0.0", "runtime": {"library_path": str(path)}}
+    (folder / "runtime.json").write_text(json.dumps(manifest))
+    return path
+
+
+@pytest.fixture
+def runtime(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """The runtime as the loader uses it, with all extensions and no hand."""
+    monkeypatch.setenv("XR_RUNTIME_JSON", str(library.with_suffix(".json")))
+    monkeypatch.setenv("XR_LOADER_DEBUG", "none")
+    runtime = ctypes.CDLL(str(library))
+    runtime.last_time.restype = ctypes.c_int64
+    runtime.offer(ALL, 1, 1, 1)
+    yield runtime
+    xr.destroy_instance(xr.create_instance())  # or the loader remembers the extensions
+
+
+def test_a_session_gives_both_hands_in_the_conventions_of_the_project(runtime):
+    with started("openxr:rate=200") as (source, mailbox):
+        assert source.health().state == "waiting"
+        until(lambda: "put the headset on" in source.health().detail)
+        assert mailbox.received == 0
+        runtime.change_state(READY)
+        until(runtime.is_running)
+        until(lambda: "of the tests tracks no hand now" in source.health().detail)
+        for side, hand in HANDS.items():
+            runtime.show_hand(hand, 1, joints(side))
+        until(lambda: mailbox.received_of["left"] and mailbox.received_of["right"])
+        for arrival in mailbox.all:
+            frame, pose = arrival.frame, np.asarray(POSES[arrival.frame.side])
+            local = app.landmarks(app.hand(frame.side))
+            points = local @ app.turn(pose[3:]).T + pose[:3]
+            np.testing.assert_allclose(frame.landmarks, points, atol=1e-6)
+            assert (separation(frame.T_world_wrist, pose) < 1e-5).all()
+            assert frame.valid.all()
+            assert frame.world == "openxr"
+            assert frame.metacarpals is not None
+            assert arrival.stamp == arrival.received
+            sign = 1.0 if frame.side == "right" else -1.0
+            assert sign * chirality(frame.landmarks[None])[0] > 0.25
+        assert runtime.last_time() > 0
+        assert "of the tests" in source.endpoint
+    assert runtime.open_instances() == 0
+
+
+def test_a_lost_hand_gives_no_frames_and_comes_back(runtime):
+    with started("openxr:rate=500,side=right") as (source, mailbox):
+        runtime.change_state(READY)
+        runtime.show_hand(2, 1, joints("right"))
+        until(lambda: mailbox.received == 1)
+        time_then = runtime.last_time()
+        until(lambda: runtime.last_time() > time_then + 50_000_000)
+        assert mailbox.received == 1  # the runtime repeats the last joints
+        runtime.show_hand(2, 0, joints("right", 0.01))
+        until(lambda: "tracks no hand now" in source.health().detail)
+        assert mailbox.received == 1
+        runtime.show_hand(2, 1, joints("right", 0.02))
+        until(lambda: mailbox.received == 2)
+        assert source.health().state == "running"
+        assert mailbox.received_of["left"] == 0
+
+
+def test_flags_say_which_joints_are_valid(runtime):
+    flags = [15] * 26
+    flags[10] = 0  # the index tip
+    flags[1] = 2  # a wrist without orientation
+    with started("openxr:side=left") as (_, mailbox):
+        runtime.change_state(READY)
+        runtime.show_hand(1, 1, joints("left", flags=flags))
+        until(lambda: mailbox.received == 1)
+        frame = mailbox.all[0].frame
+        assert frame.valid.tolist() == [k != 8 for k in range(21)]
+        assert np.isnan(frame.T_world_wrist).all()
+
+
+def test_a_joint_that_is_not_finite_is_not_valid(runtime):
+    array = joints("right")
+    array[5].position[1] = float("nan")  # the thumb tip
+    with started("openxr") as (_, mailbox):
+        runtime.change_state(READY)
+        runtime.show_hand(2, 1, array)
+        until(lambda: mailbox.received == 1)
+        assert mailbox.all[0].frame.valid.tolist() == [k != 4 for k in range(21)]
+
+
+def test_the_session_pauses_while_the_headset_sleeps(runtime):
+    with started("openxr:side=right") as (source, mailbox):
+        runtime.change_state(READY)
+        runtime.show_hand(2, 1, joints("right"))
+        until(lambda: mailbox.received == 1)
+        runtime.change_state(STOPPING)
+        until(lambda: "has paused the session" in source.health().detail)
+        assert not runtime.is_running()
+        runtime.change_state(READY)
+        runtime.show_hand(2, 1, joints("right", 0.01))
+        until(lambda: mailbox.received == 2)
+
+
+def test_a_runtime_that_ends_the_session_is_a_failure(runtime):
+    with started("openxr") as (source, _):
+        runtime.change_state(LOSS_PENDING)
+        until(lambda: source.health().state == "failed")
+        assert "ended the session; start it and this again" in source.health().detail
+    assert runtime.open_instances() == 0
+
+
+@pytest.mark.parametrize(
+    ("offers", "words"),
+    [
+        ((ALL - HEADLESS, 1, 1, 1), "lacks XR_MND_headless, which this source needs"),
+        ((ALL - TRACKING, 1, 1, 1), "lacks XR_EXT_hand_tracking"),
+        ((ALL, 1, 0, 1), "of the tests has no headset now; connect it"),
+        ((ALL, 1, 1, 0), "of the tests can't track hands with this headset"),
+    ],
+)
+def test_a_runtime_that_can_t_track_hands_is_refused_at_the_start(runtime, offers, words):
+    runtime.offer(*offers)
+    with pytest.raises(SourceError, match=words):
+        OpenXrSource().connect()
+    assert runtime.open_instances() == 0
+
+
+def test_without_a_stage_the_local_space_is_used(runtime):
+    runtime.offer(ALL, 0, 1, 1)
+    OpenXrSource().connect().close()
+    assert runtime.open_instances() == 0
+
+
+def test_without_a_runtime_the_error_says_what_to_start(monkeypatch, tmp_path):
+    monkeypatch.setenv("XR_RUNTIME_JSON", str(tmp_path / "no.json"))
+    monkeypatch.setenv("XR_LOADER_DEBUG", "none")
+    with pytest.raises(SourceError, match=r"no OpenXR runtime is active.*start SteamVR, Monado"):
+        OpenXrSource().connect()
+
+
+def test_a_missing_library_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xr", None)
+    with pytest.raises(MissingExtraError, match="'openxr' needs the extra 'openxr'"):
+        OpenXrSource().connect()
+
+
+def test_the_rate_is_checked():
+    with pytest.raises(ConfigError, match="rate must be 1 to 1000 Hz, not 0"):
+        OpenXrSource(0.0)
