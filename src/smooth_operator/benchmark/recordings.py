@@ -22,7 +22,12 @@ from smooth_operator.errors import ConfigError, RecordingError, SmoothOperatorEr
 from smooth_operator.formats.checks import frame_slice
 from smooth_operator.formats.commands import only_commands
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.formats.registry import is_dataset, rated_if_unstamped, recording_suffixes
+from smooth_operator.formats.registry import (
+    is_dataset,
+    named_as_recording,
+    rated_if_unstamped,
+    recording_suffixes,
+)
 from smooth_operator.landmarks import LAYOUTS
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, known_gaps
 from smooth_operator.synthetic import SyntheticOperator
@@ -307,7 +312,7 @@ def _recordings_in(folder: Path, seen: set[Path]) -> Iterator[Path]:
             yield path
         elif path.is_dir():
             yield from _recordings_in(path, seen)
-        elif path.suffix.lower() in recording_suffixes() and not only_commands(path):
+        elif named_as_recording(path) and not only_commands(path):
             yield path
 
 

@@ -33,13 +33,9 @@ _BAG: Final = (
 )
 _ROBOT: Final = "it contains no human hand, so there is nothing to retarget"
 _TABLE: Final = (
-    "a table, not a recording; read its points into an array, convert them to metres and to "
-    f"the order of the 21 landmarks, and save them with {SAVE}"
-)
-_ARIA: Final = (
-    "Aria's table of hand tracking; save the points of a hand, in the order of its columns, "
-    f"with {SAVE}, with timestamps divided by 1e6, and use --layout aria for retarget or "
-    "convert"
+    "a table without the header of landmarks; name its columns timestamp [s], side, wrist_x, "
+    "wrist_y, wrist_z, thumb_cmc_x ... pinky_tip_z [m], separated by commas, or read its points "
+    f"into an array, and save them with {SAVE}"
 )
 
 _STARTS: Final[tuple[tuple[bytes, str], ...]] = (
@@ -98,8 +94,6 @@ def foreign_file(path: Path) -> str | None:
         return _SUFFIXES[".mvnx"]
     if suffix == ".c3d" and head[1:2] != b"\x50":
         return None
-    if start.startswith(b"tracking_timestamp_us") and b"landmark" in head:
-        return _ARIA
     if start[:1] in (b"{", b"["):
         if _JSON_ROBOT.search(head):
             return f"a JSON file of states and actions of a robot: {_ROBOT}"

@@ -27,9 +27,9 @@ from smooth_operator.formats.hand_arrays import (
 )
 from smooth_operator.formats.registry import (
     file_kind,
+    named_as_recording,
     readable,
     recording_format,
-    recording_suffixes,
     with_assumed_side,
 )
 from smooth_operator.io.anatomy import in_our_order, layout_order
@@ -76,6 +76,7 @@ def read_recording(
     - the log that ``LogWriter`` writes, even if it is truncated;
     - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``);
     - a ``.bvh`` of a body capture with fingers (``smooth_operator.formats.bvh``);
+    - a ``.csv`` of landmarks or of Project Aria (``smooth_operator.formats.landmark_csv``);
     - files that the readers of plugins recognise (``smooth_operator.formats.registry``).
 
     Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's "no
@@ -137,8 +138,7 @@ class Files:
 
     def matches(self, path: Path) -> bool:
         """True if its name ends as those of recordings do, and it holds more than commands."""
-        ending = path.suffix.lower() in recording_suffixes()
-        return ending and path.is_file() and not only_commands(path)
+        return named_as_recording(path) and path.is_file() and not only_commands(path)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
         """Yields the file as one clip."""

@@ -298,12 +298,33 @@ BVH: Final = Reader(
     "joints of the fingers by the names of Axis Studio, MotionBuilder, hc_mocap, Xsens or Rokoko",
     Entry(f"{_FORMATS}.bvh:read_bvh_hands"),
 )
+ARIA_CSV: Final = Reader(
+    "hand_tracking_results.csv of Project Aria",
+    Entry(f"{_FORMATS}.landmark_csv:read_aria"),
+    (b"tracking_timestamp_us", b"\xef\xbb\xbftracking_timestamp_us"),
+    (".csv",),
+    "columns tracking_timestamp_us, left_tracking_confidence, tx_left_landmark_0_device ... "
+    "tz_right_landmark_20_device",
+    Entry(f"{_FORMATS}.landmark_csv:read_aria_hands"),
+)
+LANDMARK_CSV: Final = Reader(
+    "a .csv of landmarks with a header",
+    Entry(f"{_FORMATS}.landmark_csv:read_landmark_csv"),
+    tuple(
+        f"{mark}{stamp}{side}wrist_x".encode()
+        for mark in ("", "\ufeff")
+        for stamp in ("", "timestamp,")
+        for side in ("", "side,")
+    ),
+    (".csv",),
+    "columns timestamp [s], side, and wrist_x, wrist_y, wrist_z ... pinky_tip_z [m]",
+    Entry(f"{_FORMATS}.landmark_csv:read_landmark_csv_hands"),
+)
 ONE_HAND: Final = {
     **{"npy": NPY, "npz": NPZ, "log": LOG, "hdf5": HDF5, "avp": AVP, "hts": HTS},
-    **{"bvh": BVH},
+    **{"bvh": BVH, "aria_csv": ARIA_CSV, "landmark_csv": LANDMARK_CSV},
 }
 """Built-in formats of recordings: name -> reader. The first that recognises a file reads it."""
-
 READERS: Final = Registry(
     "reader",
     {
@@ -391,6 +412,15 @@ def recording_suffixes() -> tuple[str, ...]:
     return tuple(dict.fromkeys(suffix for reader in readers for suffix in reader.suffixes))
 
 
+def named_as_recording(path: Path) -> bool:
+    """True for a name that ends as those of recordings do. A table must also have their header,
+    since most tables beside recordings have other data."""
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        return any(reader.matches(path) for reader in _recording_formats().values())
+    return suffix in recording_suffixes()
+
+
 def readable() -> str:
     """List of the formats that are read, for error messages."""
     formats = _recording_formats()
@@ -400,6 +430,8 @@ def readable() -> str:
         AVP.what,
         HTS.what,
         BVH.what,
+        ARIA_CSV.what,
+        LANDMARK_CSV.what,
         LOG.what,
         HDF5.what,
         *(reader.what for name, reader in formats.items() if name not in ONE_HAND),
