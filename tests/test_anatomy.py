@@ -14,13 +14,11 @@ from smooth_operator.io.anatomy import (
     MIRRORED,
     Doubt,
     HandCheck,
-    check_hand,
-    chirality,
-    doubt,
     implausible,
     keeps_lengths,
     sides,
 )
+from smooth_operator.io.landmark_order import check_hand, chirality, doubt
 from smooth_operator.landmarks import BONES, LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.gestures import FIST, FLAT, SPREAD, pinch_postures

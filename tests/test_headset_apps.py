@@ -28,7 +28,7 @@ from smooth_operator.headsets import hts_lines
 from smooth_operator.headsets.avp import METHOD, read_hands
 from smooth_operator.headsets.hts_lines import HtsHands, parse_line
 from smooth_operator.headsets.pico_packets import read_packet, split_packets
-from smooth_operator.io.anatomy import chirality
+from smooth_operator.io.landmark_order import chirality
 from smooth_operator.poses import separation
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.sources.inboxes import TcpInbox, split_lines

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from smooth_operator.errors import ConfigError, RecordingError
-from smooth_operator.io.anatomy import chirality
+from smooth_operator.io.landmark_order import chirality
 from smooth_operator.landmarks import FROM_OPENXR_26
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.teleop.components import build_source

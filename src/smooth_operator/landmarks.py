@@ -118,7 +118,7 @@ joints' order of fingers with each tip after its joints. ``rhd`` goes from tip t
 ``pinky_first`` is ours with the fingers reversed. ``aria`` (Project Aria, UmeTrack, HOT3D,
 Assembly101) has the tips, the wrist, two joints of the thumb, three of each finger, and last the
 centre of the palm, which stands here for the thumb's CMC that it lacks
-(``smooth_operator.io.anatomy.in_our_order`` estimates it).
+(``smooth_operator.io.landmark_order.in_our_order`` estimates it).
 """
 
 

@@ -11,7 +11,7 @@ from live_time import until
 from tracker_session import sender, started
 
 from smooth_operator.errors import MissingExtraError, RecordingError, SmoothOperatorError
-from smooth_operator.io.anatomy import chirality
+from smooth_operator.io.landmark_order import chirality
 from smooth_operator.poses import wrist_from_landmarks
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.types import HandFrame, Side

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from smooth_operator.errors import RecordingError
-from smooth_operator.io.anatomy import check_hand
+from smooth_operator.io.landmark_order import check_hand
 from smooth_operator.landmarks import BASES, FINGERS, TIPS
 from smooth_operator.types import HandRecording
 

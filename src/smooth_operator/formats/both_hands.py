@@ -18,7 +18,8 @@ from smooth_operator.formats.checks import (
     without_outliers,
 )
 from smooth_operator.formats.clip import SIDES
-from smooth_operator.io.anatomy import MIRRORED, chirality
+from smooth_operator.io.anatomy import MIRRORED
+from smooth_operator.io.landmark_order import chirality
 from smooth_operator.landmarks import WRIST, index
 from smooth_operator.poses import wrist_from_landmarks
 from smooth_operator.types import HandRecording, Side

@@ -17,11 +17,10 @@ from smooth_operator.errors import ConfigError, RecordingError, listed
 from smooth_operator.io.anatomy import (
     OF_A_PICTURE,
     PALM_RANGE_M,
-    doubt,
     keeps_lengths,
-    layout_order,
     of_a_picture,
 )
+from smooth_operator.io.landmark_order import doubt, layout_order
 from smooth_operator.landmarks import TIPS, WRIST, index
 from smooth_operator.settings import RATE_RANGE_HZ, check_frame_rate
 from smooth_operator.types import HandRecording, Side, as_side

@@ -32,7 +32,7 @@ from smooth_operator.formats.registry import (
     recording_format,
     with_assumed_side,
 )
-from smooth_operator.io.anatomy import in_our_order, layout_order
+from smooth_operator.io.landmark_order import in_our_order, layout_order
 from smooth_operator.landmarks import NODE_LAYOUTS
 from smooth_operator.types import HandRecording, Side, as_side
 

@@ -1,4 +1,4 @@
-"""Checks size, order and side of landmarks by their shape.
+"""Size, order and side of landmarks, judged by their shape.
 
 Order: the distances between neighbouring landmarks hardly depend on the pose. Their ratios are
 compared with those of a human hand for every order of the fingers and for the layouts of other
@@ -17,7 +17,6 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from smooth_operator.errors import RecordingError, UnknownNameError
 from smooth_operator.geometry import AnyArray, array_namespace
 from smooth_operator.landmarks import BASES, FINGERS, LAYOUTS, NUM_LANDMARKS, WRIST
 from smooth_operator.types import Side
@@ -60,7 +59,6 @@ is taken for the other hand, and 0.13 % at most with noise of 8 mm.
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 _IN_FRONT: Final = np.array([1.0, 1.0, -1.0, -1.0])
 """Side of the palm's plane of thumb CMC and MCP, and of middle and ring MCP."""
-_JUDGED_SHARE: Final = 0.05  # of the frames that must tell the side
 
 NO_HAND: Final = 1.0
 """Largest mean deviation of the lengths of a hand in the declared order.
@@ -78,7 +76,6 @@ _STRETCHES: Final = 6  # of frames, over which medians of bones are compared
 _FITS: Final = 0.9  # an order that deviates more is not named
 _SPREAD: Final = 0.3  # of the logarithm of a length, between people and between trackers
 _MOST: Final = 3.0  # spreads that one length may count
-_JUDGED: Final = 300  # frames of a recording that are looked at
 
 _PAIRS: Final = np.array(
     [pair for b in BASES for pair in ((0, b), (b, b + 1), (b + 1, b + 2), (b + 2, b + 3))]
@@ -98,9 +95,6 @@ _LENGTHS: Final = np.array(
 )
 _LOGS: Final = np.log(_LENGTHS)
 _PALM: Final = 8  # of these pairs: wrist to middle MCP
-
-_NEAR_CMC: Final = [WRIST, 2, 5, 17]  # its neighbours, without which side it need not be known
-_CMC: Final = np.array([0.63, 0.408, 0.103, -0.141])  # their shares: least squares, 7 recordings
 
 
 @dataclass(frozen=True)
@@ -142,7 +136,7 @@ class Doubt:
                 f"side={self.side!r}), or mirror the points: points * (-1, 1, 1)"
             )
         if self.layout is not None:
-            return f"smooth_operator.io.anatomy.in_our_order(points, layout={self.layout!r})"
+            return f"smooth_operator.io.landmark_order.in_our_order(points, layout={self.layout!r})"
         return self.mend or f"points[{list(self.order or ())}]"
 
     @property
@@ -160,36 +154,6 @@ class Doubt:
         return f"landmarks are in another order; reorder them: points[{list(self.order or ())}]"
 
 
-def layout_order(name: str | None) -> tuple[int, ...]:
-    """Index of each landmark among the points of a layout; None is the project's own layout.
-
-    Raises:
-        UnknownNameError: there is no such layout.
-    """
-    if name is None:
-        return LAYOUTS["mediapipe"]
-    if name not in LAYOUTS:
-        raise UnknownNameError("layout", name, LAYOUTS)
-    return LAYOUTS[name]
-
-
-def in_our_order(
-    points: Float[np.ndarray, "*n 21 3"], layout: str | None = None
-) -> Float[np.ndarray, "*n 21 3"]:
-    """Converts points of a layout to the project's 21 landmarks.
-
-    ``aria`` has the centre of the palm instead of the thumb's CMC. The CMC is estimated from the
-    wrist and the MCPs of thumb, index and pinky, with a mean error of 6 to 11 mm.
-
-    Raises:
-        UnknownNameError: there is no such layout.
-    """
-    landmarks: np.ndarray = points[..., list(layout_order(layout)), :]
-    if layout == "aria":
-        landmarks[..., 1, :] = np.einsum("...kj,k->...j", landmarks[..., _NEAR_CMC, :], _CMC)
-    return landmarks
-
-
 def implausible(
     landmarks: AnyArray, valid: AnyArray, palms: tuple[float, float] = PALM_RANGE_M
 ) -> AnyArray:
@@ -200,12 +164,10 @@ def implausible(
         valid: (..., 21) which of them count. Only complete frames are judged by lengths.
         palms: smallest and largest distance from the wrist to the middle finger's MCP [m].
     """
-    xp = array_namespace(landmarks)
-    bones = landmarks[..., _PAIRS[:, 1], :] - landmarks[..., _PAIRS[:, 0], :]
-    lengths = xp.sqrt((bones * bones).sum(axis=-1))
+    lengths = bone_lengths(landmarks)
     palm = lengths[..., _PALM]
     sized = (palm >= palms[0]) & (palm <= palms[1])
-    shaped = (_misfits(lengths) <= NO_HAND_FRAME) & (lengths.max(axis=-1) <= _LONGEST * palm)
+    shaped = (misfits_of(lengths) <= NO_HAND_FRAME) & (lengths.max(axis=-1) <= _LONGEST * palm)
     odd: AnyArray = (valid[..., _PAIRS[_PALM]].all(axis=-1) & ~sized) | (
         valid.all(axis=-1) & ~shaped
     )
@@ -241,99 +203,14 @@ def keeps_lengths(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
     return bool(np.median(logs.std(axis=0)) <= _UNSTEADY)
 
 
-def check_hand(
-    points: Float[np.ndarray, "T 21 3"],
-    side: Side,
-    valid: Bool[np.ndarray, "T 21"] | None = None,
-    *,
-    layout: str | None = None,
-    where: str = "the landmarks",
-) -> None:
-    """Refuse points whose shape is not a hand, is the other hand, or has another order.
-
-    Args:
-        points: (T, 21, 3) original positions [m], in any right-handed frame.
-        side: declared side of the hand.
-        valid: (T, 21) mask of the landmarks to use. Default: finite landmarks.
-        layout: declared order; None for the project's own order, which is checked. ``mediapipe``
-            (or ``openpose``) is the same, and its order is not checked.
-        where: origin of the landmarks, for the message.
-
-    Raises:
-        RecordingError: the check failed; the message states the recognised hand and a remedy. Fewer
-            than ``FEWEST_FRAMES`` complete frames are accepted.
-        UnknownNameError: there is no such layout.
-    """
-    reason = doubt(points, side, valid, layout=layout)
-    if reason is not None:
-        raise RecordingError(f"{where}: {reason.what}; {reason.remedy}")
-
-
-def doubt(
-    points: Float[np.ndarray, "T 21 3"],
-    side: Side,
-    valid: Bool[np.ndarray, "T 21"] | None = None,
-    *,
-    layout: str | None = None,
-) -> Doubt | None:
-    """Problem with the shape, order or side of points; None if there is none. Arguments are those
-    of ``check_hand``.
-
-    Raises:
-        UnknownNameError: there is no such layout.
-    """
-    order = layout_order(layout)
-    believed = layout is not None and order == LAYOUTS["mediapipe"]
-    whole = np.isfinite(points).all(axis=(1, 2))
-    if valid is not None:
-        whole &= valid.all(axis=1)
-    if whole.sum() < FEWEST_FRAMES:
-        return None
-    rows = np.flatnonzero(whole)
-    rows = rows[np.linspace(0, len(rows) - 1, min(_JUDGED, len(rows))).astype(int)]
-    visible = points[rows]
-    with np.errstate(over="ignore", invalid="ignore"):  # a landmark far beyond any hand
-        if of_a_picture(visible[:, order]):
-            return OF_A_PICTURE
-        misplaced = None if believed else _other_order(visible, layout)
-        return misplaced or _other_side(visible[:, order], side)
-
-
-def _other_side(landmarks: Float[np.ndarray, "T 21 3"], side: Side) -> Doubt | None:
-    told = sides(landmarks)
-    judged = told != 0
-    if judged.sum() < max(FEWEST_FRAMES, _JUDGED_SHARE * len(landmarks)):
-        return None
-    sign = 1.0 if side == "right" else -1.0
-    if sign * float(chirality(landmarks[judged]).mean()) >= MIRRORED:
-        return None
-    if _misfits(np.median(_bone_lengths(landmarks), axis=0)) > NO_HAND:
-        return None
-    return _of_the_other(side)
-
-
-def _of_the_other(side: Side) -> Doubt:
+def of_the_other(side: Side) -> Doubt:
+    """The problem that the hand is the other one than the declared ``side``."""
     other: Side = "left" if side == "right" else "right"
     return Doubt(
         f"judging by its shape, this is a {other} hand: fingers and thumb would bend to the "
         f"back of a {side} hand",
         side=other,
     )
-
-
-def chirality(landmarks: Float[np.ndarray, "T 21 3"]) -> Float[np.ndarray, " T"]:
-    """Chirality of each frame, judged by its shape: positive for a right hand, else negative.
-
-    It is the sum of three terms: the distance of thumb CMC and MCP in front of the plane of the
-    palm, the distance of middle and ring MCP behind it, both in palm lengths, and the mean sine of
-    the fingers' bends. It is at most 2. A mirror image has the negative. NaN has no effect.
-
-    Args:
-        landmarks: (T, 21, 3) positions in the project's order, in any right-handed frame.
-    """
-    stands, bends = _stands_and_bends(landmarks)
-    hand: np.ndarray = np.clip(stands + bends, -2.0, 2.0)
-    return hand
 
 
 def sides(landmarks: Float[np.ndarray, "T 21 3"]) -> Int[np.ndarray, " T"]:
@@ -345,14 +222,14 @@ def sides(landmarks: Float[np.ndarray, "T 21 3"]) -> Int[np.ndarray, " T"]:
     Args:
         landmarks: (T, 21, 3) positions in the project's order, in any right-handed frame.
     """
-    stands, bends = _stands_and_bends(landmarks)
+    stands, bends = stands_and_bends(landmarks)
     hand = stands + bends
     bent = (np.abs(bends) >= BENT) & (bends * hand > 0.0) & (np.abs(hand) >= -MIRRORED)
     told: np.ndarray = np.where(bent | (np.abs(hand) >= CLEAR), np.sign(hand), 0.0).astype(int)
     return told
 
 
-def _stands_and_bends(landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def stands_and_bends(landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The two parts of the chirality of (T, 21, 3) landmarks; a part without data is 0."""
     points = landmarks - landmarks[:, :1]
     palmar = _unit(_cross(points[:, 5], points[:, 17]))
@@ -414,7 +291,7 @@ class HandCheck:
             self.judged += 1
             first = self.judged in (FEWEST_FRAMES, 2 * FEWEST_FRAMES, self.WINDOW)
             if first or (self.judged % self.WINDOW == 0 and self._order is not None):
-                self._order = _no_order(self._window[: self.judged])
+                self._order = wrong_order(self._window[: self.judged], LAYOUTS["mediapipe"])
         return self._order or self._other_hand(np.where(valid[:, None], landmarks, np.nan), at)
 
     @property
@@ -425,7 +302,7 @@ class HandCheck:
     def _other_hand(self, landmarks: Float[np.ndarray, "21 3"], at: float) -> Doubt | None:
         with np.errstate(over="ignore", invalid="ignore"):  # a landmark far beyond any hand
             side = int(sides(landmarks[None])[0]) * (1 if self.side == "right" else -1)
-            if side < 0 and _misfits(_bone_lengths(landmarks)) > NO_HAND:
+            if side < 0 and misfits_of(bone_lengths(landmarks)) > NO_HAND:
                 side = 0  # no hand of any side
         remembered = 0.0 <= at - self._other_at <= self.MEMORY_S
         if side > 0 or (side == 0 and not remembered):
@@ -433,28 +310,31 @@ class HandCheck:
         elif side < 0:
             self._other, self._other_at = self._other + 1, at
         if side < 0 or self._other > 1:
-            return _of_the_other(self.side)
+            return of_the_other(self.side)
         return None
 
 
-def _no_order(landmarks: Float[np.ndarray, "T 21 3"]) -> Doubt | None:
-    """Problem with the order of points that should be in the project's."""
+def wrong_order(
+    points: Float[np.ndarray, "T 21 3"], stated: tuple[int, ...], believed: bool = False
+) -> Doubt | None:
+    """Problem with the order of points; if the stated order is believed, only with their kind."""
     with np.errstate(over="ignore", invalid="ignore"):  # a landmark far beyond any hand
-        return OF_A_PICTURE if of_a_picture(landmarks) else _other_order(landmarks, None)
+        if of_a_picture(points[:, list(stated)]):
+            return OF_A_PICTURE
+        return None if believed else _other_order(points, stated)
 
 
-def _other_order(points: Float[np.ndarray, "T 21 3"], layout: str | None) -> Doubt | None:
+def _other_order(points: Float[np.ndarray, "T 21 3"], stated: tuple[int, ...]) -> Doubt | None:
     """Finds an order that fits far better than the declared one, or finds that no order fits."""
-    stated = layout_order(layout)
     apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
     lengths = np.median(apart, axis=0)
     if lengths.max() < 1e-9:  # no hand was in view, which the status says
         return None
     orders = np.vstack([stated, _ORDERS])
-    misfits = _misfits(lengths[orders[:, _PAIRS[:, 0]], orders[:, _PAIRS[:, 1]]])
+    misfits = misfits_of(lengths[orders[:, _PAIRS[:, 0]], orders[:, _PAIRS[:, 1]]])
     best = int(np.argmin(misfits))
     if misfits[best] > _FITS or misfits[0] - misfits[best] <= MISFIT:
-        if misfits[0] <= NO_HAND and keeps_lengths(points[:, stated]):
+        if misfits[0] <= NO_HAND and keeps_lengths(points[:, list(stated)]):
             return None
         return Doubt(
             "judging by the distances between them, the points do not form a hand in this or "
@@ -476,14 +356,14 @@ def _other_order(points: Float[np.ndarray, "T 21 3"], layout: str | None) -> Dou
     )
 
 
-def _bone_lengths(landmarks: Float[np.ndarray, "*n 21 3"]) -> Float[np.ndarray, "*n p"]:
-    """Lengths of ``_PAIRS`` [m]."""
+def bone_lengths(landmarks: AnyArray) -> AnyArray:
+    """(..., 26) lengths of bones and of lines across the palm [m], of (..., 21, 3) landmarks."""
     bones = landmarks[..., _PAIRS[:, 1], :] - landmarks[..., _PAIRS[:, 0], :]
-    lengths: np.ndarray = np.sqrt((bones * bones).sum(axis=-1))
+    lengths: AnyArray = array_namespace(landmarks).sqrt((bones * bones).sum(axis=-1))
     return lengths
 
 
-def _misfits(lengths: AnyArray) -> AnyArray:
+def misfits_of(lengths: AnyArray) -> AnyArray:
     """Mean deviation of (..., pairs) lengths from a human hand of any size, in spreads."""
     xp = array_namespace(lengths)
     off = xp.log(xp.maximum(lengths, 1e-9)) - _LOGS.astype(lengths.dtype)

@@ -22,8 +22,7 @@ from multiprocessing import parent_process
 from pathlib import Path
 from typing import Final
 
-from smooth_operator.atomic_files import atomic_write
-from smooth_operator.errors import DocumentError, OutputError
+from smooth_operator.errors import DocumentError
 from smooth_operator.own_files import (
     OFF,
     SWITCH,
@@ -73,10 +72,14 @@ class ProgramCache:
     def write(self, name: str, data: bytes) -> None:
         """Writes an entry, and removes the entries that were not used for longest. Errors of the
         disk are ignored."""
-        with contextlib.suppress(OutputError, OSError):
-            with atomic_write(self.folder / name) as stream:
-                os.chmod(stream.name, 0o600)
-                stream.write(_digest(data) + data)
+        with contextlib.suppress(OSError):
+            handle, unfinished = tempfile.mkstemp(dir=self.folder)
+            try:
+                with open(handle, "wb") as stream:
+                    stream.write(_digest(data) + data)
+                os.replace(unfinished, self.folder / name)
+            finally:
+                Path(unfinished).unlink(missing_ok=True)
             make_room(self.folder, self.most_bytes)
 
     def drop(self, name: str, reason: object) -> None:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from smooth_operator import poses
 from smooth_operator.errors import ConfigError, RecordingError, SourceError
-from smooth_operator.io.anatomy import layout_order
+from smooth_operator.io.landmark_order import layout_order
 from smooth_operator.teleop.sources.inboxes import NEWEST, Inbox
 from smooth_operator.teleop.sources.inboxes import Message as Received
 from smooth_operator.teleop.sources.payload import Reading, hand_frame, read_payload

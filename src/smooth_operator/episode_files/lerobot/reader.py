@@ -33,8 +33,8 @@ from smooth_operator.formats.episode import (
 )
 from smooth_operator.formats.foreign import foreign_dataset
 from smooth_operator.formats.registry import is_dataset
-from smooth_operator.io.anatomy import in_our_order, layout_order
 from smooth_operator.io.documents import parse_json, read_json
+from smooth_operator.io.landmark_order import in_our_order, layout_order
 from smooth_operator.types import CommandTrajectory, HandRecording, Side, Status
 
 _FIELD = re.compile(r"\{(chunk_index|file_index)(?::0?(\d{1,2})d?)?\}", re.ASCII)

@@ -27,7 +27,7 @@ from smooth_operator import landmarks as schema
 from smooth_operator.errors import ConfigError, DocumentError, RecordingError
 from smooth_operator.formats.checks import check_palm
 from smooth_operator.io import documents
-from smooth_operator.io.anatomy import in_our_order, layout_order
+from smooth_operator.io.landmark_order import in_our_order, layout_order
 from smooth_operator.poses import is_rigid, quaternions, to_ours
 from smooth_operator.teleop.sources.live import LATEST_STAMP_S
 from smooth_operator.types import HandFrame, Side, as_side

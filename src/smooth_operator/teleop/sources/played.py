@@ -13,7 +13,7 @@ import numpy as np
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.formats.readers import read_recording
-from smooth_operator.io.anatomy import layout_order
+from smooth_operator.io.landmark_order import layout_order
 from smooth_operator.retargeting.known_gaps import known_gaps
 from smooth_operator.settings import check_range
 from smooth_operator.synthetic.gestures import GESTURES

@@ -28,7 +28,7 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.headsets import avp, hts_lines, pico_packets
 from smooth_operator.headsets.repeats import Repeats
-from smooth_operator.io.anatomy import layout_order
+from smooth_operator.io.landmark_order import layout_order
 from smooth_operator.teleop.sources.inboxes import (
     GrpcInbox,
     Inbox,
