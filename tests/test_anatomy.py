@@ -18,13 +18,14 @@ from smooth_operator.io.anatomy import (
     keeps_lengths,
     sides,
 )
-from smooth_operator.io.landmark_order import check_hand, chirality, doubt
+from smooth_operator.io.landmark_order import check_hand, chirality, doubt, remedy
 from smooth_operator.landmarks import BONES, LAYOUTS
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.gestures import FIST, FLAT, SPREAD, pinch_postures
 from smooth_operator.synthetic.hand_anatomy import couple, draw_anatomy, pose_hand
 from smooth_operator.teleop.components import build_source
 from smooth_operator.teleop.recording import read_episode
+from smooth_operator.teleop.runtime.pipeline import advice
 from smooth_operator.teleop.sources.payload import read_payload
 from smooth_operator.types import CommandTrajectory, HandRecording, Side
 
@@ -80,7 +81,7 @@ def test_another_order_is_recognised(operator, name, noise):
     seen = operator.landmarks[:50] + rng.normal(0, noise, (50, 21, 3))
     found = doubt(in_layout(seen, name), "right")
     assert (found.layout, found.order, found.side) == (name, LAYOUTS[name], None)
-    assert f"--layout {name}" in found.remedy
+    assert f"--layout {name}" in remedy(found)
     assert doubt(in_layout(seen, name), "right", layout=name) is None
     back = doubt(seen, "right", layout=name)  # said, but not so
     assert back.layout == "mediapipe"
@@ -92,7 +93,7 @@ def test_an_order_without_a_name_is_put_right(operator):
     found = doubt(points, "right")
     assert found.layout is None
     np.testing.assert_array_equal(points[:, list(found.order)], operator.landmarks[:30])
-    assert str(list(found.order)) in found.remedy
+    assert str(list(found.order)) in remedy(found)
     assert "wrist, index, thumb, middle, ring, pinky" in found.what
 
 
@@ -102,7 +103,7 @@ def test_a_mirror_image_is_the_other_hand(operator):
     for points, side, other in ((mirrored, "right", "left"), (operator.landmarks, "left", "right")):
         found = doubt(points, side)
         assert (found.side, found.layout) == (other, None)
-        assert f"--side {other}" in found.remedy
+        assert f"--side {other}" in remedy(found)
     assert doubt(mirrored, "left") is None
     with pytest.raises(
         RecordingError, match=r"takes: judging by its shape, this is a left hand.*--side"
@@ -339,7 +340,7 @@ def test_live_frames_are_judged_from_the_first_few_on(operator):
         found = check.see(in_layout(operator.landmarks[i], "mano"), valid, 0.01 * i)
         assert (found is not None) == (i >= FEWEST_FRAMES - 1)
     assert isinstance(found, Doubt)
-    assert "layout=mano" in found.live
+    assert "layout=mano" in advice(found)
     # the source is told, and goes on: its frames count again after a window at most
     verdicts = [check.see(operator.landmarks[i], valid, 0.01 * i) for i in range(20, 80)]
     assert verdicts[-1] is None

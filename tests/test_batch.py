@@ -11,9 +11,9 @@ from jax import lax
 
 from smooth_operator import Hand, Retargeter, method_config
 from smooth_operator.errors import ConfigError
-from smooth_operator.retargeting.batching import LaneProgram, Tracks
+from smooth_operator.retargeting.batching import LaneProgram, Tracks, ticks_of
 from smooth_operator.retargeting.method import Method, MethodOutput
-from smooth_operator.retargeting.program import FrameState, RetargetState, ticks_of
+from smooth_operator.retargeting.program import FrameState, RetargetState
 from smooth_operator.retargeting.sbr.method import SbrConfig
 from smooth_operator.retargeting.sbr.sampling import SamplingConfig
 from smooth_operator.retargeting.smooth import SmoothConfig

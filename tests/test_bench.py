@@ -41,8 +41,8 @@ from smooth_operator.planning import make_request, plan
 from smooth_operator.plugins import Entry
 from smooth_operator.reporting.report_page import Plots
 from smooth_operator.retargeting.alignment import AlignmentConfig
-from smooth_operator.retargeting.flat_hand import human_palm_axes
 from smooth_operator.retargeting.method import MethodConfig
+from smooth_operator.retargeting.palm import human_palm_axes
 from smooth_operator.retargeting.presets import PRESETS
 from smooth_operator.retargeting.registry import METHODS
 from smooth_operator.retargeting.sbr.method import SbrConfig

@@ -28,8 +28,7 @@ from smooth_operator.landmarks import FINGERS, LANDMARKS, WRIST
 from smooth_operator.metrics import evaluate
 from smooth_operator.metrics.assemble import assemble_trace
 from smooth_operator.retargeting.alignment import palm_alignment
-from smooth_operator.retargeting.flat_hand import human_palm_axes
-from smooth_operator.retargeting.palm import PalmAxes, palm_axes
+from smooth_operator.retargeting.palm import PalmAxes, human_palm_axes, palm_axes
 from smooth_operator.retargeting.retargeter import Retargeter
 from smooth_operator.synthetic.hand_anatomy import (
     JOINTS,

@@ -11,6 +11,7 @@ from smooth_operator.cli import doctor
 from smooth_operator.errors import DocumentError
 from smooth_operator.own_files import folder_problem, make_private, read_own_file
 from smooth_operator.retargeting import program_cache as program_cache
+from smooth_operator.retargeting import start as start
 from smooth_operator.retargeting.program_cache import ProgramCache
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes here")
@@ -67,12 +68,12 @@ def of_another(path: Path) -> None:
 )
 def test_a_folder_of_others_is_not_used(cache, damage, words, caplog):
     entry = with_an_entry(cache)
-    jax_folder = cache / program_cache.machine()
+    jax_folder = cache / start.machine()
     jax_folder.mkdir()
     for folder in (entry.parent, jax_folder):
         damage(folder)
     assert program_cache.program_cache() is None
-    assert program_cache.jax_folder() is None
+    assert start.jax_folder() is None
     assert words in doctor.environment()["programs"]
     messages = [record.message for record in caplog.records]
     assert [words in message for message in messages] == [True, True]
@@ -90,7 +91,7 @@ def test_a_folder_above_that_others_can_write_is_not_used(cache, damage, above, 
     folder = (cache / "programs").parents[above - 1]
     damage(folder)
     assert program_cache.program_cache() is None
-    assert program_cache.jax_folder() is None
+    assert start.jax_folder() is None
     assert all(str(folder) in record.message for record in caplog.records)
     assert len(caplog.records) == 2
     folder.chmod(0o700)

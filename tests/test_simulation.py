@@ -19,7 +19,7 @@ from smooth_operator.errors import ConfigError, SinkError, UnknownNameError
 from smooth_operator.hand_discovery.discover import discover
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.registry import hand_names, load_hand
-from smooth_operator.retargeting.flat_hand import human_palm_axes
+from smooth_operator.retargeting.palm import human_palm_axes
 from smooth_operator.simulation.physics import HandPhysics
 from smooth_operator.teleop.components import build_sink
 from smooth_operator.teleop.pages.hand_view import HandView

@@ -15,9 +15,10 @@ from smooth_operator.errors import ConfigError
 from smooth_operator.hands.capsules import MOST, capsule_pairs, parts_apart, segment_parameters
 from smooth_operator.hands.finger_circles import spread_joints
 from smooth_operator.hands.penetration import penetration_depths
+from smooth_operator.retargeting.batching import ticks_of
 from smooth_operator.retargeting.levenberg import damped_newton
 from smooth_operator.retargeting.objective import FrameGoal, Objective, VectorSlopes
-from smooth_operator.retargeting.program import FrameClock, tick_after, ticks_of
+from smooth_operator.retargeting.program import FrameClock, tick_after
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.smooth_terms import (

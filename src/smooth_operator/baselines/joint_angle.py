@@ -54,10 +54,9 @@ from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.spec import JointMap
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS, NUM_LANDMARKS, WRIST
 from smooth_operator.retargeting.alignment import AlignmentConfig
-from smooth_operator.retargeting.flat_hand import human_palm_axes
 from smooth_operator.retargeting.method import Method, MethodConfig, MethodOutput
 from smooth_operator.retargeting.objective import FrameGoal
-from smooth_operator.retargeting.palm import PalmAxes, unit_vectors
+from smooth_operator.retargeting.palm import PalmAxes, human_palm_axes, unit_vectors
 from smooth_operator.retargeting.sbr.published import ObjectiveConfig, PlainTargets
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 

@@ -108,7 +108,7 @@ def environment() -> dict[str, Any]:
 
     cache = program_cache()
     reason = f"{SWITCH} is off" if is_off() else _why_not_kept()
-    count, size = (0, 0) if cache is None else cache.size()
+    sizes = [] if cache is None else [file.stat().st_size for file in cache.folder.iterdir()]
     return {
         "system": platform.system(),
         "machine": platform.machine(),
@@ -124,8 +124,8 @@ def environment() -> dict[str, Any]:
         "extras": ", ".join(wing for wing in _WINGS if not _missing(wing)) or None,
         "device": jax.default_backend(),
         "programs": f"not kept: {reason}" if cache is None else str(cache.folder),
-        "programs_kept": count,
-        "programs_mb": round(size / 1e6),
+        "programs_kept": len(sizes),
+        "programs_mb": round(sum(sizes) / 1e6),
     }
 
 

@@ -108,7 +108,7 @@ def _keep_machine_code() -> None:
 
     JAX reads these variables when it is imported, and workers inherit them.
     """
-    from smooth_operator.retargeting.program_cache import jax_folder
+    from smooth_operator.retargeting.start import jax_folder
 
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ and (folder := jax_folder()) is not None:
         os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)

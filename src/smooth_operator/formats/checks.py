@@ -20,7 +20,7 @@ from smooth_operator.io.anatomy import (
     keeps_lengths,
     of_a_picture,
 )
-from smooth_operator.io.landmark_order import doubt, layout_order
+from smooth_operator.io.landmark_order import doubt, layout_order, remedy
 from smooth_operator.landmarks import TIPS, WRIST, index
 from smooth_operator.settings import RATE_RANGE_HZ, check_frame_rate
 from smooth_operator.types import HandRecording, Side, as_side
@@ -80,13 +80,13 @@ def check_anatomy(recording: HandRecording, where: str, *, side: Side | None) ->
     labelled = (
         suspicion.side is not None and side is None and not recording.meta.get("side_assumed")
     )
-    remedy = (
+    advice = (
         f"the file says {recording.side}: correct the side, or mirror the points back: "
         "points * (-1, 1, 1)"
         if labelled
-        else suspicion.remedy
+        else remedy(suspicion)
     )
-    raise RecordingError(f"{where}: {suspicion.what}; {remedy}")
+    raise RecordingError(f"{where}: {suspicion.what}; {advice}")
 
 
 def check_units(

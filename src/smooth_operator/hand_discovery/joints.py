@@ -16,7 +16,7 @@ from smooth_operator.hands.stand_ins import stand_in_links
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.metrics.safety import COLLISION_DEPTH
 from smooth_operator.retargeting.alignment import MIN_CONDITION, palm_alignment, reference_landmarks
-from smooth_operator.retargeting.flat_hand import palm_tilt_deg
+from smooth_operator.retargeting.palm import palm_tilt_deg
 
 _TURN: Final = 2 * np.pi  # largest range of a finger's hinge [rad]; above, these are degrees
 _WIDE: Final = 3.6  # largest usual range [rad]; LEAP has 3.2

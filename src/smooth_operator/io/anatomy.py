@@ -116,18 +116,6 @@ class Doubt:
     mend: str = ""
 
     @property
-    def remedy(self) -> str:
-        """Remedy for a file: the option on the command line, or the Python code."""
-        if self.side is not None:
-            return (
-                f"use --side {self.side} (in Python: side={self.side!r}); if the recording "
-                "was mirrored, mirror it back: points * (-1, 1, 1)"
-            )
-        if self.layout is not None:
-            return f"use --layout {self.layout} (in Python: layout={self.layout!r})"
-        return self.mend or f"reorder them: points[:, {list(self.order or ())}]"
-
-    @property
     def in_python(self) -> str:
         """Remedy for the points of a frame in a Python program."""
         if self.side is not None:
@@ -138,20 +126,6 @@ class Doubt:
         if self.layout is not None:
             return f"smooth_operator.io.landmark_order.in_our_order(points, layout={self.layout!r})"
         return self.mend or f"points[{list(self.order or ())}]"
-
-    @property
-    def live(self) -> str:
-        """Short description of problem and remedy, for frames that arrive one at a time."""
-        if self.side is not None:
-            return (
-                f"judging by its shape, it is a {self.side} hand; use side={self.side}, or "
-                "do not mirror it"
-            )
-        if self.layout is not None:
-            return f"landmarks in the order {self.layout!r}; for a source, set layout={self.layout}"
-        if self.mend:
-            return f"{self.what}; {self.mend}"
-        return f"landmarks are in another order; reorder them: points[{list(self.order or ())}]"
 
 
 def implausible(

@@ -109,11 +109,6 @@ class Entries:
         """Returns a finite number."""
         return self._finite(name, self._get(name, default, "a number"))
 
-    def number_or_none(self, name: str) -> float | None:
-        """A finite number, or null."""
-        value = self.values.get(name, "")
-        return None if value is None else self.number(name)
-
     def numbers(
         self, name: str, count: int, default: Sequence[float] | None = None, *, what: str = ""
     ) -> Any:

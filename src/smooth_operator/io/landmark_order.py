@@ -85,7 +85,19 @@ def check_hand(
     """
     reason = doubt(points, side, valid, layout=layout)
     if reason is not None:
-        raise RecordingError(f"{where}: {reason.what}; {reason.remedy}")
+        raise RecordingError(f"{where}: {reason.what}; {remedy(reason)}")
+
+
+def remedy(doubt: Doubt) -> str:
+    """Remedy for a file: the option on the command line, or the Python code."""
+    if doubt.side is not None:
+        return (
+            f"use --side {doubt.side} (in Python: side={doubt.side!r}); if the recording "
+            "was mirrored, mirror it back: points * (-1, 1, 1)"
+        )
+    if doubt.layout is not None:
+        return f"use --layout {doubt.layout} (in Python: layout={doubt.layout!r})"
+    return doubt.mend or f"reorder them: points[:, {list(doubt.order or ())}]"
 
 
 def doubt(

@@ -1,9 +1,9 @@
+from smooth_operator.retargeting.least_squares import LeastSquaresTerm as LeastSquaresTerm
 from smooth_operator.retargeting.method import Method as Method
 from smooth_operator.retargeting.method import MethodConfig as MethodConfig
 from smooth_operator.retargeting.method import MethodOutput as MethodOutput
 from smooth_operator.retargeting.method import ObjectiveMethodConfig as ObjectiveMethodConfig
 from smooth_operator.retargeting.objective import FrameGoal as FrameGoal
-from smooth_operator.retargeting.objective import LeastSquaresTerm as LeastSquaresTerm
 from smooth_operator.retargeting.objective import Objective as Objective
 from smooth_operator.retargeting.presets import method_config as method_config
 from smooth_operator.retargeting.presets import method_names as method_names

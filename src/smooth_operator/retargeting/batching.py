@@ -27,14 +27,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, UInt32
+from numpy.typing import ArrayLike
 
 from smooth_operator.errors import RecordingError
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import NUM_LANDMARKS
 from smooth_operator.retargeting.compiled_program import CompiledProgram
 from smooth_operator.retargeting.method import Method, MethodConfig
-from smooth_operator.retargeting.program import FrameState, RetargetState, align_frame, ticks_of
+from smooth_operator.retargeting.program import (
+    LONGEST_TICKS,
+    FrameState,
+    RetargetState,
+    align_frame,
+)
 from smooth_operator.types import CommandTrajectory, HandRecording, Status
 
 LANES: Final = 8
@@ -48,6 +54,14 @@ BLOCK: Final = 64
 
 Progress: TypeAlias = Callable[[Iterable[int]], Iterable[int]]
 """Wraps an iteration over frames, for a progress bar."""
+
+
+def ticks_of(stamps: Float[ArrayLike, "*R T"]) -> UInt32[np.ndarray, "*R T"]:
+    """``tick_after`` for the frames of recordings, of their (..., T) timestamps [s]."""
+    whole = np.round(np.nan_to_num(np.asarray(stamps, float), posinf=0.0, neginf=0.0) * 1e6)
+    passed = np.diff(whole, axis=-1, prepend=whole[..., :1])
+    ticks = whole[..., :1] + np.cumsum(np.clip(passed, -1, LONGEST_TICKS), axis=-1)
+    return np.asarray(np.mod(ticks, 2.0**32)).astype(np.uint32)
 
 
 @dataclass(frozen=True, eq=False)

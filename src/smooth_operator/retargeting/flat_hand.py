@@ -1,4 +1,4 @@
-"""A flat human hand, and its directions on a robot's palm."""
+"""A flat human hand."""
 
 from __future__ import annotations
 
@@ -6,10 +6,6 @@ from typing import Final
 
 import numpy as np
 from jaxtyping import Float
-
-from smooth_operator.hands.hand import Hand, finger_rays
-from smooth_operator.retargeting.alignment import palm_alignment
-from smooth_operator.retargeting.palm import PalmAxes, palm_axes
 
 FLAT_HAND: Final[Float[np.ndarray, "21 3"]] = np.array(
     [
@@ -41,37 +37,3 @@ FLAT_HAND: Final[Float[np.ndarray, "21 3"]] = np.array(
 It is the hand of the built-in operator, ``pose_hand(draw_anatomy(0.19, 0), zeros)`` of
 ``smooth_operator.synthetic``; a test compares the two. No hand model is needed.
 """
-
-
-def human_palm_axes(hand: Hand) -> PalmAxes[np.ndarray]:
-    """Axes of a human palm in the robot's palm frame, after the alignment.
-
-    A robot's own wrist and knuckles seldom span a palm like a human's (the wrist of the mimic hand
-    lies 3 cm in front of the plane of the knuckles). The directions are therefore those of the
-    built-in operator's hand, aligned like every frame.
-    """
-    mirrored = hand.spec.side == "left"
-    landmarks = FLAT_HAND * (1.0, -1.0, 1.0) if mirrored else FLAT_HAND
-    return palm_axes(palm_alignment(landmarks, hand).apply(landmarks), hand.spec.side)
-
-
-def palm_tilt_deg(hand: Hand) -> float:
-    """Angle by which a flat human hand, once aligned, bends the long fingers at their bases [deg].
-
-    Three landmarks of the palm align the hands; the fingers of a flat human hand and of a flat
-    robot hand (``open_rays``) then point in different directions. Above 0 a flat human hand asks
-    the robot's fingers to bend towards the palm, below 0 to the back of the hand.
-    """
-    axes = human_palm_axes(hand)
-    rays = open_rays(hand)[1:]
-    fingers = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).mean(axis=0)
-    return float(np.degrees(np.arctan2(-(fingers @ axes.palmar), fingers @ axes.distal)))
-
-
-def open_rays(hand: Hand) -> Float[np.ndarray, "F 3"]:
-    """(F, 3) vectors from base to tip of the open hand, palm frame [m].
-
-    Its joints are at zero, or as close to zero as their limits allow, because vendors define the
-    open hand there. At the neutral pose, as at ``Hand.straight_pose``, knuckles are often bent.
-    """
-    return finger_rays(hand, np.clip(0.0, *hand.limits.T))

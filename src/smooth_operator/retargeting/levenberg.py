@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import ModuleType
 from typing import Final, TypeAlias
 
 import jax
@@ -11,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from smooth_operator.geometry import on_gpu
+from smooth_operator.retargeting.sbr.gpu_kernels import kernels_available, solve_positive_definite
 
 ValueGradHess: TypeAlias = Callable[[Array], tuple[Array, Array, Array]]
 """Function from a point (m,) to its cost (), gradient (m,) and Hessian (m, m)."""
@@ -36,26 +35,15 @@ _AT_BOUND: Final = 1e-6
 return 1e-15 for 0."""
 
 
-def gpu_kernels(samples: int = 0) -> ModuleType | None:
-    """The module of GPU kernels, if programs that are traced now may hold them; ``samples`` is the
-    number of costs of a call of ``next_gaussian``."""
-    if not on_gpu():
-        return None
-    from smooth_operator.retargeting.sbr import gpu_kernels
-
-    return gpu_kernels if gpu_kernels.kernels_available(samples) else None
-
-
 def solve_small(
     matrices: Float[Array, "*c m m"], right: Float[Array, "*c m"]
 ) -> Float[Array, "*c m"]:
     """Solves ``matrix @ x = right`` for one or a few small positive definite matrices; NaN for
     other matrices. Uses LAPACK on a CPU and one kernel on a GPU."""
-    if (kernels := gpu_kernels()) is not None:
+    if kernels_available():
         size = right.shape[-1]
         few = matrices.reshape(-1, size, size), right.reshape(-1, size)
-        solution: Array = kernels.solve_positive_definite(*few)
-        return solution.reshape(right.shape)
+        return solve_positive_definite(*few).reshape(right.shape)
     factor = jnp.linalg.cholesky(matrices)
     if right.ndim == 1:
         return jax.scipy.linalg.cho_solve((factor, True), right)

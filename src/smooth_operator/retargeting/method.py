@@ -86,7 +86,7 @@ class Method(ABC):
         Args:
             state: from ``init`` or the last step.
             aligned: (21, 3) landmarks in the palm frame [m]; those in ``needs`` are finite.
-            ticks: the frame's timestamp in microseconds modulo 2^32; see ``ticks_of`` in
+            ticks: the frame's timestamp in microseconds modulo 2^32; see ``tick_after`` in
                 ``smooth_operator.retargeting.program``. It may stay the same from frame to frame.
 
         Returns:

@@ -1,11 +1,11 @@
 """The objective of a frame: its terms, which are costs on points and joints of the robot, and their
 sum.
 
-To write your own term, define a frozen dataclass with its settings. ``LeastSquaresTerm`` needs only
-residuals; ``VectorTerm`` is for costs on keyvectors, ``JointTerm`` for costs on joint positions,
-and ``PointTerm`` computes gradient and Gauss-Newton rows itself.
-``ObjectiveConfig(terms=(MyTerm(),))`` adds a term to a preset. The terms of Eq. (1) are here, those
-of ``smooth`` in ``smooth_terms.py``.
+To write your own term, define a frozen dataclass with its settings. ``LeastSquaresTerm``
+(``least_squares.py``) needs only residuals; ``VectorTerm`` is for costs on keyvectors,
+``JointTerm`` for costs on joint positions, and ``PointTerm`` computes gradient and Gauss-Newton
+rows itself. ``ObjectiveConfig(terms=(MyTerm(),))`` adds a term to a preset. The terms of Eq. (1)
+are here, those of ``smooth`` in ``smooth_terms.py``.
 
 ``Objective.value_grad_hess`` gives cost, gradient and Hessian of one pose for Newton steps, as a
 small program; ``SampledObjective`` gives the costs of thousands of poses for a sampler.
@@ -330,31 +330,6 @@ def smooth_l1_slopes(x: AnyKind, transition: float) -> tuple[AnyKind, AnyKind]:
     """First and second derivative of ``smooth_l1``."""
     slope = (x / transition).clip(-1, 1)
     return slope, (abs(slope) < 1) / transition
-
-
-class LeastSquaresTerm(PointTerm):
-    """Half the sum of squared residuals of some points; the simplest term to write."""
-
-    @abstractmethod
-    def residuals(self, points: Float[Array, "P 3"], goal: FrameGoal) -> Float[Array, " R"]:
-        """(R,) residuals at one pose, each times the square root of its weight."""
-
-    def expand(
-        self, points: Float[Array, "P 3"], jacobian: Float[Array, "P J 3"], goal: FrameGoal
-    ) -> Quadratic:
-        """See ``PointTerm``; the derivatives of the residuals come from JAX."""
-        residuals, pull = jax.vjp(lambda p: self.residuals(p, goal), points)
-
-        def along(speeds: Array) -> Array:
-            _, rates = jax.jvp(lambda p: self.residuals(p, goal), (points,), (speeds,))
-            return jnp.asarray(rates)
-
-        return Quadratic(
-            0.5 * (residuals * residuals).sum(),
-            pull(residuals)[0],
-            jax.vmap(along, in_axes=1, out_axes=1)(jacobian),
-            jnp.ones_like(residuals),
-        )
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, UInt32
-from numpy.typing import ArrayLike
 
 from smooth_operator.errors import ConfigError
 from smooth_operator.geometry import array_namespace
@@ -72,20 +71,20 @@ class StateLayout:
     kinds: tuple[np.dtype | None, ...]
 
     @classmethod
-    def of(cls, state: FrameState) -> StateLayout:
-        """Layout of a state whose 32-bit arrays are joined into one."""
+    def of(cls, state: FrameState, joined: bool = True) -> StateLayout:
+        """Layout of a state whose 32-bit arrays are joined into one, or all kept separate."""
         leaves, structure = jax.tree.flatten(state)
-        kinds = (getattr(leaf, "dtype", None) for leaf in leaves)
-        return cls(structure, tuple(map(np.shape, leaves)), tuple(kinds))
+        kinds = tuple(getattr(leaf, "dtype", None) if joined else None for leaf in leaves)
+        return cls(structure, tuple(map(np.shape, leaves)), kinds)
 
     def pack(self, state: FrameState) -> tuple[Float[Array, " n"], tuple[Any, ...]]:
         """Returns one array with the bits of all 32-bit leaves, and the other leaves.
 
         NumPy arrays give a NumPy array; traceable.
         """
-        leaves = jax.tree.leaves(state)
-        words = [leaf for leaf, kind in zip(leaves, self.kinds, strict=True) if kind in _WORDS]
-        others = [leaf for leaf, kind in zip(leaves, self.kinds, strict=True) if kind not in _WORDS]
+        words, others = [], []
+        for leaf, kind in zip(jax.tree.leaves(state), self.kinds, strict=True):
+            (words if kind in _WORDS else others).append(leaf)
         xp = array_namespace(*words)
         parts = [_as(xp.asarray(leaf).ravel(), np.dtype(np.float32)) for leaf in words]
         return xp.concatenate(parts or [_EMPTY]), tuple(others)
@@ -98,12 +97,11 @@ class StateLayout:
         for shape, kind in zip(self.shapes, self.kinds, strict=True):
             if kind is None or kind not in _WORDS:
                 leaves.append(next(rest))
-                continue
-            size = math.prod(shape)
-            leaves.append(_as(words[done : done + size].reshape(shape), kind))
-            done += size
-        state: FrameState = jax.tree.unflatten(self.structure, leaves)
-        return state
+            else:
+                end = done + math.prod(shape)
+                leaves.append(_as(words[done:end].reshape(shape), kind))
+                done = end
+        return cast(FrameState, jax.tree.unflatten(self.structure, leaves))
 
 
 @partial(
@@ -134,14 +132,8 @@ class RetargetState:
     def of(cls, state: FrameState, joined: bool = True) -> RetargetState:
         """Creates a state from its trees. Without ``joined``, all arrays are kept separate, which
         is faster for a method whose solver runs on the host."""
-        if not joined:
-            leaves, structure = jax.tree.flatten(state)
-            count = len(leaves)
-            return cls(
-                _EMPTY, tuple(leaves), StateLayout(structure, ((),) * count, (None,) * count)
-            )
-        state = jax.device_get(state)
-        layout = StateLayout.of(state)
+        state = jax.device_get(state) if joined else state
+        layout = StateLayout.of(state, joined)
         return cls(*layout.pack(state), layout)
 
     @cached_property
@@ -191,7 +183,7 @@ Program: TypeAlias = Callable[
     [RetargetState, np.ndarray, np.ndarray, np.uint32], tuple[RetargetState, FrameResult]
 ]
 """Compiled function, called on the host: maps the state, (21, 3) landmarks [m], (21,) validity and
-the frame's ticks (``ticks_of``) to the next state and the result."""
+the frame's ticks (``tick_after``) to the next state and the result."""
 
 
 class AlignedFrame(NamedTuple):
@@ -216,22 +208,14 @@ def align_frame(
     needs = np.array(sorted({*method.needs, *hand.align_indices}))
     finite = jnp.isfinite(landmarks).all(axis=-1) & valid
     present = finite[needs].all()
-    finite_landmarks = jnp.where(finite[:, None], landmarks, jnp.nan)
-    safe = jnp.where(
-        present, finite_landmarks, jnp.asarray(reference_landmarks(hand), landmarks.dtype)
-    )
+    reference = jnp.asarray(reference_landmarks(hand), landmarks.dtype)
+    safe = jnp.where(present, jnp.where(finite[:, None], landmarks, jnp.nan), reference)
     palm = palm_alignment(safe, hand, alignment)
     well_posed = palm.condition >= MIN_CONDITION  # False for NaN
     odd = implausible(landmarks, finite, palm_range(hand))
-    status = jnp.where(
-        ~present,
-        Status.INVALID_LANDMARKS,
-        jnp.where(
-            ~well_posed,
-            Status.DEGENERATE_PALM,
-            jnp.where(odd, Status.IMPLAUSIBLE_HAND, Status.OK),
-        ),
-    )
+    status = jnp.where(odd, Status.IMPLAUSIBLE_HAND, Status.OK)
+    status = jnp.where(well_posed, status, Status.DEGENERATE_PALM)
+    status = jnp.where(present, status, Status.INVALID_LANDMARKS)
     return AlignedFrame(palm.apply(safe), status, palm.scale)
 
 
@@ -247,13 +231,8 @@ def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> 
     Raises:
         ConfigError: the method's ``step`` takes other arguments.
     """
-    compiling = functools.partial(
-        CompiledProgram,
-        hand=method.hand,
-        config=config,
-        constants=method.constants,
-        cached=cached,
-    )
+    about = {"config": config, "constants": method.constants, "cached": cached}
+    compiling = functools.partial(CompiledProgram, hand=method.hand, **about)
     if method.on_host:
         solved_on_host: Program = cast(Any, method).program(config.alignment, compiling)
         return solved_on_host
@@ -312,22 +291,10 @@ LONGEST_TICKS: Final = 2**31 - 1
 are modulo 2^32, so without a bound a gap of 72 minutes would count as no gap."""
 
 
-def ticks_of(stamps: Float[ArrayLike, "*R T"]) -> UInt32[np.ndarray, "*R T"]:
-    """Converts times for the programs: microseconds modulo 2^32, whose differences are exact. A
-    float32 of the time of day would be wrong by up to a minute.
-
-    Args:
-        stamps: (..., T) timestamps of the frames of recordings [s]. A timestamp that is not finite
-            counts as 0. A step back counts as -1 tick, and longer ones are cut.
-    """
-    whole = np.round(np.nan_to_num(np.asarray(stamps, float), posinf=0.0, neginf=0.0) * 1e6)
-    passed = np.diff(whole, axis=-1, prepend=whole[..., :1])
-    ticks = whole[..., :1] + np.cumsum(np.clip(passed, -1, LONGEST_TICKS), axis=-1)
-    return np.asarray(np.mod(ticks, 2.0**32)).astype(np.uint32)
-
-
 def tick_after(answered: tuple[float, int] | None, stamp: float) -> int:
-    """``ticks_of`` for frames that arrive one at a time.
+    """Time of a frame for the program: microseconds modulo 2^32, whose differences are exact. A
+    float32 of the time of day would be wrong by up to a minute. A timestamp that is not finite
+    counts as 0. A step back counts as -1 tick, and longer ones are cut.
 
     Args:
         answered: timestamp [s] and ticks of the last frame with a command; None for the first.
@@ -363,11 +330,7 @@ class FrameClock(NamedTuple):
     restart: Bool[Array, ""]
 
     @classmethod
-    def of(
-        cls,
-        passed: UInt32[Array, ""],
-        frames: UInt32[Array, ""],
-    ) -> FrameClock:
+    def of(cls, passed: UInt32[Array, ""], frames: UInt32[Array, ""]) -> FrameClock:
         """Time of a frame; traceable.
 
         Args:

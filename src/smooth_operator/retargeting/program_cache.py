@@ -1,8 +1,6 @@
-"""Folders of this user for traced programs and for machine code, so that a start is faster.
+"""Folder of this user for traced programs, so that a start is faster.
 
-``ProgramCache`` holds traced programs. ``jax_folder`` is the folder for JAX's compilation cache,
-which the command enables; a library user may, too (docs/reference/methods.md). Any number of
-processes can use both. No other user may be able to write to them (``own_files``).
+Any number of processes can use it. No other user may be able to write to it (``own_files``).
 Figures: docs/reference/benchmarks.md, *Start*.
 """
 
@@ -13,11 +11,9 @@ import functools
 import hashlib
 import logging
 import os
-import platform
 import stat
 import tempfile
 from collections.abc import Iterator
-from importlib.metadata import version
 from multiprocessing import parent_process
 from pathlib import Path
 from typing import Final
@@ -88,11 +84,6 @@ class ProgramCache:
         with contextlib.suppress(OSError):
             (self.folder / name).unlink()
 
-    def size(self) -> tuple[int, int]:
-        """Number of entries, and their total size [bytes]."""
-        sizes = [status.st_size for _, status in _files(self.folder)]
-        return len(sizes), sum(sizes)
-
 
 def _files(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
     for each in folder.iterdir():
@@ -120,32 +111,9 @@ def program_cache() -> ProgramCache | None:
     return None if folder is None else ProgramCache(folder)
 
 
-def jax_folder() -> Path | None:
-    """This user's folder for machine code of this processor, after old files were removed; None if
-    it is off (``SWITCH``) or there is no safe folder."""
-    folder = None if is_off() else own_folder(user_cache() / machine())
-    if folder is not None:
-        with contextlib.suppress(OSError):
-            make_room(folder)
-    return folder
-
-
 def is_off() -> bool:
     """True if the environment variable ``SWITCH`` disables the cache."""
     return os.environ.get(SWITCH, "").strip().lower() in OFF
-
-
-@functools.cache
-def machine() -> str:
-    """Digest of the processor's features and of jaxlib, for which machine code is valid. Several
-    machines may share a home folder."""
-    features = [platform.system(), platform.machine(), version("jaxlib")]
-    try:
-        with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
-            features += [next(each for each in lines if each.startswith(("flags", "Features")))]
-    except (OSError, StopIteration):
-        features += [platform.processor(), platform.node()]
-    return hashlib.sha256("\n".join(features).encode()).hexdigest()[:16]
 
 
 @functools.cache

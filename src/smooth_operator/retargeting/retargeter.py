@@ -13,7 +13,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -25,6 +25,13 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.io.anatomy import HandCheck
 from smooth_operator.landmarks import NUM_LANDMARKS
+from smooth_operator.retargeting.batching import (
+    BatchArrays,
+    LaneProgram,
+    lane_counts,
+    one_by_one,
+    side_by_side,
+)
 from smooth_operator.retargeting.flat_hand import FLAT_HAND
 from smooth_operator.retargeting.known_gaps import NO_GAPS
 from smooth_operator.retargeting.method import Method, MethodConfig
@@ -46,9 +53,6 @@ from smooth_operator.types import (
     Result,
     Status,
 )
-
-if TYPE_CHECKING:
-    from smooth_operator.retargeting.batching import BatchArrays, LaneProgram
 
 _REFLECTION = np.array([-1, 1, 1], np.float32)
 
@@ -385,8 +389,6 @@ class Retargeter:
             lanes: number of recordings in parallel. Default: 1024 on a GPU and 8 on a CPU, or one
                 per core for methods like ``smooth`` whose solver time varies between frames.
         """
-        from smooth_operator.retargeting.batching import one_by_one, side_by_side
-
         for recording in recordings:
             self.check_side(recording.side)
         if self.method.on_host:
@@ -431,8 +433,6 @@ class Retargeter:
         )
 
     def _lanes(self, lanes: int | None) -> LaneProgram:
-        from smooth_operator.retargeting.batching import LaneProgram, lane_counts
-
         count, threads = lane_counts(self.method, lanes)
         if (count, threads) not in self.shared.lanes:
             self.shared.lanes[count, threads] = LaneProgram(

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -20,10 +20,10 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, UInt32
 
-from smooth_operator.errors import ConfigError
 from smooth_operator.hands.finger_circles import SHORTER, bends_past_straight
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.pose_table import PoseTable
+from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.landmarks import TIPS
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.correspondence import (
@@ -127,8 +127,6 @@ class SmoothConfig(ObjectiveMethodConfig):
 
     def notes(self, hand: Hand) -> tuple[str, ...]:
         """Note on estimated collision shapes."""
-        from smooth_operator.hands.stand_ins import stand_in_note
-
         note = stand_in_note(hand) if self.self_collision.weight else None
         return (note,) if note else ()
 
@@ -193,15 +191,8 @@ class Smooth(Method):
 
     @property
     def layout(self) -> KeyvectorLayout:
-        """The vectors from wrist and thumb's tip to the fingertips.
-
-        Raises:
-            ConfigError: the target policy uses other vectors.
-        """
-        layout = self.objective.layout
-        if not isinstance(layout, KeyvectorLayout):
-            raise ConfigError(f"smooth needs the paper's keyvectors, not {type(layout).__name__}")
-        return layout
+        """The vectors from wrist and thumb's tip to the fingertips, which the terms need."""
+        return cast(KeyvectorLayout, self.objective.layout)
 
     @property
     def needs(self) -> tuple[int, ...]:

@@ -1,10 +1,18 @@
-"""The start of JAX in a process of one's own."""
+"""The start of JAX in a process of one's own, and its folder for machine code."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
+import hashlib
 import os
+import platform
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
+
+from smooth_operator.own_files import user_cache
+from smooth_operator.retargeting.program_cache import is_off, make_room, own_folder
 
 
 def start_jax(*, one_thread: bool = True) -> None:
@@ -38,3 +46,29 @@ def start_jax(*, one_thread: bool = True) -> None:
     finally:
         with contextlib.suppress(OSError):
             os.sched_setaffinity(0, cores)
+
+
+def jax_folder() -> Path | None:
+    """This user's folder for JAX's compilation cache, with machine code of this processor.
+
+    None if it is off (``SWITCH``) or there is no safe folder. Files that were not used for long are
+    removed. The command enables this cache; a library user may, too (docs/reference/methods.md).
+    """
+    folder = None if is_off() else own_folder(user_cache() / machine())
+    if folder is not None:
+        with contextlib.suppress(OSError):
+            make_room(folder)
+    return folder
+
+
+@functools.cache
+def machine() -> str:
+    """Digest of the processor's features and of jaxlib, for which machine code is valid. Several
+    machines may share a home folder."""
+    features = [platform.system(), platform.machine(), version("jaxlib")]
+    try:
+        with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:
+            features += [next(each for each in lines if each.startswith(("flags", "Features")))]
+    except (OSError, StopIteration):
+        features += [platform.processor(), platform.node()]
+    return hashlib.sha256("\n".join(features).encode()).hexdigest()[:16]

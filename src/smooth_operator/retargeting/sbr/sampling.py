@@ -20,8 +20,12 @@ from jax import lax
 from jaxtyping import Array, Float, Int, UInt32
 
 from smooth_operator.errors import ConfigError
-from smooth_operator.retargeting.levenberg import gpu_kernels
-from smooth_operator.retargeting.sbr.random_numbers import random_words
+from smooth_operator.retargeting.sbr.gpu_kernels import kernels_available, next_gaussian
+from smooth_operator.retargeting.sbr.random_numbers import (
+    counter_normal_matrix,
+    counter_normals,
+    random_words,
+)
 from smooth_operator.settings import check_choice, check_numbers
 
 _ROWS: Final = 32  # one bit of a word each
@@ -170,7 +174,6 @@ def sample_minimise(
     mean = start.astype(dtype)
     chol = jnp.sqrt(deviation**2 + config.jitter) * jnp.eye(size, dtype=dtype)
     epsilon = config.jitter * jnp.eye(size, dtype=dtype)
-    kernels = gpu_kernels(config.samples)
 
     def cycle(mean: Array, chol: Array, cycle_key: Array) -> tuple[Array, Array]:
         # Line 4: draw the candidates. Line 5: compute their costs
@@ -190,8 +193,7 @@ def sample_minimise(
         return mean, lax.linalg.cholesky(covariance, symmetrize_input=False)
 
     # Lines 3-13: L - 1 cycles
-    if kernels is not None:
-        next_gaussian = kernels.next_gaussian
+    if kernels_available(config.samples):
 
         def cycle_in_kernel(i: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
             mean, chol, words = carry
@@ -233,8 +235,6 @@ class _ClippedGaussian:
     def draw(self, mean: Array, chol: Array, words: Array, index: Array) -> Array:
         """(m, len(index)) draws with these indices."""
         if self.base is None:
-            from smooth_operator.retargeting.sbr.random_numbers import counter_normal_matrix
-
             normals = counter_normal_matrix(index.astype(jnp.uint32), words, self.size)
         else:
             normals = self.base if index is self.everyone else self.base[:, index]
@@ -249,8 +249,6 @@ class _ClippedGaussian:
         """
         if self.base is not None:
             return list(self.draw(mean, chol, words, self.everyone))
-        from smooth_operator.retargeting.sbr.random_numbers import counter_normals
-
         normals = counter_normals(self.everyone, words, self.size)
         rows = []
         for i in range(self.size):

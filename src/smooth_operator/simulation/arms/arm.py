@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.collision import shape_capsules
 from smooth_operator.hands.hand import Hand
-from smooth_operator.retargeting.flat_hand import human_palm_axes
+from smooth_operator.retargeting.palm import human_palm_axes
 
 Matrix = Float[np.ndarray, "4 4"]
 Pose = Float[np.ndarray, "7"]

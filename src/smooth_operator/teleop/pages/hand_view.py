@@ -18,7 +18,7 @@ from smooth_operator import landmarks
 from smooth_operator.hands.capsules import hand_capsules
 from smooth_operator.hands.hand import Hand, landmark_points
 from smooth_operator.landmarks import BASES, FINGERS, LANDMARKS
-from smooth_operator.retargeting.flat_hand import human_palm_axes
+from smooth_operator.retargeting.palm import human_palm_axes
 
 if TYPE_CHECKING:
     import viser

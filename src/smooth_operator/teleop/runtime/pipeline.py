@@ -409,7 +409,7 @@ class HandPipeline:
         else:
             self.supervisor.refuse(why)
         if why is None and (doubt := self._session.doubt(arrival)) is not None:
-            why = self.supervisor.refuse(doubt.live)
+            why = self.supervisor.refuse(advice(doubt))
         if why is not None:
             self.note(f"frame refused: {why}")
             return None
@@ -532,3 +532,17 @@ class HandPipeline:
                 self.retargeter.hand.neutral, dt, self.config.safety.ease_velocity
             )
         return self.limiter.rest(dt)
+
+
+def advice(doubt: Doubt) -> str:
+    """Short description of a problem with the frames' landmarks and its remedy."""
+    if doubt.side is not None:
+        return (
+            f"judging by its shape, it is a {doubt.side} hand; use side={doubt.side}, or "
+            "do not mirror it"
+        )
+    if doubt.layout is not None:
+        return f"landmarks in the order {doubt.layout!r}; for a source, set layout={doubt.layout}"
+    if doubt.mend:
+        return f"{doubt.what}; {doubt.mend}"
+    return f"landmarks are in another order; reorder them: points[{list(doubt.order or ())}]"
