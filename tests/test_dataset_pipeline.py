@@ -55,7 +55,9 @@ from smooth_operator.types import CommandTrajectory
 pytest.importorskip("pyarrow", reason="needs pyarrow: in the clone, pip install '.[datasets]'")
 
 CONFIG = method_config("joint_angle")  # the quickest to compile
-ASKED = RetargetRequest("mimic_p050", "joint_angle", "default", CONFIG, seed=3)
+ASKED = RetargetRequest(
+    hand="mimic_p050", method="joint_angle", preset="default", config=CONFIG, seed=3
+)
 RECIPE = Recipe(ASKED)
 OPEN = {"min_seconds": 0.2, "max_tip_error": 1e3, "min_reach": 0.0, "max_collision": 1.0}
 LIMITS = Limits(**OPEN)

@@ -335,9 +335,8 @@ def test_json_of_other_programs_is_not_a_data_set(tmp_path):
 def test_messages_say_how_to_install_the_research_data_sets(tmp_path, monkeypatch):
     monkeypatch.setattr(plugins, "_installed", lambda group: {})
     monkeypatch.setattr(retargeting, "find_spec", lambda name: None)
-    request = RetargetRequest(
-        "allegro_hand", "smooth", "offline", method_config("smooth", "offline")
-    )
+    config = method_config("smooth", "offline")
+    request = RetargetRequest(hand="allegro_hand", method="smooth", preset="offline", config=config)
     tries: tuple[Callable[[], object], ...] = (
         lambda: READERS.load("grab"),
         lambda: WRITERS.load("spider"),

@@ -38,9 +38,11 @@ from smooth_operator.teleop.recording import LogWriter
 from smooth_operator.types import HandRecording, Side
 
 FAST = method_config("joint_angle")  # the quickest to compile
-ASKED = RetargetRequest("mimic_p050", "joint_angle", "default", FAST, seed=3)
+ASKED = RetargetRequest(
+    hand="mimic_p050", method="joint_angle", preset="default", config=FAST, seed=3
+)
 TINY = SbrConfig(sampling=SamplingConfig(samples=256, elites=8, cycles=2, draws="quasi"))
-SEARCH = RetargetRequest("mimic_p050", "sbr", "tiny", TINY, seed=3)
+SEARCH = RetargetRequest(hand="mimic_p050", method="sbr", preset="tiny", config=TINY, seed=3)
 METHOD = ("--method", "joint_angle")
 FRAMES = {"a": 30, "b": 2 * BLOCK + 7, "deep/c": BLOCK, "deep/er/d": 90, "e": 1}
 

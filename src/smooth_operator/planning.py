@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,38 +42,47 @@ _CODE: Final = (
 """Files and folders of this package that commands depend on."""
 
 
-@dataclass(frozen=True)
-class RetargetRequest:
-    """Request to retarget one recording or several; see ``make_request``.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MethodChoice:
+    """A method with its settings, and the fingers that it drives.
 
     Attributes:
-        hand: name of the robot hand, or its description.
         method: name of the method.
         preset: name of its preset.
         config: configuration of the preset, so that workers do not need its name.
         seed: seed of the random numbers of each recording.
+        fingers: maps robot fingers to the human fingers that drive them; None drives each finger by
+            the human finger of its name.
+    """
+
+    method: str
+    preset: str
+    config: MethodConfig
+    seed: int = 0
+    fingers: Mapping[str, str] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RetargetRequest(MethodChoice):
+    """Request to retarget one recording or several; see ``make_request``.
+
+    Attributes:
+        hand: name of the robot hand, or its description.
         scale: robot size over human size; None for the scale of the configuration.
         side: side of the hand; None for the side of each recording.
         rate: frame rate of recordings without timestamps [Hz].
         layout: order of the landmarks in plain arrays; None for the order of ``LANDMARKS``.
         frames: range of frames of each recording, as text; None for all frames.
-        fingers: maps robot fingers to the human fingers that drive them; None drives each finger by
-            the human finger of its name.
         operator: known properties of the operator, or None.
         pinch_gaps: see ``PinchGapChoice``.
     """
 
     hand: str | HandSpec
-    method: str
-    preset: str
-    config: MethodConfig
-    seed: int = 0
     scale: Scale | None = None
     side: Side | None = None
     rate: float | None = None
     layout: str | None = None
     frames: str | None = None
-    fingers: Mapping[str, str] | None = None
     operator: OperatorProfile | None = None
     pinch_gaps: PinchGapChoice = "tracker"
 
@@ -146,19 +155,19 @@ def make_request(
         ConfigError: the operator's file can't be used.
     """
     return RetargetRequest(
-        read_hand_spec(hand) if isinstance(hand, Path) else hand,
-        method,
-        default_preset(method) if preset is None else preset,
-        method_config(method, preset),
-        seed,
-        scale,
-        side,
-        rate,
-        layout,
-        frames,
-        None if fingers is None else parse_fingers(fingers),
-        read_operator(operator) if isinstance(operator, Path) else operator,
-        pinch_gaps,
+        hand=read_hand_spec(hand) if isinstance(hand, Path) else hand,
+        method=method,
+        preset=default_preset(method) if preset is None else preset,
+        config=method_config(method, preset),
+        seed=seed,
+        scale=scale,
+        side=side,
+        rate=rate,
+        layout=layout,
+        frames=frames,
+        fingers=None if fingers is None else parse_fingers(fingers),
+        operator=read_operator(operator) if isinstance(operator, Path) else operator,
+        pinch_gaps=pinch_gaps,
     )
 
 
@@ -184,29 +193,18 @@ def code_of_commands(request: RetargetRequest, *more: str) -> str:
     return key_digest([code, outside_code(request.config, *modules), versions(), hands])
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """A request with all names resolved, for one recording.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan(MethodChoice):
+    """A request with all names resolved, for one recording; the configuration has the scale.
 
     Attributes:
         recording: the human hand.
         hand: the robot hand, with the requested fingers.
-        method: name of the method.
-        preset: name of its preset.
-        config: its configuration, with the scale.
-        seed: seed of the random numbers.
-        fingers: maps the requested robot fingers to human fingers, for the configuration of the
-            result; None for all.
         pinch_gaps: known gaps, as for ``Retargeter``.
     """
 
     recording: HandRecording
     hand: Hand
-    method: str
-    preset: str
-    config: MethodConfig
-    seed: int
-    fingers: Mapping[str, str] | None = None
     pinch_gaps: Mapping[str, float] | None = field(default_factory=dict)
 
 
@@ -223,16 +221,9 @@ def plan(recording: HandRecording, request: RetargetRequest) -> Plan:
         RecordingError: the scale can't be calibrated, because no frame has a usable palm.
     """
     robot, config = resolve(request, recording.side, recording)
-    return Plan(
-        recording,
-        robot,
-        request.method,
-        request.preset,
-        config,
-        request.seed,
-        request.fingers,
-        request.known_gaps(),
-    )
+    choice = {each.name: getattr(request, each.name) for each in fields(MethodChoice)}
+    choice |= {"config": config, "pinch_gaps": request.known_gaps()}
+    return Plan(recording=recording, hand=robot, **choice)
 
 
 def resolve(
@@ -288,27 +279,17 @@ def read_configuration(path: Path) -> dict[str, Any] | None:
 def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
     """Resolved configuration of a plan, which is written with its result."""
     recording = todo.recording
-    return {
-        "program": PROGRAM,
-        "command": command,
-        "hand": todo.hand.name,
-        "side": todo.hand.spec.side,
-        "fingers": todo.fingers,
-        "method": todo.method,
-        "preset": todo.preset,
-        "seed": todo.seed,
-        "config": todo.config,
-        "pinch_gaps": todo.pinch_gaps,
-        "recording": {
-            "name": recording.name,
-            "side": recording.side,
-            "frames": len(recording),
-            "rate_hz": recording.rate_hz,
-            "duration_s": recording.duration,
-        },
-        **more,
-        **environment(),
+    about = {
+        "name": recording.name,
+        "side": recording.side,
+        "frames": len(recording),
+        "rate_hz": recording.rate_hz,
+        "duration_s": recording.duration,
     }
+    more = {"pinch_gaps": todo.pinch_gaps, "recording": about, **more}
+    return (
+        _configuration(command, todo, todo.hand.name, todo.config, side=todo.hand.spec.side) | more
+    )
 
 
 def live_configuration(
@@ -319,15 +300,21 @@ def live_configuration(
     Args:
         configs: configuration of the method by side, from ``resolve``.
     """
+    return _configuration(command, request, request.hand_name, dict(configs)) | more
+
+
+def _configuration(
+    command: str, choice: MethodChoice, hand: str, config: object, **more: Any
+) -> dict[str, Any]:
     return {
         "program": PROGRAM,
         "command": command,
-        "hand": request.hand_name,
-        "fingers": request.fingers,
-        "method": request.method,
-        "preset": request.preset,
-        "seed": request.seed,
-        "config": dict(configs),
+        "hand": hand,
         **more,
+        "fingers": choice.fingers,
+        "method": choice.method,
+        "preset": choice.preset,
+        "seed": choice.seed,
+        "config": config,
         **environment(),
     }

@@ -311,7 +311,7 @@ def test_a_data_set_keeps_contacts_where_a_clip_has_an_object(tmp_path):
     )
     box = made.solids[track.name].shape
     trimesh.creation.box(2.0 * np.asarray(box.half)).export(tmp_path / f"{track.name}.stl")
-    request = RetargetRequest("mimic_p050", "sbr", "light", LIGHT)
+    request = RetargetRequest(hand="mimic_p050", method="sbr", preset="light", config=LIGHT)
     recipe = Recipe(request, with_objects=True)
     assert recipe.digest != Recipe(request).digest
     items = find_items([str(tmp_path)]).items
@@ -330,7 +330,9 @@ def test_a_data_set_keeps_contacts_where_a_clip_has_an_object(tmp_path):
     assert 0 <= quality_figures(half)["right.contact_recall"] <= 1
     with pytest.raises(ConfigError, match="smooth:offline"):
         Recipe(
-            RetargetRequest("mimic_p050", "smooth", "teleop", method_config("smooth")),
+            RetargetRequest(
+                hand="mimic_p050", method="smooth", preset="teleop", config=method_config("smooth")
+            ),
             with_objects=True,
         )
 

@@ -235,8 +235,16 @@ class Cell:
         recording = self.source.recording
         assert recording is not None  # a cell without one is not begun
         hand = load_hand(self.hand, self.side, fingers=self.fingers)
-        names = self.method, self.preset
-        return Plan(recording, hand, *names, self.config, seed, self.fingers, self.pinch_gaps)
+        return Plan(
+            recording=recording,
+            hand=hand,
+            method=self.method,
+            preset=self.preset,
+            config=self.config,
+            seed=seed,
+            fingers=self.fingers,
+            pinch_gaps=self.pinch_gaps,
+        )
 
 
 def cells_of(

@@ -329,7 +329,13 @@ def follow_job(
 
     def compute(advance: Callable[[float], None]) -> dict[str, np.ndarray]:
         hand = load_hand(context.hand, degraded.seen.side)
-        todo = Plan(degraded.seen, hand, choice.method, choice.preset, choice.config, 0)
+        todo = Plan(
+            recording=degraded.seen,
+            hand=hand,
+            method=choice.method,
+            preset=choice.preset,
+            config=choice.config,
+        )
         retargeter, _ = built_for(todo)
 
         def tracked(frames: Iterable[int]) -> Iterator[int]:

@@ -85,7 +85,9 @@ def table_latency(
 def _plan(cell: Cell) -> Plan:
     recording = recording_of(cell.source)
     hand = load_hand(cell.hand, recording.side)
-    return Plan(recording, hand, cell.method, cell.preset, cell.config, 0)
+    return Plan(
+        recording=recording, hand=hand, method=cell.method, preset=cell.preset, config=cell.config
+    )
 
 
 PAPERS: Final = {

@@ -199,7 +199,14 @@ class Case:
         return runner
 
     def _plan(self, recording: HandRecording) -> Plan:
-        return Plan(recording, self.hand, self.method, self.preset, self.config, self.seed)
+        return Plan(
+            recording=recording,
+            hand=self.hand,
+            method=self.method,
+            preset=self.preset,
+            config=self.config,
+            seed=self.seed,
+        )
 
 
 @dataclass(frozen=True, eq=False)
