@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from smooth_operator.hands.capsules import CapsulePairs, segment_parameters
+from smooth_operator.hands.capsules import CapsulePairs, segments_apart
 from smooth_operator.hands.hand import Hand
 
 
@@ -15,6 +15,5 @@ def ends_of(pairs: CapsulePairs, hand: Hand, q: np.ndarray) -> np.ndarray:
 def depths(pairs: CapsulePairs, ends: np.ndarray) -> np.ndarray:
     """(..., P) depth of each pair [m]."""
     one, other = ((ends[..., 2 * c, :], ends[..., 2 * c + 1, :]) for c in pairs.pairs.T)
-    s, t = (share[..., None] for share in segment_parameters(one, other))
-    apart = one[0] + s * (one[1] - one[0]) - other[0] - t * (other[1] - other[0])
+    apart, _, _ = segments_apart(one, other)
     return pairs.reach - np.linalg.norm(apart, axis=-1)

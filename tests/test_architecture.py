@@ -102,7 +102,7 @@ is gone and still listed."""
 START = "retargeting.retargeter"
 """Module of ``Retargeter``, where the closure begins."""
 
-CLOSURE_LINES = 11_890
+CLOSURE_LINES = 11_784
 """Most lines of the modules that ``Retargeter`` and its own methods import: the core grows only on
 purpose. Methods that others offer (``smooth_operator.parts``, plugins) do not count."""
 

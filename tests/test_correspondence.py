@@ -64,7 +64,7 @@ def test_the_robots_own_hand_of_another_size_stays_where_it_is(hand):
     expected = reference_landmarks(hand)
     bones = np.linalg.norm(np.diff([expected[b : b + 4] for b in BASES], axis=1), axis=-1).sum(-1)
     rays = expected[list(TIPS)] - expected[list(BASES)]
-    gains = correspondence.lengths / bones  # a finger's bones are hardly longer than its reach
+    gains = correspondence.robot[1] / bones  # a finger's bones are hardly longer than its reach
     np.testing.assert_allclose(places[-1], expected[list(BASES)] + gains[:, None] * rays, atol=2e-4)
 
 
@@ -163,7 +163,7 @@ def test_places_are_hardly_faster_than_the_fingers_gain(hand):
     lengths, places = follow(correspondence, frames)
     human = np.linalg.norm(np.diff(frames[:, list(TIPS)], axis=0), axis=-1)
     robot = np.linalg.norm(np.diff(places, axis=0), axis=-1)
-    gains = np.maximum(correspondence.lengths / np.stack(lengths[1:]), 1.0)
+    gains = np.maximum(correspondence.robot[1] / np.stack(lengths[1:]), 1.0)
     assert gains.max() > 1.5
     assert (robot - gains * human).max() < 0.1 * float(DT) + 1e-5
 

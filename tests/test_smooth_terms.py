@@ -12,7 +12,7 @@ from trees import float64, limited_poses
 
 from smooth_operator import Hand, hand_names, load_hand
 from smooth_operator.errors import ConfigError
-from smooth_operator.hands.capsules import MOST, capsule_pairs, parts_apart, segment_parameters
+from smooth_operator.hands.capsules import MOST, capsule_pairs, parts_apart, segments_apart
 from smooth_operator.hands.finger_circles import spread_joints
 from smooth_operator.hands.penetration import penetration_depths
 from smooth_operator.retargeting.batching import ticks_of
@@ -40,7 +40,7 @@ def test_segments_are_nearest_where_a_search_says_so():
     ends = rng.normal(0, 1, (40, 4, 3))
     ends[0, 1] = ends[0, 0]  # a point
     ends[1, 3] = ends[1, 2] + 2 * (ends[1, 1] - ends[1, 0])  # parallel
-    s, t = segment_parameters((ends[:, 0], ends[:, 1]), (ends[:, 2], ends[:, 3]))
+    _, s, t = segments_apart((ends[:, 0], ends[:, 1]), (ends[:, 2], ends[:, 3]))
 
     def distance(s: np.ndarray, t: np.ndarray) -> np.ndarray:
         one = ends[:, 0] + s[..., None] * (ends[:, 1] - ends[:, 0])

@@ -13,13 +13,12 @@ from smooth_operator.errors import ConfigError, HandModelError
 from smooth_operator.formats.environment import environment, versions
 from smooth_operator.formats.readers import read_assumed
 from smooth_operator.formats.registry import READERS
-from smooth_operator.hands.finger_choice import parse_fingers
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.registry import default_side, load_hand
 from smooth_operator.hands.spec import HandSpec
 from smooth_operator.hands.spec_file import read_hand_spec
 from smooth_operator.io.documents import read_json
-from smooth_operator.request import PinchGapChoice, Scale
+from smooth_operator.request import PinchGapChoice, Scale, parse_fingers
 from smooth_operator.result_cache import content_digest, key_digest, outside_code
 from smooth_operator.retargeting.aligned_recording import calibrate_scale
 from smooth_operator.retargeting.known_gaps import MEDIAPIPE, NO_GAPS

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 
 from tyro.conf import arg
 
+from smooth_operator.errors import HandModelError
 from smooth_operator.retargeting.registry import DEFAULT_METHOD, METHODS
 
 METHOD_HELP: Final = (
@@ -66,3 +67,24 @@ class MethodRequest:
     def settings(self) -> dict[str, Any]:
         """Returns the settings by name, for ``make_request``."""
         return {each.name: getattr(self, each.name) for each in fields(MethodRequest)}
+
+
+def parse_fingers(text: str) -> dict[str, str]:
+    """Parse a choice of fingers: in ``thumb,index,pinky=ring`` the human ring drives the pinky.
+
+    Raises:
+        HandModelError: a part of it is empty, or a finger is named twice.
+    """
+    choice: dict[str, str] = {}
+    for part in text.split(","):
+        robot, sign, human = (word.strip() for word in part.partition("="))
+        if not robot or (sign and not human):
+            raise HandModelError(
+                f"{text!r} is not a list of fingers; expected robot fingers separated by "
+                "commas, each optionally followed by '=' and the human finger that drives "
+                "it: thumb,index,pinky=ring"
+            )
+        if robot in choice:
+            raise HandModelError(f"{text!r} names the finger {robot!r} twice")
+        choice[robot] = human or robot
+    return choice

@@ -312,7 +312,7 @@ def _side(detected: _Detections, *tables: dict[Any, Any]) -> Side:
 
 
 def _confidence(hand: dict[Any, Any]) -> float:
-    """Confidence of a detection, perhaps behind the corners of its box; NaN if there is none."""
+    """Confidence of a detection, perhaps behind the corners of its box; NaN without one."""
     value = next((hand[key] for key in _CONFIDENCE if key in hand), hand.get("hand_bbox"))
     try:
         values = numbers(value).ravel()

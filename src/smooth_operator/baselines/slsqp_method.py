@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, UInt32
 
 from smooth_operator.baselines.ako import AkoObjectiveConfig, AkoTargets
 from smooth_operator.baselines.joint_angle import JointAngleMap, PublishedAngles
+from smooth_operator.baselines.plain_targets import PlainTargets
 from smooth_operator.baselines.slsqp import SlsqpConfig, slsqp_minimise
 from smooth_operator.hands.hand import Hand
 from smooth_operator.retargeting.alignment import AlignmentConfig
@@ -45,7 +46,6 @@ from smooth_operator.retargeting.sbr.newton import NewtonConfig, newton_minimise
 from smooth_operator.retargeting.sbr.published import (
     DexPilotTargets,
     ObjectiveConfig,
-    PlainTargets,
 )
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.retargeting.targets import Targets

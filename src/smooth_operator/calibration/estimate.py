@@ -33,7 +33,7 @@ class Finding:
         finger: the finger.
         segments: frames that show it.
         confidence: highest confidence of the segments; 0 without any.
-        note: problem and advice; empty if there is none.
+        note: problem and advice; empty without a problem.
     """
 
     finger: str

@@ -42,10 +42,10 @@ from smooth_operator.cli.console import Progressing, output_console, plain_table
 from smooth_operator.cli.outputs import folder_for, stopped
 from smooth_operator.errors import SmoothOperatorError, counted, require
 from smooth_operator.formats.checks import reading_notes
-from smooth_operator.hands.finger_choice import parse_fingers
 from smooth_operator.hands.registry import load_hand
 from smooth_operator.hands.stand_ins import stand_in_note
 from smooth_operator.metrics import Metric
+from smooth_operator.request import parse_fingers
 from smooth_operator.retargeting.start import start_jax
 
 _MOST_PANELS: Final = 8

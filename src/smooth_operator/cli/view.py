@@ -202,7 +202,7 @@ def _answered(
 
 def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
     """The driven fingers: those of the options, or those of the configuration."""
-    from smooth_operator.hands.finger_choice import parse_fingers
+    from smooth_operator.request import parse_fingers
 
     if options.fingers is not None:
         return parse_fingers(options.fingers)

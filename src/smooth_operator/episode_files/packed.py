@@ -87,7 +87,7 @@ def clip_of_row(table: Any, row: int, path: Path | None = None) -> Clip:
 
     Args:
         table: with lists of one item a frame; points are lists of 63 numbers, or of 21 times 3.
-        path: the file, for the clip's source and for messages; None if there is none.
+        path: the file, for the clip's source and for messages; None for a clip in memory.
 
     Raises:
         RecordingError: a column is missing, or has another number of frames than ``stamps``.

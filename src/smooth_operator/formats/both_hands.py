@@ -194,5 +194,5 @@ def wrist_of_points(points: Float[np.ndarray, "T 21 3"], side: Side) -> Float[np
 
 
 def first_video(*places: Path) -> Path | None:
-    """The first of some paths that is a file; None if there is none."""
+    """The first of some paths that is a file; None if no path is."""
     return next((path for path in places if path.is_file()), None)

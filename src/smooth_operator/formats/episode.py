@@ -246,7 +246,7 @@ class Episode:
         return {key: value for key, value in meta.items() if key not in DERIVED_META}
 
     def answered(self) -> Int[np.ndarray, " C"]:
-        """Index of the frame of each command, found by its timestamp; -1 if there is none.
+        """Index of the frame of each command, found by its timestamp; -1 if no frame has it.
 
         Without a hand, each command is its own frame.
         """

@@ -209,7 +209,7 @@ def has_meshes(hand: Hand) -> bool:
 
 
 def menagerie_copy(hand: Hand) -> Path | None:
-    """The package's local copy of a hand's model; None if there is none."""
+    """The package's local copy of a hand's model; None if it has no copy."""
     entry = _ENTRIES.get((hand.name, hand.spec.side))
     if entry is None or find_spec("mujoco_menagerie") is None:
         return None

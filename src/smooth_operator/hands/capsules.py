@@ -22,13 +22,13 @@ from smooth_operator.geometry import AnyKind, array_namespace
 from smooth_operator.hands.collision import (
     PALM,
     Capsule,
-    lacking_parts,
     owners,
     shape_capsules,
     solid_shapes,
 )
 from smooth_operator.hands.hand import Hand, tree_with
 from smooth_operator.hands.kinematics import KinematicTree
+from smooth_operator.hands.stand_ins import stand_ins
 
 _POSES = 4000
 _MANY = 2000
@@ -106,20 +106,15 @@ class CapsulePairs:
 
 def hand_capsules(hand: Hand) -> list[Capsule]:
     """The capsules of all parts of a hand; see the top of this module."""
-    estimated, replaced = list[Capsule](), list[int]()
-    if lacking_parts(hand):
-        from smooth_operator.hands.stand_ins import stand_ins  # few hands need them
-
-        own = stand_ins(hand)
-        estimated, replaced = list(own.capsules), list(own.replaced)
+    own = stand_ins(hand)
     part = hand.model.body_weldid[hand.model.geom_bodyid]
-    shapes = solid_shapes(hand) & ~np.isin(part, replaced)
+    shapes = solid_shapes(hand) & ~np.isin(part, list(own.replaced))
     filled = [
         _on_palm(capsule, hand)
         for geom in np.flatnonzero(shapes)
         for capsule in shape_capsules(hand.model, int(geom))
     ]
-    return filled + estimated
+    return [*filled, *own.capsules]
 
 
 @lru_cache(maxsize=8)
@@ -192,11 +187,12 @@ def chosen_pairs(
     )
 
 
-def segment_parameters(
+def segments_apart(
     first: tuple[AnyKind, AnyKind], second: tuple[AnyKind, AnyKind]
-) -> tuple[AnyKind, AnyKind]:
-    """Nearest points of two line segments of (..., 3) ends, as (...) shares of their lengths in [0,
-    1]; NumPy or JAX. Parallel segments have many nearest points; these are two.
+) -> tuple[AnyKind, AnyKind, AnyKind]:
+    """(..., 3) vector between the nearest points of two line segments of (..., 3) ends, from the
+    second to the first, and the (...) shares of their lengths at which these points are, 0 to 1;
+    NumPy or JAX. Parallel segments have many nearest points; these are two.
 
     Source: Ericson, "Real-Time Collision Detection" (2005), 5.1.9, without branches.
     """
@@ -209,21 +205,7 @@ def segment_parameters(
     s = xp.clip((b * f - c * e) / xp.maximum(a * e - b * b, _PARALLEL * a * e), 0.0, 1.0)
     t = xp.clip((b * s + f) / e, 0.0, 1.0)
     s = xp.clip((b * t - c) / a, 0.0, 1.0)
-    return s, t
-
-
-def segments_apart(
-    first: tuple[AnyKind, AnyKind], second: tuple[AnyKind, AnyKind]
-) -> tuple[AnyKind, AnyKind, AnyKind]:
-    """(..., 3) vector between the nearest points of two line segments, from the second to the
-    first, and the (...) shares of ``segment_parameters``."""
-    s, t = segment_parameters(first, second)
-    apart = (
-        first[0]
-        + s[..., None] * (first[1] - first[0])
-        - second[0]
-        - t[..., None] * (second[1] - second[0])
-    )
+    apart = first[0] + s[..., None] * along - second[0] - t[..., None] * across
     return apart, s, t
 
 

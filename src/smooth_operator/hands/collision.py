@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from smooth_operator.hands.flat_meshes import mesh_rods
 from smooth_operator.hands.hand import Hand
 from smooth_operator.landmarks import FINGERS
 
@@ -122,8 +123,6 @@ def shape_capsules(model: mujoco.MjModel, geom: int) -> Iterator[Capsule]:
         if kind == kinds.mjGEOM_BOX:
             rods = [(s * np.eye(3)[wide], float(half[axis]) - thick, thick) for s in shifts]
         elif kind == kinds.mjGEOM_MESH and half[wide] > _FLAT * thick:
-            from smooth_operator.hands.flat_meshes import mesh_rods  # few hands have meshes
-
             rods = mesh_rods(model, geom, (thin, wide, axis), middle[wide] + shifts, thick)
         else:  # rounder than a box: one capsule of a mean width
             radius = float(np.sqrt(thick * half[wide]))

@@ -74,36 +74,37 @@ class PointKinematics:
         )
 
     @cached_property
+    def _flat(self) -> list[int]:
+        """Indices into ``tree.joints``, in the order of the levels."""
+        return [i for level in self.levels for i in level]
+
+    @cached_property
     def order(self) -> tuple[int, ...]:
         """(J,) index of each joint in the vector of all joints."""
-        return tuple(self.tree.joints[i].source for level in self.levels for i in level)
+        return tuple(self.tree.joints[i].source for i in self._flat)
 
     @cached_property
     def above(self) -> Bool[np.ndarray, "J J"]:
         """(J, J) mask; [i, j]: joint i is joint j or above it in the tree."""
-        flat = [i for level in self.levels for i in level]
-        above = np.eye(len(flat), dtype=bool)
-        for column, i in enumerate(flat):
-            parent = self.tree.joints[i].parent
-            if parent >= 0:
-                above[:, column] |= above[:, flat.index(parent)]
+        above = np.eye(len(self._flat), dtype=bool)
+        for column, i in enumerate(self._flat):
+            if (parent := self.tree.joints[i].parent) >= 0:
+                above[:, column] |= above[:, self._flat.index(parent)]
         return above
 
     @cached_property
     def moves(self) -> Bool[np.ndarray, "F J"]:
         """(F, J) mask; [f, j]: joint j moves point f."""
-        flat = [i for level in self.levels for i in level]
-        rows = np.zeros((len(self.names), len(flat)), bool)
+        rows = np.zeros((len(self.names), len(self._flat)), bool)
         for f, name in enumerate(self.names):
-            joint = self.tree.keypoints[name].joint
-            if joint >= 0:
-                rows[f] = self.above[:, flat.index(joint)]
+            if (joint := self.tree.keypoints[name].joint) >= 0:
+                rows[f] = self.above[:, self._flat.index(joint)]
         return rows
 
     def __call__(self, q: Float[Array, " n"]) -> PointMotion:
         """Points and their motion at (n,) positions of all joints [rad]."""
-        joints, flat = self.tree.joints, [i for level in self.levels for i in level]
-        angle = q[np.array([joints[i].source for i in flat])][:, None]
+        joints, flat = self.tree.joints, self._flat
+        angle = q[np.array(self.order)][:, None]
         slide = np.array([joints[i].slide for i in flat])[:, None]
         fixed = jnp.asarray(np.stack([joints[i].rotation for i in flat]), q.dtype)
         moved = jnp.asarray(np.stack([joints[i].translation for i in flat]), q.dtype)

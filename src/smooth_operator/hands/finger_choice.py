@@ -10,27 +10,6 @@ from smooth_operator.hands.spec import FingerChoice, HandSpec, JointMap
 from smooth_operator.landmarks import FINGERS
 
 
-def parse_fingers(text: str) -> dict[str, str]:
-    """Parse a choice of fingers: in ``thumb,index,pinky=ring`` the human ring drives the pinky.
-
-    Raises:
-        HandModelError: a part of it is empty, or a finger is named twice.
-    """
-    choice: dict[str, str] = {}
-    for part in text.split(","):
-        robot, sign, human = (word.strip() for word in part.partition("="))
-        if not robot or (sign and not human):
-            raise HandModelError(
-                f"{text!r} is not a list of fingers; expected robot fingers separated by "
-                "commas, each optionally followed by '=' and the human finger that drives "
-                "it: thumb,index,pinky=ring"
-            )
-        if robot in choice:
-            raise HandModelError(f"{text!r} names the finger {robot!r} twice")
-        choice[robot] = human or robot
-    return choice
-
-
 def select_fingers(spec: HandSpec, fingers: FingerChoice) -> HandSpec:
     """Description of the same hand with some of its fingers; other joints stay at neutral.
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from smooth_operator.errors import ConfigError, HandModelError, UnknownNameError, brief, listed
+from smooth_operator.hands.finger_choice import select_fingers
 from smooth_operator.hands.hand import Hand, load_hand_spec
 from smooth_operator.hands.loading import MODELS
 from smooth_operator.hands.spec import FingerChoice, HandSpec
@@ -188,8 +189,6 @@ def load_hand(
             return _load_builtin(hand, chosen)
         spec = entry.spec(chosen)
     if fingers is not None:
-        from smooth_operator.hands.finger_choice import select_fingers  # few users choose fingers
-
         spec = select_fingers(spec, fingers)
     return load_hand_spec(spec)
 

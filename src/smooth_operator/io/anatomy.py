@@ -253,7 +253,7 @@ class HandCheck:
     def see(
         self, landmarks: Float[np.ndarray, "21 3"], valid: Bool[np.ndarray, "21"], at: float
     ) -> Doubt | None:
-        """Adds a frame and returns the problem with the last frames; None if there is none.
+        """Adds a frame and returns the problem with the last frames; None if all are right.
 
         Args:
             landmarks: positions [m].

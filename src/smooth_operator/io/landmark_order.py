@@ -107,7 +107,7 @@ def doubt(
     *,
     layout: str | None = None,
 ) -> Doubt | None:
-    """Problem with the shape, order or side of points; None if there is none. Arguments are those
+    """Problem with the shape, order or side of points; None if all are right. Arguments are those
     of ``check_hand``.
 
     Raises:

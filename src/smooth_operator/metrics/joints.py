@@ -39,7 +39,7 @@ def max_joint_step(joint_positions: Float[np.ndarray, "T n"]) -> float | None:
 def limit_violation(
     joint_positions: Float[np.ndarray, "T n"], joint_limits: Float[np.ndarray, "n 2"]
 ) -> tuple[float | None, float | None]:
-    """Largest excess of commands beyond the (n, 2) joint limits [rad], 0 if there is none, and the
+    """Largest excess of commands beyond the (n, 2) joint limits [rad], 0 if all are within, and the
     share of frames in which some joint is out by more than ``LIMIT_TOLERANCE``; down, and None for
     an empty run. A limit is NaN or infinite where there is none."""
     lower, upper = joint_limits.T

@@ -7,25 +7,25 @@ from jaxtyping import Float, Shaped
 
 
 def mean(values: Shaped[np.ndarray, "..."]) -> float | None:
-    """Mean of the finite values (for booleans, the fraction of true); None if there are none."""
+    """Mean of the finite values (for booleans, the fraction of true); None if none is finite."""
     finite = _finite(values)
     return float(finite.mean()) if finite.size else None
 
 
 def median(values: Float[np.ndarray, "..."]) -> float | None:
-    """Median of the finite values; None if there are none."""
+    """Median of the finite values; None if no value is finite."""
     finite = _finite(values)
     return float(np.median(finite)) if finite.size else None
 
 
 def maximum(values: Float[np.ndarray, "..."]) -> float | None:
-    """Largest finite value; None if there are none."""
+    """Largest finite value; None if no value is finite."""
     finite = _finite(values)
     return float(finite.max()) if finite.size else None
 
 
 def percentile(values: Float[np.ndarray, "..."], q: float) -> float | None:
-    """q-th percentile of the finite values (linear interpolation); None if there are none."""
+    """q-th percentile of the finite values (linear interpolation); None if no value is finite."""
     finite = _finite(values)
     return float(np.percentile(finite, q)) if finite.size else None
 

@@ -108,13 +108,8 @@ class Correspondence:
         bases = [BASES[FINGERS.index(name)] for name in self.hand.fingers]
         return np.array(bases)[:, None] + np.arange(4)
 
-    @property
-    def lengths(self) -> Float[np.ndarray, " F"]:
-        """Lengths of the robot's fingers [m]."""
-        return self._robot[1]
-
     @cached_property
-    def _robot(self) -> tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, " F"]]:
+    def robot(self) -> tuple[Float[np.ndarray, "F 3"], Float[np.ndarray, " F"]]:
         """Bases at the straight pose and lengths of the robot's fingers [m].
 
         The length of a long finger is measured when it is straight. A thumb is hardly ever
@@ -136,7 +131,7 @@ class Correspondence:
 
     def init(self) -> CorrespondenceState:
         """State before the first frame, with the robot's own finger lengths."""
-        bases, lengths = self._robot
+        bases, lengths = self.robot
         state: CorrespondenceState = jax.device_put(CorrespondenceState(bases, lengths, bases))  # type: ignore[arg-type]
         return state
 
@@ -200,7 +195,7 @@ class Correspondence:
         around a handle are not pressed further, because a harder press turns the handle.
         """
         config = self.config
-        bases, reach = (jnp.asarray(part, tips.dtype) for part in self._robot)
+        bases, reach = (jnp.asarray(part, tips.dtype) for part in self.robot)
         gain = reach / operator.lengths
         alone = bases + gain[:, None] * (tips - operator.bases)
         alone = tips + config.share * (alone - tips)

@@ -96,7 +96,7 @@ class Method(ABC):
     @property
     def constants(self) -> Any:
         """Pytree of arrays that the program contains besides parameters of the hand and settings,
-        such as weights from a file; None if there are none or they are unknown."""
+        such as weights from a file; None if it has no such arrays, or they are unknown."""
         return None
 
     def latched(self, state: Any) -> Bool[Array, " P"] | None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
@@ -129,34 +129,18 @@ class FingertipPosition(VectorTerm):
         )
 
 
-class _Turn(NamedTuple):
-    """Cost of the direction of vectors, and its derivatives.
-
-    Attributes:
-        size: (...) lengths of the vectors, rounded near 0 [m].
-        unit: (..., 3) the vectors over those.
-        cost: (...) weight times one minus the cosine to the direction that is aimed at.
-        slope: (..., 3) its first derivative.
-        curvature: (...) its second derivative across the vector; along it there is none.
-    """
-
-    size: Array
-    unit: Array
-    cost: Array
-    slope: Array
-    curvature: Array
-
-
 def _turned(
     vectors: Float[Array, "*n 3"], aim: Float[Array, "*n 3"], weight: Array | float
-) -> _Turn:
-    """Cost of the angle between vectors and the unit vectors ``aim``."""
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Cost of the angle between vectors and the unit vectors ``aim``: weight times one minus its
+    cosine. Returns the lengths of the vectors, rounded near 0 [m], the vectors over those, the
+    cost, its first derivative, and its second across the vector; along it there is none."""
     size = jnp.sqrt((vectors * vectors).sum(-1) + _SHORT**2)
     unit = vectors / size[..., None]
     cosine = (aim * unit).sum(-1)
     slope = -(weight / size)[..., None] * (aim - cosine[..., None] * unit)
     curvature = weight * jnp.maximum(cosine, _LEAST) / size**2
-    return _Turn(size, unit, weight * (1 - cosine), slope, curvature)
+    return size, unit, weight * (1 - cosine), slope, curvature
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,15 +175,10 @@ class PadDirection(PointTerm):
         pad = jnp.full(3, jnp.nan) if goal.pad is None else goal.pad
         known = jnp.isfinite(pad).all()
         weight, aim = jnp.where(known, self.weight, 0.0), jnp.where(known, pad, 0.0)
-        turn = _turned(points[0] - points[1], aim, weight)
+        _, unit, cost, slope, curvature = _turned(points[0] - points[1], aim, weight)
         moves = jacobian[0] - jacobian[1]
-        across = moves - (moves @ turn.unit)[:, None] * turn.unit
-        return Quadratic(
-            turn.cost,
-            jnp.stack([turn.slope, -turn.slope]),
-            across.T,
-            jnp.full(3, turn.curvature),
-        )
+        across = moves - (moves @ unit)[:, None] * unit
+        return Quadratic(cost, jnp.stack([slope, -slope]), across.T, jnp.full(3, curvature))
 
 
 SPREAD: Final = 0.2
@@ -293,19 +272,20 @@ class DirectionLength(VectorTerm):
         # term, and the rounding decides when Newton steps stop
         vectors = errors + targets
         goal_length = jnp.sqrt((targets * targets).sum(-1) + 1e-12)
-        turn = _turned(vectors, targets / goal_length[:, None], config.direction)
-        unit = turn.unit
+        size, unit, cost, turn, curvature = _turned(
+            vectors, targets / goal_length[:, None], config.direction
+        )
         along = unit[:, :, None] * unit[:, None, :]
         across = jnp.eye(3, dtype=unit.dtype) - along
         slope = config.length / (1 + (goal_length / config.near) ** 4)
-        longer = turn.size - goal_length
+        longer = size - goal_length
         rounded = jnp.sqrt(longer * longer + config.huber_width**2)
         # the second derivative of the parabola that touches the cost on both sides: not too little
         length_weight = slope / rounded
         return VectorSlopes(
-            (turn.cost + slope * (rounded - config.huber_width)).sum(),
-            turn.slope + (length_weight * longer)[:, None] * unit,
-            turn.curvature[:, None, None] * across + length_weight[:, None, None] * along,
+            (cost + slope * (rounded - config.huber_width)).sum(),
+            turn + (length_weight * longer)[:, None] * unit,
+            curvature[:, None, None] * across + length_weight[:, None, None] * along,
         )
 
 

@@ -274,7 +274,7 @@ def build_source(text: str, hands: Hands | None = None) -> LiveSource:
 
 
 def _word_for(path: Path) -> str | None:
-    """Name of the source that reads a file, by the file's name; None if there is none."""
+    """Name of the source that reads a file, by the file's name; None if no source reads it."""
     from smooth_operator.formats.registry import recording_suffixes
     from smooth_operator.teleop.sources.webcam.camera import is_video
 

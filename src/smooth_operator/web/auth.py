@@ -77,7 +77,7 @@ def same_secret(secret: str, expected: str) -> bool:
 
 
 def cookie(request: Any, name: str) -> str:
-    """Value of a cookie of a request; empty if there is none."""
+    """Value of a cookie of a request; empty if it has no such cookie."""
     try:
         morsel = SimpleCookie(request.headers.get("Cookie", "")).get(name)
     except CookieError:

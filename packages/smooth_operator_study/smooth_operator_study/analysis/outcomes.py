@@ -450,7 +450,7 @@ def separated(frame: Frame) -> dict[str, Separated]:
 
 
 def without_separated(frame: Frame) -> Frame | None:
-    """Rows of the retargeters that have both successes and failures; None if there are none."""
+    """Rows of the retargeters that have both successes and failures; None if no retargeter has."""
     apart = separated(frame)
     if not apart:
         return frame

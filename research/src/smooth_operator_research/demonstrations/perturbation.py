@@ -137,7 +137,7 @@ class TrackerClock:
         self._start: float | None = None
 
     def due(self, time: float) -> Ticks | None:
-        """Frame that arrived since the last call; None if there is none."""
+        """Frame that arrived since the last call; None without a new frame."""
         if self._start is None:
             self._start = time
         tick = None

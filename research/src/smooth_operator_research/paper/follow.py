@@ -492,7 +492,7 @@ class Sweep:
     def compared(
         self, x: Mapping[str, list[float]], y: Mapping[str, list[float]], kind: Contrast
     ) -> Estimate | None:
-        """Samples of the recordings that both have; None if there are none."""
+        """Samples of the recordings that both have; None if they share no recording."""
         both = [name for name in x if name in y]
         if not both:
             return None

@@ -47,7 +47,7 @@ class Summary:
 
     Attributes:
         value: mean, or share of successes; None where no row has the figure.
-        low, high: ends of the interval; None where there is none, as of a mean of one unit.
+        low, high: ends of the interval; None for a mean of one unit, which has no interval.
         count: how many units, or trials of a share.
     """
 

@@ -17,6 +17,7 @@ from jax import nn
 from jaxtyping import Array, Float, UInt32
 
 from smooth_operator.atomic_files import atomic_write
+from smooth_operator.baselines.plain_targets import PlainTargets
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError, brief
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.hands.hand import Hand
@@ -26,7 +27,7 @@ from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.method import Method, MethodConfig, MethodOutput
 from smooth_operator.retargeting.objective import FrameGoal
-from smooth_operator.retargeting.sbr.published import ObjectiveConfig, PlainTargets
+from smooth_operator.retargeting.sbr.published import ObjectiveConfig
 from smooth_operator.retargeting.sbr.sampled import SampledObjective
 from smooth_operator.types import as_side
 
@@ -72,7 +73,7 @@ class GeortConfig(MethodConfig):
 
 
 def built_in_model(hand: str) -> Path | None:
-    """File of the built-in model for a hand, by its name; None if there is none."""
+    """File of the built-in model for a hand, by its name; None if the hand has no model."""
     path = _MODELS / f"geort_{hand}.npz"
     return path if path in _built_in() else None
 

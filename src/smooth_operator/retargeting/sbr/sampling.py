@@ -193,6 +193,7 @@ def sample_minimise(
         return mean, lax.linalg.cholesky(covariance, symmetrize_input=False)
 
     # Lines 3-13: L - 1 cycles
+    count = config.cycles if cycles is None else cycles
     if kernels_available(config.samples):
 
         def cycle_in_kernel(i: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -211,13 +212,10 @@ def sample_minimise(
             )
             return following
 
-        count = config.cycles if cycles is None else cycles
         mean, *_ = lax.fori_loop(0, count - 1, cycle_in_kernel, (mean, chol, cycle_keys[0]))
-    elif cycles is None:
-        (mean, _), _ = lax.scan(lambda carry, k: (cycle(*carry, k), None), (mean, chol), cycle_keys)
     else:
         mean, _ = lax.fori_loop(
-            0, cycles - 1, lambda i, carry: cycle(carry[0], carry[1], cycle_keys[i]), (mean, chol)
+            0, count - 1, lambda i, carry: cycle(*carry, cycle_keys[i]), (mean, chol)
         )
     # Line 14: clip to the joint limits
     return jnp.clip(mean, low, high)

@@ -95,7 +95,7 @@ class Log:
     """Content of a log.
 
     Attributes:
-        recording: the hand frames, or None if there are none.
+        recording: the hand frames; None if the log has no hand.
         commands: the commands with their latencies and status, or None.
         config: the resolved configuration, or None.
         truncated: True if the end is missing or damaged; the content is the part before it.

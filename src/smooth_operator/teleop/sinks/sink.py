@@ -299,7 +299,7 @@ class SinkHealth:
     Attributes:
         label: name of the sink.
         state: see ``SinkState``.
-        detail: the last error, or a note for a person; empty if there is none.
+        detail: the last error, or a note for a person; empty without either.
         sent: number of ticks that it got.
         failed: number of errors, including those of opening again.
         missed: number of ticks while it was not open.
