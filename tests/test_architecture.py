@@ -102,9 +102,8 @@ is gone and still listed."""
 START = "retargeting.retargeter"
 """Module of ``Retargeter``, where the closure begins."""
 
-CLOSURE_LINES = 11_784
-"""Most lines of the modules that ``Retargeter`` and its own methods import: the core grows only on
-purpose. Methods that others offer (``smooth_operator.parts``, plugins) do not count."""
+CLOSURE_LINES = 14_126
+"""Most lines of the modules that ``Retargeter`` can import: the core grows only on purpose."""
 
 MAX_LINES = 700
 UNPICKLERS = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}

@@ -23,9 +23,8 @@ from smooth_operator.baselines.geort.method import (
     Weights,
     built_in_model,
     finger_joints,
-    recognition,
-    write_geort_model,
 )
+from smooth_operator.baselines.geort.model_writer import recognition, write_geort_model
 from smooth_operator.errors import ConfigError
 from smooth_operator.hands.registry import hand_names
 from smooth_operator.metrics import Trace, evaluate

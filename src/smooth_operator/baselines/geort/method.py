@@ -16,13 +16,11 @@ import numpy as np
 from jax import nn
 from jaxtyping import Array, Float, UInt32
 
-from smooth_operator.atomic_files import atomic_write
 from smooth_operator.baselines.plain_targets import PlainTargets
 from smooth_operator.errors import ConfigError, HandModelError, RecordingError, brief
 from smooth_operator.formats.arrays import StoredArrays, open_arrays
 from smooth_operator.hands.hand import Hand
 from smooth_operator.io.documents import parse_json
-from smooth_operator.io.jsonable import to_json
 from smooth_operator.landmarks import FINGERS, TIPS, WRIST
 from smooth_operator.retargeting.alignment import AlignmentConfig
 from smooth_operator.retargeting.method import Method, MethodConfig, MethodOutput
@@ -164,7 +162,6 @@ VERSION: Final = 1
 HIDDEN: Final = 128
 """Width of both hidden layers, as published."""
 
-_POSES: Final = 8  # random poses by which a hand is recognised
 _SAME_PLACE: Final = 1e-5  # [m]; a tip that is further off belongs to another hand
 _SAME_ANGLE: Final = 1e-5  # [rad]
 _MIRROR: Final = np.array([-1.0, 1.0, 1.0])  # the mirrored side's palm frame
@@ -311,43 +308,6 @@ def training_command(hand: Hand) -> str:
         f"smooth-operator train geort RECORDING --hand {hand.name} --side {hand.spec.side} "
         "--output DIR"
     )
-
-
-def recognition(hand: Hand) -> tuple[Float[np.ndarray, "k m"], Float[np.ndarray, "k F 3"]]:
-    """The ``poses`` and ``tips`` of a model for a hand."""
-    low, high = hand.limits.T
-    poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
-    return poses, hand.tips(hand.full_configuration(poses))
-
-
-def write_geort_model(path: str | Path, model: GeortModel) -> None:
-    """Writes a model atomically, as an ``.npz`` of plain arrays.
-
-    Raises:
-        OutputError: the file can't be written.
-    """
-    about = {
-        "format": FORMAT,
-        "version": VERSION,
-        "hand": model.hand,
-        "side": model.side,
-        "fingers": model.fingers,
-        "joints": model.joints,
-        "limits": model.limits,
-        "training": model.training,
-    }
-    arrays = {name: np.asarray(w, np.float32) for name, w in model.weights._asdict().items()}
-    with atomic_write(path) as file:
-        np.savez_compressed(
-            file,
-            allow_pickle=False,
-            about=np.array(to_json(about)),
-            centre=np.asarray(model.centre, np.float64),
-            scale=np.asarray(model.scale, np.float64),
-            poses=np.asarray(model.poses, np.float64),
-            tips=np.asarray(model.tips, np.float64),
-            **arrays,
-        )
 
 
 def read_geort_model(path: str | Path) -> GeortModel:

@@ -26,9 +26,8 @@ from smooth_operator.baselines.geort.method import (
     Weights,
     finger_joints,
     forward,
-    recognition,
-    write_geort_model,
 )
+from smooth_operator.baselines.geort.model_writer import recognition, write_geort_model
 from smooth_operator.baselines.geort.training_data import (
     BEND,
     STEP_RANGE,
