@@ -16,7 +16,7 @@ from live_time import until
 from tracker_session import started
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
-from smooth_operator.io.anatomy import chirality
+from smooth_operator.io.landmark_order import chirality
 from smooth_operator.poses import separation
 from smooth_operator.types import Side
 from smooth_operator_devices.trackers.openxr import OpenXrSource

@@ -36,7 +36,7 @@ from smooth_operator.formats.arrays import LOG_RATIO, Allowance
 from smooth_operator.formats.both_hands import one_hand
 from smooth_operator.formats.checks import check_side, stamps_from_rate
 from smooth_operator.formats.clip import SIDES
-from smooth_operator.io.anatomy import in_our_order
+from smooth_operator.io.landmark_order import in_our_order
 from smooth_operator.landmarks import LANDMARKS
 from smooth_operator.types import HandRecording, Side, as_side
 
