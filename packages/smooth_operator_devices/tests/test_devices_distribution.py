@@ -26,6 +26,7 @@ MODULES = {
     "orca_core": "orca-core",
     "rerun": "rerun-sdk",
     "serial": "pyserial",
+    "xr": "pyopenxr",
     "zmq": "pyzmq",
 }
 """Module -> the distribution that has it, where their names differ."""
