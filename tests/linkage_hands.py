@@ -63,3 +63,67 @@ def _hand(fingers: str, equalities: str, motors: list[str]) -> str:
         f"{fingers}{_THUMB}</body></worldbody>"
         f"<equality>{equalities}</equality><actuator>{driven}</actuator></mujoco>"
     )
+
+
+_BAR = """
+  <body name="{name}_bar" pos="{x} -0.006 0.094"><joint name="{name}_bar" axis="1 0 0"/>
+    <geom type="capsule" fromto="0 0 0 {end}" size="0.002" mass="0.002"/>
+    <site name="{name}_bar_end" pos="{end}"/>
+    <site name="{name}_bar_end_x" pos="0.02{tail}"/></body>"""
+
+
+def four_bar_hand(y: float = 0.006, z: float = -0.002, most: float = 1.2) -> str:
+    """A thumb and four fingers whose motors are at the MCP joints; a bar between palm and distal
+    link bends the PIP joints. Two ``connect`` on a line join bar and link.
+
+    Args:
+        y: place of the pin on the distal link, behind the PIP joint [m].
+        z: the same along the link [m].
+        most: upper limit of the MCP joints [rad].
+    """
+    fingers, tail = "", f" {y + 0.006} {z + 0.036}"
+    for name, x in _FINGERS.items():
+        finger = _FINGER.format(name=name, x=x, mcp=f'range="-0.2 {most}"', pip="")
+        pins = "".join(
+            f'<site name="{name}_pin{more}" pos="{x} {y} {z}"/>'
+            for more, x in (("", 0), ("_x", 0.02))
+        )
+        fingers += finger.replace(f'<site name="{name}_tip"', f'{pins}<site name="{name}_tip"')
+        fingers += _BAR.format(name=name, x=x, end=f"0{tail}", tail=tail)
+    connections = "".join(
+        f'<connect site1="{name}_bar_end{more}" site2="{name}_pin{more}"/>'
+        for name in _FINGERS
+        for more in ("", "_x")
+    )
+    return _hand(fingers, connections, [f"{name}_mcp" for name in _FINGERS])
+
+
+_HANGING = """
+  <site name="{name}_mcp_1" pos="{x} 0 0.09"/><site name="{name}_mcp_1x" pos="{xx} 0 0.09"/>
+  <body name="{name}_crank" pos="{x} 0.012 0.085">
+    <joint name="{name}_motor" axis="1 0 0" range="-0.2 1.5"/>
+    <geom type="capsule" fromto="0 0 0 0 0.012 0.006" size="0.002" mass="0.001"/>
+    <body name="{name}_rod" pos="0 0.012 0.006"><joint name="{name}_rod" type="ball"/>
+      <geom type="capsule" fromto="0 0 0 0 0 0.03" size="0.002" mass="0.001"/>
+      <body name="{name}_proximal" pos="0 -0.024 -0.001">
+        <joint name="{name}_ball" type="ball" pos="0 0.024 0.031"/>
+        <geom type="capsule" fromto="0 0 0 0 0 0.04" size="0.006" mass="0.01"/>
+        <site name="{name}_mcp_2" pos="0 0 0"/><site name="{name}_mcp_2x" pos="0.02 0 0"/>
+        <body name="{name}_distal" pos="0 0 0.04">
+          <joint name="{name}_pip" axis="1 0 0" range="0 1.7"/>
+          <geom type="capsule" fromto="0 0 0 0 0 0.03" size="0.005" mass="0.01"/>
+          <site name="{name}_tip" pos="0 0 0.035"/></body></body></body></body>"""
+
+
+def rod_hand() -> str:
+    """A thumb and four fingers that hang, in the file, from the rods that move them, by ball
+    joints; two ``connect`` on a line are the MCP joint."""
+    return _hand(
+        "".join(_HANGING.format(name=n, x=x, xx=x + 0.02) for n, x in _FINGERS.items()),
+        "".join(
+            f'<connect site1="{name}_mcp_1{more}" site2="{name}_mcp_2{more}"/>'
+            for name in _FINGERS
+            for more in ("", "x")
+        ),
+        [f"{name}_{joint}" for name in _FINGERS for joint in ("motor", "pip")],
+    )

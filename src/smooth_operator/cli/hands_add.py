@@ -19,6 +19,7 @@ from smooth_operator.errors import ConfigError, SmoothOperatorError
 
 if TYPE_CHECKING:
     from smooth_operator.hand_discovery.landmarks import Discovery, Overrules
+    from smooth_operator.hand_discovery.loops import OpenModel
     from smooth_operator.hands.hand import Hand
     from smooth_operator.hands.spec import Coupling, HandSpec, Point
 
@@ -77,7 +78,8 @@ Examples:
     """Replace an existing spec file of that name and side."""
 
     in_place: bool = False
-    """Do not copy the model: the spec file refers to the original."""
+    """Do not copy the model: the spec file refers to the original. A model with closed loops is
+    always copied, since the copy has none."""
 
     json: bool = False
     """Print one JSON object on standard output instead of the checklist; do not serve a page."""
@@ -91,20 +93,36 @@ Examples:
 
 def add_hand(options: Add) -> None:
     """Analyses a model, prints the findings, writes the spec file and opens the page."""
-    from smooth_operator.hand_discovery.discover import discover
-    from smooth_operator.hand_files.user_hands import save_hand, spec_name
-    from smooth_operator.hands.registry import user_hands_folder
-    from smooth_operator.hands.spec_file import check_hand_name, read_hand_spec
+    from smooth_operator.hand_discovery.loops import opened
+    from smooth_operator.hands.spec_file import check_hand_name
 
     if options.name is not None:
         check_hand_name(options.name)
+    with opened(options.model) as model:
+        _add_hand(options, model)
+
+
+def _add_hand(options: Add, model: OpenModel) -> None:
+    from smooth_operator.hand_discovery.discover import discover, hand_name
+    from smooth_operator.hand_files.user_hands import save_hand, spec_name
+    from smooth_operator.hands.loading import merged_couplings
+    from smooth_operator.hands.registry import user_hands_folder
+    from smooth_operator.hands.spec_file import read_hand_spec
+
+    overrules, changed = _overrules(options), model.path != options.model
+    if changed:
+        couplings = merged_couplings(model.couplings, overrules.couplings)
+        overrules = replace(overrules, couplings=couplings)
     discovery = discover(
-        options.model, side=options.side, name=options.name, overrules=_overrules(options)
+        model.path,
+        side=options.side,
+        name=options.name or hand_name(options.model),
+        overrules=overrules,
     )
     hand, notes = _trial(discovery.spec)
     twin = None if hand is None else _built_in(hand)
     spec = discovery.spec if hand is None or twin is None else _mapped(hand, twin)
-    notes = (*discovery.notes, *notes)
+    notes = (*model.notes, *discovery.notes, *notes)
     discovery = replace(discovery, spec=_named(spec, options), notes=notes)
     file = user_hands_folder() / spec_name(discovery.spec.name, discovery.spec.side)
     if not options.overwrite and file.exists() and not _same(file, discovery.spec):
@@ -112,8 +130,10 @@ def add_hand(options: Add) -> None:
             f"there is a {discovery.spec.side} hand {discovery.spec.name!r} already, in "
             f"{file}: use --overwrite to replace it, or --name to choose another name"
         )
-    save_hand(discovery.spec, comment=_comment(discovery), copy=not options.in_place)
+    save_hand(discovery.spec, comment=_comment(discovery), copy=changed or not options.in_place)
     used = read_hand_spec(file).model
+    if changed:
+        discovery = replace(discovery, spec=replace(discovery.spec, model=options.model.absolute()))
     if options.json:
         files = {"file": str(file), "model_used": str(used)}
         print(json.dumps(discovery.to_json() | files, indent=2))

@@ -184,7 +184,7 @@ def _described(
         skeleton.body(overrules.wrist.body)  # fails for an unknown body
         wrist, wrist_sure, wrist_why = overrules.wrist, 1.0, ("given",)
     spec = HandSpec(
-        name=name or _name(path),
+        name=name or hand_name(path),
         side=layout.side,
         model=model_path(path),
         palm=skeleton.body_name(tree.palm),
@@ -360,8 +360,8 @@ def _align(names: tuple[str, ...]) -> tuple[str, ...]:
     return (names[0], names[1], names[-1])
 
 
-def _name(path: Path) -> str:
-    """Name of the hand, from the file's name or, if that is generic, from a folder above it."""
+def hand_name(path: Path) -> str:
+    """Name of a hand, from the file's name or, if that is generic, from a folder above it."""
     for text in (path.stem, *(folder.name for folder in path.resolve().parents[:3])):
         parts = [w for w in re.split(r"[^A-Za-z0-9]+", text.lower()) if w]
         name_words = [w for w in parts if w not in _GENERIC]
@@ -374,6 +374,7 @@ def _name(path: Path) -> str:
 _DECLARED: Final = 0.95
 _NONE_DECLARED: Final = 0.9
 _IDLE: Final = 0.4  # joints that stand still may be coupled in the real hand
+_FITTED: Final = 0.9
 _TENDON: Final = 0.7  # the file does not tell how the joints of a tendon share its travel
 _CONTRADICTED: Final = 0.3
 
@@ -395,15 +396,18 @@ def find_couplings(
             continue
         text = f"{c.joint} follows {c.follows}"
         confidence = _DECLARED
-        if c in given:
+        if c.error:
+            confidence = _FITTED
+            text += (
+                f" by a polynomial fitted to a closed loop, within {np.degrees(c.error):.2f} "
+                "degrees"
+            )
+        elif c in given:
             confidence = 1.0
             text += ", as given"
         elif c.joint in tendons:
             confidence = _TENDON
             text += " on a tendon (its coefficients determine how the joints share its travel)"
-        if c.error:
-            confidence = min(confidence, _TENDON)
-            text += f"; the polynomial is fitted, with an error of up to {np.degrees(c.error):.2f}°"
         if c.turned:
             confidence = _CONTRADICTED
             text += f" with the factor {c.multiplier:g}: {_turned(c)}"

@@ -149,9 +149,8 @@ def _bending(
     reason = "bending this way brings the tip nearer to the base"
     if len(joints) == 1 or clear < 0.02:
         # A single hinge closes in the direction with more range that moves the tip to the others.
-        low, high = (
-            np.array([skeleton.limits[j] for j in joints]) - skeleton.reference[joints][:, None]
-        ).T
+        ends, here = skeleton.limits[joints], skeleton.reference[joints][:, None]
+        low, high = np.where(np.isfinite(ends), ends - here, 0.0).T  # a follower may have none
         up = np.where(np.array(along) > 0, high, -low)
         down = np.where(np.array(along) > 0, -low, high)
         room = float((up - down).sum() / max((up + down).sum(), 1e-9))

@@ -280,7 +280,7 @@ def shared_range(
     """Overlap of the ranges of a coupled joint, position ``curve(q)`` at q of its leader, and of
     the leader [rad], over the smaller range: at most 1; negative if the ranges do not meet, 1 if
     one is a point inside the other."""
-    reached = [curve(float(q)) for q in np.linspace(*leader, _SAMPLES)]
+    reached = [curve(float(q)) for q in np.linspace(leader[0], leader[1], _SAMPLES)]
     led = np.array([min(reached), max(reached)])
     overlap = min(own[1], led[1]) - max(own[0], led[0])
     smaller = min(np.ptp(own), np.ptp(led))
@@ -311,7 +311,7 @@ def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
             )
         if any(higher):
             shifted = Polynomial((c0, c1, *higher))(Polynomial((-zero2, 1.0))) + zero1
-            couplings.append(Coupling.of(names[0], names[1], shifted.coef))
+            couplings.append(Coupling.of(names[0], names[1], shifted.coef.tolist()))
             continue
         offset = zero1 + c0 - c1 * zero2
         if first in actuated and second not in actuated:  # inverted: q2 = (q1 - offset) / c1

@@ -87,7 +87,7 @@ class Transmission:
         if not self.curves and derivative == 0:
             return linear
         table = self._tables[derivative].astype(linear.dtype)
-        value = table[-1] + 0.0 * linear
+        value: AnyKind = table[-1] + 0.0 * linear
         for row in table[-2::-1]:
             value = value * linear + row
         return value

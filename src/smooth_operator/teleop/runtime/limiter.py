@@ -206,7 +206,7 @@ def _steepest(hand: Hand) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " 
     for i in transmission.curves:
         (k,) = np.flatnonzero(transmission.matrix[i])
         linear = np.zeros((_SAMPLES, len(first)))
-        linear[:, i] = np.linspace(*hand.limits[k], _SAMPLES)
+        linear[:, i] = np.linspace(hand.limits[k, 0], hand.limits[k, 1], _SAMPLES)
         first[i, k], second[i, k] = (
             np.abs(transmission.curved(linear, order)[:, i]).max() for order in (1, 2)
         )
