@@ -385,7 +385,7 @@ def missing_code(source: Path) -> list[str]:
             given = [n.value for n in ast.walk(node) if isinstance(n, ast.Constant)]
             found += [
                 f"{where}:{node.lineno}: {place!r} is not in the package: results would be used "
-                "again though their code has changed; name the place that it moved to"
+                "again though their code has changed; if it has moved, name its new place"
                 for place in given
                 if isinstance(place, str) and not (source / place).exists()
             ]

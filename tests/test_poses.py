@@ -68,7 +68,7 @@ def test_the_world_is_forward_left_up():
 
 
 def test_axes_that_do_not_fit_are_refused():
-    with pytest.raises(ConfigError, match="one handedness"):
+    with pytest.raises(ConfigError, match="same handedness"):
         poses.to_ours(POSES, WORLD_AXES["unity"], WRIST_AXES["openxr"])
     with pytest.raises(ConfigError, match="three different axes"):
         poses.axes("x", "-x", "z")

@@ -243,7 +243,10 @@ def test_flags_follow_the_order_of_the_landmarks(tmp_path):
 @pytest.mark.parametrize(
     ("flags", "match"),
     [
-        (np.full(FRAMES, 0.4), r"'valid' must be true or false, or 1 or 0, not float64 with 0\.4"),
+        (
+            np.full(FRAMES, 0.4),
+            r"'valid' must be true or false, or 1 or 0, not float64 with values such as 0\.4",
+        ),
         (np.full((FRAMES, 21), np.nan), "must be true or false"),
         (np.full(FRAMES, "yes"), "must be true or false, or 1 or 0, not <U3"),
         (np.ones((FRAMES, 5)), r"must have shape \(12,\), one per frame, or \(12, 21\)"),

@@ -414,7 +414,7 @@ def test_disk_that_fills_up_on_the_way(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(Writer, "flush", full)
-    with log, pytest.raises(OutputError, match="no space is left on the device; free some"):
+    with log, pytest.raises(OutputError, match="no space is left on the device; free some space"):
         log.write_hand(hands[10])
     with pytest.raises(OutputError, match="stopped after an error"):
         log.write_hand(hands[11])

@@ -141,7 +141,7 @@ def test_a_log_says_what_it_does_not_use(tmp_path):
     assert log.find("", "key", "other code") is None
     log.note_outdated()
     damaged, outdated = notes
-    assert "2 lines that are no result" in damaged
+    assert "2 lines that are not results" in damaged
     assert "another version of the code" in outdated
     assert log.find("", "key", "code") == {"x": 1}
 

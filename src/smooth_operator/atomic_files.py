@@ -19,11 +19,12 @@ from smooth_operator.errors import OutputError
 from smooth_operator.io.jsonable import to_json
 
 _LOCKED_BYTE: Final = 1 << 30
-"""Place of the byte that is locked on Windows, behind what is in a file for a while [byte]."""
+"""Position of the byte that is locked on Windows [byte], beyond the end of any file that is locked.
+"""
 
 # Advice by errno; strerror alone names the problem but not the remedy.
 _REMEDIES = {
-    errno.ENOSPC: "no space is left on the device; free some, or write to another disk",
+    errno.ENOSPC: "no space is left on the device; free some space, or write to another disk",
     errno.EDQUOT: "the disk quota is used up; free some space, or write to another disk",
     errno.EFBIG: "the file would be larger than is allowed here; write to another disk",
     errno.EACCES: "permission denied; choose a folder that you may write to",
@@ -77,8 +78,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         A binary file, open for writing (and seekable).
 
     Raises:
-        OutputError: no such folder, no permission, no space, or ``path`` is something else than a
-            plain file.
+        OutputError: no such folder, no permission, no space, or ``path`` is not a plain file.
 
     Example:
         >>> with atomic_write("result.json") as file:  # doctest: +SKIP
@@ -118,11 +118,11 @@ _swept: set[Path] = set()
 
 
 def temporary_beside(target: Path) -> Path:
-    """A new hidden path to write a file or folder at, before it takes the place of ``target``.
+    """Returns a new hidden path for a file or folder that later replaces ``target``.
 
-    It is in the same folder, since only a rename within one file system is atomic. Its name has the
-    machine and the process. What killed processes of this machine left in the folder is deleted,
-    when a process writes there for the first time.
+    It is in the same folder, since only a rename within one file system is atomic. Its name
+    contains the machine and the process. When a process writes to a folder for the first time, the
+    leftovers of killed processes of this machine are deleted there.
     """
     folder = target.parent
     if os.name != "nt" and folder not in _swept:
@@ -140,7 +140,7 @@ def temporary_beside(target: Path) -> Path:
 
 
 def remove_leftovers(folders: Iterable[Path]) -> int:
-    """Delete the unfinished files that killed runs, on any machine, have left in some folders.
+    """Delete the unfinished files that killed runs on any machine have left in some folders.
 
     Returns:
         their number.
@@ -183,7 +183,7 @@ def write_json(path: Path, content: object, indent: int | None = None) -> None:
 
 
 def file_name(readable: str, words: Iterable[str]) -> str:
-    """A readable file name that is valid on every system and unique for the words."""
+    """Makes a readable file name from words: valid on every system, and unique for these words."""
     unique = hashlib.sha256("\n".join(words).encode()).hexdigest()[:8]
     harmless = re.sub(r"[^A-Za-z0-9.]+", "-", readable).strip("-.")
     return f"{harmless[:100]}-{unique}"
@@ -197,7 +197,7 @@ def claimed(folder: Path) -> Iterator[None]:
     write the same bytes.
 
     Raises:
-        OutputError: another run is at work there, or the folder can't be opened.
+        OutputError: another run is working there, or the folder can't be opened.
     """
     if sys.platform == "win32":  # no folder can be opened
         yield
@@ -210,7 +210,7 @@ def claimed(folder: Path) -> Iterator[None]:
         if not _lock(handle):
             raise OutputError(
                 f"can't write into {str(folder)!r}: another run is writing there"
-                f"{_locked_by(handle)}; wait until it is done, or give another folder"
+                f"{_locked_by(handle)}; wait until it is done, or choose another folder"
             )
         yield
     finally:
@@ -218,15 +218,15 @@ def claimed(folder: Path) -> Iterator[None]:
 
 
 def open_locked(path: Path, overwrite: bool) -> BinaryIO:
-    """Open a file to write, empty, and lock it against other runs until it is closed.
+    """Open an empty file for writing, and lock it against other runs until it is closed.
 
     If the disk can't lock (some network disks), another run is not noticed.
 
     Args:
-        overwrite: True to replace an existing file, unless another run writes it.
+        overwrite: True to replace an existing file, unless another run is writing it.
 
     Raises:
-        OutputError: another run writes the file; it is left as it is.
+        OutputError: another run is writing the file, which is left as it is.
         OSError: the file can't be created, or exists already.
     """
     stream = open(path, "wb" if overwrite else "xb", opener=_opened_whole)  # noqa: SIM115
@@ -236,7 +236,7 @@ def open_locked(path: Path, overwrite: bool) -> BinaryIO:
         holder = _locked_by(stream.fileno())
         stream.close()
         raise OutputError(
-            f"can't write {str(path)!r}: another run is writing it{holder}; end that one, or give "
+            f"can't write {str(path)!r}: another run is writing it{holder}; stop that run, or give "
             "another name"
         )
     stream.truncate(0)
@@ -244,12 +244,12 @@ def open_locked(path: Path, overwrite: bool) -> BinaryIO:
 
 
 def _opened_whole(path: str, flags: int) -> int:
-    """Opens a file without cutting it, as long as it is not locked."""
+    """Opens a file without truncating it, because another run may have locked it."""
     return os.open(path, flags & ~os.O_TRUNC, 0o666)
 
 
 def _lock(handle: int) -> bool:
-    """Lock an open file or folder; False if another has locked it."""
+    """Lock an open file or folder; return False if another process has locked it."""
     try:
         if sys.platform == "win32":
             import msvcrt

@@ -30,7 +30,7 @@ __all__ = (
     "StudyError",
     "UnknownNameError",
 )
-"""Public names; the rest is for use inside this package."""
+"""Public names; all other names are for use inside this package."""
 
 
 class SmoothOperatorError(Exception):
@@ -66,7 +66,7 @@ class OutputError(SmoothOperatorError, OSError):
 
 
 class MissingExtraError(SmoothOperatorError, ImportError):
-    """An optional dependency of a feature (a noun in the singular) is not installed."""
+    """An optional library that a feature needs is not installed."""
 
     def __init__(self, feature: str, *extras: str) -> None:
         from smooth_operator.extras import install_command

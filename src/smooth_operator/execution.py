@@ -114,19 +114,19 @@ def checked(request: RetargetRequest) -> RetargetRequest:
             frame_slice(request.frames, None)
         except ConfigError as error:
             raise ConfigError(
-                f"frames must be a range A:B with something in it, such as ':500', '2600:3100' or "
+                f"frames must be a range A:B that is not empty, such as ':500', '2600:3100' or "
                 f"'-500:', not {request.frames!r}"
             ) from error
     return request
 
 
 def request_notes(request: RetargetRequest) -> tuple[str, ...]:
-    """Notes for a person on what the method of a checked request lacks on its hand."""
+    """Human-readable notes on features of the method that the hand of a checked request lacks."""
     return request.config.notes(_hand(request))
 
 
 def _hand(request: RetargetRequest) -> Hand:
-    """Loads the hand of a request, on the side of the request, else on that of the operator."""
+    """Loads the hand of a request, on the side of the request or else of the operator."""
     operator = request.operator
     side = request.side or (default_side(request.hand) if operator is None else operator.side)
     return request.load_hand(side)
@@ -136,7 +136,7 @@ Answer: TypeAlias = tuple[CommandTrajectory, Float[np.ndarray, " T"]]
 """Commands without latencies, and the (T,) tracking loss of each frame."""
 
 _SHELF: Final[OrderedDict[object, Any]] = OrderedDict()
-"""Retargeters of this process. Each is compiled once and used for every recording that fits."""
+"""Retargeters of this process. Each is compiled once and used for every recording that it fits."""
 
 _SHELF_SIZE: Final = 16
 

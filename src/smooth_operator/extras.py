@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 DISTRIBUTION: Final = "smooth-retargeting"
-"""Name of the distribution; ``smooth-operator`` on the package index is another program."""
+"""Name of the distribution; ``smooth-operator`` on the package index is a different program."""
 
 DEVICES: Final = "smooth-operator-devices"
 """Name of the distribution of real hands, trackers and ROS 2, which has extras of its own."""

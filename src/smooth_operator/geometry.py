@@ -1,4 +1,4 @@
-"""Similarity transforms between point sets, and the directions of a palm, for NumPy and JAX."""
+"""Similarity transforms between point sets, and the axes of a palm, for NumPy and JAX."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _Held = TypeVar("_Held", bound=AnyArray)  # a named tuple can't be generic over 
 
 
 class Similarity(NamedTuple, Generic[_Held]):
-    """x -> scale * rotation @ x + translation, and how well it is determined.
+    """Similarity transform x -> scale * rotation @ x + translation, and how well it is determined.
 
     Attributes:
         rotation: (..., 3, 3) proper rotation.
         translation: (..., 3) [m].
-        scale: (...) ratio of sizes, target over source.
+        scale: (...) ratio of the target's size to the source's size.
         condition: (...) second singular value over the first of the covariance between the two
-            sets: 0 where either is collinear or coincident, so that no rotation is determined.
+            sets: 0 if one set is collinear or coincident, so that the rotation is undetermined.
     """
 
     rotation: _Held
@@ -67,7 +67,7 @@ def umeyama(
         source: (..., n, 3) points [m].
         target: (..., n, 3) corresponding points [m].
         scale: ratio of sizes to hold fixed; None estimates it.
-        weights: (..., n) weight of each pair; 0 leaves it out. None gives all the same weight.
+        weights: (..., n) weight of each pair; 0 leaves it out. None gives all pairs equal weights.
 
     Returns:
         the transform. Check ``condition`` before using it: degenerate sets give a finite but
@@ -112,20 +112,20 @@ def umeyama(
 
 
 def smooth_step(share: Array) -> Array:
-    """Hermite polynomial 3 s^2 - 2 s^3 of a share, clipped to 0 to 1; its ends are level."""
+    """Smooth step 3 s^2 - 2 s^3 of a share s clipped to 0 to 1; its slope is 0 at both ends."""
     share = jnp.clip(share, 0.0, 1.0)
     return share * share * (3 - 2 * share)
 
 
 def on_gpu() -> bool:
-    """Programs that are traced now are for a GPU."""
+    """True if programs that are traced now will run on a GPU."""
     config: Any = jax.config  # its attributes are made at run time
     device = config.jax_default_device
     return (getattr(device, "platform", device) or jax.default_backend()) in ("gpu", "cuda", "rocm")
 
 
 def _principal_axes(cov: AnyArray, xp: ModuleType) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """Right singular vectors, by falling singular value, as a right-handed triad."""
+    """Right singular vectors in order of decreasing singular value, as a right-handed triad."""
     gram = _product(xp.swapaxes(cov, -1, -2), cov, xp)
     entries = [gram[..., i, j] for i, j in _ENTRIES]
     columns = [xp.broadcast_to(xp.eye(3, dtype=cov.dtype)[i], gram.shape[:-1]) for i in range(3)]
@@ -156,10 +156,10 @@ _TURNS = 12  # cyclic Jacobi converges quadratically: four turns in each plane r
 
 
 def _jacobi_turn(state: tuple[Any, ...], xp: ModuleType) -> tuple[Any, ...]:
-    """Clear entry (0, 1) by a turn in that plane, then rename the axes 0, 1, 2 to 2, 0, 1.
+    """Make entry (0, 1) zero by a rotation in that plane, then rename axes 0, 1, 2 to 2, 0, 1.
 
-    Three turns visit all planes and bring the names back. State is six entries of the matrix, in
-    the order of ``_ENTRIES``, and three columns.
+    Three rotations visit all planes and restore the names. The state is six entries of the matrix,
+    in the order of ``_ENTRIES``, and three columns.
     """
     g00, g01, g02, g11, g12, g22, v0, v1, v2 = state
     one = xp.ones_like(g00)

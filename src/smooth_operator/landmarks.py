@@ -1,9 +1,9 @@
-"""The one landmark schema of a human hand (21 points) and the maps onto it.
+"""The 21 landmarks of a human hand, and the maps from other trackers' points to them.
 
 Order: wrist, then per finger from base to tip. It is the order of MediaPipe's hand landmarker, and
 ``docs/reference/conventions.md`` draws it. Trackers with more nodes (MANUS 25, WebXR 25, OpenXR
-26) are mapped by index; what the maps leave out are the metacarpal bases of the long fingers, which
-``METACARPALS_MANUS_25`` and its siblings pick.
+26) are mapped by index; the maps leave out the metacarpal bases of the long fingers, which
+``METACARPALS_MANUS_25`` and similar constants select.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ __all__ = (
     "METACARPALS_OPENXR_26",
     "METACARPALS_WEBXR_25",
 )
-"""The public ones; the rest is for this package."""
+"""Public names; all other names are for use inside this package."""
 
 FINGERS: Final = ("thumb", "index", "middle", "ring", "pinky")
 """Human finger names, thumb first."""
@@ -81,13 +81,13 @@ NODE_LAYOUTS: Final[dict[int, tuple[tuple[int, ...], tuple[int, ...] | None]]] =
     26: (FROM_OPENXR_26, METACARPALS_OPENXR_26),
     27: (FROM_WEBXR_25, METACARPALS_WEBXR_25),
 }
-"""Nodes of a tracker's hand -> indices in it of the 21 landmarks and of the four metacarpal bases;
-25 are MANUS and WebXR, 26 OpenXR, 27 WebXR's and two of the forearm (Tracking Streamer)."""
+"""Number of a tracker's nodes -> indices of the 21 landmarks and the metacarpal bases in them.
+25 nodes are MANUS's or WebXR's, 26 OpenXR's, 27 WebXR's and two forearm nodes (avp_stream)."""
 
 FINGER_COLORS: Final = ("#d55e00", "#56b4e9", "#009e73", "#cc79a7", "#0072b2")
-"""One colour for a finger in every picture and on every page, thumb first: vermillion, sky blue,
-bluish green, reddish purple, blue. Source: Okabe and Ito's palette, which stays apart under the
-common forms of colour blindness."""
+"""Colour of each finger in all pictures and on all pages, thumb first: vermillion, sky blue,
+bluish green, reddish purple, blue. Source: Okabe and Ito's palette, whose colours remain
+distinguishable with the common forms of colour blindness."""
 
 LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
     "mediapipe": tuple(range(21)),
@@ -108,14 +108,14 @@ LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
         *(i for f in range(4) for i in (8 + 3 * f, 9 + 3 * f, 10 + 3 * f, 1 + f)),
     ),
 }
-"""Orders of 21 points: name -> the index of each landmark of ours in that order.
+"""Orders of 21 points: name -> index of each of our landmarks in that order.
 
 ``mediapipe`` (the same as ``openpose``) is the order of this project. ``mano`` is MANO's 16 joints
-(wrist, index, middle, pinky, ring, thumb) with the five tips after them, thumb to pinky, as HO-3D
-has it; ``minimal_ik`` the same with the tips in the joints' order of fingers; ``mano_fingers`` the
-joints' order of fingers with each tip after its joints. ``rhd`` goes from tip to base;
-``interhand`` (InterHand2.6M) does, too, and has the wrist last; ``fpha`` has the five bases first.
-``pinky_first`` is ours with the fingers reversed. ``aria`` (Project Aria, UmeTrack, HOT3D,
+(wrist, index, middle, pinky, ring, thumb) followed by the five tips, thumb to pinky, as in HO-3D;
+``minimal_ik`` is the same with the tips in MANO's order of fingers; ``mano_fingers`` has MANO's
+order of fingers, with each tip after its joints. ``rhd`` goes from tip to base; so does
+``interhand`` (InterHand2.6M), which has the wrist last; ``fpha`` has the five bases first.
+``pinky_first`` is our order with the fingers reversed. ``aria`` (Project Aria, UmeTrack, HOT3D,
 Assembly101) has the tips, the wrist, two joints of the thumb, three of each finger, and last the
 centre of the palm, which stands here for the thumb's CMC that it lacks
 (``smooth_operator.io.landmark_order.in_our_order`` estimates it).
@@ -126,7 +126,7 @@ def index(name: str) -> int:
     """Index of a landmark by name.
 
     Raises:
-        UnknownNameError: if there is no landmark of that name.
+        UnknownNameError: there is no landmark with that name.
     """
     from smooth_operator.errors import UnknownNameError
 

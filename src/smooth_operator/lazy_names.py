@@ -1,7 +1,8 @@
 """Public names of a package, imported on first use.
 
 The stub ``__init__.pyi`` of a package is its list of public names: type checkers and editors read
-it, and so does ``public_names``. Importing a package therefore costs a small file and no library.
+it, and so does ``public_names``. Importing a package therefore reads only a small file and imports
+no library.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ if TYPE_CHECKING:
 
 _NO_WORD: Final = str.maketrans("(),", "   ")
 _WITH_EXTRA: Final = "teleop"
-"""Package whose libraries are an extra of the same name."""
+"""Package whose libraries belong to an extra of the same name."""
 
 
 def public_names(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the names in its stub.
+    """Makes ``__getattr__``, ``__dir__`` and ``__all__`` of a package from the names in its stub.
 
     Args:
         package: its ``__name__``.

@@ -2,9 +2,9 @@
 
 The rule is that of OpenSSH for its keys: the file and its folder belong to this user, each folder
 above to this user or root, and others can't write them. A folder above may be like ``/tmp``, whose
-sticky bit prevents others from renaming foreign files. Extended access lists are not checked. On
-Windows, access lists protect a folder in the user's profile, and only the kind and size of a file
-are checked.
+sticky bit prevents others from renaming foreign files. Access control lists (ACLs) are not checked.
+On Windows, they protect a folder in the user's profile, and only the kind and size of a file are
+checked.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
 
 
 def make_private(folder: Path) -> None:
-    """Create a folder, and missing ones above it, for this user alone.
+    """Create a folder and its missing parents for this user alone.
 
     Raises:
         OSError: the folder can't be created.
@@ -33,10 +33,10 @@ def make_private(folder: Path) -> None:
 
 
 def folder_problem(folder: Path) -> str:
-    """Reason why another user can change a folder's content, with advice; empty if none can.
+    """Reason why another user can change a folder's content, with advice; empty if nobody can.
 
-    The check goes from the root down: below a folder that no other user can change, none can
-    exchange the next one. Links in the path are resolved first.
+    The check goes from the root down: below a folder that no other user can change, no other user
+    can replace the next folder. Links in the path are resolved first.
 
     Raises:
         OSError: the folder, or one above it, can't be read.
@@ -60,12 +60,12 @@ def folder_problem(folder: Path) -> str:
 
 
 def file_problem(status: os.stat_result, most_bytes: int, secret: bool = False) -> str:
-    """Reason not to use a file; empty if it is a plain file of this user and not too long.
+    """Reason not to use a file; empty if it is a regular file of this user and not too long.
 
     Args:
         status: status of the open file (``os.fstat``), or of a file in a protected folder.
         most_bytes: largest size.
-        secret: True if others must not be able to read it, either.
+        secret: True if others must not be able to read the file either.
     """
     if not stat.S_ISREG(status.st_mode):
         return "it is not a plain file"
@@ -88,7 +88,7 @@ def read_own_file(path: Path, most_bytes: int, secret: bool = False) -> bytes:
 
     Raises:
         OSError: there is no such file, it is a link, or it can't be read.
-        DocumentError: ``file_problem`` gives a reason.
+        DocumentError: ``file_problem`` returns a reason.
     """
     flags = (getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"))
     handle = os.open(path, os.O_RDONLY | sum(flags))

@@ -276,7 +276,7 @@ def read_configuration(path: Path) -> dict[str, Any] | None:
 
 
 def configuration(command: str, todo: Plan, **more: Any) -> dict[str, Any]:
-    """Resolved configuration of a plan, which is written with its result."""
+    """The resolved configuration of a plan, which is written with its result."""
     recording = todo.recording
     about = {
         "name": recording.name,

@@ -2,7 +2,7 @@
 
 A name denotes a built-in part, or a part that an installed distribution offers under the entry
 point group ``smooth_operator.<kind>s``, or it has the form ``package.module:attribute``. A part is
-imported only when it is used, so a missing extra or a broken plugin has no effect before.
+imported only when it is used, so a missing extra or a broken plugin has no effect until then.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class Registry(Mapping[str, Entry]):
         kind: kind of part, for messages, such as ``sink``.
         built_in: maps names to built-in parts.
         needs: names of the attributes that every part must have.
-        advice: advice on a missing attribute, for the message.
+        advice: advice about a missing attribute, for the message.
         elsewhere: maps the name of a part of another distribution to advice on how to get it, for
             the message.
         summaries: maps the name of a part of another distribution to its line for ``--help``, since
@@ -258,8 +258,8 @@ class Registry(Mapping[str, Entry]):
 def is_target(text: str) -> bool:
     """Returns True for ``package.module:attribute``. A module without a dot must exist.
 
-    Therefore a misspelt name with an argument (``repaly:glove.npz``) is not taken for a module. If
-    the module is in the current folder, that folder is appended to Python's search path.
+    Therefore a misspelt name with an argument (``repaly:glove.npz``) is not mistaken for a module.
+    If the module is in the current folder, that folder is appended to Python's search path.
     """
     match = _TARGET.fullmatch(text)
     if match is None:

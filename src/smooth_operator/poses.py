@@ -29,7 +29,8 @@ _AFTER: Final = np.array([2, 0, 1])
 
 
 def axes(x: str, y: str, z: str) -> Float[np.ndarray, "3 3"]:
-    """Matrix that changes axes, from the names of our axes x, y and z in the tracker's frame.
+    """Returns the matrix that converts a tracker's axes to ours, given our axes in the tracker's
+    frame.
 
     Args:
         x: axis of the tracker along our x: ``x``, ``y`` or ``z``, with a minus sign if reversed.
@@ -43,10 +44,12 @@ def axes(x: str, y: str, z: str) -> Float[np.ndarray, "3 3"]:
     rows = np.zeros((3, 3))
     for row, name in zip(rows, (x, y, z), strict=True):
         if name[-1:] not in ("x", "y", "z") or name[:-1] not in ("", "+", "-"):
-            raise ConfigError(f"an axis must be x, y or z, with a minus or none, not {brief(name)}")
+            raise ConfigError(
+                f"an axis must be x, y or z, with or without a minus sign, not {brief(name)}"
+            )
         row["xyz".index(name[-1])] = -1.0 if name[0] == "-" else 1.0
     if not np.abs(rows).any(axis=0).all():
-        raise ConfigError(f"three different axes are needed, not {x}, {y}, {z}")
+        raise ConfigError(f"expected three different axes, not {x}, {y}, {z}")
     return rows
 
 
@@ -92,7 +95,7 @@ def to_ours(
     """Converts poses of a tracker's wrist in its world to poses of our wrist in our z-up world.
 
     Args:
-        poses: (..., 7) x y z [m], quaternion w x y z of any length, as the tracker gives them.
+        poses: (..., 7) x y z [m], quaternion w x y z of any length, as the tracker reports them.
         world: the tracker's world axes, from ``WORLD_AXES`` or ``axes``.
         wrist: its wrist axes, from ``WRIST_AXES`` or ``axes``.
 
@@ -100,7 +103,9 @@ def to_ours(
         ConfigError: only one of the two is left-handed, so that no rotation maps one to the other.
     """
     if np.linalg.det(world) * np.linalg.det(wrist) < 0:
-        raise ConfigError("world and wrist axes of one tracker are of one handedness")
+        raise ConfigError(
+            "the world axes and wrist axes of a tracker must have the same handedness"
+        )
     unit = unit_poses(np.asarray(poses, np.float64))
     rotation = world @ rotation_matrices(unit[..., 3:]) @ wrist.T
     return np.concatenate([unit[..., :3] @ world.T, quaternions(rotation)], axis=-1)
@@ -109,7 +114,9 @@ def to_ours(
 def points_to_ours(
     points: ArrayLike, world: Float[np.ndarray, "3 3"] = WORLD_AXES["openxr"]
 ) -> Float[np.ndarray, "*n 3"]:
-    """(..., 3) points of a tracker's world in our z-up, right-handed world, in the same unit."""
+    """Converts (..., 3) points of a tracker's world to our z-up, right-handed world, in the same
+    unit.
+    """
     moved: np.ndarray = np.asarray(points, np.float64) @ world.T
     return moved
 
@@ -117,9 +124,11 @@ def points_to_ours(
 def wrist_from_landmarks(
     landmarks: Float[np.ndarray, "*n 21 3"], side: Side
 ) -> Float[np.ndarray, "*n 7"]:
-    """(..., 7) wrist frames of a hand without tracked orientation, from its palm's landmarks in a
-    z-up, right-handed world [m]; NaN if the wrist or the index, middle or pinky MCP is missing, or
-    if they are collinear."""
+    """Computes (..., 7) wrist poses from the palm's landmarks, for trackers that give only points.
+
+    The landmarks are in a z-up, right-handed world [m]. A pose is NaN if the wrist or the index,
+    middle or pinky MCP is missing, or if they are collinear.
+    """
     points = np.asarray(landmarks, np.float64)
     distal = _unit(points[..., 9, :] - points[..., 0, :])
     dorsal = _unit(np.cross(distal, points[..., 5, :] - points[..., 17, :]))
@@ -223,7 +232,7 @@ def rotate(q: Float[np.ndarray, "*n 4"], points: Float[np.ndarray, "*n 3"]) -> n
 
 
 def _cross(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*n 3"]) -> np.ndarray:
-    """Cross product; for one pair five times as fast as NumPy's."""
+    """Cross product; for a single pair it is five times as fast as NumPy's."""
     product: np.ndarray = a[..., _NEXT] * b[..., _AFTER] - a[..., _AFTER] * b[..., _NEXT]
     return product
 

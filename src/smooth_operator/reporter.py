@@ -1,4 +1,4 @@
-"""What a long run tells a person while it works."""
+"""Interface through which a long run reports progress and notes to its user."""
 
 from __future__ import annotations
 
@@ -8,42 +8,43 @@ from typing import Protocol
 
 
 class Advance(Protocol):
-    """Tells that pieces of work are done."""
+    """Function that reports completed pieces of work."""
 
     def __call__(
         self, count: int = 1, *, label: str = "", reason: str | None = None, extra: str = ""
     ) -> None:
-        """Called with each piece, or some of them.
+        """Reports that one or several pieces are done.
 
         Args:
             count: number of pieces.
             label: name of the piece.
             reason: why it failed; None if it did not.
-            extra: text beside the count.
+            extra: text next to the count.
         """
 
 
 class Reporter:
-    """Takes what a run tells and shows nothing; derive from it to show it."""
+    """Receives progress and notes of a run and shows nothing; a subclass can show them."""
 
     def note(self, text: str, *, matters: bool = False) -> None:
-        """A line; one that ``matters`` is shown in quiet mode, too."""
+        """Shows a line; a line that ``matters`` is shown in quiet mode too."""
 
     def waiting(self, text: str) -> AbstractContextManager[None]:
-        """Something that takes a while, in the block, and can't say how long."""
+        """Shows, inside the block, that a task of unknown length is running."""
         return nullcontext()
 
     @contextmanager
     def counting(
         self, name: str, total: int, unit: str, *, done: int = 0, in_files: bool = False
     ) -> Iterator[Advance]:
-        """Pieces of work, in the block; yields what counts them.
+        """Shows, inside the block, how many pieces of work are done; yields the function that
+        counts them.
 
         Args:
             name: name of the work; empty for none.
             total: number of pieces.
-            unit: what they are, in the plural.
-            done: number of them that earlier runs have done.
-            in_files: show the end of the count where there is no terminal.
+            unit: name of the pieces, in the plural.
+            done: number of pieces that earlier runs have done.
+            in_files: show the end of the count if the output is not a terminal.
         """
         yield lambda count=1, **_: None

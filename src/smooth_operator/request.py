@@ -33,8 +33,9 @@ Scale: TypeAlias = float | Literal["frame", "calibrate"]
 recording."""
 
 PinchGapChoice: TypeAlias = Literal["tracker", "mediapipe", "off"]
-"""Start values of the estimated pinch gaps: those of the live source's tracker, if they are known;
-those of MediaPipe; or off, to use the landmarks unchanged."""
+"""Initial values of the estimated pinch gaps: those of the live source's tracker, if they are
+known; those of MediaPipe; or off, to use the landmarks unchanged.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -56,7 +56,7 @@ def content_name(prefix: str, key: object) -> str:
 
 
 def outside_code(*parts: Any) -> list[str]:
-    """Digests of the other distributions' packages that some parts come from, as those of plugins.
+    """Digests of the packages of other distributions, such as plugins, that some parts come from.
 
     Args:
         parts: objects with a module, or names of modules; these are not imported.
@@ -71,8 +71,9 @@ def outside_code(*parts: Any) -> list[str]:
 
 @cache
 def _package_digest(package: str) -> str:
-    """Digest of a package or module of another distribution; empty for this one, and where it has
-    no file."""
+    """Digest of a package or module of another distribution; empty for this package, or if the
+    module has no file.
+    """
     path = _file_of(package)
     if path is None or path.parent == HOME:
         return ""
@@ -94,18 +95,19 @@ def no_note(text: str) -> None:
 
 
 class _Store:
-    """Base of the stores: counts results of other code."""
+    """Base of the stores: counts stored results that other code computed."""
 
     def __init__(self, place: Path, note: Note) -> None:
         self._place, self.note = place, note
         self._outdated = 0
 
     def note_outdated(self) -> None:
-        """Reports how many results since the last call were of other code."""
+        """Reports how many results since the last call were computed by other code."""
         if self._outdated:
             results = "1 result" if self._outdated == 1 else f"{self._outdated} results"
             self.note(
-                f"{results} in {self._place} came from another version of the code: computed again"
+                f"{results} in {self._place} came from another version of the code and will be "
+                "computed again"
             )
         self._outdated = 0
 
@@ -140,8 +142,10 @@ class ResultCache(_Store):
         return self.folder / f"{name}{self.suffix}"
 
     def find(self, name: str, key: object, code: str) -> Any | None:
-        """A stored result of a key (all that it depends on besides code, with a JSON form) and a
-        digest of code; None if there is no undamaged one."""
+        """Returns the stored result of a key and a digest of code; None if there is no undamaged
+        one.
+
+        The key is everything except code that the result depends on, and has a JSON form."""
         path = self.path(name)
         try:
             record, value = self._read(path)
@@ -157,7 +161,9 @@ class ResultCache(_Store):
             SmoothOperatorError,
             zipfile.BadZipFile,
         ) as error:
-            self.note(f"{path} is damaged or of an earlier version ({error}): computed again")
+            self.note(
+                f"{path} is damaged or of an earlier version ({error}) and will be computed again"
+            )
             return None
         if own_key != key_digest(key):
             return None
@@ -167,8 +173,9 @@ class ResultCache(_Store):
         return value
 
     def keep(self, name: str, key: object, code: str, value: Any) -> None:
-        """Write a result, with a flush to the disk, under the name of a file without suffix; key
-        and code as in ``find``.
+        """Writes a result under a name (a file name without suffix), and flushes it to the disk.
+
+        Key and code are as in ``find``.
 
         Raises:
             OutputError: the file can't be written.
@@ -177,7 +184,7 @@ class ResultCache(_Store):
         self._write(self.path(name), {"key": key_digest(key), "code": code}, value)
 
     def _read(self, path: Path) -> tuple[Mapping[str, Any], Any]:
-        """Key and code of a file, and its value."""
+        """Reads the key, the code and the value of a file."""
         content = read_json(path, most_bytes=MOST_BYTES)
         return content, content["value"]
 
@@ -188,8 +195,8 @@ class ResultCache(_Store):
 class ResultLog(_Store):
     """Store of results as lines of a file, for one writing process at a time.
 
-    A line has the fields of the result, and ``key`` and ``code`` as in a ``ResultCache``. Lines of
-    other keys or other code stay and are not used. An incomplete line of a killed process is
+    A line has the fields of the result, and ``key`` and ``code`` as in a ``ResultCache``. Lines
+    with another key or other code are kept but not used. The incomplete line of a killed process is
     removed.
 
     Args:
@@ -214,18 +221,22 @@ class ResultLog(_Store):
             raise output_error(path, error) from error
         damaged = sum(not self._take(line) for line in whole.splitlines())
         if damaged:
-            lines = "1 line that is" if damaged == 1 else f"{damaged} lines that are"
-            note(f"{path} holds {lines} no result: not used")
+            lines = (
+                "1 line that is not a result"
+                if damaged == 1
+                else f"{damaged} lines that are not results"
+            )
+            note(f"{path} holds {lines} and will not be used")
 
     def find(self, name: str, key: object, code: str) -> dict[str, Any] | None:
-        """The stored result of this key and this code, or None. The name is not used."""
+        """Returns the stored result of this key and this code, or None. The name is ignored."""
         digest = key_digest(key)
         value = self._results.get((digest, code))
         self._outdated += value is None and digest in self._keys
         return value
 
     def keep(self, name: str, key: object, code: str, value: Mapping[str, Any]) -> None:
-        """Append a result, with a flush to the disk.
+        """Appends a result, and flushes it to the disk.
 
         Raises:
             OutputError: the file can't be written.
@@ -241,7 +252,7 @@ class ResultLog(_Store):
         self._results[record["key"], code] = dict(value)
 
     def _take(self, line: bytes) -> bool:
-        """Reads a line; False if it is no result."""
+        """Reads a line; returns False if it is not a result."""
         try:
             content = parse_json(line)
             key, code = str(content.pop("key")), str(content.pop("code"))
@@ -265,10 +276,10 @@ class Job(Generic[T]):
 
     Attributes:
         name: name of its file, unique in the store.
-        key: all that the result depends on besides code; any value with a JSON form.
+        key: everything except code that the result depends on; any value with a JSON form.
         code: digest of the code that computes it.
         task: argument of the computation.
-        label: name for a person.
+        label: human-readable name.
         effort: relative duration.
     """
 
@@ -300,7 +311,7 @@ class JobResult(Generic[T]):
 
 
 def find_results(jobs: Sequence[Job[T]], cache: Cache) -> tuple[list[JobResult[T]], list[Job[T]]]:
-    """Stored results of jobs, and the jobs without one."""
+    """Returns the stored results of jobs, and the jobs that have none."""
     finished, missing = [], []
     for job in jobs:
         value = cache.find(job.name, job.key, job.code)
@@ -313,7 +324,9 @@ def find_results(jobs: Sequence[Job[T]], cache: Cache) -> tuple[list[JobResult[T
 
 
 def longest_first(jobs: Iterable[Job[T]]) -> list[Job[T]]:
-    """Jobs by falling effort, so that no worker begins a long one when the others are done."""
+    """Sorts jobs by decreasing effort, so that no worker starts a long one when the others are
+    done.
+    """
     return sorted(jobs, key=lambda job: -job.effort)
 
 
@@ -323,7 +336,7 @@ def compute_results(
     execute: Execute[T],
     value: Callable[[Job[T], TaskResult[Any]], Any] = lambda _, result: result.value,
 ) -> Iterator[JobResult[T]]:
-    """Compute jobs, and store each result as soon as it is there.
+    """Computes jobs, and stores each result as soon as it is available.
 
     Args:
         jobs: computations in the order of their starts.

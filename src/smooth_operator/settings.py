@@ -16,7 +16,7 @@ LARGEST: Final = 1e9
 
 
 def check_frame_rate(rate: float | None) -> None:
-    """Refuse an implausible frame rate [Hz]; None is accepted.
+    """Raise an error for an implausible frame rate [Hz]; None is accepted.
 
     Raises:
         ConfigError: the rate is outside ``RATE_RANGE_HZ``, or NaN.

@@ -1,4 +1,4 @@
-"""Signals of the operating system that end a program in order: Ctrl-C, kill, a closed terminal."""
+"""Clean shutdown on signals of the operating system: Ctrl-C, kill, a closed terminal."""
 
 from __future__ import annotations
 
@@ -26,13 +26,14 @@ _CLOSING: Final = (2, 5, 6)
 
 
 class Ending:
-    """A handler of ending signals: raises KeyboardInterrupt in the main thread, or calls ``quit``.
+    """Handler of signals that end the program: raises KeyboardInterrupt in the main thread, or
+    calls ``quit``.
 
-    A closed terminal sends several signals, and a clean-up that the first one began must not be
-    cut off by the next: after the first only another Ctrl-C raises.
+    A closed terminal sends several signals, and the clean-up that the first one starts must not be
+    interrupted by the next one. Therefore, after the first signal, only another Ctrl-C raises.
 
     Attributes:
-        came: True once there was a signal.
+        came: True once a signal has arrived.
         quit: called in place of the exception; None to raise.
     """
 
@@ -55,8 +56,8 @@ class Ending:
 def ended_by_signals() -> Iterator[Ending]:
     """Handles ending signals inside the block, if it runs on the main thread.
 
-    Signals that are ignored since the start of the program (``nohup``) stay ignored, except SIGINT.
-    A nested block has the same handler.
+    Signals that were ignored when the program started (``nohup``) stay ignored, except SIGINT.
+    A nested block uses the same handler.
     """
     ending = Ending()
     if threading.current_thread() is not threading.main_thread():  # which has its own way to end
@@ -84,14 +85,14 @@ def ended_by_signals() -> Iterator[Ending]:
 
 
 def leave_to_parent() -> None:
-    """Ignore a terminal's signals in a child process, since the parent handles them."""
+    """Ignore a terminal's signals in a child process, because the parent handles them."""
     for number in ENDING:
         if number != signal.SIGTERM:
             signal.signal(number, signal.SIG_IGN)
 
 
 def _leave_closed_terminal() -> None:
-    """Redirect the streams of a closed terminal, where writing raises, to the null device."""
+    """Redirect the streams of a closed terminal to the null device: writing to them would raise."""
     for stream in (0, 1, 2):
         with contextlib.suppress(OSError):
             if stat.S_ISCHR(os.fstat(stream).st_mode) and not os.isatty(stream):
@@ -102,7 +103,7 @@ def _leave_closed_terminal() -> None:
 
 @contextlib.contextmanager
 def _closed_window() -> Iterator[None]:
-    """Have Windows' events of a closing console handled as SIGBREAK; elsewhere nothing."""
+    """On Windows, handle the events of a closing console as SIGBREAK; otherwise do nothing."""
     if sys.platform == "win32":
         import ctypes
 

@@ -29,7 +29,7 @@ def code_digest(*names: str, home: Path = HOME) -> str:
         path = home / name
         if not path.exists():
             raise FileNotFoundError(
-                f"{name!r} is not in the package {home.name!r}; name the place that it moved to"
+                f"{name!r} is not in the package {home.name!r}; if it has moved, name its new place"
             )
         for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
             if file.is_file() and file.suffix != ".pyc":

@@ -1,7 +1,7 @@
 """Text for a terminal: control characters of foreign text are shown without effect.
 
 Names of files, keys of messages and texts of recordings may hold control characters, which a
-terminal takes for commands: they set its title, clear the screen, or hide what was said.
+terminal interprets as commands: they set its title, clear the screen, or hide earlier output.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _COMMANDS: Final = re.compile(
 
 
 def printable(text: str) -> str:
-    """A text in which control characters stand as escapes, such as ``\\x1b``."""
+    """Returns the text with control characters replaced by escapes, such as ``\\x1b``."""
     return _COMMANDS.sub(_escape, text)
 
 
@@ -34,7 +34,7 @@ def print_note(text: str) -> None:
 
 
 def open_console(*, stderr: bool = False) -> Console:
-    """A rich console that takes no text for markup and passes no control character on."""
+    """Opens a rich console that ignores markup in text and escapes control characters."""
     return _console_class()(
         file=sys.stderr if stderr else None, highlight=False, markup=False, emoji=False
     )
@@ -46,7 +46,7 @@ def _console_class() -> type[Console]:
     from rich.segment import Segment
 
     class PrintableConsole(Console):
-        """Escapes the text of all that is rendered; its own colours and movements stay."""
+        """Escapes control characters in all rendered text; rich's own codes are kept."""
 
         def render_str(self, text: str, **options: Any) -> Text:
             return super().render_str(printable(text), **options)  # before it is measured

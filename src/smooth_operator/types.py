@@ -1,4 +1,4 @@
-"""The values that flow through the system, from tracker to robot.
+"""The data types from tracker to robot: hand frames, recordings, joint commands, results.
 
 Units are metres, seconds and radians throughout; quaternions are wxyz. Array fields of the frozen
 dataclasses here are NumPy arrays on the host; nothing in them is mutated after construction.
@@ -26,7 +26,7 @@ def as_side(value: str) -> Side:
     """Normalise a side label: ``right``/``R``/``RIGHT`` and ``left``/``L``/``LEFT``.
 
     Raises:
-        ConfigError: for anything else.
+        ConfigError: the label is anything else.
     """
     sides = {label: name for name in get_args(Side) for label in (name, name[0])}
     try:
@@ -74,7 +74,7 @@ _REASONS = {
 
 @dataclass(frozen=True, eq=False)
 class HandFrame:
-    """One moment of a tracked human hand.
+    """A tracked human hand at one moment.
 
     Attributes:
         landmarks: (21, 3) positions [m], in the order of ``LANDMARKS``, in any right-handed frame
@@ -324,8 +324,8 @@ def _set_optional(obj: HandFrame | HandRecording, *count: int) -> None:
 
 
 def unit_poses(poses: Float[np.ndarray, "*n 7"]) -> Float[np.ndarray, "*n 7"]:
-    """Poses with normalised quaternions; all NaN where a number is not finite or the quaternion is
-    zero."""
+    """Normalises the quaternions of poses; a pose with a number that is not finite or with a zero
+    quaternion becomes NaN."""
     size = np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
     good = (size > 1e-6) & (size < 1e6) & np.isfinite(poses).all(axis=-1, keepdims=True)
     other = good & (np.abs(size - 1.0) > 1e-12)  # a unit one stays as it is, to the last bit

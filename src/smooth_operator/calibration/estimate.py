@@ -22,16 +22,16 @@ from smooth_operator.types import HandRecording
 SURE: Final = 0.3
 """Confidence below which a pinch is used only if there is no better pinch."""
 MOST: Final = 0.6
-"""Greatest gap of a pinch [palm lengths]."""
+"""Largest gap of a pinch [palm lengths]."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """The pinches of one finger.
+    """Result of the search for the pinches of one finger.
 
     Attributes:
         finger: the finger.
-        segments: frames that show it.
+        segments: frames that show the pinches.
         confidence: highest confidence of the segments; 0 without any.
         note: problem and advice; empty without a problem.
     """
@@ -48,7 +48,7 @@ class Calibration:
 
     Attributes:
         operator: operator profile to store.
-        findings: one for each finger but the thumb.
+        findings: one for each finger except the thumb.
         features: features of the recording, frame by frame.
         gaps: finger -> (N,) distance from thumb to tip in its pinches [m].
     """
@@ -101,11 +101,9 @@ def _finding(finger: str, segments: Sequence[Segment]) -> Finding:
     sure = max((s.confidence for s in mine), default=0.0)
     note = ""
     if not mine:
-        note = (
-            "not found: its gap stays that of the tracker, or is estimated while the operator works"
-        )
+        note = "not found: its gap remains that of the tracker, or is estimated during the work"
     elif sure < SURE:
-        note = "found, but short or indistinct: hold it longer and more clearly"
+        note = "found, but too short or unclear: hold the pinch longer and more clearly"
     return Finding(finger, mine, sure, note)
 
 

@@ -1,4 +1,4 @@
-"""``operator.json``: stored profile of an operator from an earlier session."""
+"""Reads and writes ``operator.json``, the stored profile of an operator."""
 
 from __future__ import annotations
 

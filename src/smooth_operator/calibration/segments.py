@@ -108,7 +108,7 @@ class Segment:
 
 
 def find_segments(features: Features, stamps: Float[np.ndarray, " T"]) -> list[Segment]:
-    """Pinches in a recording with (T,) stamps [s], by time."""
+    """Finds the pinches in a recording with (T,) stamps [s], ordered by time."""
     segments = [s for i in range(len(FINGERS) - 1) for s in _pinches(features, stamps, i)]
     return sorted(segments, key=lambda segment: segment.start)
 

@@ -1,4 +1,4 @@
-"""The command line: ``smooth-operator demo``, ``retarget`` and ``view``.
+"""The command ``smooth-operator`` and its subcommands: options, help and output.
 
 Heavy libraries (JAX, MuJoCo, matplotlib, viser) are imported inside the command that needs them.
 """

@@ -51,8 +51,9 @@ from smooth_operator.retargeting.start import start_jax
 _MOST_PANELS: Final = 8
 _MOST_NAMED: Final = 4
 _WIDTH_OF_NAME, _WIDTH_OF_COLUMN, _FEWEST = 20, 11, 5
-"""Approximate width of a method's name and of a column, and number of columns that fit any
-terminal."""
+"""Approximate width of a method's name and of a column, and the number of columns that fit every
+terminal.
+"""
 _ORDER: Final = (
     "finger_extension_error",
     "pinch_touch_share",
@@ -104,7 +105,7 @@ def print_results(rows: Sequence[Row]) -> None:
 
 
 def print_comparison(comparison: Comparison) -> None:
-    """Differences of the main metrics, cell by cell."""
+    """Prints how the main metrics of each cell differ from those of an earlier benchmark."""
     console = output_console()
     shown = _columns(console)
     table = _empty(f"this minus {comparison.name}", "cell", shown)
@@ -125,12 +126,12 @@ def print_comparison(comparison: Comparison) -> None:
         console.print(table)
     total = {verdict: comparison.count(verdict) for verdict in ("better", "worse", "same")}
     console.print(
-        f"of all metrics: {total['better']} better ▲, {total['worse']} worse ▼, {total['same']} "
+        f"over all metrics: {total['better']} better ▲, {total['worse']} worse ▼, {total['same']} "
         "the same (within 0.5 %, latencies 10 %)"
     )
     notes = sorted({note for cell in comparison.cells for note in cell.notes})
     if notes:
-        console.print(Text(f"mind: {'; '.join(notes)}"), soft_wrap=True)
+        console.print(Text(f"note: {'; '.join(notes)}"), soft_wrap=True)
     for title, keys in (
         ("only here", comparison.only_here),
         ("only there", comparison.only_there),
@@ -179,7 +180,7 @@ def _columns(console: Console) -> list[Metric]:
 
 
 SOME_FAILED = 1
-"""Exit status of a finished run in which some cells failed."""
+"""Exit status of a completed run in which some cells failed."""
 
 
 def bench(options: Bench) -> None:

@@ -28,8 +28,8 @@ video.npz@30hz (rate), video.npz@30hz,left,camera,100:900. Results are averaged 
 recordings of each tracker (glove, headset, camera), then over trackers. mediapipe instead of
 camera means MediaPipe's tracker, whose pinch gaps are known.
 
-Methods are names, or METHOD:PRESET, METHOD:all or METHOD:FILE (a trained model); `all` is
-each method with its default preset.
+Methods are names, or METHOD:PRESET, METHOD:all or METHOD:FILE (a trained model); `all` selects each
+method with its default preset.
 
 Exit status: 0 everything was measured, 1 some cells failed (the report says which and why), 2 the
 request is invalid, 130 stopped by the user.

@@ -22,11 +22,11 @@ class Calibrate(Ordered, Common, Quiet):
     work: ClassVar[str] = "smooth_operator.cli.calibrate:calibrate_recording"
     details: ClassVar[
         str
-    ] = """Many trackers report a gap between thumb and finger when they touch. The method smooth
+    ] = """Many trackers report a gap between the thumb and a finger that touch. The method smooth
 closes this gap. The gaps of MediaPipe (webcam, video) are built in, and small gaps are estimated
 while the operator works. A tracker with large, unknown gaps needs a calibration.
 
-A recording should show a light pinch of the thumb with each finger, pad on pad, for a few seconds
+A recording should show a light pinch of the thumb with each finger, pad to pad, for a few seconds
 each and in any order. With --source, the program asks the operator for one pinch after the other.
 Besides OPERATOR.json, it writes OPERATOR.png (distances and pinches over time) and
 OPERATOR.report.json.
@@ -84,7 +84,7 @@ def calibrate_recording(options: Calibrate) -> None:
     if options.source is None:
         if options.recording is None:
             raise ConfigError(
-                "nothing to calibrate: name a recording, or a live source with --source"
+                "there is nothing to calibrate: name a recording, or a live source with --source"
             )
         reading = {"rate": options.rate, "side": options.side, "layout": options.layout}
         recording = read_shown(options.recording, progress, options.frames, **reading)
@@ -114,7 +114,7 @@ def calibrate_recording(options: Calibrate) -> None:
 
 
 def _check_output(output: Path) -> tuple[Path, Path]:
-    """Paths of the picture and of the report.
+    """Checks the name of the output, and returns the paths of the picture and of the report.
 
     Raises:
         OutputError: the name does not end in .json, or the file exists and is not a calibration.

@@ -81,12 +81,12 @@ class Common:
 
 @dataclass(frozen=True, kw_only=True)
 class Ordered:
-    """Options of every command that reads recordings of hands."""
+    """Option of every command that reads recordings of hands: the order of the landmarks."""
 
     layout: Annotated[str | None, arg(metavar="NAME")] = None
     """Order of the 21 points in a plain .npy or .npz file: mano, minimal_ik, mano_fingers, rhd,
     interhand, fpha, pinky_first or aria (docs/reference/conventions.md). Default: MediaPipe's
-    order. Other file formats define their order."""
+    order. Other file formats define their own order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +110,7 @@ class Measured:
     """Option of every command that measures one recording and prints its metrics."""
 
     all: bool = False
-    """Print all metrics instead of five."""
+    """Print all metrics instead of the main five."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,8 +146,10 @@ class Meshes:
 
     model: Annotated[Path | None, arg(metavar="PATH|menagerie")] = None
     """Model to draw instead of simple shapes: your copy of the vendor's MJCF or URDF with its
-    meshes; joint names must be those of the hand. Or the word menagerie, which downloads the model
-    of MuJoCo Menagerie (menagerie extra; Allegro, LEAP, Shadow, DEX-EE, Sharpa Wave)."""
+    meshes; joint names must be those of the hand. Or the word menagerie, which
+    downloads the model from MuJoCo Menagerie (menagerie extra; Allegro, LEAP, Shadow, DEX-EE,
+    Sharpa Wave).
+    """
 
     no_meshes: bool = False
     """Draw simple shapes. By default the vendor's meshes are drawn if they are already on this

@@ -26,7 +26,7 @@ from smooth_operator.reporter import Advance, Reporter
 from smooth_operator.terminal import open_console
 
 _REDRAW_S: Final = 0.1
-_EXTRAS: Final = {"first_command_s": ("s", "↓", "building and compiling, once per start")}
+_EXTRAS: Final = {"first_command_s": ("s", "↓", "building and compiling (once per start)")}
 _WIDTH_OF_A_FILE: Final = 160
 _WIDTH_TO_EXPLAIN: Final = 115
 
@@ -155,12 +155,12 @@ class Progressing(Reporter):
     def counter(
         self, unit: str = "", *, extra: str = "", in_files: bool = False, **options: Any
     ) -> Progress:
-        """A bar with the remaining time; the caller adds the tasks.
+        """Shows a bar with the remaining time; the caller adds the tasks.
 
         Args:
             unit: unit of the count, as in "3/8 cells"; empty for no count.
             extra: text after it, a format of the task's ``fields``.
-            in_files: print the final state of the bar if there is no terminal.
+            in_files: print the final state of the bar if the output is not a terminal.
             options: options of rich's ``Progress``.
         """
         columns: list[ProgressColumn] = [
@@ -184,7 +184,7 @@ class Progressing(Reporter):
     def counting(
         self, name: str, total: int, unit: str, *, done: int = 0, in_files: bool = False
     ) -> Iterator[Advance]:
-        """On a terminal a bar with the time that is left, elsewhere a line for each label."""
+        """Shows a bar with the remaining time on a terminal, or a line for each label elsewhere."""
         if done:
             self.note(f"{name}: {done} of {total} {unit} are unchanged and not measured again")
         left = total - done

@@ -27,17 +27,18 @@ class Convert(Ordered, Common, Quiet):
     work: ClassVar[str] = "smooth_operator.cli.convert:convert"
     details: ClassVar[str] = """Input formats are recognised by content, the output format by its
 name:
-  .mcap        this program's log, opens in Foxglove
+  .mcap        this program's log, which Foxglove can open
   .npz         plain arrays, for NumPy
   .h5, .hdf5   HDF5, with units (extra hdf5)
   a folder     a LeRobot dataset, v3.0 (extra lerobot)
-A video (.mp4, .mov, .avi, .mkv, .webm), as input only, is tracked (extra webcam).
+A video (.mp4, .mov, .avi, .mkv, .webm) can only be an input; the hand in it is tracked (extra
+webcam).
 
 All formats store the hand, flags, commands, status, timing and configuration. Data that a format
 can't store is reported on standard error.
 
 Several inputs, or a folder of them, become the episodes of one LeRobot dataset, or, with --to
-mcap|npz|hdf5, one file each in the folder --output.
+mcap|npz|hdf5, one file per input in the folder --output.
 
 Examples:
   smooth-operator convert glove.npz --output glove.mcap
@@ -56,8 +57,8 @@ Examples:
     """File or folder to write. Its parent folder is created if missing."""
 
     commands: Annotated[Path | None, arg(metavar="OUT.npz")] = None
-    """Commands to add to the recording: the file that retarget wrote. For several recordings, the
-    folder of their results, each with the name of its recording."""
+    """Commands to add to the recording: the file that retarget wrote. For several recordings, give
+    the folder of their results, in which each result has the name of its recording."""
 
     to: Annotated[
         Literal["mcap", "npz", "hdf5", "lerobot"] | None, arg(metavar="mcap|npz|hdf5|lerobot")
@@ -106,7 +107,9 @@ _SUFFIX_OF: dict[Format, str] = {"mcap": ".mcap", "npz": ".npz", "hdf5": ".h5"}
 
 
 def convert(options: Convert) -> None:
-    """Finds the episodes, checks that they may be written, and converts one after the other."""
+    """Finds the episodes, checks that the outputs may be written, and converts the episodes in
+    turn.
+    """
     from smooth_operator.cli.console import Progressing
     from smooth_operator.teleop.recording.convert import Source, find_sources, format_of, losses
     from smooth_operator.teleop.sources.webcam.camera import is_video
@@ -275,8 +278,8 @@ def _commands_of(commands: Path | None, sources: list[Source]) -> list[Path | No
         if len(sources) > 1:
             raise ConfigError(
                 f"the inputs hold {len(sources)} episodes, but {commands} holds the "
-                "commands of one; give the folder of their results, each with the name of "
-                "its recording"
+                "commands of one; give the folder of their results, in which each result "
+                "has the name of its recording"
             )
         return [commands]
     files = [commands / source.relative.with_suffix(".npz") for source in sources]

@@ -1,4 +1,4 @@
-"""``smooth-operator dataset``: recordings of human hands into a data set of robot episodes."""
+"""``smooth-operator dataset``: turns recordings of human hands into robot episodes."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ Examples:
     """Do not serve the page, for machines without a browser."""
 
     def extras(self) -> dict[str, tuple[str, ...]]:
-        """Metrics of the run, and its trace for the log and the page."""
+        """Extras that the metrics, the log and the page need."""
         return {"lab": ("jinja2", "matplotlib"), "teleop": ("mcap", "viser")}
 
 

@@ -67,7 +67,9 @@ def _advice(report: Mapping[str, object]) -> list[str]:
             f"the load is {load:.1f} on {cores} cores: other programs take time from the loop"
         )
     if cores == 1:
-        advice.append("loop, page and tracker share one core: give the process at least two")
+        advice.append(
+            "the loop, the page and the tracker share one core: give the process at least two cores"
+        )
     if report["priority"] != "real-time" and report["system"] == "Linux":
         advice.append(
             "real-time priority is not granted, so `teleop --priority high` has no effect: add "
@@ -81,7 +83,7 @@ def _advice(report: Mapping[str, object]) -> list[str]:
     if "," in str(report["opencv"]):
         advice.append(
             f"{report['opencv']} are installed in one folder, where the last one overwrites "
-            "the others: keep only one, see docs/how-to/webcam.md, Problems"
+            "the others: keep only one (see Problems in docs/how-to/webcam.md)"
         )
     if report["device"] not in ("cpu", None):
         advice.append(

@@ -1,7 +1,7 @@
 """``smooth-operator hands``: its subcommands, the list of hands, and the removal of a hand.
 
-A further subcommand is a dataclass of options like ``List`` below, a function that takes them, and
-a line in ``What``. The group itself is one line in ``cli/options.py``.
+To add a subcommand, write a dataclass of options like ``List`` below and a function that takes
+them, and add a line to ``What``. The group itself is one line in ``cli/options.py``.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def list_hands(options: List) -> None:
 
 
 def _row(name: str) -> dict[str, Any]:
-    """A hand as plain values, with an ``error`` if it can't be used."""
+    """Describes a hand as plain values, with an ``error`` if it can't be used."""
     from smooth_operator.hands.registry import HANDS, find_hand, load_hand
 
     row: dict[str, Any] = {"name": name, "builtin": name in HANDS.built_in}

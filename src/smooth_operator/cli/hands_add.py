@@ -32,12 +32,12 @@ class Add(Common, Page):
     """Add your own hand: analyse a URDF or MJCF model and write a spec file."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands_add:add_hand"
-    details: ClassVar[str] = """Finds palm, fingers, thumb, order, fingertips, side, coupled joints,
-wrist and a neutral pose, from the motion of the joints, not from names. The output lists the
-uncertain findings, each with the option that overrides it; run the command again with those
-options. --all prints every finding with its reason; the spec file also has them as comments. The
-model and its meshes are copied to the folder of the spec file, so you may move or delete the
-original. If you change the original, run the command again.
+    details: ClassVar[str] = """Finds the palm, the fingers and their order, the thumb, fingertips,
+side, coupled joints, wrist and a neutral pose from the motion of the joints, not from their names.
+The output lists the uncertain findings, each with the option that overrides it; run the command
+again with those options. --all prints every finding with its reason; the spec file also has them as
+comments. The model and its meshes are copied to the folder of the spec file, so you may move or
+delete the original. If you change the original, run the command again.
 
 Examples:
   smooth-operator hands add vendor/hand_right.urdf
@@ -61,8 +61,8 @@ Examples:
     """A body or joint of the thumb."""
 
     finger: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY")] = ()
-    """Human finger that drives the robot finger with this body or joint. This also adds a chain
-    that was not detected as a finger."""
+    """Human finger that drives the robot finger with this body or joint. The option also makes a
+    chain a finger that was not detected as one."""
 
     tip: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="FINGER=BODY:x,y,z")] = ()
     """Fingertip: a body of the last link, and a point in its frame [m]."""

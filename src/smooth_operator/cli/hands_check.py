@@ -21,8 +21,8 @@ class Check(Common, Quiet):
     """Check a hand's description: limits, axes, fingertips, pinches and a round trip."""
 
     work: ClassVar[str] = "smooth_operator.cli.hands_check:check_hand_command"
-    details: ClassVar[str] = """Each check reports the measurement and what to do. The round trip
-retargets the landmarks of random poses of the hand; the result should be the same poses. The exit
+    details: ClassVar[str] = """Each check reports what it measured and what to do. The round trip
+retargets the landmarks of random poses of the hand; the results should be the same poses. The exit
 status is 0 if no check failed, 1 if a check failed, 2 if the hand can't be loaded.
 
 Examples:

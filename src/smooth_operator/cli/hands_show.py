@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class _OneHand(Common, Meshes):
-    """Options of the subcommands about one hand."""
+    """Options of the subcommands that show one hand."""
 
     hand: Annotated[Positional[str], arg(metavar="NAME")]
     """Name of a hand, or path of a spec file (.toml)."""

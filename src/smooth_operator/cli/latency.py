@@ -20,7 +20,7 @@ class Latency(Common):
     work: ClassVar[str] = "smooth_operator.cli.latency:latency"
     details: ClassVar[str] = """Stages of a frame:
   tracker  delay compared with the fastest frame of the last seconds; a constant delay can't
-           be seen, because the clocks of tracker and computer are not compared
+           be measured, because the clocks of tracker and computer are not compared
   receive  from the arrival of the frame until the loop takes it
   solve    alignment and retargeting, one compiled program
   limit    limits of position, velocity and acceleration, coupled joints
@@ -81,4 +81,4 @@ def _print(path: Path, timing: Mapping[str, Any]) -> None:
     for event, count in timing.get("events", {}).items():
         console.print(f"  {count:6d} × {event}", markup=False)
     if timing["truncated"]:
-        console.print("the end of the log is missing; this is the timing of the part before it")
+        console.print("the end of the log is missing; the timing is that of the part that exists")

@@ -211,9 +211,9 @@ EXAMPLES: Final = """Examples:
   smooth-operator teleop --source webcam --sink mujoco record:take.mcap
       drive a hand live from a tracker, within limits, with a page that shows it
   smooth-operator view out.npz glove.npz
-      show the result and the recording side by side in the browser
+      show the commands and the recorded hand side by side in the browser
   smooth-operator convert glove.npz --commands out.npz --output demo.mcap
-      write both to one file in another format: MCAP, HDF5, npz or LeRobot
+      write recording and commands to one file in another format: MCAP, HDF5, npz or LeRobot
   smooth-operator bench glove.npz --methods all --output out
       compare methods: a table, results.json and an HTML report
   smooth-operator calibrate glove.npz --output operator.json

@@ -80,7 +80,9 @@ def folder_for(folder: Path) -> Iterator[None]:
 
 
 def stopped(output: Path) -> KeyboardInterrupt:
-    """Raised when Ctrl-C ends a command whose results are kept; ``main`` prints its text."""
+    """The exception to raise when Ctrl-C ends a command whose results are kept; ``main`` prints its
+    text.
+    """
     return KeyboardInterrupt(f"run the same command again to continue in {output}")
 
 

@@ -29,7 +29,7 @@ def main(argv: Sequence[str] | None = None, set_up: Callable[[], object] = lambd
 
     Args:
         argv: the arguments; None for those of the process.
-        set_up: called before the command works, once its arguments are right.
+        set_up: called once the arguments are known to be valid, before the command works.
 
     Returns:
         The exit status: 0 done, 1 some recordings or cells failed (of a folder or a benchmark), 2
@@ -56,11 +56,12 @@ def main(argv: Sequence[str] | None = None, set_up: Callable[[], object] = lambd
 def program() -> int:
     """Runs ``main`` and ends the process, even if threads are still running.
 
-    A daemon thread that is still within compiled code (a driver that does not answer, a library)
-    asks for the interpreter while that ends, and is unwound through frames that do not expect it:
-    the process aborts, though its work is done. So where one is left, the process ends right after
-    its exit functions. It does so after a signal, too: Python would end the process by SIGINT if
-    that came in an ``exec``. One that compiles for a run that has ended is not waited for.
+    A daemon thread may still be in compiled code (a driver that does not answer, or a library). If
+    it asks for the interpreter while the interpreter shuts down, its stack is unwound through
+    frames that do not expect this, and the process aborts although its work is done. Therefore, if
+    such a thread is left, the process ends right after its exit functions. It also does so after a
+    signal: Python would end the process by SIGINT if the signal came in an ``exec``. The process
+    does not wait for a thread that compiles for a run that has ended.
     """
     global _status
     status = main(set_up=_set_up)
@@ -77,7 +78,7 @@ def program() -> int:
 
 
 _status: int | None = None
-"""Exit status of a process that ends without being torn down."""
+"""Exit status of a process that ends without the usual shutdown of Python."""
 
 
 def _end() -> None:
@@ -92,7 +93,7 @@ atexit.register(_end)  # before any other, and so called last
 
 
 def _set_up() -> None:
-    """Sets what a command may and a library may not: other libraries print nothing of their own."""
+    """Makes settings that a command may change but a library may not: silences other libraries."""
     import rich
 
     rich.get_console().quiet = True  # viser's; what commands print is on consoles of their own
@@ -104,7 +105,7 @@ def _set_up() -> None:
 
 
 def _keep_machine_code() -> None:
-    """Has JAX keep machine code in the user's folder, unless the user has chosen another.
+    """Makes JAX keep machine code in the user's folder, unless the user has chosen another folder.
 
     JAX reads these variables when it is imported, and workers inherit them.
     """
@@ -118,7 +119,9 @@ def _keep_machine_code() -> None:
 
 
 def _forget_damaged(folder: Path) -> None:
-    """Empties a folder of machine code when JAX warns of a damaged entry, as it would for ever."""
+    """Empties a folder of machine code when JAX warns of a damaged entry; otherwise it would always
+    warn.
+    """
     shown = warnings.showwarning
 
     def show(message: Warning | str, *rest: Any, **more: Any) -> None:

@@ -14,7 +14,7 @@ from smooth_operator.types import HandRecording, Side
 
 _TURN_S: Final = 0.05
 _PATIENCE_S: Final = 30.0
-"""Longest silence of a tracker before calibration ends [s]."""
+"""Time without frames from the tracker after which the calibration ends [s]."""
 
 
 def ask(
@@ -66,6 +66,6 @@ def _go_through(
 
 def _told(moment: Moment) -> str:
     if moment.phase == "wait":
-        return f"no hand in sight; next: {moment.prompt.text}"
+        return f"no hand is visible; next: {moment.prompt.text}"
     verb = "get ready" if moment.phase == "settle" else "hold"
     return f"{moment.prompt.text} ({verb}, {moment.left_s:.0f} s)"

@@ -1,4 +1,4 @@
-"""``smooth-operator retarget``: a recording, or a folder of them, into joint commands."""
+"""``smooth-operator retarget``: turns a recording, or a folder of them, into joint commands."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ timestamps (T,) [s], latency_ms (T,) and status (T,); the resolved configuration
 written with it, as OUT.json.
 
 For a folder, all recordings (including subfolders) are retargeted, several in parallel. The
-folder of --output has the same structure. Its report.json has the counts and the failures; its
+folder of --output has the same structure. Its report.json lists the counts and the failures; its
 episodes.jsonl has one line per recording, with quality figures. latency_ms is NaN. Run
 the same command again to continue after a stop, or to add new recordings: finished results
 are kept, unless their recording, settings, robot hand or this program's code have changed.
@@ -73,7 +73,7 @@ Examples:
     nodes need this package and the same folders."""
 
     overwrite: bool = False
-    """Replace what is there: OUT.npz, or the finished results of a folder."""
+    """Replace existing results: OUT.npz, or the finished results of a folder."""
 
     json: bool = False
     """Print only one JSON object on standard output: the metrics, or for a folder its report."""
@@ -128,7 +128,7 @@ def retarget(options: Retarget) -> None:
     held = int((outcome.commands.status != Status.OK).sum())
     if held:
         done = (
-            "had no usable hand: short gaps are bridged, over longer ones the last pose is held"
+            "had no usable hand: short gaps are bridged; in longer ones the last pose is held"
             if isinstance(todo.config, TrajectoryMethodConfig)
             else "repeat the last good command"
         )
@@ -163,8 +163,8 @@ def retarget_folder(options: Retarget) -> None:
         file_kind(folder)  # raises an error that names the command for a data set
     if output.suffix == ".npz" and not output.is_dir():
         raise OutputError(
-            f"can't write {str(output)!r}: {folder} is a folder of recordings, and so are its "
-            "results; name a folder"
+            f"can't write {str(output)!r}: {folder} is a folder of recordings, so "
+            "its results need a folder; name a folder"
         )
     request = requested(
         options,

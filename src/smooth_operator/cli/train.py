@@ -64,7 +64,7 @@ Examples:
     """Only these frames of each recording, as a Python slice: :500, 2600:3100, -500:"""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames per second of recordings without time stamps [Hz]."""
+    """Frame rate of recordings without timestamps [Hz]."""
 
     coverage: Literal["operator", "reach"] = "operator"
     """Motion that the robot should cover: the operator's motion or, as published, the robot's whole

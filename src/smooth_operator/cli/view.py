@@ -30,7 +30,7 @@ class View(Common, Page, Ordered, Meshes):
         str
     ] = """Commands and frames are matched by their timestamps. Several files of commands for the
 same frames and the same hand are shown side by side, each labelled with its method; the human hand
-is aligned as for the first method.
+is aligned as by the first method.
 
 Examples:
   smooth-operator view out.npz glove.npz
@@ -79,7 +79,7 @@ def view(options: View) -> None:
     if not outs:
         raise ConfigError(
             "view takes commands and then their recording, such as out.npz glove.npz; only "
-            f"{str(source)!r} is named"
+            f"{str(source)!r} was given"
         )
     runs = [_run(options, out, source) for out in outs]
     hands = {run.hand.name: run.out for run in runs}
@@ -174,7 +174,9 @@ def _chosen(commands: CommandTrajectory, frames: str | None) -> CommandTrajector
 
 
 def _labels(runs: Sequence[_Run]) -> list[str]:
-    """Label of each run: its method, or its file name if the method is unknown or not unique."""
+    """Returns the label of each run: its method, or its file name if the method is unknown or not
+    unique.
+    """
     names = [run.made_by or run.out.stem for run in runs]
     return [
         name if names.count(name) == 1 else f"{name} ({run.out.stem})"
@@ -211,7 +213,7 @@ def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
 
 
 def _alignment(config: dict[str, Any]) -> AlignmentConfig:
-    """The scale that the method used, if the configuration has it."""
+    """Returns the scale that the method used, if the configuration has it."""
     from smooth_operator.retargeting.alignment import AlignmentConfig
 
     try:

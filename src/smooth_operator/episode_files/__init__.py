@@ -1,1 +1,1 @@
-"""File formats of episodes: HDF5, ``.npz`` and LeRobot datasets; EgoDex files."""
+"""File formats of episodes: HDF5, ``.npz``, LeRobot datasets and EgoDex files."""

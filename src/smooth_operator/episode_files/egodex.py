@@ -1,8 +1,8 @@
-"""Hands of the EgoDex data set: one hand as a recording, or a clip with all that a file holds.
+"""Reads hands of the EgoDex data set: one hand as a recording, or a clip with everything in a file.
 
 A file has 4 x 4 transforms in ARKit's world: the group ``transforms`` with an array (T, 4, 4) for
 each joint (``rightHand``, ``rightIndexFingerTip``, ...) and for the camera, and perhaps
-``confidences`` with an array (T,) for each joint. Both hands are in one file; times are not.
+``confidences`` with an array (T,) for each joint. A file contains both hands, but no times.
 Source: the README and ``visualize_2d.py`` of apple/ml-egodex; the paper, arXiv 2505.11709.
 """
 
@@ -34,7 +34,7 @@ from smooth_operator.types import HandRecording, Side
 
 WORLD: Final = "egodex"
 RATE_HZ: Final = 30.0
-"""Frames a second of the data set, which its files do not say."""
+"""Frame rate of the data set [Hz], which its files do not state."""
 
 _AXES: Final = WORLD_AXES["openxr"]
 _WRISTS: Final[Mapping[Side, Float[np.ndarray, "3 3"]]] = {
@@ -46,16 +46,16 @@ _WRISTS: Final[Mapping[Side, Float[np.ndarray, "3 3"]]] = {
 def read_egodex(
     tree: Mapping[str, Hdf5Group], path: Path, rate: float | None, side: Side | None
 ) -> HandRecording:
-    """One hand of a file, its wrist and landmarks in a z-up world.
+    """Reads one hand of a file, with its wrist and landmarks in a z-up world.
 
     Args:
         tree: the file's groups.
         path: the file, for messages.
-        rate: frames a second [Hz]; the data set has 30.
-        side: side of the hand; the right one if left out.
+        rate: frame rate [Hz]; that of the data set is 30.
+        side: side of the hand; right by default.
 
     Raises:
-        RecordingError: joints are missing or have another shape; there is no rate.
+        RecordingError: joints are missing or have another shape, or there is no rate.
     """
     label, assumed = check_side([], side, str(path))
     recording = egodex_hand(tree, path, rate, label)
@@ -67,7 +67,9 @@ def read_egodex(
 def egodex_hand(
     tree: Mapping[str, Hdf5Group], path: Path, rate: float | None, side: Side
 ) -> HandRecording:
-    """The same before units and stamps are checked; joints that ARKit lost or are no poses are NaN.
+    """Reads one hand without a check of units and stamps.
+
+    Joints that ARKit lost and matrices that are not poses become NaN.
 
     Raises:
         RecordingError: as ``read_egodex``.
@@ -95,13 +97,13 @@ def egodex_hand(
 
 
 def egodex_camera(tree: Mapping[str, Hdf5Group], path: Path) -> Float[np.ndarray, "T 7"] | None:
-    """(T, 7) poses of the camera in the same world, x right, y down, z into the picture.
+    """Reads the (T, 7) poses of the camera in the same world: x right, y down, z into the picture.
 
-    Its axes in the file are those already: the inverse of ``transforms/camera`` and the 3 x 3
-    ``camera/intrinsic`` project joints to pixels. None if it is not there.
+    The file already uses these axes: the inverse of ``transforms/camera`` and the 3 x 3
+    ``camera/intrinsic`` project joints to pixels. The result is None if the file has no camera.
 
     Raises:
-        RecordingError: it has another shape.
+        RecordingError: the array has another shape.
     """
     if "camera" not in tree["transforms"].arrays:
         return None
@@ -111,7 +113,9 @@ def egodex_camera(tree: Mapping[str, Hdf5Group], path: Path) -> Float[np.ndarray
 def egodex_confidences(
     tree: Mapping[str, Hdf5Group], side: Side, count: int
 ) -> Float[np.ndarray, "T 25"] | None:
-    """Confidence of ARKit in each joint, 0 to 1; NaN for a joint without; None without any."""
+    """Reads the confidence of ARKit in each joint, 0 to 1: NaN for a joint without one, None
+    without any.
+    """
     group = tree.get("confidences")
     held = {} if group is None else group.arrays
     sure = np.full((count, len(EGODEX_JOINTS[side])), np.nan)
@@ -125,10 +129,10 @@ def egodex_confidences(
 def egodex_transforms(
     tree: Mapping[str, Hdf5Group], name: str, path: Path
 ) -> Float[np.ndarray, "T 4 4"]:
-    """The transforms of a joint or of the camera, as they are in the file.
+    """Reads the transforms of a joint or of the camera unchanged.
 
     Raises:
-        RecordingError: there are none, or another number than of the other joints.
+        RecordingError: there are none, or their number differs from that of the other joints.
     """
     group = tree["transforms"]
     first = next((n for pair in EGODEX_JOINTS.values() for n in pair if n in group.arrays), name)
@@ -144,7 +148,7 @@ def egodex_transforms(
 
 
 def _poses(matrices: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T 7"]:
-    """NaN where a matrix is no rigid transform."""
+    """Converts matrices to poses; NaN if a matrix is not a rigid transform."""
     good = is_rigid(matrices)
     poses = np.full((len(matrices), 7), np.nan)
     poses[good] = from_matrices(matrices[good])
@@ -157,7 +161,7 @@ _ABOUT: Final = ("task", "environment", "object", "session_name", "llm_verbs", "
 
 
 class Egodex:
-    """One file, one clip of 30 frames a second."""
+    """Reader of EgoDex files; a file is one clip at 30 frames per second."""
 
     what = "an HDF5 file of EgoDex"
     expects = (
@@ -166,7 +170,7 @@ class Egodex:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is an HDF5 file with the group ``transforms``."""
+        """True for an HDF5 file with the group ``transforms``."""
         if path.suffix.lower() not in (".hdf5", ".h5") or not path.is_file():
             return False
         with path.open("rb") as stream:
@@ -181,21 +185,22 @@ class Egodex:
             return False  # the reader of plain recordings says what is wrong
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The file."""
+        """Yields the file as one clip."""
         yield ClipRef(path.stem, path, layout="egodex", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands, camera and task; frames that ARKit did not see are NaN and not valid.
+        """Reads hands, camera and task of a file; frames that ARKit did not see are NaN and not
+        valid.
 
         Raises:
-            RecordingError: it is damaged, or joints are missing or have another shape.
+            RecordingError: the file is damaged, or joints are missing or have another shape.
             MissingExtraError: h5py is not installed.
         """
         path = ref.path
         tree = read_tree(path)
         if "transforms" not in tree:
             raise RecordingError(
-                f"{path}: no file of EgoDex: it holds {tree['/'].describe()}; expected "
+                f"{path}: not an EgoDex file: it holds {tree['/'].describe()}; expected "
                 f"{self.expects}"
             )
         rate = options.rate or RATE_HZ
@@ -234,7 +239,7 @@ def _confidences(tree: Mapping[str, Hdf5Group], side: Any, count: int) -> np.nda
 
 
 def _task(attributes: Mapping[str, Any]) -> str | None:
-    """Task in words.
+    """Description of the task.
 
     A task that can be done and undone (``llm_type`` is ``reversible``) has two descriptions, and
     ``which_llm_description`` says which of them is meant.

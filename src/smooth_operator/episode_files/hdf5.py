@@ -1,4 +1,4 @@
-"""Episodes as HDF5: one file, one episode, units with every array.
+"""Episodes as HDF5 files: one episode per file, with a unit for every array.
 
 ::
 
@@ -13,7 +13,7 @@
     /commands
         joint_positions  (C, n) float64, units rad
         joint_names      (n,) text
-        stamps           (C,) float64, units s: of the frames that are answered
+        stamps           (C,) float64, units s: stamps of the frames of the commands
         latency_ms       (C,) float64, units ms
         status           (C,) int8; attribute status_names: the name of code i at index i
         wrist            (C, 7) float64, units "m, quaternion wxyz", attribute world; if
@@ -21,16 +21,16 @@
         arm              (C, a) float64, units "rad", attributes name and joint_names (with commas);
                          if there was one, with arm_measured (C, a) and arm_wrist (C, 7)
         stages_ms/NAME   (C,) float64, units ms; if the loop's stages were timed
-    /state               the robot hand as it was measured; if it was
+    /state               measured states of the robot hand, if any
         joint_positions  (S, n) float64, units rad; NaN where unknown
         joint_names      (n,) text
-        stamps           (S,) float64, units s: of the measurements
-        actuator_names   (a,) text; if it has actuators of their own
+        stamps           (S,) float64, units s: times of the measurements
+        actuator_names   (a,) text; if the actuators have their own names
         currents         (S, a) float64, mA or the driver's unit of force; if measured
         touch            (S, k) float64, the driver's unit; if measured
-    /configuration       text, JSON; if there is one
+    /configuration       text, JSON; if there is a configuration
 
-``/hand`` or ``/commands`` may be absent. A file of another program is read as well if it has the
+``/hand`` or ``/commands`` may be absent. A file of another program can also be read if it has the
 groups and arrays above that are not marked as optional; attributes may be missing.
 """
 
@@ -76,7 +76,7 @@ VERSION: Final = 1
 POSE_UNITS: Final = "m, quaternion wxyz"
 
 Group: TypeAlias = Any
-"""A group of h5py, which comes without types."""
+"""A group of h5py, which has no type annotations."""
 
 _OPTIONAL: Final = {"metacarpals": (4, 3), "orientations": (21, 4), "T_world_wrist": (7,)}
 
@@ -86,7 +86,7 @@ def write_hdf5_episode(path: Path, episode: Episode) -> None:
 
     Raises:
         MissingExtraError: h5py is not installed.
-        OutputError: it can't be written.
+        OutputError: the file can't be written.
     """
     h5py = h5py_of()
     with staged_file(path) as temporary, h5py.File(temporary, "w") as file:
@@ -117,8 +117,8 @@ def read_hdf5_episode(
 
     Raises:
         MissingExtraError: h5py is not installed.
-        RecordingError: damaged, of another layout or a newer version; arrays of the wrong shape or
-            type; a side or rate that contradicts the file.
+        RecordingError: the file is damaged, or has another layout or a newer version; arrays have
+            the wrong shape or type; or the side or rate contradicts the file.
     """
     tree = read_tree(path)
     top = tree["/"]
@@ -168,10 +168,10 @@ def read_hdf5_episode(
 def read_hdf5_recording(
     path: Path, rate: float | None, side: Side | None, layout: str | None = None
 ) -> HandRecording:
-    """The hand frames of an episode, which has its own order of landmarks.
+    """Reads the hand frames of an episode, whose order of landmarks is known.
 
     Raises:
-        RecordingError: as ``read_hdf5_episode``; there are no frames in it.
+        RecordingError: as for ``read_hdf5_episode``, or there are no frames.
     """
     recording = read_hdf5_episode(path, rate=rate, side=side).recording
     if recording is None:
@@ -294,7 +294,7 @@ def _object(text: str | None, what: str) -> dict[str, Any]:
 
 
 def _write_wrist(group: Group, wrist: WristTrack) -> None:
-    """Add the commanded wrist to the commands."""
+    """Adds the commanded wrist to the commands."""
     _write_array(group, "wrist", wrist.poses, POSE_UNITS)
     group["wrist"].attrs["world"] = wrist.world
     _write_array(group, "wrist_engaged", np.asarray(wrist.engaged, bool), None)
@@ -352,10 +352,10 @@ def _write_states(group: Group, states: StateTrajectory) -> None:
 
 
 def _read_states(group: Hdf5Group, path: Path) -> StateTrajectory:
-    """The measured states of a robot hand.
+    """Reads the measured states of a robot hand.
 
     Raises:
-        RecordingError: an array is missing or does not fit.
+        RecordingError: an array is missing or has the wrong shape.
     """
     positions = _numbers(group, "joint_positions", (None, None), path)
     count = len(positions)
@@ -375,11 +375,11 @@ def _read_states(group: Hdf5Group, path: Path) -> StateTrajectory:
 
 
 def _write_array(group: Group, name: str, value: np.ndarray, units: str | None) -> None:
-    """Add an array to a group, packed.
+    """Adds a compressed array to a group.
 
     Args:
         group: group of an open h5py file.
-        units: its attribute; None for none.
+        units: its attribute ``units``; None to write none.
     """
     # Shuffled bytes of neighbouring samples compress far better than the samples themselves.
     packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if value.size else {}
@@ -389,17 +389,17 @@ def _write_array(group: Group, name: str, value: np.ndarray, units: str | None) 
 
 
 def _numbers(group: Hdf5Group, name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:
-    """An array of numbers as float64; see ``_array_of``."""
+    """Returns an array of numbers as float64; see ``_array_of``."""
     return _array_of(group, name, shape, "fiu", path).astype(np.float64, copy=False)
 
 
 def _array_of(
     group: Hdf5Group, name: str, shape: tuple[int | None, ...], kinds: str, path: Path
 ) -> np.ndarray:
-    """An array of numbers of the shape and kinds that are expected.
+    """Returns an array of numbers after a check of its shape and kind.
 
     Raises:
-        RecordingError: it is missing, or of another shape or kind.
+        RecordingError: the array is missing, or has another shape or kind.
     """
     array = _data_of(group, name, path)
     fits = len(array.shape) == len(shape) and all(
@@ -417,10 +417,10 @@ def _array_of(
 
 
 def _data_of(group: Hdf5Group, name: str, path: Path) -> Hdf5Array:
-    """An array as it is.
+    """Returns an array unchanged.
 
     Raises:
-        RecordingError: the group has none of that name.
+        RecordingError: the group has no array with that name.
     """
     if name not in group.arrays:
         raise RecordingError(
@@ -430,5 +430,5 @@ def _data_of(group: Hdf5Group, name: str, path: Path) -> Hdf5Array:
 
 
 def _text_of(value: Any) -> str | None:
-    """A value if it is a text."""
+    """Returns a value if it is a string, else None."""
     return value if isinstance(value, str) else None

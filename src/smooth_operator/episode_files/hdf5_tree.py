@@ -1,4 +1,4 @@
-"""Groups and arrays of an HDF5 file, read within bounds on memory."""
+"""Reads groups and arrays of an HDF5 file within limits on memory."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ ARRAYS = {
     ),
     "state": ("joint_positions", "joint_names", "stamps", "actuator_names", "currents", "touch"),
 }
-"""Of the groups; all arrays of ``stages_ms`` are read."""
+"""Group -> arrays that are read from it; all arrays of ``stages_ms`` are read."""
 
 _MOST_STAGES = 64
 _MOST_NAMES = 100
@@ -58,13 +58,13 @@ class Hdf5Array:
     """An array of a file.
 
     Attributes:
-        name: with its groups.
+        name: name of the array, including its groups.
         shape: its shape.
         kind: kind of its elements in NumPy's letters: ``f``, ``i``, ``u``, ``b``, or another.
-        type: the same for a person.
-        attributes: texts, numbers and lists of them.
-        data: its numbers, None where it holds something else.
-        texts: its texts, in one row; None where it holds something else.
+        type: human-readable type of its elements.
+        attributes: strings, numbers and lists of them.
+        data: its numbers; None if it has other content.
+        texts: its strings, as a flat list; None if it has other content.
     """
 
     name: str
@@ -81,10 +81,10 @@ class Hdf5Group:
     """A group of a file.
 
     Attributes:
-        name: with those that it is in.
-        names: names of its members, the first hundred.
-        attributes: texts, numbers and lists of them.
-        arrays: those that this package reads.
+        name: name of the group, including its parent groups.
+        names: names of its first hundred members.
+        attributes: strings, numbers and lists of them.
+        arrays: its arrays that this package reads.
     """
 
     name: str
@@ -93,21 +93,21 @@ class Hdf5Group:
     arrays: dict[str, Hdf5Array]
 
     def describe(self) -> str:
-        """Content, for messages."""
+        """Description of the content, for messages."""
         return listed(self.names) or "nothing"
 
 
 def read_tree(path: Path, *, head: bool = False) -> dict[str, Hdf5Group]:
-    """The groups that this package reads, by name; the file itself is ``/``.
+    """Reads the groups that this package uses, by name; the file itself is ``/``.
 
     Args:
         path: the file.
-        head: only the attributes of the file.
+        head: True to read only the attributes of the file.
 
     Raises:
         MissingExtraError: h5py is not installed.
-        RecordingError: the file is damaged, links to others, or takes more memory than a file of
-            its size may.
+        RecordingError: the file is damaged, links to other files, or takes more memory than a file
+            of its size may.
     """
     h5py = h5py_of()
     try:
@@ -126,11 +126,11 @@ def read_tree(path: Path, *, head: bool = False) -> dict[str, Hdf5Group]:
 
 
 class _RefusedError(Exception):
-    """The file holds what is not read; the message follows its name."""
+    """The file contains something that is not read; the message continues the file's name."""
 
 
 def _groups(file: Any, most: int, head: bool, h5py: Any) -> Iterator[tuple[str, Hdf5Group]]:
-    """Groups by name. ``most`` is the number of bytes that all arrays may take."""
+    """Reads groups by name. ``most`` is the number of bytes that all arrays may take."""
     left = [most]
     yield "/", _group(file, () if head else ARRAYS["/"], left, h5py)
     groups = {"": file}
@@ -236,7 +236,7 @@ def h5py_of() -> Any:
     """The module ``h5py``.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: h5py is not installed.
     """
     try:
         import h5py

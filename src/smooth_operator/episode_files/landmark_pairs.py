@@ -46,7 +46,7 @@ _MOST_TEXT: Final = 2000
 
 
 class LandmarksOfBothHands:
-    """One file, one clip."""
+    """Reader of an ``.npz`` with the landmarks of both hands; a file is one clip."""
 
     what = "an .npz with the landmarks of both hands"
     expects = (
@@ -55,7 +55,7 @@ class LandmarksOfBothHands:
     )
 
     def matches(self, path: Path) -> bool:
-        """True if it is an ``.npz`` that has ``right`` or ``left`` with three axes."""
+        """True for an ``.npz`` file that has ``right`` or ``left`` with three axes."""
         if path.suffix.lower() != ".npz" or not path.is_file():
             return False
         try:
@@ -65,14 +65,14 @@ class LandmarksOfBothHands:
         return any(side in arrays and len(arrays[side].shape) == 3 for side in SIDES)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The file."""
+        """Yields the file as one clip."""
         yield ClipRef(path.stem, path, layout="landmarks", size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """Its hands, wrists, camera, objects and task.
+        """Reads the hands, wrists, camera, objects and task of a file.
 
         Raises:
-            RecordingError: an array has another shape than the others ask for; units, order, side
+            RecordingError: the shape of an array does not match the others; or units, order, side
                 or stamps are wrong.
         """
         path, arrays = ref.path, open_arrays(ref.path)

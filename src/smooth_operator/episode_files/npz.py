@@ -1,7 +1,7 @@
-"""Episodes as ``.npz``: plain arrays that NumPy alone reads.
+"""Episodes as ``.npz`` files: plain arrays that NumPy can read without this program.
 
 ========================  ==================  ============================================
-array                     shape               what it holds
+array                     shape               content
 ========================  ==================  ============================================
 ``landmarks``             (T, 21, 3) float64  positions [m], NaN where not finite
 ``timestamps``            (T,) float64        stamps of the frames [s]
@@ -18,13 +18,12 @@ array                     shape               what it holds
                                               with ``wrist_engaged``, ``wrist_valid`` (C,) bool
 ``stages_ms``             (C, k) float64      times of the stages in ``stage_names``
 ``configuration``         text                JSON
-``episode``               text                JSON: name, task, and what the source said
+``episode``               text                JSON: name, task, metadata of the source
 ========================  ==================  ============================================
 
-So a file of commands is what ``read_commands`` reads, and one of
-frames what ``read_recording`` does; one of both is read by either.
-Where the commands' stamps are not those of the frames, ``timestamps`` are the commands' and
-``landmark_timestamps`` the frames'.
+``read_commands`` can read a file of commands, ``read_recording`` a file of frames, and both can
+read a file with both. If the commands' stamps differ from those of the frames, ``timestamps`` are
+the commands' and ``landmark_timestamps`` the frames'.
 """
 
 from __future__ import annotations
@@ -56,13 +55,12 @@ _HANDS: Final = ("landmarks", "joints")
 def read_npz_episode(
     path: Path, *, rate: float | None = None, side: Side | None = None, layout: str | None = None
 ) -> Episode:
-    """Reads a recording, a file of commands, or one of both.
+    """Reads a recording, a file of commands, or a file with both.
 
-    The configuration is the one in the file, or else ``OUT.json`` in its folder.
+    The configuration is the one in the file, or otherwise ``OUT.json`` in its folder.
 
     Raises:
-        RecordingError: as ``read_recording`` and
-            ``read_commands``.
+        RecordingError: as for ``read_recording`` and ``read_commands``.
     """
     arrays = open_arrays(path)
     has_commands = all(name in arrays for name in _COMMANDS)
@@ -91,10 +89,10 @@ def read_npz_episode(
 
 
 def write_npz_episode(path: Path, episode: Episode) -> None:
-    """Writes an episode; with commands and a configuration, ``OUT.json`` as well.
+    """Writes an episode; if it has commands and a configuration, also writes ``OUT.json``.
 
     Raises:
-        OutputError: it can't be written.
+        OutputError: a file can't be written.
     """
     arrays: dict[str, np.ndarray] = {}
     recording, commands = episode.recording, episode.commands

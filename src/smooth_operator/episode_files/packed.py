@@ -1,4 +1,4 @@
-"""Clips that the Parquet writer has packed: many in a file, each a row."""
+"""Reader of clips that the Parquet writer packed: many clips per file, one clip per row."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _TEXTS: Final = ("name", "layout", "task", "world", "video", "meta")
 
 
 class Packed:
-    """Files of the format ``parquet``.
+    """Reader of files of the format ``parquet``.
 
-    The human hands are read, so that a data set can be made for another hand from one that was
-    made for a first. Workers read a row group at a time.
+    It reads the human hands, so that a data set for one robot hand can be converted to a data set
+    for another. Workers read one row group at a time.
     """
 
     what = "a Parquet file of packed clips"
@@ -44,7 +44,7 @@ class Packed:
         return {"name", "stamps"} <= names and bool(hands & names)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """A reference for each row; reads the column of names.
+        """Yields a reference for each row; reads only the column of names.
 
         Raises:
             RecordingError: the file is damaged.
@@ -61,10 +61,10 @@ class Packed:
             raise damaged(path, f"Parquet: {error}") from error
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """The human hands of a row; its stamps are in the file.
+        """Reads the human hands of a row; their stamps are in the file.
 
         Raises:
-            RecordingError: the file is damaged, or differs from what the writer makes.
+            RecordingError: the file is damaged, or is not in the writer's format.
         """
         try:
             group, row = map(int, ref.key.split("/"))
@@ -80,17 +80,18 @@ class Packed:
 
 
 def clip_of_row(table: Any, row: int, path: Path | None = None) -> Clip:
-    """A clip from a row of an Arrow table with the columns of the Parquet writer.
+    """Makes a clip from a row of an Arrow table with the columns of the Parquet writer.
 
-    ``stamps`` and one of ``right_landmarks`` and ``left_landmarks`` are needed, the others may be
-    absent or null.
+    ``stamps`` and one of ``right_landmarks`` and ``left_landmarks`` are required; the other columns
+    may be absent or null.
 
     Args:
         table: with lists of one item a frame; points are lists of 63 numbers, or of 21 times 3.
         path: the file, for the clip's source and for messages; None for a clip in memory.
 
     Raises:
-        RecordingError: a column is missing, or has another number of frames than ``stamps``.
+        RecordingError: a column is missing, or does not have the same number of frames as
+            ``stamps``.
     """
     where = "the row" if path is None else str(path)
     text = {name: _text(table, name, row) for name in _TEXTS}
@@ -166,16 +167,16 @@ def _text(table: Any, name: str, row: int) -> str | None:
     value = _value(table, name, row)
     if value is None or isinstance(value, str):
         return value
-    raise RecordingError(f"column {name!r} must hold texts, not {brief(value)}")
+    raise RecordingError(f"column {name!r} must hold strings, not {brief(value)}")
 
 
 def _value(table: Any, name: str, row: int) -> Any:
-    """A cell as Python has it; None if there is no such column."""
+    """A cell as a Python value; None if there is no such column."""
     return table.column(name)[row].as_py() if name in table.column_names else None
 
 
 def _numbers(table: Any, name: str, row: int, count: int | None) -> np.ndarray | None:
-    """The numbers of a cell, one after the other; None where it is null or of no clip."""
+    """The numbers of a cell as a flat array; None if the cell is null or missing."""
     if name not in table.column_names:
         return None
     pa = arrow()
@@ -212,7 +213,7 @@ def _group(file: Any, path: Path, group: int, columns: list[str] | None = None) 
 
 @functools.lru_cache(maxsize=2)
 def _cached(path: Path, _modified_ns: int, _size: int, group: int) -> Any:
-    """A row group, which holds the neighbours of a clip too."""
+    """Reads a row group, and keeps it because it also contains the neighbours of a clip."""
     check_plain_file(path)
     with parquet().ParquetFile(path, page_checksum_verification=True) as file:
         return _group(file, path, group)

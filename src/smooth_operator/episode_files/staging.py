@@ -1,7 +1,7 @@
 """Writes a file or folder completely or not at all.
 
-``atomic_write`` gives an open file; libraries that open files
-themselves, and datasets of many files, need a place to work in until all is done.
+``atomic_write`` yields an open file. Libraries that open files themselves, and datasets of many
+files, need a temporary place until everything is written.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from smooth_operator.errors import OutputError, RecordingError, SmoothOperatorEr
 
 @contextlib.contextmanager
 def staged_file(path: Path) -> Iterator[Path]:
-    """A path to write a file at, which takes its place when the block ends.
+    """Yields a temporary path for a file, which is moved to ``path`` when the block ends.
 
     If the block raises, or the process dies, an existing file at ``path`` is unchanged. A symbolic
     link is followed, so its target is replaced and not the link.
 
     Raises:
-        OutputError: as ``atomic_write``.
+        OutputError: as for ``atomic_write``.
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
@@ -45,10 +45,10 @@ def staged_file(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def staged_folder(path: Path) -> Iterator[Path]:
-    """A new folder to fill, which takes its place when the block ends.
+    """Yields a new folder to fill, which is moved to ``path`` when the block ends.
 
-    An existing folder at ``path`` is moved aside and then removed; should the process die between
-    the two moves, it is still there under a hidden name in the same folder (``.NAME.….old``).
+    An existing folder at ``path`` is moved aside and then removed; if the process dies between the
+    two moves, it still exists under a hidden name in the same folder (``.NAME.….old``).
 
     Raises:
         OutputError: no permission, no space, or the path is a file.
@@ -82,7 +82,7 @@ def staged_folder(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _about(path: Path, temporary: Path) -> Iterator[None]:
-    """Errors speak of the file that was asked for, not of the one that is being worked on."""
+    """Makes errors name the requested file instead of the temporary one."""
     try:
         yield
     except SmoothOperatorError as error:

@@ -1,4 +1,4 @@
-"""File formats of recordings, commands, episodes and arrays: readers, writers, their checks.
+"""File formats of recordings, commands, episodes and arrays: their readers, writers and checks.
 
 A file's format is recognised by its content, never by its name alone. Nothing in this package
 unpickles.

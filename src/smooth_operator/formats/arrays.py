@@ -43,7 +43,7 @@ TEXT_BYTES: Final = 64
 
 
 class TooLargeError(RecordingError):
-    """Error: a file would expand to more than its size allows."""
+    """A file would expand to more memory than its size allows."""
 
 
 @dataclass
@@ -129,8 +129,8 @@ class StoredArray:
         """Read the data.
 
         Raises:
-            RecordingError: if it is a pickled array, damaged, or takes more than a file of this
-                size may.
+            RecordingError: the array is pickled or damaged, or takes more memory than a file of
+                this size may.
         """
         label = f"array {self.name!r}" if self.name else "the array"
         if self.dtype.hasobject:
@@ -146,7 +146,7 @@ class StoredArray:
         """Read the data as float64.
 
         Raises:
-            RecordingError: as ``load``, or if it is not numeric.
+            RecordingError: as ``load``, or the array is not numeric.
         """
         array = self.load()
         if array.dtype.kind not in "fiu":
@@ -156,10 +156,10 @@ class StoredArray:
         return array.astype(np.float64, copy=False)
 
     def text(self) -> str:
-        """Read the data as one text.
+        """Read the data as one string.
 
         Raises:
-            RecordingError: as ``texts``, or if there is more than one.
+            RecordingError: as ``texts``, or there is more than one string.
         """
         if self.shape not in ((), (1,)):
             raise RecordingError(
@@ -171,7 +171,7 @@ class StoredArray:
         """Read the data as a flat list of strings (bytes are taken as ASCII).
 
         Raises:
-            RecordingError: as ``load``, or if it is not text.
+            RecordingError: as ``load``, or the array is not text.
         """
         array = self.load()
         if array.dtype.kind not in "US":
@@ -184,12 +184,12 @@ class StoredArray:
             native = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
             codes = native.reshape(-1).view(np.uint32) if array.dtype.itemsize else np.zeros(0)
             if ((codes > sys.maxunicode) | ((codes >= 0xD800) & (codes < 0xE000))).any():
-                raise damaged(self.path, f"array {brief(self.name)} holds values that are not text")
+                raise damaged(self.path, f"array {brief(self.name)} has values that are not text")
         return [str(item) for item in array.ravel()]
 
 
 class StoredArrays(Mapping[str, StoredArray]):
-    """The arrays of an ``.npz`` by name; a bare ``.npy`` is one array named ``""``."""
+    """The arrays of an ``.npz`` file by name; a ``.npy`` file is one array named ``""``."""
 
     def __init__(self, path: Path, entries: dict[str, StoredArray]) -> None:
         self.path = path
@@ -214,8 +214,8 @@ def open_arrays(path: Path) -> StoredArrays:
     """Read the headers of the arrays in an ``.npy`` or ``.npz`` file.
 
     Raises:
-        RecordingError: if the file is cut off, damaged, no plain file, or a pickle inside a zip
-            (PyTorch's form).
+        RecordingError: the file is cut off, damaged, not a plain file, or a zip that contains a
+            pickle (PyTorch's format).
     """
     with _foreign(path):
         size = check_plain_file(path)
@@ -286,7 +286,7 @@ def _header(
     if not dtype.hasobject and size < expected:
         # Before loading, since a header with an absurd shape would otherwise ask for the memory.
         label = f"array {brief(name)}" if name else "the array"
-        raise damaged(path, f"{label} should take {expected} bytes, {size} are there")
+        raise damaged(path, f"{label} should take {expected} bytes, but has {size}")
     return shape, dtype
 
 

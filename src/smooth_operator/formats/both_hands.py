@@ -27,7 +27,7 @@ from smooth_operator.types import HandRecording, Side
 _TOGETHER: Final = 0.4
 """Two hands belong to one frame if their timestamps differ by less than this share of a period."""
 _JUDGED: Final = 50
-"""Number of frames for the judgement of order and side."""
+"""Number of frames from which the order and the side are judged."""
 
 
 def checked_hands(
@@ -41,12 +41,12 @@ def checked_hands(
     Args:
         hands: side -> recording from a file, all with the same timestamps.
         where: the file, for messages.
-        each_frame: True if a model decided the side in each picture; then frames that show the
+        each_frame: True if a model determined the side in each picture; then frames that show the
             other hand are marked invalid.
 
     Raises:
-        RecordingError: no hand appears; or one is in another unit than metres, or by its shape in
-            another order or of the other side than the file says.
+        RecordingError: no hand appears; a hand is not in metres; or, judging by its shape, a hand
+            has another order or side than the file says.
     """
     checked: dict[Side, HandRecording] = {}
     for side in SIDES:
@@ -89,7 +89,9 @@ def _appears(hand: HandRecording) -> bool:
 
 
 def _some_of(hand: HandRecording) -> HandRecording:
-    """Complete frames spread over a recording, as many as the judgement needs: it is slow."""
+    """Selects complete frames spread over a recording, only as many as needed, because judging is
+    slow.
+    """
     assert hand.valid is not None  # filled in by HandRecording
     whole = np.flatnonzero(hand.valid.all(axis=1))
     if len(whole) <= _JUDGED:
@@ -116,7 +118,7 @@ def _of_its_side(hand: HandRecording) -> HandRecording:
 
 
 def on_common_stamps(hands: Mapping[Side, HandRecording], where: str) -> dict[Side, HandRecording]:
-    """Brings hands with own frames by one clock to common timestamps.
+    """Merges two hands, whose frames have their own timestamps on one clock, to common timestamps.
 
     Frames of the two hands that are less than 0.4 of a period apart become one, with the earlier
     stamp. Where a hand has no frame, its landmarks are NaN and not valid.
@@ -180,7 +182,7 @@ def _spread(
 
 
 def wrist_of_points(points: Float[np.ndarray, "T 21 3"], side: Side) -> Float[np.ndarray, "T 7"]:
-    """Poses of the wrist from the points of a hand in a fixed frame, such as the camera's.
+    """Computes poses of the wrist from the points of a hand in a fixed frame, such as the camera's.
 
     Args:
         points: (T, 21, 3) [m] in a right-handed frame; NaN where missing.

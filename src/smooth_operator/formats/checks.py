@@ -52,11 +52,11 @@ _TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, 
 
 
 def check_recording(recording: HandRecording, where: str) -> None:
-    """Refuse a recording that is empty, has no valid landmarks, wrong timestamps or wrong units.
+    """Refuse a recording that is empty, has no valid landmarks, or has wrong timestamps or units.
     Single missing landmarks are accepted and stay flagged as invalid.
 
     Raises:
-        RecordingError: with the reason; it names the file, ``where``.
+        RecordingError: the message gives the reason and the file, ``where``.
     """
     if not len(recording):
         raise RecordingError(f"{where}: the recording contains no frames")
@@ -100,9 +100,9 @@ def check_units(
         where: the file, for the message.
 
     Raises:
-        RecordingError: if the median distance from wrist to middle MCP lies outside
-            ``PALM_RANGE_M``, with the likely unit and factor, or that they are image landmarks; if
-            the wrist is farther than 10,000 km from the origin; or if no frame has both.
+        RecordingError: the median distance from wrist to middle MCP is outside ``PALM_RANGE_M``
+            (the message gives the likely unit and factor, or says that they are image landmarks);
+            the wrist is farther than 10,000 km from the origin; or no frame has both landmarks.
     """
     if not valid.any():
         raise RecordingError(
@@ -270,10 +270,11 @@ def check_stamps(
     Args:
         stamps: (T,) stamps [s].
         where: the file, for the message.
-        poses: the landmarks of each frame, for the advice where stamps repeat.
+        poses: the landmarks of each frame, for the advice if timestamps repeat.
 
     Raises:
-        RecordingError: with the file, the first offending frame, or the likely unit and factor.
+        RecordingError: the message gives the file, and the first offending frame or the likely
+            unit and factor.
     """
     check_times(stamps, where, "frame", poses)
     if len(stamps) < 2:
@@ -306,11 +307,11 @@ def check_times(
     Args:
         stamps: (T,) stamps [s].
         where: the file, for the message.
-        what: what has the stamps: ``frame`` or ``command``.
-        poses: the values that each stamp belongs to, for the advice where stamps repeat.
+        what: name of one item with a timestamp, for the message: ``frame`` or ``command``.
+        poses: the values that belong to each timestamp, for the advice if timestamps repeat.
 
     Raises:
-        RecordingError: with the first offending frame or command.
+        RecordingError: the message gives the first offending frame or command.
     """
     finite = np.isfinite(stamps)
     if not finite.all():
@@ -338,7 +339,7 @@ def check_span(stamps: Float[np.ndarray, " T"], where: str) -> None:
     """Refuse timestamps that span more than ``LONGEST_S``.
 
     Raises:
-        RecordingError: with the span.
+        RecordingError: the message gives the span.
     """
     span = float(stamps[-1]) - float(stamps[0]) if len(stamps) else 0.0
     if span > LONGEST_S:
@@ -382,8 +383,8 @@ def stamps_from_rate(count: int, rate: float | None, where: str) -> Float[np.nda
     """Evenly spaced timestamps [s] from 0, for a recording without timestamps.
 
     Raises:
-        RecordingError: if there is no rate and more than one frame.
-        ConfigError: if the rate is outside ``RATE_RANGE_HZ``.
+        RecordingError: there is no rate and more than one frame.
+        ConfigError: the rate is outside ``RATE_RANGE_HZ``.
     """
     check_frame_rate(rate)
     if rate is None and count > 1:
@@ -398,7 +399,7 @@ def check_rate(stamps: Float[np.ndarray, " T"], rate: float | None, where: str) 
     """Refuse a rate that differs from the timestamps of the file by more than a tenth.
 
     Raises:
-        RecordingError: with both rates.
+        RecordingError: the message gives both rates.
     """
     if rate is None or len(stamps) < 2:
         return
@@ -414,7 +415,7 @@ def check_side(labels: Iterable[str], requested: Side | None, where: str) -> tup
     """Determine the side of a recording from the file and the caller's request.
 
     Args:
-        labels: the chirality labels in the file, none if it has none.
+        labels: the side labels in the file; empty if it has none.
         where: the file, for the message.
 
     Returns:
@@ -444,7 +445,7 @@ def check_side(labels: Iterable[str], requested: Side | None, where: str) -> tup
 
 
 def _plausible(values: dict[str, float], bounds: tuple[float, float], typical: float) -> list[str]:
-    """Units whose converted value falls within the bounds, the most typical first."""
+    """Units in which the value would be within the bounds, the most typical unit first."""
     units = [unit for unit, value in values.items() if bounds[0] <= value <= bounds[1]]
     return sorted(units, key=lambda unit: abs(math.log(values[unit] / typical)))
 
@@ -454,20 +455,21 @@ _LONG = 10**12  # frames; longer than any recording
 
 
 def frame_slice(text: str, length: int | None) -> slice:
-    """Parse ``A:B`` with the meaning of a Python slice.
+    """Parse a range ``A:B``, which has the meaning of a Python slice.
 
     ``:500`` is the first 500 frames, ``2600:3100`` the frames 2600 .. 3099, ``-500:`` the last 500;
     an end beyond the recording means its end.
 
     Args:
         text: the range.
-        length: number of frames in the recording; None before it is read, for a check of the text.
+        length: number of frames in the recording; None to check the text before the recording is
+            read.
 
     Returns:
         ``slice(start, stop)`` with 0 <= start < stop <= length.
 
     Raises:
-        ConfigError: if the text is no range, or the range holds no frame.
+        ConfigError: the text is not a range, or the range contains no frame.
     """
     match = _RANGE.fullmatch(text)
     if match is None:

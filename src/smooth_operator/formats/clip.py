@@ -1,4 +1,4 @@
-"""Clips: one or two human hands over some seconds, the scene, and parts of clips."""
+"""Clips: recordings of one or two human hands with the scene around them, and parts of clips."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from smooth_operator.errors import RecordingError
 from smooth_operator.types import HandRecording, Side, unit_poses
 
 CAMERA: Final = "camera"
-"""Name of the world of clips whose hands are known in the frame of the camera only: x right, y
-down, z into the picture [m]."""
+"""Name of the world of clips whose hands are known only in the frame of the camera: x right, y
+down, z into the picture [m].
+"""
 
 NOTES: Final = "notes"
-"""Entry of ``Clip.meta`` with a reader's notes for a person: a list of texts without the file."""
+"""Entry of ``Clip.meta`` with a reader's human-readable notes: a list of strings without the file
+name.
+"""
 
 RATE: Final = "rate_hz"
 """Entry of ``Clip.meta`` of a file without stamps: the requested frame rate [Hz]."""
@@ -65,7 +68,7 @@ class Clip:
         layout: name of the reader, as in ``READERS``.
         source: files that the clip was read from; the first one is its own.
         task: description of the task; None if unknown.
-        confidence: side -> (T,) confidence of the tracker in the hand, 0 to 1; NaN where unknown.
+        confidence: side -> (T,) confidence of the tracker in the hand, 0 to 1; NaN if unknown.
         T_world_camera: (T, 7) poses of the camera (x right, y down, z into the picture); None if
             unknown.
         objects: tracked objects, with the same number of frames.
@@ -125,7 +128,7 @@ class Clip:
         return next((hand.world for hand in self.hands.values() if hand.world is not None), None)
 
     def T_camera_wrist(self, side: Side) -> Float[np.ndarray, "T 7"] | None:
-        """(T, 7) poses of a wrist in the camera's frame; None if unknown."""
+        """Returns the (T, 7) poses of a wrist in the camera's frame; None if unknown."""
         wrist = self.hands[side].T_world_wrist if side in self.hands else None
         if wrist is None or self.world == CAMERA:
             return wrist
@@ -139,7 +142,7 @@ Frame: TypeAlias = Literal["world", "camera"]
 
 
 def clip_part(clip: Clip, frames: slice) -> Clip:
-    """Some consecutive frames of a clip; the video starts with them."""
+    """Returns a clip of some consecutive frames; its video starts at the first of them."""
     start = frames.start or 0
     camera = clip.T_world_camera
     return replace(
@@ -155,7 +158,7 @@ def clip_part(clip: Clip, frames: slice) -> Clip:
 
 
 def in_frame(clip: Clip, frame: Frame | None) -> Clip:
-    """A clip whose wrists and objects are given in a frame.
+    """Returns the clip with the poses of wrists and objects converted to a frame.
 
     Args:
         frame: ``world`` is fixed to the scene, ``camera`` is the camera's frame; None keeps the
@@ -169,7 +172,7 @@ def in_frame(clip: Clip, frame: Frame | None) -> Clip:
         return clip
     if frame == "world":
         raise RecordingError(
-            f"{clip.name}: its wrists are known in the frame of the camera only; give --frame "
+            f"{clip.name}: its wrists are known only in the frame of the camera; give --frame "
             "camera, or leave it out for the frame that each clip has"
         )
     camera = clip.T_world_camera
@@ -199,7 +202,7 @@ def in_frame(clip: Clip, frame: Frame | None) -> Clip:
 
 
 def with_side(clip: Clip, side: Side | None) -> Clip:
-    """A clip with only one of its hands; None keeps all.
+    """Returns the clip with only one of its hands; None keeps all.
 
     Raises:
         RecordingError: it does not have that hand.
@@ -245,7 +248,7 @@ class ClipRef:
         name: name of the clip, unique in its source.
         path: the file or folder that holds it.
         key: part of the file, if the file holds several clips.
-        layout: name of its reader in ``READERS``; empty if the caller has it.
+        layout: name of its reader in ``READERS``; empty if the caller has the reader.
         size: number of bytes or frames, by which the work is ordered; 0 if unknown.
     """
 

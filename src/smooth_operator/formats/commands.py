@@ -24,7 +24,8 @@ _HANDS = ("landmarks", "joints", "data")
 STATUS_NAMES: Final = tuple(
     {int(status): status.name for status in Status}.get(code, "") for code in range(max(Status) + 1)
 )
-"""Name of each code of ``Status`` at its index; files have them to explain their codes."""
+"""Name of each code of ``Status`` at its index. Files contain these names to explain their codes.
+"""
 
 _KEYS = ("joint_positions", "joint_names", "timestamps", "latency_ms", "status")
 
@@ -37,7 +38,7 @@ def config_path(path: str | os.PathLike[str]) -> Path:
 def write_commands(
     path: str | os.PathLike[str], commands: CommandTrajectory, config: Mapping[str, Any]
 ) -> None:
-    """Write a trajectory of commands and the resolved configuration that made it.
+    """Write a trajectory of commands and the resolved configuration that it was computed with.
 
     ``OUT.npz`` holds ``joint_positions`` (T, n) float64 [rad], ``joint_names`` (n,) text,
     ``timestamps`` (T,) float64 [s], ``latency_ms`` (T,) float64, ``status`` (T,) int8 codes of
@@ -51,8 +52,8 @@ def write_commands(
 
     Raises:
         OutputError: the name does not end in ``.npz``, or the files can't be written.
-        RecordingError: the arrays of the trajectory do not fit each other.
-        ConfigError: the configuration holds what JSON can't.
+        RecordingError: the arrays of the trajectory do not match.
+        ConfigError: the configuration contains a value that JSON can't represent.
     """
     write_encoded_commands(path, encode_commands(commands), config)
 
@@ -61,7 +62,7 @@ def encode_commands(commands: CommandTrajectory) -> bytes:
     """Encodes ``OUT.npz`` as bytes. Equal commands give equal bytes at any time and on any machine.
 
     Raises:
-        RecordingError: the arrays of the trajectory do not fit each other.
+        RecordingError: the arrays of the trajectory do not match.
     """
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, **command_arrays(commands))  # members without a date
@@ -72,7 +73,7 @@ def command_arrays(commands: CommandTrajectory) -> dict[str, np.ndarray]:
     """Arrays of ``OUT.npz`` by name.
 
     Raises:
-        RecordingError: the arrays of the trajectory do not fit each other.
+        RecordingError: the arrays of the trajectory do not match.
     """
     arrays = {
         "joint_positions": np.asarray(commands.joint_positions, np.float64),
@@ -95,7 +96,7 @@ def write_encoded_commands(
 
     Raises:
         OutputError: the name does not end in ``.npz``, or the files can't be written.
-        ConfigError: the configuration holds what JSON can't.
+        ConfigError: the configuration contains a value that JSON can't represent.
     """
     path = Path(path)
     if path.suffix != ".npz":
@@ -110,16 +111,16 @@ def write_encoded_commands(
 def written_result(path: Path, config: Mapping[str, Any] | None) -> Iterator[IO[bytes]]:
     """Writes ``OUT.npz`` and, if given, its configuration: both files or none.
 
-    The result is written to the disk before the configuration is moved to its place, and is moved
-    after it. Therefore a full disk leaves the earlier files unchanged, and a result always has its
-    configuration.
+    The result is written to the disk before the configuration is moved to its place, and is itself
+    moved after the configuration. Therefore a full disk leaves the earlier files unchanged, and a
+    result always has its configuration.
 
     Yields:
         The file to which the result must be written.
 
     Raises:
         OutputError: the files can't be written.
-        ConfigError: the configuration holds what JSON can't.
+        ConfigError: the configuration contains a value that JSON can't represent.
     """
     text = None if config is None else to_json(dict(config), indent=2)
     with atomic_write(path) as file:
@@ -144,9 +145,9 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
         The trajectory.
 
     Raises:
-        RecordingError: no such file, damaged or pickled; arrays that are missing or do not fit each
-            other; stamps that are not finite; a joint name that comes twice; a status that this
-            version does not know.
+        RecordingError: the file does not exist, is damaged or contains pickles; arrays are missing
+            or do not match; stamps are not finite; a joint name occurs twice; or this version does
+            not know a status.
     """
     path = Path(path)
     if file_kind(path) != "npz":
@@ -177,7 +178,7 @@ def read_commands(path: str | os.PathLike[str]) -> CommandTrajectory:
 
 
 def only_commands(path: Path) -> bool:
-    """True if a file holds commands and no hand; False for one that can't be read."""
+    """True if a file contains commands and no hand; False if it can't be read."""
     try:
         if file_kind(path) not in ("npy", "npz"):
             return False
@@ -212,7 +213,7 @@ def translate_status(codes: np.ndarray, names: list[str] | None, where: str) -> 
     """Converts status codes to those of this version, by name if the file has names.
 
     Raises:
-        RecordingError: the codes are no whole numbers, or one is not known here.
+        RecordingError: the codes are not whole numbers, or this version does not know one of them.
     """
     if codes.dtype.kind not in "iu":
         raise RecordingError(f"{where}: status must hold whole numbers, not {codes.dtype}")

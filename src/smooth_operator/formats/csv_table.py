@@ -16,7 +16,7 @@ _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?inf")
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
     """Formats a table with a header as CSV.
 
-    Text that a spreadsheet would calculate (``=HYPERLINK(...)``, ``-1+cmd|...``) gets a leading
+    Text that a spreadsheet would evaluate (``=HYPERLINK(...)``, ``-1+cmd|...``) gets a leading
     apostrophe, which ``plain_cell`` removes again. Numbers are unchanged.
 
     Args:

@@ -1,4 +1,4 @@
-"""Versions and hardware on which a result depends; stored with every result."""
+"""Versions and hardware on which a result depends; they are stored with every result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An episode: a hand recording, its commands and their configuration, in any file format."""
+"""Episodes: a hand recording, its commands and configuration, independent of the file format."""
 
 from __future__ import annotations
 
@@ -61,7 +61,8 @@ class StateTrajectory:
         return len(self.stamps)
 
     def at(self, stamps: Float[np.ndarray, " T"]) -> tuple[np.ndarray, np.ndarray]:
-        """The newest measurement at each of some times, or the first one.
+        """Returns the newest measurement at each time; before the first measurement, returns the
+        first.
 
         Returns:
             (T, n) positions [rad] and (T,) stamps [s]; NaN without any measurement.
@@ -80,11 +81,11 @@ class ArmTrack:
 
     Attributes:
         name: name of the arm.
-        joint_names: (n,) from the base.
-        positions: (C, n) commanded [rad]; NaN where a command had none.
-        measured: (C, n) measured when the command was sent [rad]; NaN where nothing was.
-        poses: (C, 7) of the hand's wrist at the commanded positions, in the arm's base: x y z [m]
-            and unit quaternion w x y z; NaN where a command had none.
+        joint_names: (n,) names of the joints, from the base.
+        positions: (C, n) commanded positions [rad]; NaN for a command without them.
+        measured: (C, n) positions measured when the command was sent [rad]; NaN if unknown.
+        poses: (C, 7) poses of the hand's wrist at the commanded positions, in the arm's base: x y z
+            [m] and unit quaternion w x y z; NaN for a command without one.
 
     Raises:
         RecordingError: the arrays do not fit each other.
@@ -108,7 +109,7 @@ class ArmTrack:
         return len(self.positions)
 
     def __getitem__(self, rows: slice | Bool[np.ndarray, " C"]) -> ArmTrack:
-        """Those of some commands."""
+        """Returns the rows of some commands."""
         parts = self.positions[rows], self.measured[rows], self.poses[rows]
         return ArmTrack(self.name, self.joint_names, *parts)
 
@@ -125,8 +126,8 @@ class WristTrack:
     """Commanded poses of a robot hand's wrist, one row for each command of its fingers.
 
     Attributes:
-        poses: (C, 7) x y z [m] and unit quaternion w x y z in ``world``; NaN where a command had
-            none.
+        poses: (C, 7) x y z [m] and unit quaternion w x y z in ``world``; NaN for a command without
+            one.
         engaged: (C,) True if the operator's wrist moved the robot's wrist.
         valid: (C,) True if the operator's wrist was known.
         world: name of the frame.
@@ -154,7 +155,7 @@ class WristTrack:
         return len(self.poses)
 
     def __getitem__(self, rows: slice | Bool[np.ndarray, " C"]) -> WristTrack:
-        """Those of some commands."""
+        """Returns the rows of some commands."""
         return WristTrack(self.poses[rows], self.engaged[rows], self.valid[rows], self.world)
 
 
@@ -180,7 +181,8 @@ class Episode:
         recording: the hand, or None.
         commands: the commands to the robot, or None. An episode has a recording, commands or both.
             There may be frames without commands.
-        config: the resolved configuration that made the commands, as JSON has it, or None.
+        config: the resolved configuration that the commands were computed with, as JSON values, or
+        None.
         stages_ms: (C,) time of each stage of the loop [ms] by name, one value per command, NaN if a
             command did not have the stage.
         task: description of the task, or None.
@@ -189,7 +191,7 @@ class Episode:
         states: the measured joints of the robot hand, or None.
         wrist: the commanded wrist of the robot hand, with each of the commands, or None.
         arm: the states of the arm that carried the hand, one row per command, or None.
-        live: the commands are those of a live loop, which holds the hand between the frames, too.
+        live: True if the commands come from a live loop, which also sends commands between frames.
 
     Raises:
         RecordingError: there are neither frames nor commands, arrays do not match, or a timestamp
@@ -227,21 +229,21 @@ class Episode:
                 )
 
     def __len__(self) -> int:
-        """Number of frames, or of commands without a hand."""
+        """Number of frames, or of commands if there is no hand."""
         part = self.commands if self.recording is None else self.recording
         assert part is not None  # one is always there
         return len(part)
 
     @property
     def stamps(self) -> Float[np.ndarray, " T"]:
-        """(T,) timestamps [s] of the frames, or of the commands without a hand."""
+        """(T,) timestamps [s] of the frames, or of the commands if there is no hand."""
         part = self.commands if self.recording is None else self.recording
         assert part is not None
         return part.stamps
 
     @property
     def meta(self) -> dict[str, Any]:
-        """Metadata from the recording's source, without what every reader computes."""
+        """Metadata from the recording's source, without the entries that every reader computes."""
         meta = {} if self.recording is None else self.recording.meta
         return {key: value for key, value in meta.items() if key not in DERIVED_META}
 
@@ -301,8 +303,8 @@ class Episode:
         """Returns this recording with the commands of another file.
 
         Raises:
-            RecordingError: ``other`` holds no commands, this episode has some already or no hand,
-                or a command answers none of the frames.
+            RecordingError: ``other`` contains no commands; this episode already has commands, or
+                has no hand; or a command belongs to none of the frames.
         """
         if other.commands is None:
             raise RecordingError(
@@ -337,8 +339,8 @@ class Episode:
 def check_commands(commands: CommandTrajectory, where: str) -> None:
     """Refuses a trajectory that no robot can follow, or whose arrays do not match.
 
-    Its stamps must rise and span at most ``LONGEST_S``; its positions must be finite and at most
-    ``MOST_RAD``, but may be NaN where the status is not OK.
+    Its stamps must increase and span at most ``LONGEST_S``; its positions must be finite and at
+    most ``MOST_RAD``, but may be NaN where the status is not OK.
 
     Raises:
         RecordingError: names the array, the expected value and the actual value.

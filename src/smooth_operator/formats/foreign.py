@@ -102,7 +102,7 @@ def foreign_file(path: Path) -> str | None:
 
 
 def foreign_suffix(suffix: str) -> str | None:
-    """Kind of a file of another program, judged by its suffix in lower case."""
+    """Kind of a file of another program, recognised by its suffix in lower case."""
     return _SUFFIXES.get(suffix)
 
 
@@ -112,7 +112,7 @@ def is_dataset(path: Path) -> bool:
 
 
 def foreign_dataset(path: Path) -> str | None:
-    """Description of a LeRobot data set that holds no human hand, of any version; None for others.
+    """Description of a LeRobot data set (of any version) without a human hand; None for others.
 
     Args:
         path: its folder; see ``is_dataset``.
@@ -136,7 +136,7 @@ def foreign_dataset(path: Path) -> str | None:
 
 
 def _names_of(feature: Any) -> str:
-    """Names of the first numbers of a feature, in brackets; empty if it says none."""
+    """Names of the first numbers of a feature, in brackets; empty if it has no names."""
     names = feature.get("names") if isinstance(feature, Mapping) else None
     if isinstance(names, Mapping):
         names = next(iter(names.values()), None)

@@ -19,7 +19,7 @@ _FLAG_NAMES: Final = ("valid", "mask", "visib", "tracked", "presen", "confid")
 _ROUNDING: Final = 1e-3
 """Excess over 1 up to which a confidence counts as 1."""
 _LENGTH: Final = 0.05
-"""Tolerance of the length of a unit quaternion: those of gloves are up to 1 % off."""
+"""Tolerance of the length of a unit quaternion; quaternions of gloves are up to 1 % off."""
 _ZERO: Final = 1e-6
 """Length of a quaternion up to which it marks an unknown pose."""
 
@@ -36,7 +36,7 @@ def validity(
         nodes: number of the tracker's points.
 
     Raises:
-        RecordingError: it has another shape, or holds something else.
+        RecordingError: the array has another shape or other values.
     """
     shapes = [(count,), (count, 1), (count, NUM_LANDMARKS), (count, nodes)]
     if stored.shape not in shapes:
@@ -61,7 +61,7 @@ def _content(values: np.ndarray) -> str:
     if values.dtype.kind not in "bfiu":
         return str(values.dtype)
     other = values[~np.isin(values, (0, 1))]
-    return f"{values.dtype} with {other[0]:g} and the like"
+    return f"{values.dtype} with values such as {other[0]:g}"
 
 
 def pose_rows(stored: StoredArray, count: int, order: str = "wxyz") -> Float[np.ndarray, "T 7"]:
@@ -116,10 +116,10 @@ def pose_rows(stored: StoredArray, count: int, order: str = "wxyz") -> Float[np.
 
 
 def quaternion_order(arrays: StoredArrays) -> str:
-    """Order of the quaternions of a file, from its ``quaternion_order``. Default: ``wxyz``.
+    """Order of the quaternions of a file, from its array ``quaternion_order``. Default: ``wxyz``.
 
     Raises:
-        RecordingError: it names another.
+        RecordingError: the array names another order.
     """
     labels = {"wxyz"}
     if "quaternion_order" in arrays:
@@ -133,8 +133,8 @@ def quaternion_order(arrays: StoredArrays) -> str:
 
 
 def shares(values: np.ndarray, where: str) -> Float[np.ndarray, " T"]:
-    """Converts confidences to the range 0 to 1: negative values (no hand) become 0, and non-numbers
-    become NaN.
+    """Checks confidences, which must be at most 1: negative values (no hand) become 0, and values
+    that are not finite become NaN.
 
     Args:
         values: (T,) confidences of a file.
@@ -178,8 +178,7 @@ def own_stamps(
 
 
 def unread_flags(arrays: StoredArrays, read: Container[str]) -> list[str]:
-    """Names of arrays that look like flags or confidences of the hand and are not among those that
-    are read."""
+    """Names of arrays that look like flags or confidences of the hand, but are not read."""
     return [
         name
         for name in arrays

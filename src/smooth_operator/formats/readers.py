@@ -66,13 +66,13 @@ def read_recording(
       ``keypoint_ids`` (25,), ``chirality``, ``quaternion_order``;
     - a ``.npy`` of shape (T, 21, 3) [m], or an ``.npz`` that holds one, named ``joints`` or
       ``landmarks`` or its only 3-D array, optionally with ``timestamps`` or ``stamps`` (T,) [s]
-      and ``side`` or ``chirality``. 25 nodes (MANUS, WebXR), 26 (OpenXR) and 27
-      (WebXR's and two of the forearm) are mapped onto the 21; a single frame (21, 3) is a recording
-      of one. 4 x 4 transforms (T, n, 4, 4), also as ``right_fingers`` and ``left_fingers``, are
-      read for their positions. Further arrays that are read: ``valid`` (T,) or (T, 21), true or
-      false or 1 or 0, ``T_world_wrist`` (T, 7) or (T, 4, 4), with the name ``world`` and
-      ``quaternion_order`` (wxyz without it), and with 21 ``metacarpals`` (T, 4, 3) [m] and
-      ``orientations`` (T, 21, 4) wxyz;
+      and ``side`` or ``chirality``. 25 nodes (MANUS, WebXR), 26 (OpenXR) and 27 (WebXR's and two of
+      the forearm) are mapped to the 21 landmarks; a single frame (21, 3) is a recording of one. 4 x
+      4 transforms (T, n, 4, 4), also as ``right_fingers`` and ``left_fingers``, are read for their
+      positions. Further arrays that are read: ``valid`` (T,) or (T, 21), true or false or 1 or 0,
+      ``T_world_wrist`` (T, 7) or (T, 4, 4), with the name ``world`` and ``quaternion_order`` (wxyz
+      by default), and, with 21 points, ``metacarpals`` (T, 4, 3) [m] and ``orientations`` (T, 21,
+      4) wxyz;
     - the log that ``LogWriter`` writes, even if it is truncated;
     - the ``.h5`` that ``smooth-operator convert`` writes (with the extra ``hdf5``);
     - a ``.bvh`` of a body capture with fingers (``smooth_operator.formats.bvh``);
@@ -80,8 +80,8 @@ def read_recording(
     - files that the readers of plugins recognise (``smooth_operator.formats.registry``).
 
     Landmarks that are not finite, and frames whose landmarks are all exactly zero (a tracker's "no
-    hand") without flags of the file's own, are flagged in ``valid``. If neither the file nor the
-    caller states the side, a right hand is assumed and ``meta["side_assumed"]`` is True.
+    hand") in a file without flags, are flagged in ``valid``. If neither the file nor the caller
+    states the side, a right hand is assumed and ``meta["side_assumed"]`` is True.
     ``meta["format"]`` is ``"manus"``, ``"array"``, ``"log"``, ``"hdf5"`` or ``"bvh"``, or the name
     of a plugin's reader. Single frames and landmarks with an implausible size are flagged as
     invalid; ``meta["implausible_frames"]`` is the number of affected frames. A recording is refused
@@ -97,13 +97,13 @@ def read_recording(
             The order of other files is known.
 
     Returns:
-        The recording, its units, stamps, side and order checked.
+        The recording. Its units, stamps, side and order have been checked.
 
     Raises:
-        RecordingError: missing, empty, damaged, pickled or foreign file; wrong shape, units or
-            timestamps; no valid landmarks; sides that are mixed or contradict ``side``; the shape
-            of another hand or order. The message states what was expected, what was found, and what
-            to do.
+        RecordingError: the file is missing, empty, damaged, pickled or of another program; its
+            shape, units or timestamps are wrong; it has no valid landmarks; its sides are mixed or
+            contradict ``side``; or its shape is that of the other hand or of another order. The
+            message states what was expected, what was found, and what to do.
         ConfigError: ``rate`` or ``side`` is invalid.
         UnknownNameError: there is no such ``layout``.
         MissingExtraError: the file needs an extra that is not installed.
@@ -120,7 +120,7 @@ def read_recording(
 def read_assumed(
     path: Path, assumed: Side, *, rate: float | None, side: Side | None, layout: str | None
 ) -> HandRecording:
-    """Read a recording as ``read_recording``, with ``assumed`` as the side of one that states none.
+    """Read a recording like ``read_recording``; ``assumed`` is its side if the file states none.
 
     Raises:
         RecordingError: as ``read_recording``.
@@ -131,7 +131,7 @@ def read_assumed(
 
 
 class Files:
-    """Reader of any recording of one hand: one file, one clip."""
+    """Reader of any recording of one hand; a file is one clip."""
 
     what = "a recording of one hand"
     expects = "a file that 'smooth-operator retarget' reads"
@@ -165,7 +165,7 @@ def read_arrays(
     ``read_recording``.
 
     Raises:
-        RecordingError: as ``read_recording``, before its checks of what a hand is.
+        RecordingError: as ``read_recording``, without the checks of size, side and order.
     """
     arrays = open_arrays(path)
     where = str(path)
@@ -232,8 +232,8 @@ def _beside_landmarks(
     not read.
 
     Args:
-        side: the hand whose landmarks these are, where the name of their array says so: names with
-            it at their end, as ``valid_right``, are those of this hand.
+        side: side of the landmarks, if the name of their array states it; then arrays with this
+            side at the end of their name, such as ``valid_right``, belong to them.
 
     Raises:
         RecordingError: the flags or the wrist have an unsupported form. Ignoring them would give
@@ -312,8 +312,9 @@ def _find_landmarks(arrays: StoredArrays, side: Side | None) -> StoredArray:
 
 
 def _frames(item: StoredArray) -> Float[np.ndarray, "T n 3"]:
-    """Load (T, n, 3) with n of ``NODE_LAYOUTS``; a single (n, 3) becomes one frame, and 4 x 4
-    transforms their positions."""
+    """Load (T, n, 3) points, with n nodes as in ``NODE_LAYOUTS``; an array (n, 3) becomes one
+    frame, and 4 x 4 transforms become their positions.
+    """
     shape = item.shape
     if shape[-2:] == (4, 4) and len(shape) in (3, 4) and shape[-3] in NODE_LAYOUTS:
         matrices = item.numbers().reshape(-1, *shape[-3:])
@@ -381,17 +382,17 @@ def manus_nodes(
 ) -> tuple[Float[np.ndarray, "T 25 3"], Float[np.ndarray, "T 25 4"], dict[str, Any]]:
     """Read ``data`` of a MANUS ``.npz``: columns px py pz [m] and a quaternion for each node.
 
-    The node with id i stands at index i of what comes back, whatever order the file has. Where
+    The node with id i is at index i of the results, whatever the order in the file. If
     ``keypoint_ids`` or ``quaternion_order`` is not in the file, the glove's own order (0 .. 24,
-    wxyz) is taken and named in the third value under ``"assumed"``.
+    wxyz) is assumed, and the third result lists the assumption under ``"assumed"``.
 
     Returns:
-        Positions (T, 25, 3) [m], orientations (T, 25, 4) as unit quaternions wxyz (NaN where the
-        file has a zero one), and what else the file says.
+        Positions (T, 25, 3) [m], orientations (T, 25, 4) as unit quaternions wxyz (NaN if the file
+        has a zero quaternion), and a mapping with other information in the file.
 
     Raises:
-        RecordingError: no frames, missing or repeated ids, an unknown quaternion order, or what
-            ``StoredArray.numbers`` raises.
+        RecordingError: there are no frames, ids are missing or repeated, the quaternion order is
+            unknown, or ``StoredArray.numbers`` fails.
     """
     where = str(arrays.path)
     item = arrays["data"]
@@ -434,7 +435,7 @@ def manus_nodes(
 
 
 def _order(ids: np.ndarray, count: int, where: str) -> np.ndarray:
-    """Row of each id 0 .. 24 in the data."""
+    """Finds the row of each id 0 .. 24 in the data."""
     if ids.shape != (count,):
         raise RecordingError(
             f"{where}: 'keypoint_ids' must name each of the {count} nodes, not shape {ids.shape}"

@@ -1,6 +1,6 @@
 """Registry of the readers, built-in and of plugins: how files are recognised and read.
 
-A reader gives clips. A recording is a clip of one hand; ``read_recording`` returns the hand.
+A reader returns clips. A recording is a clip of one hand; ``read_recording`` returns the hand.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ RESEARCH_PACKAGE: Final = (
     "a part of smooth-hand-datasets, research data sets of hands and objects, which is not "
     "installed; in a clone of the repository: python -m pip install ./packages/smooth_hand_datasets"
 )
-"""Where to get what this distribution does not have, for messages."""
+"""Advice on the package that contains the research data sets, for messages."""
 
 RESEARCH_LAYOUTS: Final = (
     *("arctic", "dexycb", "dynhamr", "egohandkit", "grab", "hawor", "ho3d", "hot3d", "mano"),
@@ -58,45 +58,47 @@ RESEARCH_LAYOUTS: Final = (
 
 
 class ClipReader(Protocol):
-    """A layout of files or folders: finds the clips in them, and reads one."""
+    """Reader of a layout of files or folders: finds the clips in them, and reads a clip."""
 
     what: str
-    """Kind of its files, for messages: ``an HDF5 file of EgoDex``."""
+    """Description of its files, for messages, such as ``an HDF5 file of EgoDex``."""
 
     expects: str
-    """The files and arrays that it needs, by name, for messages."""
+    """Names of the files and arrays that it needs, for messages."""
 
     def matches(self, path: Path) -> bool:
         """True if a file or folder is of this layout. It opens as little as it can.
 
-        Folders are asked before their contents. A folder that matches is not searched further.
+        A folder is tested before its contents. A folder that matches is not searched further.
         """
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The clips of a file or folder that matches, by name; reads no arrays."""
+        """Yields references to the clips of a matching file or folder, in order of their names;
+        reads no arrays.
+        """
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """One clip.
+        """Reads one clip.
 
         Raises:
-            RecordingError: the files differ from the layout; says by name what was expected, what
-                came, and what to do.
+            RecordingError: the files differ from the layout; the message names what was expected
+                and what was found, and says what to do.
             MissingExtraError: a library is missing.
         """
 
 
 @dataclass(frozen=True)
 class Reader:
-    """Reader of a file format with one recording: a clip of one hand, or of both.
+    """Reader of a file format with one recording per file: a clip of one hand or of both.
 
     Attributes:
-        what: kind of its files, for messages: ``a .csv file of landmarks``.
+        what: description of its files, for messages, such as ``a .csv file of landmarks``.
         read_hand: ``read_hand(path, rate, side, layout)`` returns the recording of one hand:
             ``rate`` [Hz] for a file without stamps, ``side`` and ``layout`` (the order of 21
-            landmarks, by its name) as the caller says, each None if the caller does not state it.
-            Raises ``RecordingError`` if the file can't be used. The result is checked like other
-            recordings. This is a function, or the path from which it is imported when a file is
-            read.
+            landmarks, by its name) as given by the caller, each None if the caller does not state
+            it. Raises ``RecordingError`` if the file can't be used. The result is checked like
+            other recordings. This is a function, or the path from which it is imported when a file
+            is read.
         magic: possible first bytes of its files.
         suffixes: suffixes of its files, in lower case (``.csv``). They select the files of a
             folder; for a format without ``magic``, they also identify its files.
@@ -141,11 +143,12 @@ class Reader:
             return self.recognises(path, stream.read(_HEAD_BYTES))
 
     def clips(self, path: Path) -> Iterator[ClipRef]:
-        """The clip of a file."""
+        """Yields the reference to the clip of a file."""
         yield ClipRef(path.stem, path, size=path.stat().st_size)
 
     def read(self, ref: ClipRef, options: ReadingOptions) -> Clip:
-        """The clip of a file. Of both hands, it has common stamps, with NaN where one is missing.
+        """Reads the clip of a file. The hands of a clip of both have common stamps; a missing hand
+        is NaN.
 
         Raises:
             RecordingError: the file can't be used, or its units, order or side are wrong.
@@ -176,11 +179,11 @@ class Reader:
     def recording(
         self, path: Path, rate: float | None, side: Side | None, layout: str | None
     ) -> HandRecording:
-        """One hand of a file, checked; arguments as ``read_recording``.
+        """Reads and checks one hand of a file; the arguments are those of ``read_recording``.
 
         Raises:
             RecordingError: the file can't be used.
-            ConfigError: ``read_hand`` can't be imported, or gives something else.
+            ConfigError: ``read_hand`` can't be imported, or does not return a recording.
             MissingExtraError: the format needs an extra that is not installed.
         """
         try:
@@ -207,14 +210,15 @@ def _loaded(function: Callable[..., Any] | Entry) -> Callable[..., Any]:
 def rated_if_unstamped(
     read: Callable[[float | None], _Read], rate: float | None
 ) -> tuple[_Read, float | None]:
-    """Reads a file without the rate, and with it if that fails: files without stamps need one.
+    """Reads a file without the rate first, and with the rate if that fails: files without stamps
+    need it.
 
     Args:
         read: reads the file with a rate [Hz], or with None.
         rate: rate of files without stamps [Hz]; None if the caller has none.
 
     Returns:
-        what was read, and the rate if it was needed.
+        the result of ``read``, and the rate if it was needed.
 
     Raises:
         RecordingError: as ``read``.
@@ -230,10 +234,10 @@ def rated_if_unstamped(
 def with_assumed_side(
     read: Callable[[Side | None], HandRecording], side: Side | None, assumed: Side
 ) -> HandRecording:
-    """Reads a recording. One that states no side is of the side ``assumed``.
+    """Reads a recording; ``assumed`` is its side if the file states none.
 
     Args:
-        read: reads the file as a hand of a side, or of the file's own side for None.
+        read: reads the file as a hand of the given side, or of the file's own side for None.
         side: side that the caller requests.
 
     Raises:
@@ -338,9 +342,7 @@ READERS: Final = Registry(
         "landmarks": Entry(
             f"{_EPISODES}.landmark_pairs:LANDMARKS_OF_BOTH_HANDS", "an .npz with 'right' and 'left'"
         ),
-        "parquet": Entry(
-            f"{_EPISODES}.packed:PACKED", "clips that the format 'parquet' has packed"
-        ),
+        "parquet": Entry(f"{_EPISODES}.packed:PACKED", "clips in the format 'parquet' of dataset"),
         "files": Entry(
             f"{_FORMATS}.readers:FILES", "any recording of one hand that 'retarget' reads"
         ),
@@ -356,7 +358,7 @@ def find_reader(name: str) -> ClipReader:
     """Returns the reader with a name.
 
     Raises:
-        UnknownNameError: there is none.
+        UnknownNameError: there is no such reader.
         ConfigError: the reader of a plugin can't be loaded or lacks an attribute of a reader.
     """
     reader: ClipReader = READERS.load(name)
@@ -365,7 +367,7 @@ def find_reader(name: str) -> ClipReader:
 
 
 def recording_format(kind: str) -> Reader:
-    """The reader of recordings of a kind that ``file_kind`` found."""
+    """Returns the reader for a kind of recording that ``file_kind`` found."""
     return _recording_formats()[kind] if kind not in ONE_HAND else ONE_HAND[kind]
 
 
@@ -378,9 +380,9 @@ def _recording_formats() -> dict[str, Reader]:
 
 
 def clip_readers() -> dict[str, ClipReader]:
-    """Readers by name, in the order in which a path is offered to them.
+    """Returns the readers by name, in the order in which they are asked about a path.
 
-    A reader with a true attribute ``generic`` follows the others. ``files``, the last, stands for
+    Readers whose attribute ``generic`` is true come after the others. ``files``, the last, reads
     all formats with one hand.
     """
     parts = READERS.loadable(find_reader)
@@ -390,7 +392,7 @@ def clip_readers() -> dict[str, ClipReader]:
 
 
 def recognise(path: Path, layout: str | None) -> tuple[str, ClipReader] | None:
-    """Name and reader of a file or folder; None if no reader matches.
+    """Returns the name and the reader of a file or folder; None if no reader matches.
 
     Args:
         layout: name of the only reader to ask; None to ask all.
@@ -449,8 +451,8 @@ def file_kind(path: Path) -> str:
         Its name in ``READERS``.
 
     Raises:
-        RecordingError: if there is no such file, it can't be opened, is empty, a pickle, or of a
-            format that is not read here.
+        RecordingError: the file does not exist, can't be opened, is empty, is a pickle, or has a
+            format that can't be read.
     """
     try:
         if not path.is_dir():

@@ -1,4 +1,4 @@
-"""Settings of a method by name, such as ``objective.pose_weight``, and preset files.
+"""Access to settings of a method by name, such as ``objective.pose_weight``, and preset files.
 
 A preset file is a preset of a method with some of its numbers changed, as a small TOML file::
 
@@ -9,7 +9,7 @@ A preset file is a preset of a method with some of its numbers changed, as a sma
     [settings]
     "objective.pose_weight" = 0.031
 
-    [made]                       # optional: how it was found, for a person
+    [made]                       # optional: how the values were found
     by = "a search with Optuna"
 
 The file can be used in place of the name of a preset: ``--method sbr --preset mine.toml``.

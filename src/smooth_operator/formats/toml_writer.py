@@ -18,7 +18,7 @@ def toml_key(name: str) -> str:
     """Formats a key, with quotation marks if TOML needs them.
 
     Raises:
-        DocumentError: it holds half of a surrogate pair.
+        DocumentError: the key contains half of a surrogate pair.
     """
     return name if _BARE_KEY.fullmatch(name) else toml_value(name)
 
@@ -27,11 +27,11 @@ def toml_value(value: Any) -> str:
     """Formats a value on one line; tables are inline.
 
     Args:
-        value: a text, truth value, finite number, list, tuple or mapping.
+        value: a string, boolean, finite number, list, tuple or mapping.
 
     Raises:
-        DocumentError: it holds something else, a number that is not finite, or half of a
-            surrogate pair.
+        DocumentError: the value has another type, or contains a number that is not finite or half
+            of a surrogate pair.
     """
     if isinstance(value, str):
         return f'"{"".join(_ESCAPES.get(c) or _character(c) for c in value)}"'

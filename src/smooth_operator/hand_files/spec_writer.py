@@ -1,4 +1,4 @@
-"""Writer of spec files, in the order and layout of a file by hand."""
+"""Writes spec files in the same order and layout as a hand-written file."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> N
     """Write a spec file for ``read_hand_spec``.
 
     Args:
-        spec: the hand. The path of a model in the file's folder, or below, is relative, so that the
-            folder can be moved; any other is absolute.
+        spec: the hand. The path of a model in the file's folder or below is written as a relative
+            path, so that the folder can be moved; any other path is absolute.
         path: the file; it is replaced atomically.
         comment: lines of a comment at the top.
 
@@ -40,7 +40,7 @@ def write_hand_spec(spec: HandSpec, path: str | Path, *, comment: str = "") -> N
 
 @contextmanager
 def temporary_spec(hand: str | HandSpec) -> Iterator[str]:
-    """Name of a hand, or path of a temporary spec file with its description, for another process.
+    """Yields the name of a hand, or the path of a temporary spec file, to pass to another process.
 
     Yields:
         an argument for ``load_hand``; the file is deleted at the end.

@@ -26,8 +26,8 @@ def save_hand(spec: HandSpec, *, comment: str = "", copy: bool = False) -> Path:
     Args:
         spec: the hand; a description of the same name and side is replaced.
         comment: lines of a comment at the top of the file.
-        copy: copy the model and its meshes there, too, so that the original can be moved; if that
-            is not possible, the description refers to the original.
+        copy: True to copy the model and its meshes there too, so that the original can be moved; if
+            that is not possible, the description refers to the original.
 
     Returns:
         the file.
@@ -60,8 +60,8 @@ def remove_hand(name: str, side: Side | None = None) -> tuple[Path, ...]:
         side: its side; by default both.
 
     Returns:
-        the deleted spec files, and folders with copies of their models. A model anywhere else
-        stays.
+        the deleted spec files, and folders with copies of their models. A model in any other place
+        is kept.
 
     Raises:
         UnknownNameError: the user's folder has no such hand.
@@ -81,7 +81,7 @@ def remove_hand(name: str, side: Side | None = None) -> tuple[Path, ...]:
 
 
 def removable(name: str, side: Side | None = None) -> tuple[Path, ...]:
-    """Files and folders that ``remove_hand`` would delete.
+    """Returns the files and folders that ``remove_hand`` would delete.
 
     Raises:
         UnknownNameError: the user's folder has no such hand.
@@ -107,7 +107,7 @@ def removable(name: str, side: Side | None = None) -> tuple[Path, ...]:
 
 
 MOST_BYTES: Final = 500_000_000
-"""Largest model with its meshes that is copied; they have 0.1 to 100 MB."""
+"""Largest size of a model with its meshes that is copied; typical sizes are 0.1 to 100 MB."""
 _HIGHEST: Final = 4
 """Number of folders above the model's own from which files are copied; files further away are not
 part of the model's package."""
@@ -120,7 +120,7 @@ def model_files(path: Path) -> tuple[Path, ...]:
         path: MJCF or URDF file.
 
     Raises:
-        HandModelError: the file is no model.
+        HandModelError: the file is not a model.
     """
     files = read_model_files(path)
     return tuple(dict.fromkeys([*files.documents, *files.assets.values()]))
@@ -129,8 +129,8 @@ def model_files(path: Path) -> tuple[Path, ...]:
 def copy_model(path: Path, folder: Path) -> Path | None:
     """Copy a model with all its files, so that it no longer depends on the original.
 
-    The files keep their relative places. The folder is replaced as a whole, and only if the copy
-    can be loaded.
+    The files keep their relative paths. The folder is replaced as a whole, and only if the copy can
+    be loaded.
 
     Args:
         path: MJCF or URDF file that can be loaded.
@@ -141,7 +141,7 @@ def copy_model(path: Path, folder: Path) -> Path | None:
         copy is not the same model, for example because it names files by absolute paths.
 
     Raises:
-        HandModelError: the file is no model.
+        HandModelError: the file is not a model.
         OutputError: the copy can't be written.
     """
     path = model_path(path)

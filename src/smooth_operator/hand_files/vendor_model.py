@@ -1,12 +1,15 @@
-"""Transfer of a hand's description to another model of the hand, such as the vendor's with meshes.
+"""Transfers a hand's description to another model of the hand, such as the vendor's model with
+meshes.
 
 The built-in compact models keep the vendor's joints and the frames of the links that these move. A
 point on a link is therefore the same point on the vendor's link with the same joint, whatever the
-names of the bodies; the palm is the vendor's body in whose frame the first links lie as in ours.
+names of the bodies; the palm is the vendor's body in whose frame the first links have the same
+poses as in our palm frame.
 
-Models with meshes also come from MuJoCo Menagerie, by its package: the extra ``menagerie``. The
-package downloads a hand's archive (0.3 to 1.5 MB) on the first request and keeps it in its own
-cache; its environment variable ``MENAGERIE_ROOT`` names a checkout of Menagerie to use instead.
+Models with meshes are also available from MuJoCo Menagerie through its package (extra
+``menagerie``). The package downloads a hand's archive (0.3 to 1.5 MB) on the first request and
+keeps it in its own cache; its environment variable ``MENAGERIE_ROOT`` names a checkout of Menagerie
+to use instead.
 """
 
 from __future__ import annotations
@@ -42,8 +45,8 @@ def on_model(hand: Hand, path: str | Path) -> Hand:
             wrist's or an arm's.
 
     Raises:
-        HandModelError: the model can't be used, lacks joints, or is of another hand: its landmarks
-            lie elsewhere.
+        HandModelError: the model can't be used, lacks joints, or is of another hand (its landmarks
+            have other positions).
     """
     path = Path(path)
     if hand.spec.mirror:
@@ -92,7 +95,7 @@ def _carried(hand: Hand, model: mujoco.MjModel, path: Path) -> HandSpec:
 
 
 def _palm(hand: Hand, model: mujoco.MjModel) -> str:
-    """Name of the body to which the first links have the same poses as to our palm."""
+    """Name of the body in whose frame the first links have the same poses as in our palm frame."""
     ours = hand.model.body(hand.spec.palm).id
     held = hand.model.body_weldid[ours]
     links = []
@@ -116,7 +119,7 @@ def _palm(hand: Hand, model: mujoco.MjModel) -> str:
 
 
 def _relative(model: mujoco.MjModel, base: int, body: int) -> _Frame:
-    """Frame of a body in that of another, in the model's reference pose."""
+    """Pose of a body in the frame of another body, in the model's reference pose."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     rotation = data.xmat.reshape(-1, 3, 3)
@@ -135,7 +138,7 @@ def _name(model: mujoco.MjModel, body: int, path: Path) -> str:
 
 
 def _difference(hand: Hand, other: Hand) -> float:
-    """Largest distance of landmarks over poses across the joints' ranges [m]."""
+    """Largest distance between landmarks of two models, over poses in the joints' ranges [m]."""
     low, high = np.clip(hand.joint_limits.T, -np.pi, np.pi)
     poses = np.random.default_rng(0).uniform(low, high, (_POSES, len(low)))
     theirs = np.zeros((_POSES, len(other.joint_names)))
@@ -145,7 +148,7 @@ def _difference(hand: Hand, other: Hand) -> float:
 
 
 MENAGERIE: Final = "menagerie"
-"""Word that stands for the package's model in place of a model file."""
+"""Word that selects the package's model instead of a model file."""
 
 _ENTRIES: Final[dict[tuple[str, Side], tuple[str, str]]] = {
     ("allegro_hand", "right"): ("wonik_allegro", "right_hand"),
@@ -158,11 +161,11 @@ _ENTRIES: Final[dict[tuple[str, Side], tuple[str, str]]] = {
     ("sharpa_wave", "right"): ("sharpa_wave", "right_hand"),
     ("sharpa_wave", "left"): ("sharpa_wave", "left_hand"),
 }
-"""Hand and side of the catalogue -> robot and entry point of the package."""
+"""Hand and side in the catalogue -> robot and entry point in the package."""
 
 
 def drawn_on(hand: Hand, model: str | Path) -> Hand:
-    """Load a hand on a model with its real meshes.
+    """Load a hand on a model with the real meshes.
 
     Args:
         hand: a hand, not a mirrored one.

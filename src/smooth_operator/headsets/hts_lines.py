@@ -1,4 +1,4 @@
-"""Lines of the Quest app Hand Tracking Streamer (HTS), and the hand frames from them.
+"""Decoder of lines from the Quest app Hand Tracking Streamer (HTS) to hand frames.
 
 The app sends two lines of text for each hand, and one for the head::
 
@@ -9,7 +9,7 @@ The app sends two lines of text for each hand, and one for the head::
 A wrist or head is x y z [m] and a quaternion x y z w in Unity's world (left-handed, y up, z
 forward); landmarks are 21 x 3 [m] in the wrist's axes, in the project's order, 0 0 0 for a missing
 joint. The app's debug option adds ``| f = 17 | t = 5312345678`` before the colon: number of the
-frame, and time of sending by the headset's clock [ns].
+frame, and time of sending on the headset's clock [ns].
 
 Source: ``CONNECTIONS.md`` and ``HandLandmarkStreamer.cs`` of wengmister/hand-tracking-streamer, and
 the parser of wengmister/hand-tracking-sdk 1.1.0.
@@ -33,7 +33,7 @@ from smooth_operator.types import HandFrame, Side, as_side
 WORLD: Final = "hts"
 """Name of the world frame: the headset's floor-level origin."""
 MAX_LINE: Final = 4096
-"""Size of the longest accepted line [bytes]; the app's have 600."""
+"""Size of the longest accepted line [bytes]; the app's lines have 600."""
 
 Kind: TypeAlias = Literal["wrist", "landmarks", "pose"]
 
@@ -59,7 +59,7 @@ class HtsLine:
         side: side of the hand; None for the head.
         values: (7,) or (63,) values as sent.
         number: number of the headset's frame; None without the debug option.
-        stamp: time of sending by the headset's clock [s]; None without the debug option.
+        stamp: time of sending on the headset's clock [s]; None without the debug option.
     """
 
     kind: Kind
@@ -115,10 +115,10 @@ def _values(text: str, count: int, what: str) -> Float[np.ndarray, " n"]:
 
 
 class HtsHands:
-    """Joins the lines of a wrist and of its landmarks to frames.
+    """Joins the line of a wrist and the line of its landmarks to a frame.
 
-    A wrist comes first. It belongs to one line of landmarks with the same number or, without
-    numbers, within 50 ms.
+    The wrist comes first. It belongs to one line of landmarks with the same number or, if there are
+    no numbers, to one that arrives within 50 ms.
     """
 
     def __init__(self) -> None:
@@ -128,11 +128,11 @@ class HtsHands:
         """Adds a line with its time of receipt [s].
 
         Returns:
-            the hand after the line of its landmarks, else None. Its stamp may be None; its pose is
-            NaN without a wrist.
+            the hand if the line completes one, else None. Its stamp may be None; its pose is NaN
+            without a wrist.
 
         Raises:
-            RecordingError: landmarks in another unit than metres.
+            RecordingError: the landmarks are not in metres.
         """
         if line.side is None:
             return None
@@ -156,7 +156,7 @@ def hts_frame(
     side: Side,
     stamp: float | None,
 ) -> HandFrame:
-    """A hand in the project's conventions, with landmarks in the wrist's axes.
+    """Makes a hand frame in the project's conventions, with landmarks in the wrist's axes.
 
     Args:
         points: landmarks from the app, in Unity's wrist axes [m].

@@ -1,4 +1,4 @@
-"""Packets of the PICO app XRoboToolkit, and the hand frames in them.
+"""Decoder of packets from the PICO app XRoboToolkit to hand frames.
 
 The app connects to the PC service's TCP port 63901 and sends packets, little-endian:
 
@@ -13,19 +13,19 @@ byte    type             content
 14 + n  1 byte           0xA5
 ======  ===============  =====================================================================
 
-The body of the function ``Tracking`` is JSON whose ``value`` is JSON again, as text (other clients
-of the protocol send the object)::
+The body of the function ``Tracking`` is JSON whose ``value`` is a string of JSON (other clients of
+the protocol send an object)::
 
     {"functionName": "Tracking", "value": "{\\"Hand\\": {\\"rightHand\\": {\\"isActive\\": 1,
         \\"HandJointLocations\\": [{\\"p\\": \\"x,y,z,qx,qy,qz,qw\\", \\"s\\": 15}, ...]}},
         \\"timeStampNs\\": 1732613438765715200, ...}"}
 
-The 26 joints are OpenXR's in its order, in its axes: right-handed, x right, y up, z to the wearer.
+The 26 joints have OpenXR's order and axes: right-handed, x right, y up, z to the wearer.
 ``s`` has the bits of XrSpaceLocationFlags: 1 orientation valid, 2 position valid, 4 and 8 tracked.
 
 Source: ``TrackingData.cs``, ``TcpHandler.cs`` and ``NetCMD.cs`` of
-XR-Robotics/XRoboToolkit-Unity-Client, ``PackageHandle.cs`` of its Quest edition. The PC service's
-own description calls the frame left-handed, but with a z opposite to Unity's, which makes it
+XR-Robotics/XRoboToolkit-Unity-Client, ``PackageHandle.cs`` of its Quest edition. The description of
+the PC service calls the frame left-handed, but its z is opposite to Unity's, which makes it
 right-handed. The axes ``unity`` are left-handed.
 """
 
@@ -47,7 +47,7 @@ PORT: Final = 63_901
 WORLD: Final = "pico"
 """Name of the world frame: the pose of the headset at the start of the app."""
 MOST_BYTES: Final = 60_000
-"""Size of the longest accepted body; all data that the app can track have half of it."""
+"""Size of the longest accepted body; all data that the app can track take half of it."""
 
 HEAD: Final = 0x3F
 END: Final = 0xA5
@@ -61,7 +61,7 @@ _SIDES: Final[tuple[tuple[str, Side], ...]] = (("leftHand", "left"), ("rightHand
 def split_packets(buffer: bytearray) -> list[bytes]:
     """Removes complete packets from the front of a buffer, which keeps the rest.
 
-    Data without a packet at the beginning are one piece, which ``read_packet`` refuses.
+    Data that do not begin with a packet are returned as one piece, which ``read_packet`` refuses.
     """
     packets = []
     while buffer:
@@ -81,7 +81,7 @@ def begins_packet(data: bytes | bytearray) -> bool:
 
 
 def _size(buffer: bytes | bytearray) -> int | None:
-    """Size of the first packet [bytes]; 0 if unknown so far; None if there is no packet."""
+    """Size of the first packet [bytes]; 0 if it is not known yet; None if there is no packet."""
     if buffer[0] != HEAD:
         return None
     if len(buffer) < _HEADER.size:
@@ -95,11 +95,11 @@ def _size(buffer: bytes | bytearray) -> int | None:
 
 @dataclass(frozen=True, eq=False)
 class PicoHands:
-    """Hands of a packet; none for a packet of another function.
+    """Hands in a packet; empty for a packet of another function.
 
     Attributes:
         frames: visible hands, left first, with the stamp ``stamp``.
-        stamp: Unix time by the headset's clock [s], or None.
+        stamp: Unix time on the headset's clock [s], or None.
     """
 
     frames: tuple[HandFrame, ...] = ()
@@ -147,7 +147,7 @@ def _stamp(value: Any) -> float | None:
 
 
 def _hand(hand: Any, key: str, side: Side, stamp: float | None, axes: Axes) -> HandFrame | None:
-    """A hand; None if the headset does not see it."""
+    """Decodes a hand; None if the headset does not see it."""
     joints = hand.get("HandJointLocations") if isinstance(hand, dict) else None
     if not isinstance(joints, list) or len(joints) != JOINTS:
         raise RecordingError(

@@ -1,10 +1,10 @@
 """Readers of the recordings of headset apps; ``READERS`` has their names.
 
-- Tracking Streamer (Vision Pro) saves ``tracking.jsonl``, a JSON object a line: ``timestamp`` [s],
-  ``leftHand`` and ``rightHand`` with the wrist in ARKit's world and 24 joints in the wrist's axes,
-  each 16 numbers, column by column.
-- Hand Tracking Streamer's lines as received (``nc -lu 9000 > hands.hts``); they have stamps with
-  the app's debug option, else they need a rate.
+- Tracking Streamer (Vision Pro) saves ``tracking.jsonl``, one JSON object per line: ``timestamp``
+  [s], ``leftHand`` and ``rightHand`` with the wrist in ARKit's world and 24 joints in the wrist's
+  axes, each 16 numbers, column by column.
+- Hand Tracking Streamer's lines as received (``nc -lu 9000 > hands.hts``); they have stamps if the
+  app's debug option was on, otherwise they need a rate.
 
 The readers skip frames without a new measurement of the hand.
 """
@@ -86,7 +86,7 @@ class _Collected:
         self._reason = str(error)
 
     def recording(self, rate: float | None, form: str) -> HandRecording:
-        """Recording of the requested hand, or of the only one."""
+        """Recording of the requested hand, or of the only hand in the file."""
         sides = self._seen()
         if len(sides) > 1:
             raise RecordingError(
@@ -99,7 +99,7 @@ class _Collected:
         return self._made(sides[0], stamps_from_rate(len(frames), rate, str(self._path)), form)
 
     def recordings(self, rate: float | None, form: str) -> dict[Side, HandRecording]:
-        """Recordings of the hands in the file, each with its own frames, by one clock.
+        """Recordings of the hands in the file, each with its own frames, on one clock.
 
         Without stamps, hands between two frames of the same side belong to one moment.
         """
@@ -149,7 +149,7 @@ def _stacked(frames: list[HandFrame], name: str) -> np.ndarray | None:
 def read_avp_recording(
     path: Path, rate: float | None, side: Side | None, layout: str | None
 ) -> HandRecording:
-    """A hand of Tracking Streamer's ``tracking.jsonl``; see ``read_recording``."""
+    """Reads a hand from Tracking Streamer's ``tracking.jsonl``; see ``read_recording``."""
     return _avp(path, side).recording(rate, "avp")
 
 
@@ -187,7 +187,7 @@ def _avp_hand(message: dict[str, Any], key: str, side: Side) -> HandFrame | None
 def read_hts_lines(
     path: Path, rate: float | None, side: Side | None, layout: str | None
 ) -> HandRecording:
-    """A hand of a file of Hand Tracking Streamer's lines; see ``read_recording``."""
+    """Reads a hand from a file of Hand Tracking Streamer's lines; see ``read_recording``."""
     return _hts(path, side).recording(rate, "hts")
 
 
@@ -205,7 +205,7 @@ def _hts(path: Path, side: Side | None) -> _Collected:
 
 
 def read_avp_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
-    """All hands of a ``tracking.jsonl``, each with its own frames, by one clock.
+    """Reads all hands of a ``tracking.jsonl``, each with its own frames, on one clock.
 
     Raises:
         RecordingError: there is no hand in it.
@@ -214,10 +214,10 @@ def read_avp_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
 
 
 def read_hts_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
-    """All hands in lines of Hand Tracking Streamer, each with its own frames, by one clock.
+    """Reads all hands from lines of Hand Tracking Streamer, each with its own frames, on one clock.
 
     Args:
-        rate: frames a second [Hz], for a file without stamps.
+        rate: frame rate [Hz] of a file without stamps.
 
     Raises:
         RecordingError: there is no hand in it, or it has no stamps and there is no rate.
@@ -234,7 +234,7 @@ def _numbers(value: Any, count: int, what: str) -> Float[np.ndarray, " n"]:
 
 
 def _objects(path: Path, frames: _Collected) -> Iterator[dict[str, Any]]:
-    """JSON objects of a file, one a line."""
+    """Yields the JSON objects of a file, one per line."""
     with path.open("rb") as stream:
         for line in stream:
             if not line.strip():

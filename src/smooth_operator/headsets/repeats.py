@@ -13,11 +13,11 @@ class Repeats:
     """Passes only new measurements of hands.
 
     Some apps repeat the last values while the headset has lost the hand. Two measurements of a
-    visible hand are never equal in each bit.
+    visible hand are never equal in every bit.
 
     Args:
-        wrist: True if also an equal wrist is lost while the fingers move; False for an app that
-            rounds it.
+        wrist: True if a wrist that is equal while the fingers move also counts as lost; False for
+            an app that rounds the wrist.
     """
 
     def __init__(self, wrist: bool = False) -> None:
@@ -25,7 +25,9 @@ class Repeats:
         self._last: dict[Side, HandFrame] = {}
 
     def new(self, frame: HandFrame) -> HandFrame | None:
-        """The frame, with an invalid wrist if that is lost; None if the frame is a repetition."""
+        """Returns the frame, with an invalid wrist if the wrist is lost; None if the frame is a
+        repetition.
+        """
         last = self._last.get(frame.side)
         self._last[frame.side] = frame
         if last is None or not _same(frame.T_world_wrist, last.T_world_wrist):

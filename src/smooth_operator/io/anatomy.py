@@ -24,8 +24,8 @@ from smooth_operator.types import Side
 PALM_RANGE_M: Final = (0.05, 0.14)
 """Bounds [m] on the distance from the wrist to the middle finger's MCP.
 
-An adult's is near 0.095 m. The bounds leave room for children and for trackers that put the wrist
-a little off, and no hand in millimetres, centimetres, decimetres, inches or feet fits between them.
+It is near 0.095 m for adults. The bounds leave room for children and for trackers with a slightly
+misplaced wrist, and exclude hands in millimetres, centimetres, decimetres, inches or feet.
 """
 
 FEWEST_FRAMES: Final = 5
@@ -51,9 +51,9 @@ BENT: Final = 0.2
 CLEAR: Final = 0.6
 """Chirality above which straight fingers also determine the side.
 
-Depth cameras measure the thumb of a flat hand up to 0.2 palms behind the palm, which is a chirality
-of -0.4 on average and -0.55 at the least. Of 17,600 frames of ten recordings of other trackers none
-is taken for the other hand, and 0.13 % at most with noise of 8 mm.
+Depth cameras measure the thumb of a flat hand up to 0.2 palms behind the palm, which gives
+a chirality of -0.4 on average and -0.55 at worst. Of 17,600 frames of ten recordings of other
+trackers, none is mistaken for the other hand; with noise of 8 mm it is at most 0.13 %.
 """
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
@@ -63,8 +63,8 @@ _IN_FRONT: Final = np.array([1.0, 1.0, -1.0, -1.0])
 NO_HAND: Final = 1.0
 """Largest mean deviation of the lengths of a hand in the declared order.
 
-Over five frames recordings come to 0.6 at most, with 4 mm of noise too, the built-in robot hands to
-0.8; random orders of 21 points to 1.1 at least.
+Over five frames, recordings have at most 0.6, even with 4 mm of noise, and the built-in robot hands
+at most 0.8; random orders of 21 points have at least 1.1.
 """
 
 NO_HAND_FRAME: Final = 1.5
@@ -131,11 +131,11 @@ class Doubt:
 def implausible(
     landmarks: AnyArray, valid: AnyArray, palms: tuple[float, float] = PALM_RANGE_M
 ) -> AnyArray:
-    """True for a frame that can't be a hand, judged by its size [m] or the lengths of its bones.
+    """True for a frame that can't be a hand, judging by its size [m] or the lengths of its bones.
 
     Args:
         landmarks: (..., 21, 3) positions [m], in the project's order; NumPy or JAX.
-        valid: (..., 21) which of them count. Only complete frames are judged by lengths.
+        valid: (..., 21) True for landmarks that count. Only complete frames are judged by lengths.
         palms: smallest and largest distance from the wrist to the middle finger's MCP [m].
     """
     lengths = bone_lengths(landmarks)
@@ -188,7 +188,7 @@ def of_the_other(side: Side) -> Doubt:
 
 
 def sides(landmarks: Float[np.ndarray, "T 21 3"]) -> Int[np.ndarray, " T"]:
-    """Side of each frame, judged by its shape: 1 right, -1 left, 0 unknown.
+    """Side of each frame, computed from its shape: 1 right, -1 left, 0 unknown.
 
     Bent fingers determine the side. Straight fingers determine it only if thumb and knuckles stand
     out clearly, because trackers disagree about the palm of a flat hand. NaN has no effect.
@@ -233,7 +233,7 @@ class HandCheck:
         side: declared side of the hand.
 
     Attributes:
-        judged: number of whole frames so far.
+        judged: number of complete frames so far.
     """
 
     WINDOW: Final = 30
@@ -257,7 +257,7 @@ class HandCheck:
 
         Args:
             landmarks: positions [m].
-            valid: which of them count; only whole frames are judged by order.
+            valid: True for landmarks that count; the order is judged only in complete frames.
             at: time of the frame [s].
         """
         if valid.all():
@@ -347,7 +347,7 @@ def misfits_of(lengths: AnyArray) -> AnyArray:
 
 
 def _described(order: Sequence[int]) -> str:
-    """The points in the order in which they come, finger by finger."""
+    """Description of the order of the points, finger by finger."""
     names = [""] * NUM_LANDMARKS
     for k, at in enumerate(order):
         names[at] = "wrist" if k == 0 else FINGERS[(k - 1) // 4]
@@ -356,7 +356,7 @@ def _described(order: Sequence[int]) -> str:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross product of (..., 3) vectors, in a third of the time of NumPy's."""
+    """Cross product of (..., 3) vectors; it takes a third of the time of NumPy's."""
     product: np.ndarray = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
     return product
 

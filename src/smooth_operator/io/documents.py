@@ -55,7 +55,7 @@ def json_object(text: str | bytes) -> dict[str, Any] | None:
     """Parses a message that should be a JSON object; None if it is not.
 
     Args:
-        text: as ``parse_json``.
+        text: as for ``parse_json``.
     """
     try:
         value = parse_json(text)

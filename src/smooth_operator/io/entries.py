@@ -1,6 +1,6 @@
 """Checked look-ups in the table of a settings file (TOML or JSON), and a reader of TOML.
 
-Each error names the file, the entry and what is expected there, and corrects a misspelt name.
+Each error names the file, the entry and the expected value, and corrects a misspelt name.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class Entries:
         return tuple(self._finite(name, each) for each in value)
 
     def flag(self, name: str, default: bool) -> bool:
-        """True or false."""
+        """Returns true or false."""
         value = self._get(name, default, "true or false")
         if not isinstance(value, bool):
             raise self.error(name, f"expected true or false, not {brief(value)}")
@@ -185,18 +185,18 @@ def read_entries(
     most_bytes: int,
     hint: str = "",
 ) -> Entries:
-    """The table of a TOML file.
+    """Reads the table of a TOML file.
 
     Args:
         path: path of the file.
         what: kind of file, for messages.
         refuse: class of the errors, also of the look-ups.
         most_bytes: longest file that is read.
-        hint: origin of such files, for the message that there is none.
+        hint: where such files come from, for the message about a missing file.
 
     Raises:
-        SmoothOperatorError: of the class ``refuse``: there is no such file, it can't be read, or
-            is no TOML.
+        SmoothOperatorError: of the class ``refuse``: there is no such file, it can't be read, or it
+            is not TOML.
     """
     try:
         return Entries(str(path), read_toml(path, most_bytes=most_bytes), refuse)
@@ -216,10 +216,10 @@ _MOST_DOTS: Final = 1000  # in one line of TOML; the parser's time grows with th
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The table of a TOML text.
+    """Parses a TOML text to a table.
 
     Raises:
-        DocumentError: it is no TOML, or is beyond a bound as with ``parse_json``.
+        DocumentError: the text is not TOML, or exceeds a limit as in ``parse_json``.
     """
     if any(line.count(".") > _MOST_DOTS for line in text.split("\n")):
         raise DocumentError(f"a line has more than {_MOST_DOTS} dots")
@@ -238,17 +238,17 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def read_toml(path: Path, *, most_bytes: int) -> dict[str, Any]:
-    """The table of a TOML file.
+    """Reads the table of a TOML file.
 
     Raises:
         OSError: there is no such file, or it can't be read.
-        DocumentError: as ``read_text`` and ``parse_toml``.
+        DocumentError: as in ``read_text`` and ``parse_toml``.
     """
     return parse_toml(read_text(path, most_bytes=most_bytes))
 
 
 def _values(table: dict[str, Any]) -> Iterator[tuple[int, Any]]:
-    """(level, value) of all that a table holds; without recursion, which may end the stack."""
+    """Yields (level, value) of all in a table; without recursion, which could exhaust the stack."""
     left: list[tuple[int, Any]] = [(1, table)]
     while left:
         level, value = left.pop()

@@ -17,7 +17,7 @@ from smooth_operator.errors import ConfigError
 
 
 def to_json(value: Any, *, indent: int | None = None) -> str:
-    """Write dataclasses, enums, paths, NumPy values and plain containers as strict JSON.
+    """Convert dataclasses, enums, paths, NumPy values and plain containers to strict JSON.
 
     Non-finite numbers, which JSON can't represent, become the strings ``"nan"``, ``"inf"`` and
     ``"-inf"``, which ``float`` reads back. Enums become their names, tuples and arrays lists.
@@ -29,7 +29,7 @@ def to_json(value: Any, *, indent: int | None = None) -> str:
         The JSON text.
 
     Raises:
-        ConfigError: for a value that has no such form (a function, an open file).
+        ConfigError: a value has no JSON form (a function, an open file).
     """
     return json.dumps(_plain(value, "configuration"), indent=indent, allow_nan=False)
 

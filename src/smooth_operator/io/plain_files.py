@@ -1,8 +1,8 @@
 """Reads untrusted regular files, and defines the limits of parsing them.
 
 The parsers of the standard library accept texts that later cause failures: brackets nested until
-the stack ends, whole numbers of thousands of digits that no float holds, dotted keys that take
-minutes. Every document from a user, a file or a network is read with ``read_text``, ``parse_toml``
+the stack overflows, whole numbers too long for a float, dotted keys that take minutes. Every
+document from a user, a file or a network is read with ``read_text``, ``parse_toml``
 (``io.entries``) or ``parse_json`` (``io.documents``), which only raise ``DocumentError``.
 """
 
@@ -25,12 +25,12 @@ MOST_DIGITS: Final = 20
 
 
 def check_plain_file(path: Path) -> int:
-    """Size of a regular file in bytes; links are followed.
+    """Returns the size of a regular file in bytes; refuses anything else. Links are followed.
 
     Opening a pipe could wait forever for a writer.
 
     Raises:
-        OSError: there is no such file, or it can't be looked at.
+        OSError: there is no such file, or its status can't be read.
         DocumentError: it is a folder, a pipe, a socket or a device.
     """
     status = path.stat()
@@ -46,7 +46,7 @@ def read_text(path: Path, *, most_bytes: int = MOST_BYTES) -> str:
 
     Raises:
         OSError: there is no such file, or it can't be read.
-        DocumentError: it is not a plain file, longer than ``most_bytes``, or not UTF-8.
+        DocumentError: it is not a plain file, is longer than ``most_bytes``, or is not UTF-8.
     """
     size = check_plain_file(path)
     with path.open("rb") as stream:
@@ -65,7 +65,7 @@ def too_deep() -> DocumentError:
 
 
 def is_folder(path: Path) -> bool:
-    """True if the folder exists; False also for a name that is not valid."""
+    """True if the folder exists; False if not, or if its name is not valid."""
     try:
         return path.is_dir()
     except (OSError, ValueError):
@@ -73,7 +73,7 @@ def is_folder(path: Path) -> bool:
 
 
 def is_file(path: Path) -> bool:
-    """True if the file exists; False also for a name that is not valid."""
+    """True if the file exists; False if not, or if its name is not valid."""
     try:
         return path.is_file()
     except (OSError, ValueError):

@@ -1,4 +1,5 @@
-"""Tasks on a Ray cluster, by ``map_batches`` of Ray Data, under the rules of the local pool.
+"""Runs tasks on a Ray cluster with ``map_batches`` of Ray Data, with the same rules as the local
+pool.
 
 Ray replaces workers and nodes that die, and gives their tasks to other workers.
 """
@@ -38,7 +39,7 @@ LOCAL: Final = "local"
 _CONNECTION_S: Final = 10.0
 _AUTH_MODE: Final = "RAY_AUTH_MODE"
 _QUEUED: Final = 2
-"""Tasks at a worker, including the running one."""
+"""Number of tasks at a worker, including the running one."""
 
 
 def run_on_cluster(
@@ -49,7 +50,7 @@ def run_on_cluster(
     workers: int | None = None,
     retries: int = 2,
 ) -> Generator[TaskResult[R]]:
-    """Results of tasks from a cluster; see ``run_tasks``.
+    """Yields results of tasks from a cluster; see ``run_tasks``.
 
     Raises:
         ConfigError: a number of workers is not valid.
@@ -114,7 +115,7 @@ class Starts:
         self._counts: Counter[int] = Counter()
 
     def count(self, index: int) -> int:
-        """Number of starts of a task, including this one."""
+        """Returns the number of starts of a task, including this one."""
         self._counts[index] += 1
         return self._counts[index]
 
@@ -134,7 +135,7 @@ class Worker:
             start_threads()
 
     def __call__(self, batch: Any) -> Any:
-        """Answers of a batch (an Arrow table): value, error and seconds, pickled."""
+        """Computes the answers of a batch (an Arrow table): value, error and seconds, pickled."""
         import pyarrow as pa
         import ray
 
@@ -178,7 +179,7 @@ def connected(ray: Any, cluster: str, workers: int | None) -> Iterator[None]:
     Args:
         ray: the module ``ray``.
         cluster: as in ``run_tasks``.
-        workers: CPUs of a local cluster that is started; None for all cores.
+        workers: number of CPUs of a local cluster; None for all cores.
 
     Raises:
         WorkerError: the cluster can't be reached.
@@ -247,10 +248,10 @@ def _state_restored() -> Iterator[None]:
 
 
 def _check_address(cluster: str) -> None:
-    """Tries to connect to an address, for which Ray itself would take minutes.
+    """Tries to connect to an address, because Ray itself would take minutes to notice a wrong one.
 
     Raises:
-        OSError: nothing listens there.
+        OSError: nothing listens at the address.
         ValueError: the address has no port.
     """
     if cluster in (LOCAL, "auto"):

@@ -48,7 +48,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _GRACE_S: Final = 5.0
-"""Time for a worker to clean up before it is killed [s]; compiling can't be interrupted."""
+"""Time that a worker has to clean up before it is killed [s]; compiling can't be interrupted."""
 
 _REPEAT_S: Final = 1.0
 _START_S: Final = 60.0
@@ -56,7 +56,7 @@ _MESSAGE: Final = 2048
 """Largest result that is sent through a pipe [bytes]; a pipe writes 4,096 atomically."""
 
 _TAIL: Final = 4096
-"""Bytes of a dead worker's standard error that are read."""
+"""Number of bytes that are read from a dead worker's standard error."""
 
 
 def run_tasks(
@@ -70,7 +70,7 @@ def run_tasks(
     """Call a function with each task, several in parallel.
 
     Tasks are started in their order. An exception of the function is the result of its task,
-    without a retry. A worker that dies (killed, out of memory), also while it sends a result, is
+    without a retry. A worker that dies (killed, out of memory), even while it sends a result, is
     replaced, and its task is retried. A failure of one task does not affect another. Each worker
     computes on one thread, which is faster for small programs. When the caller stops, by an
     exception, Ctrl-C or closing the iterator, the workers are stopped.
@@ -114,8 +114,9 @@ def run_groups(
     cluster: str | None = None,
     retries: int = 2,
 ) -> Generator[tuple[T, TaskResult[R]]]:
-    """Run groups of work as ``run_tasks``; a group whose workers die is split, and its parts run
-    one by one. Yields groups, or parts of them, each with its result."""
+    """Run groups of work like ``run_tasks``, and split a group whose workers die into parts.
+
+    The parts run one by one. Yields groups, or parts of them, each with its result."""
     parts: list[T] = []
     options: dict[str, Any] = {"workers": workers, "cluster": cluster, "retries": retries}
     with contextlib.closing(run_tasks(function, groups, **options)) as results:
@@ -141,8 +142,9 @@ def usable_cores() -> int:
 class PersistentPool(Generic[T, R]):
     """Processes that keep their compiled programs from one list of tasks to the next.
 
-    It serves a search, whose next tasks depend on previous results. Failures and retries are as in
-    ``run_tasks``. Use it as a context manager: the workers end with the block.
+    It is meant for a search in which the next tasks depend on previous results. Failures and
+    retries are handled as in ``run_tasks``. Use it as a context manager: the workers end with the
+    block.
 
     Args:
         function: a function that is importable by its module and name.
@@ -275,7 +277,7 @@ class PersistentPool(Generic[T, R]):
         return last[-300:] or "each worker needs memory for its own libraries: use fewer workers"
 
     def close(self) -> None:
-        """End the workers; those at a task can clean up first."""
+        """End the workers; a worker that is busy with a task can clean up first."""
         _end(self._all)
         self._all.clear()
         self._idle.clear()
@@ -302,7 +304,7 @@ def _in_pool(pool: PersistentPool[T, R], tasks: Sequence[T]) -> Generator[TaskRe
 
 
 def _answer(future: Future[bytes | str]) -> tuple[Any, str | None, float]:
-    """Value, error and seconds."""
+    """Reads the value, the error and the seconds of a result."""
     try:
         raw = future.result()
         if isinstance(raw, str):
@@ -385,7 +387,7 @@ def _end(workers: Sequence[_Worker]) -> None:
 
 @contextlib.contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """Blocks a terminal's signals inside the block, and in a child that starts in it."""
+    """Blocks signals of a terminal inside the block, and in a child process that starts in it."""
     if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not (
         threading.main_thread()
     ):
@@ -402,7 +404,9 @@ def _no_interrupt() -> Iterator[None]:
 
 
 class _Stopped(BaseException):
-    """The parent ends this task; a BaseException, so that the function does not catch it."""
+    """Raised when the parent ends this task; a BaseException, so that the function does not catch
+    it.
+    """
 
 
 _function: Callable[[Any], Any]
@@ -411,7 +415,7 @@ _busy = False
 
 
 def _begin(function: bytes, slot: int, folder: str) -> None:
-    """Set up a worker: signals, one thread, the function."""
+    """Sets up a worker: signals, one thread, the function."""
     global _function, _folder
     _folder = folder
     leave_to_parent()
@@ -426,10 +430,11 @@ def _begin(function: bytes, slot: int, folder: str) -> None:
 
 
 def _work(raw: bytes) -> bytes | str:
-    """Pickled value, error and seconds of a pickled task, or the path of a file with them.
+    """Runs a pickled task; returns its pickled value, error and seconds, or the path of a file with
+    them.
 
-    An executor would wait endlessly for the rest of a message whose sender is killed. Messages are
-    therefore small, and so written atomically.
+    An executor would wait endlessly for the rest of a message whose sender is killed. Therefore
+    messages are small, so that they are written atomically.
     """
     global _busy
     try:

@@ -15,7 +15,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 DIED: Final = "WorkerDied"
-"""Beginning of the error of a task whose workers died."""
+"""Beginning of the error message of a task whose workers died."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class TaskResult(Generic[R]):
 def timed(function: Callable[[T], R], task: T) -> tuple[R | None, str | None, float]:
     """Value, error and seconds of one call; an exception of the function becomes the error.
 
-    ``SystemExit``, too: a library that exits must not end a worker.
+    This includes ``SystemExit``, because a library that exits must not end a worker.
     """
     started = time.perf_counter()
     value: R | None = None
@@ -53,7 +53,7 @@ def timed(function: Callable[[T], R], task: T) -> tuple[R | None, str | None, fl
 
 
 def packed_answer(function: Callable[[Any], Any], raw: bytes) -> bytes:
-    """Pickled value, error and seconds of a pickled task, in a worker."""
+    """Runs a pickled task in a worker; returns its pickled value, error and seconds."""
     answer = timed(lambda _: function(ForkingPickler.loads(raw)), None)
     try:
         return pack(*answer)
@@ -67,14 +67,14 @@ def pack(value: Any, error: str | None, seconds: float = 0.0) -> bytes:
 
 
 def describe(error: BaseException) -> str:
-    """An exception as one line for a person."""
+    """Describes an exception in one human-readable line."""
     text = " ".join(str(error).split())
     kind = type(error).__name__
     return f"{kind}: {text}" if text else kind
 
 
 def death(attempts: int, how: str) -> str:
-    """The error of a task whose workers died."""
+    """Error message of a task whose workers died."""
     times = "once" if attempts == 1 else f"{attempts} times"
     return f"{DIED}: its worker process died {times} ({how}); if memory ran out, use fewer workers"
 
@@ -83,8 +83,8 @@ def death(attempts: int, how: str) -> str:
 def one_thread(slot: int) -> Iterator[Callable[[], None]]:
     """Limits libraries that start their threads inside the block to one thread.
 
-    Small programs are faster with one: preset realtime takes 0.6 ms a frame on one of XLA's threads
-    and 0.8 ms on two. Also, as many workers as cores then do not compete for the cores.
+    Small programs are faster with one: the preset realtime takes 0.6 ms per frame on one of XLA's
+    threads and 0.8 ms on two. Also, as many workers as cores then do not compete for the cores.
 
     XLA and BLAS size their pools once, by the cores that the process may use at that time. The
     process may therefore use one core in the block, and all of them afterwards, since a worker on a

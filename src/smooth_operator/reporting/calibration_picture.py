@@ -1,4 +1,4 @@
-"""The picture of a calibration: distances from the thumb, and the detected pinches."""
+"""Draws the picture of a calibration: distances from the thumb, and the detected pinches."""
 
 from __future__ import annotations
 

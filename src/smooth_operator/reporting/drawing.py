@@ -1,4 +1,4 @@
-"""Style of plots: colours of methods, ink for light and dark pages, PNG and SVG of a figure."""
+"""Style of plots: colours of methods, colours for light and dark pages, figures as PNG and SVG."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ INK: Final = "#20262d"
 """Colour of text and axes; on a page, these have the colour of the surrounding text."""
 GRID: Final = "#8a939c"
 _SPARE: Final = ("#6b9c2f", "#c2455f", "#3f8f9b", "#a0843c", "#7f8790", "#4a4fa3", "#b05fb8")
-"""Colours of names without their own, such as presets other than the default."""
+"""Colours of names that have no colour of their own, such as presets other than the default."""
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p")
-"""Shapes of marks, which distinguish series without colour."""
+"""Shapes of markers, which distinguish series without colour."""
 _DPI: Final = 150
 _CLOSE: Final = (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
 
 
 def colors_of(methods: Iterable[str]) -> dict[str, str]:
-    """A colour for each method: its own, or one that follows from its name.
+    """Returns a colour for each method: its own colour, or one derived from its name.
 
     It does not depend on the order of the names. Names without a colour get different spare
     colours, as long as there are enough.
@@ -46,7 +46,7 @@ def colors_of(methods: Iterable[str]) -> dict[str, str]:
 
 
 def _spare_color(name: str, taken: Iterable[str]) -> str:
-    """The first free spare colour, counted from a position that follows from the name."""
+    """The first free spare colour, starting from a position derived from the name."""
     start = zlib.crc32(name.encode()) % len(_SPARE)
     turned = (*_SPARE[start:], *_SPARE[:start])
     used = set(taken)
@@ -86,7 +86,8 @@ def styled() -> Iterator[None]:
 
 
 def series(name: str, label: str = "") -> str:
-    """The ``gid`` of the parts of a series in a plot; a page dims the others while it is hovered.
+    """The ``gid`` of the parts of a series in a plot; while one is hovered, a page dims the other
+    series.
 
     Args:
         name: name of the series, as in ``data-series`` of the page's tables.
@@ -196,7 +197,7 @@ def _series_group(match: re.Match[str]) -> str:
 
 
 def _for_page(text: str, prefix: str) -> str:
-    """An SVG for a page with others: without a fixed size, unique names and links."""
+    """Prepares an SVG for a page with several SVGs: no fixed size, unique names and links."""
     head = text.index(">")
     tag = re.sub(r'\s(?:height|version|xmlns(?::\w+)?)="[^"]*"', "", text[:head])
     body = re.sub(r'id="([^"]+)"', rf'id="{prefix}-\1"', text[head:])
@@ -222,7 +223,7 @@ the name, because the settings of keyvector, hybrid, dexpilot and ako have one c
 
 
 def method_color(name: str) -> str | None:
-    """The colour of a method in reports, ``#rrggbb``; None if it has none.
+    """Returns the colour of a method in reports, ``#rrggbb``; None if it has none.
 
     The colour of a plugin's method is ``MethodConfig.color``.
     """

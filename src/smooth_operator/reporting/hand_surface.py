@@ -1,4 +1,4 @@
-"""Pictures of hands without a GPU: shaded triangles with a depth buffer, in NumPy."""
+"""Draws pictures of hands without a GPU: shaded triangles with a depth buffer, in NumPy."""
 
 from __future__ import annotations
 
@@ -41,11 +41,13 @@ class HandShape(Protocol):
 
     @property
     def view(self) -> Float[np.ndarray, "3 3"]:
-        """Rows: right, up and toward a viewer who looks at the palm, fingers up."""
+        """Matrix with the rows right, up and toward a viewer who looks at the palm with the fingers
+        up.
+        """
 
     @property
     def wrist(self) -> Float[np.ndarray, "3"]:
-        """Wrist."""
+        """Position of the wrist."""
 
     def surface(self, joints: Float[np.ndarray, " n"]) -> Surface:
         """The hand in a pose.
@@ -56,7 +58,7 @@ class HandShape(Protocol):
 
 
 class SkeletonShape:
-    """A robot hand as rods between its landmarks, for a hand of any model.
+    """A robot hand drawn as rods between its landmarks; works for any model.
 
     Args:
         hand: the robot hand.
@@ -68,7 +70,7 @@ class SkeletonShape:
         self.wrist = np.asarray(hand.wrist, float)
 
     def surface(self, joints: Float[np.ndarray, " n"]) -> Surface:
-        """The rods in a pose."""
+        """Returns the rods in a pose."""
         points = np.full((NUM_LANDMARKS, 3), np.nan)
         at = [LANDMARKS.index(name) for name in self._hand.tree.names]
         points[at] = self._hand.tree.positions(np.asarray(joints, float)[None])[0]
@@ -76,7 +78,8 @@ class SkeletonShape:
 
 
 def landmark_surface(points: Float[np.ndarray, "21 3"]) -> Surface:
-    """A hand as rods along its fingers and a palm between wrist and finger bases.
+    """Makes the surface of a hand: rods along the fingers, and a palm between wrist and finger
+    bases.
 
     Args:
         points: (21, 3) landmarks [m]; NaN for a missing one.
@@ -140,12 +143,12 @@ def paint(
     half: float,
     size: int,
 ) -> UInt8[np.ndarray, "S S 3"]:
-    """A square parallel projection of a surface on white paper, with outlines.
+    """Draws a square parallel projection of a surface on white, with outlines.
 
     Args:
         view: rows right, up and toward the viewer.
         centre: right and up of the picture's middle [m].
-        half: half of the picture's width [m].
+        half: half the width of the picture [m].
         size: width and height [px].
     """
     fine = _FINE * size
@@ -173,7 +176,8 @@ def paint(
 def _samples(
     corners: Float[np.ndarray, "N 3 3"],
 ) -> tuple[Float[np.ndarray, "S 2"], Float[np.ndarray, " S"], Int[np.ndarray, " S"]]:
-    """Points of triangles, less than a pixel apart: their pixels, depths and triangles.
+    """Samples triangles at points less than a pixel apart; returns their pixels, depths and
+    triangles.
 
     Args:
         corners: (N, 3, 3) corners: right and down [px], and depth.
@@ -201,7 +205,7 @@ def _samples(
 
 
 def _outline(depth: Float[np.ndarray, "H W"], step: float) -> np.ndarray:
-    """Pixels of a hand that lie in front of a neighbour by more than a step."""
+    """Pixels of a hand that are in front of a neighbouring pixel by more than a step."""
     filled = np.maximum(depth, -1e3)
     edge = np.zeros(depth.shape, bool)
     for axis in (0, 1):

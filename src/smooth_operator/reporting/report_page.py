@@ -1,4 +1,4 @@
-"""HTML of reports: elements, plots, and the page, which is one file without links to others."""
+"""HTML of reports: elements, plots, and the page, which is one file without external files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def escape(text: object) -> Html:
 def element(tag: str, content: Html | str, **attributes: str) -> Html:
     """``<tag attributes>content</tag>``; attributes are escaped, the content must be HTML.
 
-    ``class`` and ``for`` are written ``class_`` and ``for_``, underscores elsewhere hyphens.
+    Write ``class_`` and ``for_`` for ``class`` and ``for``; other underscores become hyphens.
     """
     written = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{escape(value)}"'
@@ -50,7 +50,7 @@ def paragraph(text: object, class_: str = "") -> Html:
 
 
 def join(parts: Iterable[Html | str]) -> Html:
-    """Parts of HTML as one text."""
+    """Joins parts of HTML."""
     return Html("\n".join(parts))
 
 
@@ -88,7 +88,7 @@ def text_table(
 
 
 def dot(color: str) -> Html:
-    """The mark of a series in its colour of the plots."""
+    """The marker of a series in the colour that it has in the plots."""
     return Html(f"<i class='dot' style='background:{escape(color)}'></i>")
 
 
@@ -124,14 +124,16 @@ _HOME: Final = files("smooth_operator.reporting")
 STYLE: Final = _HOME / "report.css"
 """The style of every report."""
 SORTING: Final = _HOME / "interact.js"
-"""Tables of class ``sortable`` sort by their columns; a row shows its series in the plots."""
+"""Script that sorts tables of class ``sortable`` by column; hovering a row highlights its series in
+plots.
+"""
 Section = tuple[str, str, Html]
-"""Title, anchor and content of a part of a report."""
+"""Title, anchor and content of a section of a report."""
 
 
 @cache
 def templates(package: str) -> Environment:
-    """Jinja2 templates of a package, next to its modules; they escape inserted values.
+    """Loads Jinja2 templates next to the modules of a package; inserted values are escaped.
 
     Raises:
         MissingExtraError: Jinja2 is not installed.
@@ -158,12 +160,12 @@ def write_report_page(
     scripts: Sequence[Traversable] = (),
     without_scripts: str = "",
 ) -> Path:
-    """Writes a report. It needs no other file, and nothing from the network.
+    """Writes a report that needs no other file and nothing from the network.
 
     Args:
         header: HTML above the sections, such as a heading.
         sections: parts in their order; the navigation has a link to each.
-        styles: files or texts of CSS after that of every report.
+        styles: files or strings with CSS that follow the style of every report.
         scripts: files of JavaScript at the end of the page.
         without_scripts: CSS for browsers that run no scripts.
 
@@ -171,7 +173,7 @@ def write_report_page(
         ``path``.
 
     Raises:
-        OutputError: it can't be written.
+        OutputError: the file can't be written.
     """
     page = templates("smooth_operator.reporting").get_template("page.html.j2")
     text = page.render(
@@ -189,7 +191,7 @@ def write_report_page(
 
 
 class Plots:
-    """The figures of a report: files in a folder, and elements of the page.
+    """The figures of a report, as files in a folder and as elements of the page.
 
     Args:
         folder: the folder, which is created in an existing one if it is missing.
@@ -206,7 +208,10 @@ class Plots:
             raise output_error(folder, error) from error
 
     def element(self, drawn: Figure | None, stem: str, caption: str) -> Html:
-        """A figure with its caption, written as ``STEM.png`` and ``STEM.svg``; nothing for None.
+        """Returns the element of a figure with its caption, and writes ``STEM.png`` and
+        ``STEM.svg``.
+
+        The element is empty for None.
 
         Raises:
             OutputError: a file can't be written.
@@ -216,7 +221,9 @@ class Plots:
         return figure(write_figure(drawn, self.folder / plot_name(stem)), caption, caption)
 
     def picture(self, drawn: Image | None, stem: str, caption: str) -> Html:
-        """A picture with its caption, written as ``STEM.webp``; nothing for None.
+        """Returns the element of a picture with its caption, and writes ``STEM.webp``.
+
+        The element is empty for None.
 
         Raises:
             OutputError: the file can't be written.
@@ -233,7 +240,7 @@ class Plots:
 
 
 def plot_name(stem: str) -> str:
-    """A stem as a valid file name, also if it contains the path of a hand."""
+    """Converts a stem to a valid file name, even if it contains the path of a hand."""
     return stem if re.fullmatch(r"[\w.-]+", stem) else file_name(stem, (stem,))
 
 

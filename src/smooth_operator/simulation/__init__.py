@@ -1,1 +1,1 @@
-"""Robot hands under MuJoCo physics, and the scenes of the study's tasks."""
+"""Simulation of robot hands in MuJoCo, and the scenes of the study's tasks."""

@@ -1,4 +1,4 @@
-"""A simulated camera: pictures of a hand under physics and of its object."""
+"""A simulated camera: renders pictures of a simulated hand and its object."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TOO_COSTLY: Final = ("SHADOW", "REFLECTION")  # nine tenths of the time without
 
 @dataclass(frozen=True)
 class View:
-    """Place of a camera; None follows from the hand and its task.
+    """Position and direction of a camera; values of None follow from the hand and its task.
 
     Attributes:
         azimuth: azimuth of the direction of view, in MuJoCo's convention [degrees].
@@ -39,8 +39,8 @@ class View:
 class SimulatedCamera:
     """An off-screen camera that looks at a hand's object, or at the hand if there is no task.
 
-    It has its own state, so the physics can go on in another thread. A picture must be drawn on the
-    thread that made the camera.
+    It has its own state, so the physics can continue in another thread. A picture must be drawn on
+    the thread that made the camera.
 
     Args:
         physics: the hand, and its scene if there is one.
@@ -78,7 +78,7 @@ class SimulatedCamera:
         self._camera.distance = distance if view.distance is None else view.distance
 
     def draw(self, qpos: Float[np.ndarray, " q"]) -> UInt8[np.ndarray, "h w 3"]:
-        """(height, width, 3) picture: red, green and blue.
+        """Renders a (height, width, 3) picture: red, green and blue.
 
         Args:
             qpos: (q,) positions of the physics' model: joints and object.

@@ -1,4 +1,4 @@
-"""Interface of a running simulation of hands, as trials and pages use it."""
+"""Interface of a running simulation of hands, for trials and pages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from smooth_operator.simulation.scenes import Scene, ScenePart, SceneState
 from smooth_operator.types import Side
 
 Watcher = Callable[[SceneState, Float[np.ndarray, " n"]], None]
-"""Called with the scene and the (n,) joint positions [rad], from the thread of the physics."""
+"""Function that the physics thread calls with the scene and the (n,) joint positions [rad]."""
 
 
 class SimulatedHand(Protocol):
@@ -26,7 +26,7 @@ class SimulatedHand(Protocol):
 
     @property
     def time(self) -> float:
-        """Time of the state, by the clock of the loop [s]."""
+        """Time of the state, on the clock of the loop [s]."""
 
 
 class LiveSimulation(Protocol):
@@ -41,35 +41,38 @@ class LiveSimulation(Protocol):
         """Number that changes with every new scene; 0 without a scene."""
 
     def state(self, side: Side) -> SimulatedHand | None:
-        """Current state of a hand, None without such a hand. Safe from any thread."""
+        """Current state of a hand; None if there is no such hand. Safe from any thread."""
 
     def scene_state(self, side: Side) -> SceneState | None:
-        """Current state of the object, None without a task or such a hand. Safe from any thread."""
+        """Current state of the object; None without a task or without that hand. Safe from any
+        thread.
+        """
 
     def arm_base(self, side: Side) -> Matrix | None:
-        """Pose (4, 4) of the base of the arm that carries a hand, in the scene around it; None
-        without an arm or a task."""
+        """Pose (4, 4) of the base of the arm that carries a hand, in the scene; None without an arm
+        or a task.
+        """
 
     def change_task(self, task: str) -> None:
-        """Put another scene around the hands."""
+        """Replace the scene around the hands."""
 
     def scene_of(self, side: Side) -> Scene:
         """The scene around a hand."""
 
     def parts_of(self, side: Side) -> list[ScenePart]:
-        """Shapes of platform and object, to draw."""
+        """Shapes of the platform and the object, for drawing."""
 
     def hand_of(self, side: Side) -> Hand:
         """The robot hand of a side."""
 
     def watch(self, side: Side, watcher: Watcher | None) -> None:
-        """Call ``watcher`` after each step of the physics; None ends the calls."""
+        """Call ``watcher`` after each step of the physics; None stops the calls."""
 
     def reset_object(self, side: Side) -> int:
         """Put the object back where it started; returns the new world number."""
 
     def freeze(self, side: Side, frozen: bool) -> None:
-        """Stop the physics and the clock of a hand and its scene, or let them go on."""
+        """Stop or resume the physics and the clock of a hand and its scene."""
 
     def put_away(self, side: Side) -> None:
-        """Take the object out until it is put back."""
+        """Remove the object until it is put back."""

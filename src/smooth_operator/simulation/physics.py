@@ -1,9 +1,11 @@
-"""A robot hand under MuJoCo physics: joint commands in, joint positions out.
+"""A robot hand simulated in MuJoCo: joint commands in, joint positions out.
 
 Models of hands are made for kinematics or for one vendor's simulator: most lack actuators, rotors
-or sensible damping. Every hand therefore gets the same servo here. Its stiffness follows from the
-inertia that it moves and a bandwidth, its damping is critical, and its torque is limited to the
-maker's figure (``HandSpec.torque``), so that a blocked finger pushes as hard as the real one."""
+or sensible damping. Therefore every hand gets the same kind of servo here. Its stiffness follows
+from the inertia that it moves and a bandwidth, its damping is critical, and its torque is limited
+to the maker's figure (``HandSpec.torque``), so that a blocked finger pushes as hard as the real
+one.
+"""
 
 from __future__ import annotations
 
@@ -23,24 +25,30 @@ from smooth_operator.hands.penetration import parts_above
 from smooth_operator.simulation.arms.arm import CarriedHand, add_servo, inertia_matrix
 
 ARMATURE: Final = 5e-4
-"""Inertia of a finger motor's rotor behind its gears, at least [kg m^2]."""
+"""Minimum inertia of a finger motor's rotor, as seen through its gears [kg m^2]."""
 
 FURNISHED: Final = "hand/"
 """Prefix of the hand's names in a model that holds more than a hand."""
 
 TORQUE: Final = 0.6
-"""Torque limit of a finger's motor in a scene [N m] without a figure of its maker: about 10 N at a
-fingertip 6 cm away."""
+"""Torque limit of a finger's motor in a scene [N m] if the maker states none: about 10 N at a
+fingertip 6 cm away.
+"""
 
 _ACCELERATION: Final = 2000.0
-"""Acceleration that the torque limit allows [rad/s^2] for an empty hand without a figure of its
-maker; above the acceleration limit of the live loop."""
+"""Acceleration that the torque limit of an empty hand allows if the maker states no torque
+[rad/s^2]; it is above the acceleration limit of the live loop.
+"""
 
 _STOP_S: Final = 0.005
-"""Time constant of the joints' end stops [s]; MuJoCo's default yields by degrees of angle."""
+"""Time constant of the joints' end stops [s]; MuJoCo's default lets joints pass the stops by
+degrees.
+"""
 
 _TOUCHING: Final = 1e-4
-"""Distance at rest below which two shapes never collide [m]: shapes are larger than real parts."""
+"""Distance at rest below which two shapes never collide [m], because shapes are larger than real
+parts.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +78,13 @@ def build_physics(
 ) -> PhysicsModel:
     """Build a hand's model for physics.
 
-    The palm stands on a fixture; joints that are not the hand's, such as an arm's, are removed.
-    Neighbouring bodies do not collide, nor bodies whose shapes overlap at rest.
+    The palm is on a fixture; joints that are not the hand's, such as an arm's, are removed.
+    Neighbouring bodies and bodies whose shapes overlap at rest do not collide.
 
     Args:
         timestep: time step of the physics [s].
         bandwidth: bandwidth of the servos [Hz].
-        gravity: pull along -z of the model's world.
+        gravity: True for gravity along -z of the model's world.
         furnish: puts the hand's model with its servos into a world, under names that begin with
             ``FURNISHED``, and returns that world.
 
@@ -115,7 +123,7 @@ def build_physics(
 
 
 def _bare(hand: Hand, timestep: float, gravity: bool) -> mujoco.MjSpec:
-    """The hand on its fixture, without actuators, with its couplings as equalities."""
+    """Builds the hand on its fixture, without actuators and with its couplings as equalities."""
     spec = load_spec(hand.spec.model, mirror=hand.spec.mirror)
     own = set(hand.joint_names)
     joint_equality = mujoco.mjtEq.mjEQ_JOINT
@@ -164,8 +172,8 @@ def _inertia(hand: Hand, model: mujoco.MjModel) -> Float[np.ndarray, " m"]:
 def _never_collide(hand: Hand, model: mujoco.MjModel) -> list[tuple[str, str]]:
     """Pairs of bodies that are joined, directly or over one link, or overlap in the neutral pose.
 
-    MuJoCo itself excludes a body and its parent, except where the parent is fixed to the world, as
-    the palm on its fixture is.
+    MuJoCo itself excludes a body and its parent, except if the parent is fixed to the world, like
+    the palm on its fixture.
     """
     data = mujoco.MjData(model)
     data.qpos[[int(model.joint(name).qposadr[0]) for name in hand.joint_names]] = (
@@ -199,8 +207,9 @@ class HandPhysics:
     Args:
         hand: the robot hand.
         timestep: time step of the physics [s].
-        bandwidth: bandwidth of the servos [Hz]. A higher one follows faster and pushes harder.
-        gravity: pull along -z of the model's world.
+        bandwidth: bandwidth of the servos [Hz]. With a higher one, the hand follows faster and
+        pushes harder.
+        gravity: True for gravity along -z of the model's world.
         furnish: adds the surroundings of the hand, see ``build_physics``.
         carried: the arm on which ``furnish`` puts the hand; None for a fixture.
 

@@ -1,9 +1,9 @@
-"""Gestures of the synthetic operator, as minimum-jerk moves and wandering in joint space.
+"""Gestures of the synthetic operator: minimum-jerk moves and random wandering in joint space.
 
 A minimum-jerk move (T. Flash and N. Hogan, "The Coordination of Arm Movements", Journal of
 Neuroscience 5(7), 1985) starts and ends without velocity and acceleration, so successive moves are
 twice continuously differentiable, and stay between their two postures. Wandering adds slow sines
-under an envelope of the same shape, so it joins as smoothly.
+under an envelope of the same shape, so it starts and ends as smoothly.
 
 A posture is 16 free joint angles (see ``FREE``): the thumb's CMC flexion, CMC abduction, MCP and
 IP, then MCP abduction, MCP and PIP of index .. pinky.
@@ -52,9 +52,9 @@ FLAT = _posture((-13, -9, 3, 2), (-2, 4, 6), (0, 4, 6), (3, 4, 7), (6, 5, 8))
 RELAXED = _posture((0, 4, 12, 14), (2, 22, 26), (0, 26, 30), (0, 28, 32), (-2, 28, 30))
 SPREAD = _posture((-18, 6, 0, -4), (15, -4, 4), (1, -6, 4), (-11, -5, 5), (-24, -4, 5))
 CURLED = _posture((-8, 12, 10, 12), (-4, 74, 92), (0, 78, 96), (2, 80, 96), (4, 80, 94))
-"""All four fingers curled, the thumb out of their way."""
+"""Posture with all four fingers curled and the thumb out of their way."""
 FIST = _posture((-14, 13, 40, 63), (-4, 78, 96), (0, 82, 98), (2, 84, 98), (4, 84, 96))
-"""The thumb closed over the curled fingers."""
+"""Posture with the thumb closed over the curled fingers."""
 
 # Natural posture in each pinch, from which the solution deviates as little as possible: the thumb,
 # then the pinching finger.
@@ -72,10 +72,10 @@ _LIMIT_MARGIN = np.deg2rad(1.0)
 def pinch_postures(seed: int) -> Float[np.ndarray, "4 16"]:
     """Postures in which the thumb's tip meets that of index, middle, ring and pinky.
 
-    Inverse kinematics of the person's own hand within the joint ranges: the finger's tip lies on
-    the thumb's pad, 0.8 % of the hand length (1.5 mm) from the thumb's tip, the pads face each
-    other, and the joints stay near a natural pinch. The other fingers are relaxed, and neighbours
-    follow in part. The angles don't depend on the hand's length.
+    They follow from inverse kinematics of the person's own hand within the joint ranges: the
+    finger's tip lies on the thumb's pad, 0.8 % of the hand length (1.5 mm) from the thumb's tip,
+    the pads face each other, and the joints stay near a natural pinch. The other fingers are
+    relaxed, and neighbours follow in part. The angles don't depend on the hand's length.
 
     Args:
         seed: seed of the person, as for ``draw_anatomy``.
@@ -113,7 +113,9 @@ def pinch_postures(seed: int) -> Float[np.ndarray, "4 16"]:
 
 
 def _around(finger: int) -> Posture:
-    """Posture of the other fingers while one pinches: its neighbours are more flexed."""
+    """Posture of the other fingers while one pinches; the neighbours of that finger are more
+    flexed.
+    """
     posture = RELAXED.copy()
     for other in range(4):
         follow = 1.0 if abs(other - finger) == 1 else 0.7

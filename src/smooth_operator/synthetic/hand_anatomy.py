@@ -1,4 +1,4 @@
-"""Synthetic hand: bone lengths, layout, joint ranges from the literature; forward kinematics.
+"""Anatomy of the synthetic hand (bone lengths, layout, joint ranges) and its forward kinematics.
 
 Lengths [mm], means of 66 adults by radiography: A. Buryanov and V. Kotiuk, "Proportions of Hand
 Segments", International Journal of Morphology 28(3), 2010, pp. 755-758; metacarpals, phalanges and
@@ -19,7 +19,7 @@ No table gives the layout of the carpus, the fan of the metacarpals, the transve
 thumb's neutral direction in one frame; those figures are ours, compared with recordings of real
 hands (the palm's shape) and with pictures.
 
-In the kinematics the hand has the form in which a glove reports one. The wrist is the origin; x is
+The kinematics describes a hand in the same form as a glove does. The wrist is the origin; x is
 palmar, y towards the thumb of a right hand, z distal. A joint's own frame has x along its bone and
 z dorsal, so flexion turns about its y. A fingertip has the orientation of its last joint, as in a
 MANUS stream.
@@ -145,8 +145,9 @@ class HandAnatomy:
 
 
 def draw_anatomy(hand_length: float, seed: int) -> HandAnatomy:
-    """The hand of a person of some length, wrist to middle fingertip [m]: the published
-    proportions, varied by a few percent per bone by the seed, whatever the length."""
+    """Draws the hand of a person by seed, with a given length from wrist to middle fingertip [m].
+
+    The published proportions are varied by a few percent per bone, independently of the length."""
     unit = _unit_anatomy(seed)
     return HandAnatomy(
         hand_length,
@@ -215,8 +216,9 @@ class HandPoses:
 
 
 def pose_hand(anatomy: HandAnatomy, angles: Float[np.ndarray, "T 20"]) -> HandPoses:
-    """Poses of a right hand, wrist at the origin, at (T, 20) joint angles [rad] in the order of
-    ``JOINTS``."""
+    """Computes poses of a right hand with the wrist at the origin, at (T, 20) joint angles [rad] in
+    the order of ``JOINTS``.
+    """
     count = len(angles)
     landmarks = np.zeros((count, 21, 3))
     orientations = np.empty((count, 21, 4))
@@ -254,7 +256,9 @@ def pose_hand(anatomy: HandAnatomy, angles: Float[np.ndarray, "T 20"]) -> HandPo
 
 
 def mirror(poses: HandPoses) -> HandPoses:
-    """Mirrored poses, of the other hand: y changes sign; joint frames keep bone x and dorsal z."""
+    """Mirrors poses to the other hand: y changes sign; joint frames keep x along the bone and z
+    dorsal.
+    """
     points, quaternions = np.array([1.0, -1.0, 1.0]), np.array([1.0, -1.0, 1.0, -1.0])
     return HandPoses(
         poses.landmarks * points, poses.metacarpals * points, poses.orientations * quaternions
@@ -266,8 +270,10 @@ def move(
     translation: Float[np.ndarray, "T 3"],
     rotation_vector: Float[np.ndarray, "T 3"],
 ) -> HandPoses:
-    """Move whole hands with the wrist at the origin: (T, 3) translation [m] and rotation about the
-    wrist, axis times angle [rad]."""
+    """Moves whole hands by (T, 3) rotations about the wrist (axis times angle [rad]) and
+    translations [m].
+
+    The hands have the wrist at the origin."""
     angle = np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
     # sinc keeps the limit at no rotation: sin(a/2)/a = sinc(a/2pi)/2
     quaternion = np.concatenate(

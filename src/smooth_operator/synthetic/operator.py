@@ -1,4 +1,6 @@
-"""The synthetic operator: a seeded human hand in motion, in place of a person and a tracker."""
+"""The synthetic operator: a moving human hand, determined by a seed, that replaces a person and a
+tracker.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +37,12 @@ _BLOCK = 256  # ticks per block in record() and frames(), so that both give the 
 
 @dataclass(frozen=True)
 class SyntheticOperator:
-    """A person in front of a tracker, from published anatomy and a seed.
+    """A simulated person in front of a tracker, generated from published anatomy and a seed.
 
-    The frames have the content of a MANUS glove's: 21 landmarks with the wrist at the origin, the
-    four metacarpal bases and an orientation per landmark. The right hand's axes are x palmar,
-    y towards the thumb, z distal; the left hand is its mirror image in y. A recording also has
-    the true joint angles and gesture of every frame, see ``record``.
+    The frames have the same content as those of a MANUS glove: 21 landmarks with the wrist at the
+    origin, the four metacarpal bases and an orientation per landmark. The right hand's axes are x
+    palmar, y towards the thumb, z distal; the left hand is its mirror image in y. A recording also
+    has the true joint angles and gesture of every frame, see ``record``.
 
     Attributes:
         seed: seed of the person (bone lengths vary by a few percent) and of the motion (timing,
@@ -59,7 +61,7 @@ class SyntheticOperator:
 
     Raises:
         ConfigError: a setting is outside its range.
-        UnknownNameError: there is no gesture of a name.
+        UnknownNameError: there is no gesture with one of the names.
     """
 
     seed: int = 0
@@ -141,7 +143,7 @@ class SyntheticOperator:
         )
 
     def frames(self, duration: float | None = None) -> Iterator[HandFrame]:
-        """The frames of ``record`` one by one, without waiting between them.
+        """Yields the frames of ``record`` one by one, without waiting between them.
 
         Args:
             duration: length of the sequence [s]; None for an endless one.
@@ -162,7 +164,7 @@ class SyntheticOperator:
         return ticks
 
     def _blocks(self, ticks: int | None) -> Iterator[HandRecording]:
-        """Parts of the recording, up to ``ticks`` ticks or without an end."""
+        """Yields parts of the recording, up to ``ticks`` ticks or endlessly."""
         anatomy = self.anatomy
         programme = Programme(int(self.seed), self.gestures, self.speed, self.max_jerk)
         stream = TrackerStream(self.tracker, self._rate)

@@ -15,8 +15,8 @@ def human_landmarks(hand: Hand, q: Float[np.ndarray, "T m"]) -> Float[np.ndarray
     """Landmarks of a robot hand in the layout of a human hand, in the palm frame.
 
     A missing point of a robot finger is put on the line between its neighbours. A missing finger is
-    taken from a flat synthetic hand that is aligned to the robot's palm. Methods use neither,
-    unless the hand's description makes a joint follow them.
+    taken from a flat synthetic hand that is aligned to the robot's palm. Methods do not use these
+    points, unless the hand's description makes a joint follow them.
 
     Args:
         q: (T, m) positions of the actuated joints [rad].

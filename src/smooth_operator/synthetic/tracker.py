@@ -1,4 +1,4 @@
-"""Tracker of the synthetic operator (shake, delay, losses), and motion of the hand's wrist."""
+"""Model of the synthetic operator's tracker (shake, delay, losses), and motion of the wrist."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from smooth_operator.settings import LARGEST, check_range
 
 
 def check_seed(name: str, value: int) -> None:
-    """Refuse a seed that isn't a whole number from 0 on.
+    """Refuse a seed that is not a whole number of at least 0.
 
     Raises:
-        ConfigError: the seed is refused; names the setting and the value.
+        ConfigError: the seed is refused; the message names the setting and the value.
     """
     try:
         good = operator.index(value) >= 0
@@ -33,29 +33,29 @@ def check_seed(name: str, value: int) -> None:
 class TrackerModel:
     """Imperfections of a tracker; all are off by default.
 
-    The palm is rigid, as the hand models of real trackers have it: wrist and finger bases never
-    move against each other. Each fingertip shakes by a first-order autoregression, the joints
+    The palm is rigid, as in the hand models of real trackers: wrist and finger bases never move
+    against each other. Each fingertip shakes by a first-order autoregression, the joints
     below it by a third and two thirds of that. Loss comes in bursts: a two-state Markov chain
     (E. N. Gilbert, "Capacity of a Burst-Noise Channel", Bell System Technical Journal 39, 1960)
-    with the given share of losses and mean length of a burst. The motion underneath is the same
-    whatever is set here.
+    with the given share of losses and mean length of a burst. The hand's true motion does not
+    depend on these settings.
 
     Attributes:
         rate_hz: frame rate [Hz].
         shake: standard deviation of each coordinate of each fingertip in the palm's frame [m].
         shake_time: correlation time of that shake [s]; 0 is white.
-        delay: how long ago the hand was as a frame shows it [s].
-        pinch_gaps: the nearest that the thumb ever seems to be to the tips of index, middle, ring
-            and little finger [palm lengths, wrist to middle MCP]. A distance d is shown as
-            (d^3 + gap^3)^(1/3).
-        rate_jitter: standard deviation of a frame's time about its even place, over the period. It
-            is cut off at 0.45 so that stamps stay strictly increasing. A frame shows the hand at
-            the time of its stamp, less the delay.
+        delay: age of the hand pose that a frame shows [s].
+        pinch_gaps: smallest distance that the tracker shows between the thumb and the tips of
+            index, middle, ring and little finger [palm lengths, wrist to middle MCP]. A distance d
+            is shown as (d^3 + gap^3)^(1/3).
+        rate_jitter: standard deviation of a frame's time from its regular time, divided by the
+            period. The deviation is limited to 0.45 so that stamps stay strictly increasing. A
+            frame shows the hand at the time of its stamp, less the delay.
         frame_loss: share of frames that never arrive.
         frame_loss_burst: mean length of such a gap [s].
         landmark_loss: share of (frame, landmark) pairs that are NaN and flagged invalid.
         landmark_loss_burst: mean length of a landmark's absence [s].
-        seed: seed of all these.
+        seed: seed of all these random values.
 
     Raises:
         ConfigError: a value is outside its range.
@@ -114,7 +114,7 @@ TRACKERS: Final = {
         pinch_gaps=(0.295, 0.369, 0.251, 0.075),
     ),
 }
-"""Trackers by kind, measured from recordings as ``research/docs/trackers.md`` says."""
+"""Trackers by kind; ``research/docs/trackers.md`` says how they were measured from recordings."""
 
 
 def tracker_model(
@@ -125,14 +125,14 @@ def tracker_model(
     landmark_loss: float = 0.0,
     rate_jitter: float | None = None,
 ) -> TrackerModel:
-    """The tracker of a kind: ``glove``, ``headset`` or ``camera``.
+    """Returns the tracker of a kind: ``glove``, ``headset`` or ``camera``.
 
     Args:
         name: the kind; None for a perfect tracker at 100 Hz.
         seed: seed of its shake and losses.
-        frame_loss: see ``TrackerModel``; None for that of its kind.
+        frame_loss: see ``TrackerModel``; None for the value of its kind.
         landmark_loss: see ``TrackerModel``.
-        rate_jitter: see ``TrackerModel``; None for that of its kind.
+        rate_jitter: see ``TrackerModel``; None for the value of its kind.
 
     Raises:
         UnknownNameError: there is no such kind.
@@ -188,7 +188,9 @@ class Ticks:
 def _move_fingertips(
     landmarks: Float[np.ndarray, "n 21 3"], by: Float[np.ndarray, "n 5 3"]
 ) -> None:
-    """Move fingertips in place, and the joints below them by a third and two thirds of it."""
+    """Moves fingertips in place, and the joints below them by a third and two thirds of that
+    motion.
+    """
     for finger, base in enumerate(BASES):
         for joint in (1, 2, 3):
             landmarks[:, base + joint] += joint / 3.0 * by[:, finger]
@@ -283,7 +285,7 @@ _TERMS = 4
 
 @dataclass(frozen=True)
 class WristMotion:
-    """Slow random motion of the wrist; off by default, as a glove reports the hand alone.
+    """Slow random motion of the wrist; off by default, because a glove reports only the hand.
 
     Attributes:
         translation: standard deviation of each coordinate of the wrist [m].

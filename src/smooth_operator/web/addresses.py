@@ -26,12 +26,12 @@ def is_local(host: str) -> bool:
 
 
 def is_zmq_address(text: str) -> bool:
-    """True for an address of ZeroMQ; one of TCP has a port: ``tcp://127.0.0.1:5556``."""
+    """True for an address of ZeroMQ; a TCP address has a port: ``tcp://127.0.0.1:5556``."""
     return re.fullmatch(r"(?!tcp:)\w+://.+|tcp://.+:[\d*!]+", text) is not None
 
 
 def lan_addresses(host: str = "0.0.0.0") -> tuple[str, ...]:
-    """Addresses of this machine on its networks, that of the default route first.
+    """Addresses of this machine on its networks; the one of the default route is first.
 
     Args:
         host: ``0.0.0.0`` for IPv4, ``::`` for IPv4 and IPv6, whose addresses may change each day.

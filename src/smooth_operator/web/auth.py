@@ -1,4 +1,4 @@
-"""Checks of requests to a page's server: form, origin, host, token.
+"""Checks requests to the server of a page: form, origin, host, token.
 
 A server that only this machine can reach needs no token; the checks of ``Origin`` and ``Host``
 refuse other pages of the same browser. On a network, the address of the page has a token; the
@@ -35,7 +35,9 @@ class TokenAuth:
     shown_by: str = "the terminal"
 
     def refusal(self, connection: Any, request: Any) -> Any:
-        """A response that refuses or redirects; None to let the request pass."""
+        """Returns a response that refuses or redirects the request; None if the request is
+        accepted.
+        """
         if not same_origin(request):
             return connection.respond(
                 http.HTTPStatus.FORBIDDEN, "requests from another site are refused\n"
@@ -72,7 +74,9 @@ class TokenAuth:
 
 
 def same_secret(secret: str, expected: str) -> bool:
-    """True if two secrets are equal, in a time that does not depend on their difference."""
+    """True if two secrets are equal; the time of the comparison does not depend on where they
+    differ.
+    """
     return hmac.compare_digest(secret.encode(), expected.encode())
 
 
@@ -86,7 +90,9 @@ def cookie(request: Any, name: str) -> str:
 
 
 def _welcome(connection: Any, path: str, value: str) -> Any:
-    """A redirect to the same page with a cookie, so that no history keeps the token."""
+    """A redirect to the same page with a cookie, so that the token stays out of the browser's
+    history.
+    """
     response = connection.respond(http.HTTPStatus.SEE_OTHER, "")
     response.headers["Location"] = "/" + path.lstrip("/\\")  # "//name" would be another server
     response.headers["Set-Cookie"] = f"{value}; Path=/; HttpOnly; SameSite=Lax"
@@ -100,7 +106,7 @@ def _cookie_name(role: str, port: Any) -> str:
 
 
 _ONCE: Final = ("Origin", "Cookie", "Upgrade", "Accept-Encoding")
-"""Headers that the servers here read, besides ``Host``; none may come twice."""
+"""Headers that the servers here read, besides ``Host``; none of them may occur twice."""
 
 
 def well_formed(request: Any) -> bool:
@@ -128,7 +134,8 @@ def same_origin(request: Any) -> bool:
 def names_this_machine(request: Any) -> bool:
     """True if the request's host is a loopback address or ``localhost``.
 
-    An attacker's name for this machine would have the origin of the attacker's page.
+    If an attacker's host name led to this machine, the request would have the origin of the
+    attacker's page.
     """
     with contextlib.suppress(ValueError):
         name = urlsplit(f"//{''.join(request.headers.get_all('Host'))}").hostname or ""

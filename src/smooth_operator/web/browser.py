@@ -1,4 +1,4 @@
-"""Opens a page in the local browser, without its token in the list of processes."""
+"""Opens a page in the local browser without exposing its token in the list of processes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _FILE_S: Final = 60.0
 def open_page(url: str) -> None:
     """Opens a page in the browser, if there is a desktop.
 
-    All users of this machine can read a process's arguments, so an address with a token is in a
-    file of this user, which redirects to the page.
+    All users of this machine can read a process's arguments, so an address with a token is written
+    to a file of this user, which redirects to the page.
     """
     if not has_desktop():
         return

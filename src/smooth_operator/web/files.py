@@ -1,4 +1,4 @@
-"""Files of a page in a package, and responses with security headers."""
+"""Serves the files of a page from a package, with security headers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _BARE: Final = "default-src 'none'; frame-ancestors 'none'"
 
 
 def page_files(package: str, folder: str = "page") -> dict[str, tuple[bytes, str]]:
-    """Path -> (content, type) of all files of a page."""
+    """Returns path -> (content, type) of all files of a page."""
     return {
         f"/{file.name}": (file.read_bytes(), _TYPES[suffix])
         for file in (resources.files(package) / folder).iterdir()
@@ -42,7 +42,7 @@ def page_files(package: str, folder: str = "page") -> dict[str, tuple[bytes, str
 def file_response(
     connection: ServerConnection, status: http.HTTPStatus, body: bytes, kind: str
 ) -> Response:
-    """Response with a file of a media type."""
+    """Makes a response with a file of a media type."""
     response = connection.respond(status, "")
     response.body = body
     for name, value in {"Content-Type": kind, "Content-Length": str(len(body))}.items():
@@ -59,7 +59,7 @@ def answer_with(
     links: str = "wss:",
     more: Mapping[str, str] | None = None,
 ) -> Response:
-    """Response with a file, under a policy that lets the page load nothing from other servers.
+    """Makes a response with a file and a policy that forbids loading anything from other servers.
 
     Args:
         links: schemes of WebSockets, which older Safaris don't count as ``'self'``.
@@ -76,7 +76,8 @@ def answer_with(
 def shielded(
     answer: Callable[[ServerConnection, Request], Response | None], policy: str = _BARE
 ) -> Callable[[ServerConnection, Request], Response | None]:
-    """Wrap a server's request handler: refuses malformed requests, adds headers against framing.
+    """Wraps a server's request handler: refuses malformed requests and adds headers against
+    framing.
 
     In a frame, a page of another origin could cover our page with its own picture, so that the
     operator clicks our buttons.

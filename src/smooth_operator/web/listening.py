@@ -12,14 +12,16 @@ from functools import partial
 from typing import Any, Final
 
 _REFUSED_IN_A_ROW: Final = 100
-"""Number of connections that one call of accept may refuse; a flood leaves time for other work."""
+"""Number of connections that one call of accept may refuse, so that a flood leaves time for other
+work.
+"""
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Opens a listening socket; port 0 is any free one.
+    """Opens a listening socket; port 0 chooses any free port.
 
     Raises:
-        OSError: the address is not one of this machine's, or the port is in use.
+        OSError: the address does not belong to this machine, or the port is in use.
     """
     family, _, _, _, address = socket.getaddrinfo(
         host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -41,7 +43,7 @@ class LimitedListener(socket.socket):
     Args:
         listening: a listening socket, which this object replaces.
         most: largest number of open connections.
-        most_of_one: largest number from one address.
+        most_of_one: largest number of open connections from one address.
         most_waiting: largest number of waiting connections from one address.
     """
 
@@ -59,10 +61,10 @@ class LimitedListener(socket.socket):
         self._change = threading.Lock()
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection within the limits.
+        """Returns the next connection within the limits.
 
         Raises:
-            BlockingIOError: there is none now.
+            BlockingIOError: there is no such connection now.
         """
         for _ in range(_REFUSED_IN_A_ROW):
             connection, address = super().accept()
@@ -79,7 +81,9 @@ class LimitedListener(socket.socket):
         raise BlockingIOError
 
     def served(self, address: Any) -> None:
-        """End the waiting of the connection from an address (host, port, ...): its request came."""
+        """Marks the connection from an address (host, port, ...) as no longer waiting: its request
+        arrived.
+        """
         with self._change:
             self._waiting.pop(address, None)
 
@@ -117,7 +121,7 @@ class _Counted(socket.socket):
 
 
 def quiet_options(name: str) -> dict[str, Any]:
-    """Options of ``websockets.asyncio.server.serve`` with which bad requests print nothing.
+    """Options of ``websockets.asyncio.server.serve`` with which bad requests do not print anything.
 
     Errors of a client go to the logger ``name`` with a traceback. The library's own logger has no
     handler, so Python would print them in the operator's terminal.

@@ -190,7 +190,7 @@ def check_hardware(options: Check) -> None:
         device = real_hand(build_sink(options.device))
         if device is None or options.hand is None:
             raise ConfigError(
-                "--ids is for a real hand without a table; name its model with --hand"
+                "--ids is for a real hand that has no table yet; name its model with --hand"
             )
         sink, hand = device, load_hand(options.hand, options.side)
         ids, low, high = _ids(options.ids), *options.ends

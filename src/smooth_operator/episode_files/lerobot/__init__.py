@@ -5,18 +5,18 @@
     meta/info.json                               fps, features, totals
     meta/tasks.parquet                           task -> task_index
     meta/stats.json                              statistics of every feature, all episodes
-    meta/episodes/chunk-000/file-000.parquet     a row an episode: where it is, its statistics
+    meta/episodes/chunk-000/file-000.parquet     one row per episode: its place, its statistics
     meta/smooth_operator.json                    which program wrote the folder
-    data/chunk-000/file-000.parquet              a row a frame, a row group an episode
+    data/chunk-000/file-000.parquet              one row per frame, one row group per episode
     README.md                                    the columns and their units
 
-LeRobot's own columns are in its own types. What they can't hold is in further columns, whose names
-begin with neither ``observation`` nor ``action``, since LeRobot makes inputs and outputs of a
-policy of all that do. They are listed in ``smooth_operator.episode_files.lerobot.schema``.
+LeRobot's own columns have LeRobot's types. Data that they can't hold is in further columns. The
+names of these begin with neither ``observation`` nor ``action``, because LeRobot uses all columns
+with such names as inputs and outputs of a policy. They are listed in
+``smooth_operator.episode_files.lerobot.schema``.
 
-LeRobot has one number of frames a second and no other clock: ``timestamp`` is
-``frame_index / fps``, as its own recorder writes it, and the true time of each frame is in
-``stamp``.
+LeRobot has one frame rate and no other clock: ``timestamp`` is ``frame_index / fps``, as LeRobot's
+own recorder writes it, and the true time of each frame is in ``stamp``.
 """
 
 from smooth_operator.episode_files.lerobot.reader import Dataset as Dataset

@@ -1,6 +1,6 @@
-"""The columns of a dataset, their types and units, and an episode as columns and back.
+"""The columns of a LeRobot dataset, and the conversion of episodes to columns.
 
-LeRobot's own:
+These columns are LeRobot's own:
 
 ======================  =====================  ===================================================
 ``observation.state``   float32 (n,)           measured joint positions [rad], ``JOINT.pos``; where
@@ -16,13 +16,13 @@ LeRobot's own:
 ``task_index``          int64                  row of ``meta/tasks.parquet``
 ======================  =====================  ===================================================
 
-What these can't hold, without loss:
+These columns hold, without loss, the data that LeRobot's own columns can't hold:
 
 ======================  =====================  ===================================================
 ``stamp``               float64                time of the frame by the recording's own clock [s]
 ``landmarks``           float64 (63,)          as ``observation.state``
 ``landmarks_valid``     bool (21,)             False where the tracker lost the landmark
-``left_hand``           bool                   which hand: True for a left one
+``left_hand``           bool                   True for a left hand
 ``metacarpals``         float64 (12,)          metacarpal bases [m], index to pinky
 ``orientations``        float64 (84,)          quaternions wxyz, one per landmark
 ``human_wrist``         float64 (7,)           in its world: x y z [m], quaternion wxyz
@@ -41,17 +41,17 @@ What these can't hold, without loss:
 ``measured_stamp``      float64                when they were measured [s]
 ======================  =====================  ===================================================
 
-A dataset has the columns that any of its episodes needs; an episode's row in ``meta/episodes``
-says, in the column ``smooth_operator``, which of them are its own, with its name, configuration and
-what the source said. LeRobot's own tools drop that column when they rewrite a dataset; the frames
-can still be read. Its loader turns every float64 into float32, which is too coarse for ``stamp``
-where that counts from 1970: read it with any Parquet reader.
+A dataset has the columns that any of its episodes needs; the column ``smooth_operator`` in an
+episode's row of ``meta/episodes`` says which of them belong to the episode, and contains its name,
+its configuration and the metadata of its source. LeRobot's own tools drop that column when they
+rewrite a dataset; the frames can still be read. LeRobot's loader converts every float64 to float32,
+which is too coarse for a ``stamp`` that counts from 1970: read that column with any Parquet reader.
 
 The columns that ``lerobot-record`` writes for the robot ``smooth_hand`` can be made from a log as
 well. Data sets of both merge with LeRobot's own tool: keys, units, sizes and type of the robot are
-equal, if the robot has its default settings, or with the wrist ``--robot.wrist=quaternion``, and
-with the environment state ``--robot.environment_state=joints``. A row is a moment of LeRobot's
-clock, from the first command that is measured to the last one.
+equal if the robot has its default settings (with the wrist: ``--robot.wrist=quaternion``; with the
+environment state: ``--robot.environment_state=joints``). Each row is one moment of LeRobot's clock,
+from the first to the last command with a measurement.
 
 =================================  ============  =================================================
 ``observation.state``              float32 (m,)  measured positions of the actuated joints [rad]
@@ -83,7 +83,7 @@ from smooth_operator.hands.registry import load_hand
 from smooth_operator.landmarks import FINGERS, LANDMARKS
 
 NO_COMMAND: Final = -1
-"""Status of a frame that no command answers."""
+"""Status of a frame without a command."""
 
 _LANDMARK_NAMES: Final = tuple(f"{name}.{axis}" for name in LANDMARKS for axis in "xyz")
 _METACARPAL_NAMES: Final = tuple(f"{f}_metacarpal.{axis}" for f in FINGERS[1:] for axis in "xyz")
@@ -92,7 +92,7 @@ ROBOT_TYPE: Final = "smooth_hand"
 """Name of the robot plug-in."""
 
 ROBOT_FPS: Final = 30
-"""Frames a second of a robot's columns unless stated otherwise, as ``lerobot-record`` has it."""
+"""Default frame rate of a robot's columns [Hz], the same as that of ``lerobot-record``."""
 
 _OF_RECORDING: Final = {
     "metacarpals": ("metacarpals", _METACARPAL_NAMES),
@@ -103,7 +103,7 @@ _OF_RECORDING: Final = {
 
 
 def layout_of(episode: Episode) -> Layout:
-    """Columns of an episode."""
+    """Returns the columns of an episode."""
     recording, commands, states = episode.recording, episode.commands, episode.states
     layout: Layout = {"stamp": None}
     if recording is not None:
@@ -132,14 +132,14 @@ def layout_of(episode: Episode) -> Layout:
 
 
 def widened(layout: Layout, other: Layout, names: tuple[str, str]) -> Layout:
-    """Layout that serves both.
+    """Returns the layout that contains the columns of two layouts.
 
     Args:
-        names: names of the two, for the message.
+        names: names of the two episodes, for the message.
 
     Raises:
-        RecordingError: one has a hand or commands and the other has none, or their joints differ;
-            a dataset has one kind of observation and one of action.
+        RecordingError: only one of them has a hand or commands, or their joints differ; a dataset
+            has one kind of observation and one kind of action.
     """
     for column, what in (
         ("landmarks", "hand frames"),
@@ -180,7 +180,7 @@ def _ordered(layout: Layout) -> Layout:
 def episode_columns(
     episode: Episode, layout: Layout, *, number: int, first: int, task: int, fps: int
 ) -> dict[str, np.ndarray]:
-    """The columns of an episode.
+    """Makes the columns of an episode.
 
     Args:
         number: ``episode_index``.
@@ -188,12 +188,13 @@ def episode_columns(
         task: ``task_index``.
 
     Returns:
-        (T,) or (T, k) of each of the layout's features, in its type; NaN or False in a column that
-        only other episodes have.
+        A (T,) or (T, k) array in its type for each of the layout's features; NaN or False in a
+        column that only other episodes have.
 
     Raises:
-        RecordingError: there is no frame; several commands answer the same, or out of order;
-            outside of a live loop one answers none: a row has one frame and one command.
+        RecordingError: there is no frame; several commands belong to the same frame or are out of
+            order; or, outside a live loop, a command belongs to no frame. A row has one frame and
+            one command.
     """
     count = len(episode)
     if not count:
@@ -254,7 +255,7 @@ def episode_columns(
 
 
 def _rows(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
-    """Row of each command that has one, and which commands these are."""
+    """Row of each command that has a frame, and the indices of these commands."""
     rows = episode.answered()
     frames = np.arange(len(rows))
     if episode.live:  # while the tracker is silent, a loop holds the hand
@@ -275,14 +276,14 @@ def _rows(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
 
 
 def robot_layout(episode: Episode, wrist: bool, environment_state: bool) -> Layout:
-    """The columns that ``lerobot-record`` writes for the robot hand of an episode.
+    """Returns the columns that ``lerobot-record`` writes for the robot hand of an episode.
 
     Args:
-        wrist: with the commanded wrist.
-        environment_state: with the positions of all joints.
+        wrist: True to include the commanded wrist.
+        environment_state: True to include the positions of all joints.
 
     Raises:
-        RecordingError: it lacks something of that, or its hand is on an arm.
+        RecordingError: the episode lacks one of these, or its hand is on an arm.
     """
     config = episode.config or {}
     lacks = next(
@@ -333,10 +334,10 @@ def robot_layout(episode: Episode, wrist: bool, environment_state: bool) -> Layo
 def robot_columns(
     episode: Episode, layout: Layout, *, number: int, first: int, task: int, fps: int
 ) -> dict[str, np.ndarray]:
-    """(T,) or (T, k) of each feature of a ``robot_layout``; arguments as of ``episode_columns``.
+    """Makes a (T,) or (T, k) array for each feature of a ``robot_layout``; see ``episode_columns``.
 
     Raises:
-        RecordingError: there is no moment with a command and a measurement.
+        RecordingError: there is no moment with both a command and a measurement.
     """
     commands, states = episode.commands, episode.states
     assert commands is not None and states is not None  # noqa: PT018

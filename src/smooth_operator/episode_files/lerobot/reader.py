@@ -1,4 +1,4 @@
-"""Reader of the episodes of a dataset."""
+"""Reads episodes of a LeRobot dataset."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ _OWN_STATUS = {int(status) for status in Status}
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """A dataset whose metadata was read.
+    """A LeRobot dataset whose metadata has been read.
 
     Attributes:
         path: its folder.
         info: ``meta/info.json``.
-        episodes: a row of ``meta/episodes`` each, without the statistics, in order.
+        episodes: rows of ``meta/episodes``, without the statistics, in order.
     """
 
     path: Path
@@ -65,10 +65,10 @@ class Dataset:
         return [int(row["episode_index"]) for row in self.episodes]
 
     def row(self, number: int) -> dict[str, Any]:
-        """The row of one episode.
+        """Returns the row of one episode.
 
         Raises:
-            ConfigError: there is no episode of that number.
+            ConfigError: there is no episode with that number.
         """
         for row in self.episodes:
             if row["episode_index"] == number:
@@ -79,7 +79,7 @@ class Dataset:
         )
 
     def name_of(self, number: int) -> str:
-        """Name of one episode.
+        """Returns the name of one episode.
 
         Raises:
             ConfigError: there is no episode of that number.
@@ -93,8 +93,8 @@ def open_dataset(path: Path) -> Dataset:
 
     Raises:
         MissingExtraError: pyarrow is not installed.
-        RecordingError: it is no dataset, damaged, of another version, or holds neither hands nor
-            commands that this program wrote.
+        RecordingError: the folder is not a dataset, is damaged, has another version, or contains
+            neither hands nor commands that this program wrote.
     """
     if not is_dataset(path):
         raise RecordingError(f"{path}: not a LeRobot dataset: it has no meta/info.json")
@@ -150,20 +150,21 @@ def read_dataset_episode(
 ) -> Episode:
     """Reads one episode.
 
-    An episode without the column that this program writes may come from another tool, so its
-    units, side and order of landmarks are checked as ``read_recording`` checks them.
+    An episode without the column that this program writes may come from another tool, so its units,
+    side and order of landmarks are checked as in ``read_recording``.
 
     Args:
         number: number of the episode.
-        rate: frames a second [Hz]; the stamps of the episode must agree.
-        side: side of the hand; needed where the dataset does not say and it is a left one.
-        layout: the order of the landmarks of another tool, one of ``LAYOUTS``; that of this
-            program's own episodes is known.
+        rate: frame rate [Hz]; the stamps of the episode must agree with it.
+        side: side of the hand; required for a left hand if the dataset does not state the side.
+        layout: order of the landmarks in an episode of another tool, one of ``LAYOUTS``; the order
+            in this program's own episodes is known.
 
     Raises:
         ConfigError: there is no episode of that number.
-        RecordingError: its file is missing or damaged, or lacks columns; a side or rate that
-            contradicts it; in another tool's episode, units, side or order that no hand has.
+        RecordingError: the file is missing or damaged, or lacks columns; the side or rate
+            contradicts the episode; or, in an episode of another tool, the units, side or order are
+            not those of a hand.
         UnknownNameError: there is no such ``layout``.
     """
     row = dataset.row(number)
@@ -234,11 +235,12 @@ def _data_file(dataset: Dataset, row: Mapping[str, Any]) -> Path:
 
 
 def _filled(template: str, **indices: int) -> str:
-    """A path with its numbers, as ``str.format`` would give it, whose attributes and widths can
-    be made to do more.
+    """Fills the two numbers into a path template.
+
+    ``str.format`` would do the same, but a hostile template could misuse its attributes and widths.
 
     Raises:
-        ValueError: it asks for something else than the two numbers, or is no path.
+        ValueError: the template has other fields than the two numbers, or is not a path.
     """
 
     def number(match: re.Match[str]) -> str:
@@ -257,10 +259,10 @@ def _object(value: Any, what: str) -> dict[str, Any]:
 
 
 def _names(feature: Mapping[str, Any]) -> list[str]:
-    """Names of a feature's numbers.
+    """Names of the components of a feature.
 
     Raises:
-        ValueError: the names are no list of texts.
+        ValueError: the names are not a list of strings.
     """
     names = feature.get("names")
     if isinstance(names, dict):  # of other programs' columns
@@ -336,12 +338,12 @@ def _recording(
 
 
 def _has(own: dict[str, Any], name: str, table: Any) -> bool:
-    """True if a column is the episode's own; where nothing says so, the column itself decides."""
+    """True if a column belongs to the episode; without metadata, its content decides."""
     return bool(own.get(name, True)) and name in table.column_names
 
 
 def _wrist(table: Any, own: dict[str, Any], file: Path) -> WristTrack:
-    """The commanded wrist in the rows that have a command."""
+    """Reads the commanded wrist from the rows that have a command."""
     there = numbers(table, "status", 1, file)[:, 0] != NO_COMMAND
     engaged, valid = (
         numbers(table, name, 1, file)[there, 0] != 0 for name in ("wrist_engaged", "wrist_valid")
@@ -351,7 +353,7 @@ def _wrist(table: Any, own: dict[str, Any], file: Path) -> WristTrack:
 
 
 def _arm(table: Any, features: dict[str, Any], own: dict[str, Any], file: Path) -> ArmTrack:
-    """The arm in the rows that have a command."""
+    """Reads the arm from the rows that have a command."""
     names = tuple(_names(features["arm_positions"]))
     there = numbers(table, "status", 1, file)[:, 0] != NO_COMMAND
     sizes = {"arm_positions": len(names), "arm_measured": len(names), "arm_wrist": 7}
@@ -360,7 +362,7 @@ def _arm(table: Any, features: dict[str, Any], own: dict[str, Any], file: Path) 
 
 
 def _states(table: Any, features: dict[str, Any], file: Path) -> StateTrajectory:
-    """The measurements, each once: a frame has the newest."""
+    """Reads each measurement once: a frame contains the newest measurement."""
     names = tuple(_names(features["measured_positions"]))
     stamps = numbers(table, "measured_stamp", 1, file)[:, 0].astype(np.float64)
     positions = numbers(table, "measured_positions", len(names), file).astype(np.float64)

@@ -1,7 +1,7 @@
 """Columns of LeRobot data sets for the recorder, ``convert`` and ``dataset``: keys, types, units.
 
-A data set has some of the columns of ``COLUMNS``, in the order of its ``Layout``, and the columns
-``INDICES``, which LeRobot has in all data sets. ``columns`` makes those of ``convert`` and of the
+A data set has some of the columns in ``COLUMNS``, in the order of its ``Layout``, and the columns
+``INDICES``, which all LeRobot data sets have. ``columns`` makes those of ``convert`` and of the
 robot ``smooth_hand``, ``smooth_operator.datasets.writers.lerobot_columns`` those of ``dataset``.
 """
 
@@ -18,16 +18,16 @@ WRIST_NAMES: Final[Mapping[str, tuple[str, ...]]] = {
     "rotation_6d": ("x", "y", "z", "r1", "r2", "r3", "r4", "r5", "r6"),
     "quaternion": POSE_NAMES,
 }
-"""Notation of a wrist's pose in the plug-ins -> names of its numbers."""
+"""Notation of a wrist's pose in the plug-ins -> names of the components."""
 
 
 def joint_keys(joints: Sequence[str]) -> tuple[str, ...]:
-    """Keys of joints in LeRobot, in actions and observations."""
+    """Keys of joints in the actions and observations of LeRobot."""
     return tuple(f"{name}.pos" for name in joints)
 
 
 def pose_keys(names: Sequence[str] = POSE_NAMES) -> tuple[str, ...]:
-    """Keys of a wrist's pose in LeRobot, in actions and observations."""
+    """Keys of a wrist's pose in the actions and observations of LeRobot."""
     return tuple(f"tcp.{name}" for name in names)
 
 
@@ -38,7 +38,7 @@ ENVIRONMENT_STATE: Final = "observation.environment_state"
 COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "observation.state": (
         "float32",
-        "m, landmarks; rad, measured joint positions, if its names are those of joints",
+        "measured joint positions [rad] if the names are those of joints, otherwise landmarks [m]",
     ),
     ENVIRONMENT_STATE: ("float32", "rad, measured positions of all joints"),
     "action": ("float32", "rad, joint positions; m and quaternion wxyz, wrist"),
@@ -51,7 +51,7 @@ COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "human_wrist": ("float64", "m, quaternion wxyz, in its world"),
     "wrist_command": ("float64", "m, quaternion wxyz, of the robot hand in the robot's base"),
     "wrist_engaged": ("bool", "true if the operator's wrist moved the robot's"),
-    "wrist_valid": ("bool", "whether the operator's wrist was known"),
+    "wrist_valid": ("bool", "true if the operator's wrist was known"),
     "arm_positions": ("float64", "rad, commanded joint positions of the arm"),
     "arm_measured": ("float64", "rad, measured joint positions of the arm"),
     "arm_wrist": (
@@ -65,10 +65,10 @@ COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "stages_ms": ("float64", "ms, parts of the latency"),
     "measured_positions": ("float64", "rad, the newest measurement at the stamp"),
     "measured_stamp": ("float64", "s, when they were measured"),
-    "SIDE_valid": ("bool", "whether the command answers a hand that was seen"),
-    "SIDE_wrist_valid": ("bool", "whether the wrist was known; where not, another one is held"),
-    "SIDE_status": ("int64", "why the command is what it is; -1: the clip lacks this hand"),
-    "SIDE_confidence": ("float32", "of the tracker, 0 to 1; -1: not known"),
+    "SIDE_valid": ("bool", "true if the command was computed from a hand that was seen"),
+    "SIDE_wrist_valid": ("bool", "true if the wrist was known; if not, another known pose is held"),
+    "SIDE_status": ("int64", "status of the command; -1 if the clip lacks this hand"),
+    "SIDE_confidence": ("float32", "confidence of the tracker, 0 to 1; -1 if unknown"),
     "SIDE_human_wrist": ("float32", "m, quaternion wxyz, in the clip's world"),
     "SIDE_human_wrist_valid": ("bool", "whether it was known"),
     "camera": ("float32", "m, quaternion wxyz, axes x right, y down, z forward"),
@@ -76,15 +76,15 @@ COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "objects": ("float32", "m, quaternion wxyz, one object after the other"),
     "objects_valid": ("bool", "whether each was known"),
 }
-"""Name -> type, and unit or meaning, of each column that is not an index; in their order. ``SIDE``
-is ``right`` or ``left``: ``dataset`` has these columns for each hand, and poses in float32."""
+"""Name -> type, and unit or meaning, of each column that is not an index, in order. ``SIDE``
+is ``right`` or ``left``: ``dataset`` writes these columns for each hand, with poses in float32."""
 
 Layout: TypeAlias = dict[str, tuple[str, ...] | None]
 """Columns of a dataset or episode: name -> names of the components; None for one number."""
 
 
 def column_of(name: str) -> tuple[str, str]:
-    """Type, and unit or meaning, of a column."""
+    """Returns the type, and the unit or meaning, of a column."""
     sided = f"SIDE_{name.partition('_')[2]}"
     index = "float32" if name == "timestamp" else "int64"
     unit = "s, frame_index / fps" if name == "timestamp" else "index"
@@ -92,7 +92,7 @@ def column_of(name: str) -> tuple[str, str]:
 
 
 def dataset_features(layout: Layout) -> dict[str, dict[str, Any]]:
-    """The ``features`` of ``meta/info.json``: dtype, shape and names of each column."""
+    """Makes the ``features`` of ``meta/info.json``: dtype, shape and names of each column."""
     return {
         name: {
             "dtype": column_of(name)[0],
@@ -106,7 +106,7 @@ def dataset_features(layout: Layout) -> dict[str, dict[str, Any]]:
 def index_columns(
     count: int, *, number: int, first: int, task: int, fps: float
 ) -> dict[str, np.ndarray]:
-    """The columns ``INDICES`` of an episode of ``count`` frames.
+    """Makes the columns ``INDICES`` of an episode of ``count`` frames.
 
     Args:
         count: number of frames.
@@ -125,7 +125,7 @@ def index_columns(
 
 
 def typed(columns: Mapping[str, np.ndarray], layout: Layout) -> dict[str, np.ndarray]:
-    """The columns of a layout, in its order and in their types, without the indices."""
+    """Converts the columns of a layout to their types, in order, without the indices."""
     # Values beyond float32 become infinite there, as they must; the float64 columns have them.
     with np.errstate(over="ignore"):
         return {name: columns[name].astype(column_of(name)[0]) for name in layout}

@@ -1,4 +1,4 @@
-"""The files of a LeRobot dataset: where they are, their tables, statistics and README."""
+"""The files of a LeRobot dataset: their paths, tables, statistics and README."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ VIDEO_MB: Final = 200
 FILE_MB: Final = 100  # at most in a file, as LeRobot
 
 PAUSE: Final = 3.0
-"""A step this many times the median is a pause of the tracker."""
+"""A time step of this many times the median step counts as a pause of the tracker."""
 
 OWN_COLUMN: Final = "smooth_operator"
-"""Column of ``meta/episodes`` with what LeRobot has no place for, as JSON."""
+"""Column of ``meta/episodes`` with the data that LeRobot has no place for, as JSON."""
 
 UNNAMED_TASK: Final = "unnamed"
-"""LeRobot wants a task of every frame; this stands in for one that is not known."""
+"""Task of frames whose task is unknown, because LeRobot requires a task for every frame."""
 
 QUANTILES: Final = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 
@@ -56,9 +56,9 @@ def parquet() -> Any:
 
 
 def column(values: np.ndarray) -> Any:
-    """An Arrow array of scalars from (T,) or (T, 1), of lists of k from (T, k).
+    """Makes an Arrow array: of scalars from (T,) or (T, 1), of lists of k numbers from (T, k).
 
-    LeRobot holds a feature of one number as a scalar, whatever it is. NaN stays NaN and is no null.
+    LeRobot stores every feature of one number as a scalar. NaN stays NaN and does not become null.
     """
     pa = arrow()
     if values.ndim == 1 or values.shape[1] == 1:
@@ -68,10 +68,10 @@ def column(values: np.ndarray) -> Any:
 
 
 def numbers(table: Any, name: str, width: int, where: Path) -> np.ndarray:
-    """(T, width) of a column that ``column`` made, or that other programs wrote again.
+    """Reads a (T, width) array from a column that ``column`` made or that another program rewrote.
 
     Raises:
-        RecordingError: there is no such column, or it holds something else.
+        RecordingError: there is no such column, or its content is different.
     """
     pa = arrow()
     if name not in table.column_names:
@@ -98,10 +98,10 @@ def numbers(table: Any, name: str, width: int, where: Path) -> np.ndarray:
 
 
 def read_table(path: Path, filters: Any = None) -> Any:
-    """A Parquet file as an Arrow table.
+    """Reads a Parquet file as an Arrow table.
 
     Raises:
-        RecordingError: no such file, or damaged.
+        RecordingError: the file does not exist or is damaged.
     """
     pa, pq = arrow(), parquet()
     try:
@@ -119,8 +119,11 @@ def read_table(path: Path, filters: Any = None) -> Any:
 
 
 def _check_size(file: Any, path: Path, size: int) -> None:
-    """Refuses a file whose columns take far more than it does: a run of equal values is stored as
-    one, and a list of a fixed length takes it even where it is null."""
+    """Refuses a file whose columns would take far more memory than the file's size.
+
+    This is possible because a run of equal values is stored as one value, and because a list of
+    fixed length takes its full memory even if it is null.
+    """
     pa, held = arrow(), file.metadata
     allowance = Allowance.of(path, size)
     for row_group in range(held.num_row_groups):
@@ -148,10 +151,10 @@ def _module(name: str) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Statistics of one feature, as LeRobot keeps them to normalise by.
+    """Statistics of one feature, which LeRobot uses for normalisation.
 
-    Only finite values count, since one NaN would make every mean of the dataset NaN; a component
-    that has none is given zeros.
+    Only finite values count, because one NaN would make every mean of the dataset NaN. A component
+    without finite values gets zeros.
 
     Attributes:
         frames: number of frames.
@@ -164,12 +167,12 @@ class Statistics:
     values: dict[str, Float[np.ndarray, " k"]]
 
     def to_lists(self) -> dict[str, list[float] | list[int]]:
-        """As LeRobot writes it."""
+        """The statistics in the form that LeRobot writes."""
         lists: dict[str, list[float] | list[int]] = {k: v.tolist() for k, v in self.values.items()}
         return {**lists, "count": [self.frames]}
 
     def to_json(self) -> dict[str, Any]:
-        """The statistics as JSON has them, to the last bit."""
+        """The statistics as JSON values, exact to the last bit."""
         values = {name: each.tolist() for name, each in self.values.items()}
         return {"frames": self.frames, "finite": self.finite.tolist(), "values": values}
 
@@ -210,7 +213,7 @@ def column_statistics(values: np.ndarray) -> Statistics:
 
 
 def columns_statistics(columns: Mapping[str, np.ndarray]) -> dict[str, Statistics]:
-    """Statistics of columns of one length; three times as fast as one by one."""
+    """Statistics of columns of the same length; three times as fast as one column at a time."""
     parts = [values.reshape(len(values), -1).astype(np.float64) for values in columns.values()]
     ends = np.cumsum([part.shape[1] for part in parts])
     together = column_statistics(np.concatenate(parts, axis=1))
@@ -225,7 +228,7 @@ def columns_statistics(columns: Mapping[str, np.ndarray]) -> dict[str, Statistic
 
 
 def _quantiles(array: np.ndarray) -> np.ndarray:
-    """As NumPy's, linear between values, of all columns in one sort."""
+    """Quantiles of all columns with one sort, interpolated linearly as in NumPy."""
     ordered = np.sort(np.ascontiguousarray(array.T), axis=1)
     at = np.array(list(QUANTILES.values())) * (len(array) - 1)
     below = np.floor(at).astype(int)
@@ -237,7 +240,8 @@ def _quantiles(array: np.ndarray) -> np.ndarray:
 def joint_statistics(parts: Sequence[Statistics]) -> Statistics:
     """Statistics of several episodes together.
 
-    Exact, but for the quantiles: as LeRobot does, those are the mean of the episodes', weighted.
+    They are exact except for the quantiles, which, as in LeRobot, are the weighted mean of the
+    episodes' quantiles.
     """
     weights = np.stack([part.finite for part in parts])
     total = weights.sum(axis=0)
@@ -274,7 +278,7 @@ def episodes_table(
     chunk: int = 0,
     file: int = 0,
 ) -> Any:
-    """The table of a file of ``meta/episodes``.
+    """Makes the table of a file of ``meta/episodes``.
 
     Args:
         rows: rows of the episodes in the file, each with the same columns.
@@ -301,7 +305,7 @@ def episode_row(
         number: ``episode_index``.
         first: ``index`` of its first frame.
         count: number of its frames.
-        place: numbers of the chunk and of the file in it that hold its frames.
+        place: numbers of the chunk, and of the file in it, that contain its frames.
     """
     return {
         "episode_index": number,
@@ -343,7 +347,7 @@ def dataset_info(
 
 
 def mean_rate(stamps: Float[np.ndarray, " T"]) -> float | None:
-    """Frames a second over all steps but pauses, so that time adds up; None without two frames."""
+    """Mean frame rate [Hz] over all steps except pauses; None for fewer than two frames."""
     steps = np.diff(stamps)
     usual = steps[steps <= PAUSE * np.median(steps)] if len(steps) else steps
     return float(1.0 / usual.mean()) if len(usual) and usual.mean() > 0.0 else None
@@ -353,18 +357,19 @@ STANDARD_FPS: Final = (
     *(10, 15, 20, 24, 25, 30, 50, 60, 72, 90),
     *(100, 120, 144, 200, 240, 250, 500, 1000),
 )
-"""Usual numbers of frames a second of cameras, headsets, gloves and control loops."""
+"""Common frame rates of cameras, headsets, gloves and control loops [Hz]."""
 
 
 def standard_fps(rate: float) -> int:
-    """The usual number of frames a second that is within 5 % of a rate, or else the nearest whole
-    number: a loop of 100 Hz runs at 95 to 99 Hz on a busy machine."""
+    """The common frame rate within 5 % of a rate, or else the nearest whole number [Hz].
+
+    A loop of 100 Hz, for example, runs at 95 to 99 Hz on a busy machine."""
     near = min(STANDARD_FPS, key=lambda fps: abs(fps / rate - 1.0))
     return near if abs(near / rate - 1.0) <= 0.05 else max(1, round(rate))
 
 
 def tasks_table(tasks: Iterable[str]) -> Any:
-    """The table of ``meta/tasks.parquet``; a task's row is its ``task_index``."""
+    """Makes the table of ``meta/tasks.parquet``; the row of a task is its ``task_index``."""
     pa = arrow()
     texts = list(tasks)
     index = pa.array(range(len(texts)), pa.int64())
@@ -392,7 +397,8 @@ def tasks_table(tasks: Iterable[str]) -> Any:
 
 
 def dataset_card(title: str, text: str, columns: Iterable[tuple[str, str, str]]) -> str:
-    """The README of a dataset, whose head the dataset hub reads to show the frames as a table.
+    """Makes the README of a dataset; the dataset hub reads its header to show the frames as a
+    table.
 
     Args:
         columns: name, type, and unit or meaning of each column.

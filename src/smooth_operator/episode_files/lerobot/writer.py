@@ -1,4 +1,4 @@
-"""Writing a dataset: first what the episodes share, then one episode after the other."""
+"""Writes a LeRobot dataset: first surveys all episodes, then writes them one by one."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class _Survey:
 
     @property
     def robot_type(self) -> str | None:
-        """Name of the robot, if the episodes have one."""
+        """Name of the robot, if the episodes name one."""
         if self.robot is not None:
             return ROBOT_TYPE
         return next(iter(self.robots)) or None if len(self.robots) == 1 else None
@@ -83,27 +83,28 @@ def write_dataset(
     environment_state: bool = False,
     done: Callable[[int], None] = lambda _: None,
 ) -> list[str]:
-    """Writes a dataset; it stands at ``path`` when it is whole, and not before.
+    """Writes a dataset; it appears at ``path`` only when it is complete.
 
     Args:
         path: the folder; an existing one is replaced.
-        episodes: each gives an episode when called, and the same when called again: they are looked
-            at twice, so that not all need to be in memory.
-        fps: frames a second; None for the median over the episodes of their mean rate, pauses left
-            out, as ``standard_fps`` rounds it, and 30 with the columns of a robot.
-        columns: ``all``, or those that LeRobot records of the robot ``smooth_hand``: ``robot``, or
-            ``robot-wrist`` with its wrist; see ``columns``.
-        environment_state: with ``observation.environment_state`` among those of the robot.
-        done: called with the frames of each episode that was written.
+        episodes: functions that each return an episode, the same at every call. Each is called
+            twice, so that not all episodes need to be in memory.
+        fps: frame rate [Hz]. None for the median of the episodes' mean rates without pauses,
+            rounded by ``standard_fps``, or for 30 with the columns of a robot.
+        columns: ``all``, or the columns that LeRobot records for the robot ``smooth_hand``:
+            ``robot``, or ``robot-wrist`` with its wrist; see the module ``columns``.
+        environment_state: True to add ``observation.environment_state`` to the columns of the
+        robot.
+        done: called with the number of frames of each written episode.
 
     Returns:
-        What a person should know: stamps that ``fps`` does not give back, values that are NaN.
+        Notes for the user: stamps that ``fps`` does not reproduce, values that are NaN.
 
     Raises:
         MissingExtraError: pyarrow is not installed.
-        RecordingError: an episode can't be read, has no frames or no row for each command, or has
-            other columns than those before it.
-        ConfigError: no episode has a rate to take ``fps`` from, or it is not positive.
+        RecordingError: an episode can't be read, has no frames, has a command without a row, or
+            has other columns than the episodes before it.
+        ConfigError: ``fps`` is not positive, or is None although no episode has a frame rate.
         OutputError: it can't be written.
     """
     arrow()  # a missing extra costs a second, not the reading of everything
@@ -173,7 +174,7 @@ def write_dataset(
 
 
 def _card(info: dict[str, Any]) -> str:
-    """The README, from ``meta/info.json``."""
+    """Makes the README from ``meta/info.json``."""
     text = (
         f"A LeRobot dataset ({info['codebase_version']}), written by smooth-operator: "
         f"{info['total_episodes']} episodes, {info['total_frames']} frames,\n{info['fps']} "
@@ -190,7 +191,7 @@ def _card(info: dict[str, Any]) -> str:
 
 
 def is_own_dataset(path: Path) -> bool:
-    """True if a folder is a dataset that this program wrote, with nothing else in it."""
+    """True if a folder is a dataset that this program wrote and contains nothing else."""
     try:
         mark = read_json(path / MARK)
         others = {item.name for item in path.iterdir()} - {"meta", "data", "README.md"}
@@ -206,7 +207,7 @@ def _look(episodes: Sequence[Load], columns: Columns, environment_state: bool) -
         episode = load()
         layout = layout_of(episode)
         if layout.get("joint_positions") == ():
-            raise RecordingError(f"{episode.name}: its commands are for no joint at all")
+            raise RecordingError(f"{episode.name}: its commands contain no joints")
         if survey is None:
             survey, name = _Survey(layout), episode.name
         survey.layout = widened(survey.layout, layout, (name, episode.name))
@@ -247,7 +248,7 @@ def _again(episodes: Sequence[Load], survey: _Survey) -> Iterator[Episode]:
 
 
 def _own(episode: Episode) -> dict[str, Any]:
-    """Metadata that LeRobot has no place for."""
+    """Makes the metadata that LeRobot has no place for."""
     layout = layout_of(episode)
     return {
         "name": episode.name,
@@ -267,7 +268,9 @@ def _own(episode: Episode) -> dict[str, Any]:
 
 
 class _DataFiles:
-    """The Parquet files of the frames: a row group an episode, a new file where one is full."""
+    """Writer of the Parquet files of frames: one row group per episode, and a new file when one is
+    full.
+    """
 
     def __init__(self, root: Path) -> None:
         self._root = root
@@ -276,7 +279,7 @@ class _DataFiles:
         self._bytes = 0
 
     def append(self, columns: dict[str, Any]) -> tuple[int, int]:
-        """Adds an episode; chunk and file that it went to."""
+        """Adds an episode; returns the chunk and the file that contain it."""
         table = arrow().table(columns)
         if self._writer is None or self._bytes + table.nbytes > FILE_MB << 20:
             self.close()
@@ -291,7 +294,7 @@ class _DataFiles:
         return divmod(self._number, FILES_A_CHUNK)
 
     def close(self) -> None:
-        """Ends the file that is being written."""
+        """Closes the current file."""
         writer, self._writer = self._writer, None
         if writer is not None:
             writer.close()
@@ -303,7 +306,7 @@ def _write_json(path: Path, value: Any) -> None:
 
 
 class _Notes:
-    """Notes for a person on a dataset."""
+    """Collects human-readable notes on a dataset."""
 
     def __init__(self, fps: int) -> None:
         self._fps = fps
@@ -325,7 +328,7 @@ class _Notes:
                 self._held += len(episode.commands) - answers
 
     def texts(self) -> list[str]:
-        """Said to the person."""
+        """The notes."""
         texts = []
         if self._drift > 1e-3:
             texts.append(

@@ -1,4 +1,4 @@
-"""Robot arms and the hand that they carry: descriptions, MuJoCo models, from flange to wrist.
+"""Robot arms that carry a hand: descriptions, MuJoCo models, and transforms from flange to wrist.
 
 Single poses are 4 x 4 matrices for the live loop. ``smooth_operator.poses`` does the same for
 arrays of poses; for a single pose MuJoCo's functions take a tenth of its time.
@@ -55,13 +55,15 @@ def inverse(matrix: Matrix) -> Matrix:
 
 
 def angle_between(one: Matrix, other: Matrix) -> float:
-    """Angle of the rotation from one to the other [rad]."""
+    """Angle of the rotation from one matrix to the other [rad]."""
     cosine = (float((one[:3, :3] * other[:3, :3]).sum()) - 1.0) / 2.0
     return math.acos(min(max(cosine, -1.0), 1.0))
 
 
 def hand_directions(hand: Hand) -> Float[np.ndarray, "3 3"]:
-    """Rows: distal, radial and palmar in the palm frame, at right angles to each other."""
+    """Matrix with the rows distal, radial and palmar in the palm frame, at right angles to each
+    other.
+    """
     distal, radial, palmar = human_palm_axes(hand)
     distal = np.asarray(distal) / np.linalg.norm(distal)
     palmar = np.asarray(palmar) - (palmar @ distal) * distal
@@ -84,10 +86,10 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Link:
-    """A joint and the link that it turns.
+    """A joint and the link that it rotates.
 
     The frame is that of the modified Denavit-Hartenberg convention (Craig): from the previous link,
-    turn by ``alpha`` about x, move by ``a`` along x and by ``d`` along the new z, which is the
+    rotate by ``alpha`` about x, move by ``a`` along x and by ``d`` along the new z, which is the
     joint's axis.
 
     Attributes:
@@ -96,7 +98,7 @@ class Link:
         a: offset along x [m].
         d: offset along the joint's axis [m].
         limits: lowest and highest position [rad].
-        velocity: velocity limit by the maker's data sheet [rad/s].
+        velocity: velocity limit in the maker's data sheet [rad/s].
         acceleration: acceleration limit [rad/s^2].
         torque: torque limit [N m].
         mass: mass of the link [kg].
@@ -123,13 +125,13 @@ class ArmSpec:
         name: name in the catalogue.
         title: the maker's name of the arm.
         links: the links, from the base.
-        flange: distance of the flange from the last joint, along its z [m].
+        flange: distance of the flange from the last joint, along the joint's z [m].
         base: capsules of the base, in its frame: z up, x forward.
         nominal: (n,) preferred joint positions [rad].
-        home: (3,) start of the hand's wrist in the base frame [m].
+        home: (3,) initial position of the hand's wrist in the base frame [m].
         pitch: downward tilt of the fingers there [rad].
-        roll: turn of a hand about the flange's z with which its back points up there [rad].
-        reach: reach of the flange by the data sheet [m].
+        roll: rotation of a hand about the flange's z with which its back points up there [rad].
+        reach: reach of the flange in the data sheet [m].
         sources: sources of the figures.
         back: additional distance of the base from a task, for hands whose fingers are level at home
             [m].
@@ -201,10 +203,10 @@ _ROTOR: Final = 0.1  # inertia of a geared motor [kg m^2]; MuJoCo Menagerie's Pa
 
 
 def arm_spec(arm: ArmSpec) -> mujoco.MjSpec:
-    """MuJoCo model of an arm on its base, without actuators.
+    """Builds the MuJoCo model of an arm on its base, without actuators.
 
-    Its bodies are ``BASE``, ``link1`` to ``linkn`` and ``FLANGE``. Its weight is compensated, as
-    the arms' own controllers do.
+    Its bodies are ``BASE``, ``link1`` to ``linkn`` and ``FLANGE``. Gravity is compensated, as in
+    the arms' own controllers.
     """
     spec = mujoco.MjSpec()
     spec.modelname = arm.name
@@ -235,7 +237,7 @@ def arm_spec(arm: ArmSpec) -> mujoco.MjSpec:
 def attach_to_flange(
     world: mujoco.MjSpec, hand: mujoco.MjSpec, flange_to_model: Matrix, prefix: str
 ) -> None:
-    """Put a hand's model on the flange of an arm; its weight is compensated, too.
+    """Put a hand's model on the flange of an arm; gravity on the hand is compensated too.
 
     Args:
         world: a world with an arm, whose names begin with ``ARM_PREFIX``; it is changed.
@@ -321,13 +323,14 @@ def _add_capsules(
 class HandMount:
     """A hand on a flange: its fingers point along the flange's z, away from the arm.
 
-    Frames: the flange has z out of it. The hand's wrist frame has x toward the base of the middle
-    finger, z out of the back of the hand, y = z x x; that is the frame of ``WristCommand``.
+    Frames: the flange's z points out of the flange. The hand's wrist frame has x toward the base of
+    the middle finger, z out of the back of the hand, y = z x x; that is the frame of
+    ``WristCommand``.
 
     Attributes:
         hand: the robot hand.
         adapter: thickness of the plate between flange and hand [m].
-        roll: turn of the hand about the flange's z [rad]; at 0 its back points along x.
+        roll: rotation of the hand about the flange's z [rad]; at 0 its back points along x.
     """
 
     hand: Hand
@@ -336,14 +339,16 @@ class HandMount:
 
     @cached_property
     def palm_to_wrist(self) -> Matrix:
-        """The wrist frame in the palm frame."""
+        """Pose of the wrist frame in the palm frame."""
         distal, _, palmar = hand_directions(self.hand)
         back = -palmar
         return rigid(np.stack([distal, np.cross(back, distal), back], axis=1), self.hand.wrist)
 
     @cached_property
     def model_to_palm(self) -> Matrix:
-        """The palm frame in the world of the hand's own model, a forearm's joints at rest."""
+        """Pose of the palm frame in the world of the hand's own model, with a forearm's joints at
+        rest.
+        """
         hand = self.hand
         data = mujoco.MjData(hand.model)
         data.qpos[:] = hand.qpos(hand.full_configuration(hand.neutral))
@@ -369,7 +374,7 @@ class HandMount:
 
     @cached_property
     def flange_to_wrist(self) -> Matrix:
-        """The wrist frame in the flange's."""
+        """Pose of the wrist frame in the flange's frame."""
         c, s = np.cos(self.roll), np.sin(self.roll)
         back = np.array([c, s, 0.0])
         out = np.array([0.0, 0.0, 1.0])
@@ -378,7 +383,7 @@ class HandMount:
 
     @cached_property
     def flange_to_model(self) -> Matrix:
-        """The world of the hand's own model in the flange's frame."""
+        """Pose of the world of the hand's own model in the flange's frame."""
         return np.asarray(self.flange_to_wrist @ inverse(self.model_to_palm @ self.palm_to_wrist))
 
 
@@ -428,7 +433,7 @@ class HandCapsules:
     def at(
         self, positions: Float[np.ndarray, " n"]
     ) -> tuple[Float[np.ndarray, "c 3"], Float[np.ndarray, "c 3"]]:
-        """Middles [m] and axes (unit vectors) of the capsules in the flange's frame.
+        """Centres [m] and axes (unit vectors) of the capsules in the flange's frame.
 
         Args:
             positions: (n,) positions of all joints of the hand [rad].
@@ -449,7 +454,7 @@ a pressing finger moves the arm by at most 2 mm."""
 
 @dataclass(frozen=True, eq=False)
 class CarriedHand:
-    """An arm at its place in the room, with a hand.
+    """An arm with a hand, at a place in the room.
 
     Attributes:
         arm: the arm.
@@ -464,7 +469,7 @@ class CarriedHand:
     base: Matrix
 
     def at_base(self, base: ArrayLike) -> CarriedHand:
-        """A copy with the base at another place (3,) [m], facing along x."""
+        """Returns a copy with the base at another place (3,) [m], facing along x."""
         return replace(self, base=rigid(np.eye(3), base))
 
     def attach(self, world: mujoco.MjSpec, hand: mujoco.MjSpec, prefix: str) -> None:

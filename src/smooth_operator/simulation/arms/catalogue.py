@@ -1,6 +1,6 @@
 """Catalogue of arms: figures of the makers' data sheets, with capsules around the links.
 
-Frames and angles are those of the makers' controllers, so a command suits the real arm unchanged.
+Frames and angles are those of the makers' controllers, so the real arm can use a command unchanged.
 The capsules are our own, from the makers' dimensioned drawings; those of the Panda follow the
 figures that Franka publishes for its self-collision model.
 """

@@ -1,4 +1,4 @@
-"""A hand under physics in a scene: contacts of the object, soft fingertips, fixture and reset.
+"""Simulation of a hand in a scene: contacts of the object, soft fingertips, fixture and reset.
 
 MuJoCo scales a contact's stiffness by the mass that it moves. The parameters of an object follow
 from its mass, so that a given force presses a pad equally far into an object of any mass. The
@@ -36,11 +36,12 @@ TOUCH_STIFFNESS: Final = 2000.0
 PRESSED_STIFFNESS: Final = 8000.0
 """Force over depth of one contact where a pad is ``PRESSED_DEPTH`` deep [N/m].
 
-With ``TOUCH_STIFFNESS`` it gives 0.35 mm at 1 N and 0.85 mm at 5 N. By Hertz a solid silicone
-fingertip of 8 mm radius and Shore A 30 gives 0.31 and 0.90 mm (E = 1.16 MPa by Ruess' relation,
-incompressible; F = 4/3 E* R^1/2 r^3/2). Soft robot fingertips were measured to follow such power
-laws (Xydas and Kao 1999, doi:10.1177/02783649922066673). A human fingertip is softer and stiffens
-exponentially (Pawluk and Howe 1999, doi:10.1115/1.2835100)."""
+With ``TOUCH_STIFFNESS`` it gives 0.35 mm at 1 N and 0.85 mm at 5 N. By Hertz's theory, a solid
+silicone fingertip of 8 mm radius and Shore A 30 gives 0.31 and 0.90 mm (E = 1.16 MPa by Ruess'
+relation, incompressible; F = 4/3 E* R^1/2 r^3/2). Soft robot fingertips were measured to follow
+such power laws (Xydas and Kao 1999, doi:10.1177/02783649922066673). A human fingertip is softer and
+stiffens exponentially (Pawluk and Howe 1999, doi:10.1115/1.2835100).
+"""
 
 PRESSED_DEPTH: Final = 0.001
 """Depth at which ``PRESSED_STIFFNESS`` holds [m]."""
@@ -108,11 +109,12 @@ class Touching:
     def read(
         self, data: mujoco.MjData
     ) -> tuple[Float[np.ndarray, " f"], Float[np.ndarray, "f 3"], float, float]:
-        """Forces on the object: fingers, their contact points, palm, everything else.
+        """Reads the forces on the object from the fingers, the palm and everything else, and where
+        fingers touch.
 
         Returns:
             (f,) normal force of each finger [N]; (f, 3) its point of contact in the object's frame
-            [m], NaN without one; force of the palm [N]; force of all else [N].
+            [m], NaN without one; force of the palm [N]; force of everything else [N].
         """
         force, palm, rest = np.zeros(self._fingers), 0.0, 0.0
         points = np.zeros((self._fingers, 3))
@@ -167,10 +169,10 @@ def _owners(hand: Hand, model: mujoco.MjModel) -> Int[np.ndarray, " g"]:
 
 
 _CLEAR: Final = 0.001
-"""Distance from which on the hand counts as out of the object's place [m]."""
+"""Distance above which the hand counts as clear of the object's place [m]."""
 
 _GRIP_N: Final = 0.3
-"""Force from which on a finger counts as holding [N]."""
+"""Force above which a finger counts as holding [N]."""
 
 _GRIP_S: Final = 0.25
 """Time for which thumb and two fingers must hold before the fixture releases the object [s]."""
@@ -183,18 +185,18 @@ _KINDS: Final = {
 
 
 def in_front(carried: CarriedHand, scene: Scene) -> CarriedHand:
-    """The arm on the table, placed so that its hand starts where the fixture would hold it."""
+    """Places the arm on the table so that its hand starts where the fixture would hold it."""
     wrist = WristKinematics(carried).wrist(carried.home)
     place = scene.mount.wrist - wrist[:3]
     return carried.at_base((place[0] - carried.arm.back, place[1], 0.0))
 
 
 class ScenePhysics(HandPhysics):
-    """Physics of a hand and the object of a task.
+    """Simulation of a hand and the object of a task.
 
-    The object starts as a ghost: it stays at its start and touches nothing until the hand is out
-    of its place, as an experimenter would wait before placing it. In a scene with a fixture, the
-    fixture holds the object until thumb and two fingers do.
+    The object first stays at its start and touches nothing until the hand is clear of its place, as
+    an experimenter would wait before placing it. In a scene with a fixture, the fixture holds the
+    object until thumb and two fingers do.
 
     Args:
         hand: the robot hand.
@@ -240,19 +242,19 @@ class ScenePhysics(HandPhysics):
         self.reset_object()
 
     def restart(self) -> None:
-        """Reset to time 0, the hand at rest in the neutral pose, the object at its start."""
+        """Reset to time 0: the hand rests in the neutral pose, and the object is at its start."""
         super().restart()
         self.starts = 0
         self.reset_object()
 
     def reset_object(self) -> None:
-        """Put the object back to its start, as soon as the hand is out of its place."""
+        """Put the object back to its start as soon as the hand is clear of that place."""
         self._away = False
         self.starts += 1
         self._begin()
 
     def put_away(self) -> None:
-        """Take the object out until it is put back: nothing touches it."""
+        """Remove the object until it is put back: nothing touches it."""
         self._away = True
         self._begin()
 
@@ -266,7 +268,7 @@ class ScenePhysics(HandPhysics):
         self._try_to_place()
 
     def observe(self) -> SceneState:
-        """State of the object and of its contacts."""
+        """Returns the state of the object and of its contacts."""
         force, touch, palm, rest = self._touching.read(self._data)
         speed = self._data.qvel[self._moves : self._moves + 6]
         turn = self._data.xmat[self._body].reshape(3, 3)
@@ -288,7 +290,7 @@ class ScenePhysics(HandPhysics):
         )
 
     def parts(self) -> list[ScenePart]:
-        """The shapes of the platform and of the object, to draw."""
+        """Returns the shapes of the platform and of the object, for drawing."""
         model, parts = self.model, []
         for geom in range(model.ngeom):
             body = int(model.geom_bodyid[geom])
@@ -365,7 +367,7 @@ class ScenePhysics(HandPhysics):
 
 
 class ArmPhysics(HandPhysics):
-    """Physics of a hand on an arm that stands on an empty table (the floor of its world).
+    """Simulation of a hand on an arm that stands on an empty table (the floor of its world).
 
     Gravity acts on objects only: the weight of arm and hand is compensated.
 
@@ -394,13 +396,13 @@ SHIFT_M: Final = 0.002
 """Largest shift of the object along x and along y of the world, in a benchmark's worlds [m]."""
 
 TURN_RAD: Final = float(np.radians(3.0))
-"""Largest turn of the object about the vertical [rad]."""
+"""Largest rotation of the object about the vertical [rad]."""
 
 FRICTION: Final = 0.1
-"""Largest share by which the object's friction differs, sliding and torsional alike."""
+"""Largest relative deviation of the object's friction, both sliding and torsional."""
 
 MASS_SHARE: Final = 0.2
-"""Largest share by which the object's mass and inertia differ."""
+"""Largest relative deviation of the object's mass and inertia."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -409,7 +411,7 @@ class ObjectVariation:
 
     Attributes:
         shift: (2,) shift of the object along x and y of the world [m].
-        turn: turn of the object about the vertical [rad].
+        turn: rotation of the object about the vertical [rad].
         friction: factor of the object's friction.
         mass: factor of the object's mass.
     """
@@ -420,7 +422,7 @@ class ObjectVariation:
     mass: float = 1.0
 
     def scene(self, scene: _S) -> _S:
-        """The scene with the object at its start of this variation."""
+        """Returns the scene with the object at the start of this variation."""
         position, quaternion = scene.start
         shift = np.array([*self.shift, 0.0])
         about = np.array([np.cos(self.turn / 2), 0.0, 0.0, np.sin(self.turn / 2)])

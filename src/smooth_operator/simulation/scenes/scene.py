@@ -1,4 +1,4 @@
-"""Scenes: a hand on its fixture, an object, a platform for the object, and their state."""
+"""Scenes of tasks: a hand on its fixture, an object, a platform for the object, and their state."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Mount:
     """Pose of a hand on its fixture.
 
     A scene places its parts in directions of the hand, from the wrist: distal along the fingers,
-    radial to the thumb's side, palmar out of the palm. The world's z points up.
+    radial towards the thumb's side, palmar out of the palm. The world's z points up.
 
     Attributes:
         directions: (3, 3) columns: distal, radial and palmar in the world.
@@ -38,13 +38,13 @@ class Mount:
     palm: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]
 
     def world(self, point: ArrayLike) -> Float[np.ndarray, "3"]:
-        """(3,) world position [m] of a point: distal, radial and palmar from the wrist [m]."""
+        """Converts a point (distal, radial and palmar from the wrist [m]) to the world (3,) [m]."""
         return np.asarray(self.wrist + self.directions @ np.asarray(point, float))
 
     def in_palm(
         self, position: Float[np.ndarray, "3"], quaternion: Float[np.ndarray, "4"]
     ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]:
-        """Pose in the palm frame, in which the pages draw hands, of a pose in the world.
+        """Converts a pose in the world to the palm frame, in which the pages draw hands.
 
         Args:
             position: (3,) position in the world [m].
@@ -90,7 +90,7 @@ _POSES = 20_000
 
 
 def reachable(hand: Hand) -> Float[np.ndarray, "s f 3"]:
-    """(s, f, 3) fingertips in random poses: distal, radial and palmar from the wrist [m].
+    """Returns (s, f, 3) fingertips in random poses: distal, radial and palmar from the wrist [m].
 
     The random poses are the same in every call, so that a hand's scene is always the same.
     """
@@ -103,9 +103,10 @@ def reachable(hand: Hand) -> Float[np.ndarray, "s f 3"]:
 def opposition(
     hand: Hand, finger: str, gap: float, *, tolerance: float = 0.006
 ) -> Float[np.ndarray, "k 3"]:
-    """(k, 3) midpoints between the tips of thumb and finger in poses where they are ``gap`` apart.
+    """Returns (k, 3) midpoints between the tips of thumb and finger in poses where they are ``gap``
+    apart.
 
-    All lengths in metres.
+    All lengths are in metres.
 
     Raises:
         HandModelError: fewer than 20 of the random poses have that gap.
@@ -137,7 +138,7 @@ _WIDTH, _HEIGHT = 1280, 960  # largest picture
 
 @dataclass(frozen=True, eq=False)
 class Scene(ABC):
-    """Description of a hand and its object; the world's z points up, the floor is at 0.
+    """Description of a hand and its object; the world's z points up, and the floor is at 0.
 
     Attributes:
         mount: pose of the hand.
@@ -166,7 +167,7 @@ class Scene(ABC):
         """Add the shapes of the object to its body."""
 
     def furnish(self, hand: mujoco.MjSpec, carried: CarriedHand | None = None) -> mujoco.MjSpec:
-        """Build the world with the hand in it, see ``build_physics``.
+        """Build the world with the hand in it; see ``build_physics``.
 
         Args:
             carried: the arm that carries the hand, at its place in the scene; None for a fixture.
@@ -216,8 +217,8 @@ def add_shape(
         body: the body that gets the shape.
         size: half lengths [m], or radius and half length [m].
         mass: mass [kg].
-        friction: coefficient of sliding friction, and of torsional friction [m], as of a soft
-            fingertip.
+        friction: coefficient of sliding friction, and of torsional friction [m], like those of a
+            soft fingertip.
         at: centre in the body's frame [m].
         priority: in a contact, the shape with the higher priority sets the parameters.
     """
@@ -289,7 +290,7 @@ class SceneState:
         touch: (f, 3) point of contact of each finger in the object's frame [m]; NaN without one.
         palm: normal force of the rest of the hand on the object [N].
         support: normal force of the platform or the floor on the object [N].
-        placed: False while the object waits, untouchable, for the hand to leave its place.
+        placed: False while the object can't be touched and waits for the hand to leave its place.
         fixed: True while the fixture holds the object.
         starts: number of times that the object was put to its start.
         away: True while there is no object, as in free movement; ``position`` is then its start.
@@ -320,7 +321,7 @@ def object_pose(
     Args:
         position: (3,) position of the object in the world [m].
         quaternion: (4,) rotation of the object, w x y z.
-        reference: (4,) rotation at the start. The result is the one of q and -q nearer to it.
+        reference: (4,) rotation at the start. The result is q or -q, whichever is nearer to it.
     """
     sign = 1.0 if float(np.dot(quaternion, reference)) >= 0.0 else -1.0
     return np.concatenate([position, sign * quaternion]).astype(np.float32)
@@ -328,7 +329,7 @@ def object_pose(
 
 @dataclass(frozen=True, eq=False)
 class ScenePart:
-    """One shape of a scene, to draw.
+    """One shape of a scene, for drawing.
 
     Attributes:
         name: name of the shape.

@@ -36,7 +36,8 @@ _CARD_FRICTION: Final = (0.9, 0.002)  # rubber on plastic
 
 @dataclass(frozen=True, eq=False)
 class CardScene(Scene):
-    """The table's edge runs across the hand, the fingers on the table and the thumb below it.
+    """Scene in which the table's edge runs across the hand, with the fingers on the table and the
+    thumb below.
 
     Attributes:
         edge: x of the table's edge; the table lies beyond it [m].
@@ -79,7 +80,8 @@ class CardScene(Scene):
 
 
 def card_scene(hand: Hand) -> CardScene:
-    """Scene with table and card where a finger can press on the table and the thumb reach below it.
+    """Makes the scene with table and card where a finger can press on the table and the thumb reach
+    below.
 
     Raises:
         HandModelError: the hand has no such place.
@@ -152,7 +154,7 @@ _FACES: Final = (
 
 @dataclass(frozen=True, eq=False)
 class CubeScene(Scene):
-    """The palm looks down on a cube that stands within the fingertips' reach.
+    """Scene in which the palm faces down above a cube that stands within the fingertips' reach.
 
     Attributes:
         top: height of the pedestal's top [m].
@@ -204,10 +206,11 @@ class CubeScene(Scene):
 
 
 def cube_scene(hand: Hand) -> CubeScene:
-    """Scene with the cube midway between thumb and fingers, its upper half in reach of the tips.
+    """Makes the scene with the cube midway between thumb and fingers, its upper half in reach of
+    the tips.
 
     Raises:
-        HandModelError: thumb and index finger are in no pose a cube's width apart.
+        HandModelError: no pose has the thumb and the index finger a cube's width apart.
     """
     middle = np.concatenate([opposition(hand, name, CUBE) for name in hand.fingers[1:3]])
     deepest = float(np.quantile(reachable(hand)[:, 1:3, 2], 0.97))  # palmar
@@ -244,7 +247,7 @@ _HANDLE_FRICTION: Final = (0.9, 0.002)
 
 @dataclass(frozen=True, eq=False)
 class ScrewdriverScene(Scene):
-    """The fingers point down; the handle lies level between thumb and fingers.
+    """Scene in which the fingers point down and the handle lies level between thumb and fingers.
 
     The object's frame has z from the handle's end to the blade's tip and its origin at the grip.
     """
@@ -255,7 +258,7 @@ class ScrewdriverScene(Scene):
         """Adds nothing: the screwdriver is in the hand or on the floor."""
 
     def add_object(self, body: mujoco.MjsBody) -> None:
-        """Add handle and shaft; the blade's side of the grip is the heavier one."""
+        """Add handle and shaft; the side with the blade is the heavier one."""
         radius, length = HANDLE
         add_shape(
             body,
@@ -280,10 +283,11 @@ class ScrewdriverScene(Scene):
 
 
 def screwdriver_scene(hand: Hand) -> ScrewdriverScene:
-    """Scene with the screwdriver between thumb and fingers, along their row, blade at the thumb.
+    """Makes the scene with the screwdriver between thumb and fingers, along their row, blade at the
+    thumb.
 
     Raises:
-        HandModelError: thumb and index finger are in no pose a handle's thickness apart.
+        HandModelError: no pose has the thumb and the index finger a handle's thickness apart.
     """
     at = mount(hand, up=(-1, 0, 0), forward=(0, 0, 1), wrist=(0.0, 0.0, _WRIST_HEIGHT))
     between = np.median(opposition(hand, hand.fingers[1], 2 * HANDLE[0]), axis=0)
@@ -310,7 +314,7 @@ SCENES: Final[dict[str, Callable[[Hand], Scene]]] = {
 
 
 def scene_for(task: str, hand: Hand) -> Scene:
-    """The scene of a task around a hand.
+    """Makes the scene of a task around a hand.
 
     Raises:
         UnknownNameError: there is no such task.

@@ -1,4 +1,4 @@
-"""The study's three tasks in simulation: rubrics, scorers, trials, records."""
+"""The study's three simulated tasks: rubrics, scorers, trials and records."""
 
 from smooth_operator.simulation.tasks.task import TASKS as TASKS
 from smooth_operator.simulation.tasks.task import Assessment as Assessment

@@ -1,7 +1,9 @@
-"""Tasks of a study, among them the paper's three, their rubrics, and scorers that apply these.
+"""Tasks of a study, including the paper's three, their rubrics, and the scorers that apply the
+rubrics.
 
-A scorer follows a scene and assesses the trial. Source of the rubrics: the paper's supplement, task
-success rubric, in our words."""
+A scorer follows a scene and assesses the trial. Source of the rubrics: the task success rubric in
+the paper's supplement, in our words.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ NOT_DONE: Final = "not-done"
 """Line of every rubric for a trial that ended without success."""
 
 PRESSES_N: Final = 0.02
-"""Force from which on a finger counts as touching [N]."""
+"""Force above which a finger counts as touching [N]."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Assessment:
         reason: the reason in a few words.
         complete: True once the goal is met; the trial ends.
         dropped: True once the object is lost; the trial ends.
-        stuck: True while only a reset helps.
+        stuck: True while only a reset can help.
     """
 
     score: float
@@ -63,18 +65,18 @@ class Scorer(Protocol):
         """Score of the trial if it ended now."""
 
     def observe(self, state: SceneState) -> Self:
-        """The scorer after a later state of the scene."""
+        """Returns the scorer after a later state of the scene."""
 
 
 def held_since(since: float | None, meets: bool, time: float) -> float | None:
-    """Time since which a condition holds without a break; None if it does not hold now."""
+    """Time since which a condition has held without a break; None if it does not hold now."""
     if not meets:
         return None
     return time if since is None else since
 
 
 def lasted(since: float | None, time: float, seconds: float = HOLD_S) -> bool:
-    """True if a condition that holds since ``since`` has held for ``seconds``."""
+    """True if a condition that has held since ``since`` has held for at least ``seconds``."""
     return since is not None and time - since >= seconds - 1e-9
 
 
@@ -96,7 +98,7 @@ def rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
 
 
 OVER: Final = 0.005
-"""Protrusion from which on a card that lies on the table counts as over the edge [m]."""
+"""Protrusion above which a card that lies on the table counts as over the edge [m]."""
 
 _SIDEWAYS: Final = 0.07  # sideways distance from its start at which the card is out of reach [m]
 _FACE: Final = 0.0003  # distance from the card's middle plane of a contact on a face [m]
@@ -112,7 +114,7 @@ class CardScorer:
         over: True once the card has lain over the edge.
         protrusion: distance that the card protrudes beyond the edge [m]; negative on the table.
         pinched: time since which it is pinched and clear of the table [s].
-        beyond: True while it lies on the table where no finger reaches it.
+        beyond: True while it lies on the table where no finger can reach it.
         gone: True once it has left the workspace.
         done: True once it was pinched and clear for ``HOLD_S``.
     """
@@ -253,7 +255,7 @@ class CubeScorer:
 
 
 def _heading(turn: Float[np.ndarray, "3 3"]) -> float:
-    """Twist of a rotation about the vertical [rad]."""
+    """Twist of a rotation about the vertical axis [rad]."""
     return float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
 
 
@@ -339,10 +341,10 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
 def check_name(name: str, what: str) -> str:
-    """A name that is valid in a table, a file name and an address.
+    """Returns a name if it is valid in a table, a file name and an address.
 
     Raises:
-        StudyError: it has other characters, or is too long.
+        StudyError: the name has other characters, or is too long.
     """
     if not _NAME.fullmatch(name) or len(name) > 64:
         raise StudyError(
@@ -406,7 +408,7 @@ GENERAL_RUBRIC: Final = (
     RubricLine("marginal", 0.5, "done, after a reset or with an undesired state on the way"),
     RubricLine("failed", 0.0, "the object was dropped, or the operator gave up"),
 )
-"""Rubric of a task without one of its own."""
+"""Rubric of a task that has none of its own."""
 
 
 @dataclass(frozen=True)
@@ -416,7 +418,7 @@ class Task:
     Attributes:
         name: short name in data and results.
         trials: number of trials in each block.
-        operators: number of operators who do it; None for all of the study.
+        operators: number of operators who do it; None for all operators of the study.
         title: title for people.
         instruction: text that is read to the operator.
         time_limit_s: time after which a trial counts as not done [s]; None for no limit.
@@ -447,10 +449,10 @@ class Task:
             )
 
     def line(self, name: str) -> RubricLine:
-        """A line of the rubric by its name.
+        """Returns a line of the rubric by its name.
 
         Raises:
-            UnknownNameError: there is no line of that name.
+            UnknownNameError: there is no line with that name.
         """
         lines = {line.name: line for line in self.rubric}
         if name not in lines:
@@ -517,7 +519,7 @@ PAPER_TASKS: Final = (CARD_PICKUP, CUBE_ROTATION, SCREWDRIVER_PIVOT)
 
 @dataclass(frozen=True)
 class SimulatedTask:
-    """A task that physics can score.
+    """A task that the simulation can score.
 
     Attributes:
         name: name of its scene in ``SCENES``.
@@ -525,7 +527,8 @@ class SimulatedTask:
         seconds: time limit of a trial [s].
         scorer: makes the scorer of a trial from its scene.
         after_reset: line of the rubric for success after the reset.
-        after_stuck: line of the rubric for success after a reset that was the only way on.
+        after_stuck: line of the rubric for success after a reset without which the trial could not
+            go on.
     """
 
     name: str
@@ -560,7 +563,7 @@ TASKS: Final[dict[str, SimulatedTask]] = {
 
 
 def task_named(name: str) -> SimulatedTask:
-    """A task by its name here or in the paper (A, B, C).
+    """Returns a task by its name here or in the paper (A, B, C).
 
     Raises:
         UnknownNameError: there is no such task.

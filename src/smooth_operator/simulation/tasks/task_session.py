@@ -1,4 +1,4 @@
-"""Trials of a task on the hands of a running simulation, each of them recorded."""
+"""Recorded trials of a task on the hands of a running simulation."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from smooth_operator.simulation.tasks.trial import Outcome, Phase, TaskRun, Tria
 from smooth_operator.types import Side
 
 _PERIOD_S: Final = 0.01
-"""Time between two recorded states of the scene [s], by its own clock."""
+"""Time between two recorded states of the scene [s], on the scene's clock."""
 
 CLEAR_S: Final = 0.5
-"""Time for which the object must be at its start untouched before a trial with ``when_clear``
-begins [s]."""
+"""Time for which the object must be untouched at its start before a trial with ``when_clear``
+begins [s].
+"""
 
 WAITING: Final = "waiting"
 """Phase of a trial that begins when the hand is clear of the object."""
@@ -39,7 +40,7 @@ class TaskSession:
     Attributes:
         task: the task.
         outcomes: results of the trials so far, in order.
-        failed: reason why a record could not be written; empty if all were.
+        failed: reason why a record could not be written; empty if all were written.
 
     Args:
         simulation: the sink ``mujoco:task=...``.
@@ -91,7 +92,7 @@ class TaskSession:
 
     @property
     def seconds(self) -> float:
-        """Time since 'go' [s]; the length of a trial that is done; 0 before 'go'."""
+        """Time since 'go' [s]; 0 before 'go', and the length of the trial after its end."""
         with self._lock:
             if self._run.outcome is not None:
                 return self._run.outcome.seconds
@@ -113,8 +114,8 @@ class TaskSession:
         """Start a trial, with the object at its start.
 
         Args:
-            when_clear: start the clock once the object was at its start, untouched, for
-                ``CLEAR_S``; an object that is touched before is put back.
+            when_clear: start the clock once the object was untouched at its start for ``CLEAR_S``;
+                an object that is touched earlier is put back.
             limit_s: time limit [s]; None for the task's own.
             about: further entries of the record: operator, condition, number.
 
@@ -143,10 +144,10 @@ class TaskSession:
         self._record.events.append((self._now, "go"))
 
     def reset(self) -> None:
-        """Put the object back to its start, at most once in a trial; the score is then up to 0.5.
+        """Put the object back to its start, at most once in a trial; the score is then at most 0.5.
 
         Raises:
-            StudyError: no trial runs, or it had its reset.
+            StudyError: no trial is running, or its reset was already used.
         """
         with self._lock:
             self._run = self._run.reset()
@@ -154,7 +155,7 @@ class TaskSession:
             self._record.events.append((self._now, "reset"))
 
     def pause(self, paused: bool) -> None:
-        """Stop the scene of the current trial and its clock, or let them go on.
+        """Stop or resume the scene of the current trial and its clock.
 
         Raises:
             StudyError: no trial is active that could be paused.
@@ -173,10 +174,10 @@ class TaskSession:
             self._paused = frozen
 
     def finish(self) -> None:
-        """End the trial for an operator who can do no more.
+        """End the trial of an operator who gives up.
 
         Raises:
-            StudyError: no trial runs.
+            StudyError: no trial is running.
         """
         with self._lock:
             self._run = self._run.finish(self._now)
@@ -194,11 +195,11 @@ class TaskSession:
     def mark(self, word: str, about: Mapping[str, Any]) -> bool:
         """Mark the record of the last trial, which has ended, as one that does not count.
 
-        The word is put before the name of its file, and ``"marked": word`` among its entries.
+        The word becomes a prefix of the file's name, and the entry ``"marked": word`` is added.
 
         Args:
             word: ``undone`` or ``void``.
-            about: entries that the record must have; a record without them stays as it is.
+            about: entries that the record must have; a record without them is not changed.
 
         Returns:
             True if the record was marked.
@@ -218,7 +219,7 @@ class TaskSession:
 
         Returns:
             ``task``; ``side``; ``number`` of the trial, from 1; ``phase``: waiting (for the hand to
-            be clear), ready, running or done; ``elapsed_s`` since 'go', by the scene's clock;
+            be clear), ready, running or done; ``elapsed_s`` since 'go', on the scene's clock;
             ``score``, ``line`` of the rubric, its ``text`` and the ``reason``, final only for a
             trial that is done; its ``time_s`` and ``ended``, None before; ``resets``; ``placed``,
             False while the object waits for the hand to leave its place; ``limit_s``; ``about``,
@@ -364,7 +365,7 @@ class TrialRunner:
 
     @property
     def task(self) -> SimulatedTask | None:
-        """The current task; None without one."""
+        """The current task; None if there is none."""
         name = self._simulation.task_now
         return None if name == "none" else task_named(name)
 
@@ -384,14 +385,14 @@ class TrialRunner:
 
     @property
     def object_there(self) -> bool:
-        """True if a scene has its object; False in free movement."""
+        """True if a scene contains its object; False in free movement."""
         states = [self._simulation.scene_state(side) for side in self._sides]
         return any(state is not None and not state.away for state in states)
 
     def change(self, task: str | None, with_object: bool = True) -> SimulatedTask | None:
-        """Load the scene of a task, or none, and discard a trial that runs.
+        """Load the scene of a task, or remove the task, and discard a running trial.
 
-        If the scene is the current one, it is kept and its object put back to its start.
+        If the scene is already the current one, it is kept and its object is put back to its start.
 
         Args:
             task: name of the task here or in the paper (A, B, C); None for the hand alone.
@@ -429,7 +430,7 @@ class TrialRunner:
             limit_s: time limit [s]; None for the task's own.
 
         Raises:
-            StudyError: a trial runs, or there is no task.
+            StudyError: a trial is running, or there is no task.
         """
         with self._lock:
             sessions = self._all()
@@ -443,10 +444,10 @@ class TrialRunner:
                 )
 
     def reset(self) -> None:
-        """Use the one reset of the trials that run; if none runs, only put the objects back.
+        """Use the one reset of the running trials; if none is running, only put the objects back.
 
         Raises:
-            StudyError: a trial has had its reset, or there is no task.
+            StudyError: the reset of a trial was already used, or there is no task.
         """
         with self._lock:
             running = self._running()
@@ -457,7 +458,7 @@ class TrialRunner:
                 self.put_back()
 
     def put_back(self) -> None:
-        """Put the objects back to their start, whether or not a trial runs.
+        """Put the objects back to their start, whether or not a trial is running.
 
         Raises:
             SinkError: the simulation is closed.
@@ -472,10 +473,10 @@ class TrialRunner:
                 self._simulation.put_away(side)
 
     def finish(self) -> None:
-        """End the running trials for an operator who can do no more.
+        """End the running trials of an operator who gives up.
 
         Raises:
-            StudyError: no trial runs.
+            StudyError: no trial is running.
         """
         with self._lock:
             running = self._running()
@@ -485,7 +486,7 @@ class TrialRunner:
                 session.finish()
 
     def pause(self, paused: bool = True) -> None:
-        """Stop the scenes of running trials and their clocks, or let them go on.
+        """Stop or resume the scenes of running trials and their clocks.
 
         Raises:
             StudyError: there is no trial to pause, or no task.
@@ -500,10 +501,10 @@ class TrialRunner:
                     self._say(side, "is paused" if paused else "goes on")
 
     def cancel(self, mark: str | None = None, **about: Any) -> None:
-        """Discard the trials that run.
+        """Discard the running trials.
 
         Args:
-            mark: ``undone`` or ``void``: mark of trials that have just ended and do not count.
+            mark: ``undone`` or ``void``, to mark trials that have just ended and do not count.
             about: entries that the records of these must have.
         """
         with self._lock:
@@ -515,7 +516,7 @@ class TrialRunner:
                     self._say(side, f"is {mark}")
 
     def report(self, side: Side | None = None) -> dict[str, Any]:
-        """State of the trial of a hand, by default the first one's; see ``TaskSession.report``.
+        """State of the trial of a hand, by default of the first hand; see ``TaskSession.report``.
 
         Raises:
             StudyError: there is no such hand, or no task.

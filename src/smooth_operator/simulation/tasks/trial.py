@@ -1,8 +1,8 @@
 """A trial of a task as an immutable value, and its record on disk.
 
-A trial goes from 'go' to success, a lost object or the time limit. Its only clock is that of the
-scene's states, so a recorded trial scores the same again (``rescore``). A record is one ``.npz``,
-which opens without unpickling.
+A trial lasts from 'go' to success, a lost object or the time limit. Its only clock is that of the
+scene's states, so scoring a recorded trial again gives the same score (``rescore``). A record is
+one ``.npz`` file, which can be read without unpickling.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class TaskRun:
         task: the task.
         scene: the scene.
         phase: ready, running or done.
-        started: time of its start [s]; NaN before.
+        started: time of its start [s]; NaN before the start.
         resets: number of resets of the object; one is allowed.
         was_stuck: True if only the reset could help.
         scorer: scorer since 'go', or since the reset.
@@ -95,21 +95,21 @@ class TaskRun:
         return replace(now, score=RESET_CAP, line=after)
 
     def go(self, time: float) -> Self:
-        """The trial after its start, which needs the object at its own start.
+        """Returns the trial after 'go'; the object must be at its start.
 
         Raises:
             StudyError: the trial has started already.
         """
         if self.phase is not Phase.READY:
-            raise StudyError(f"the trial is {self.phase.value}; make a new one")
+            raise StudyError(f"the trial is {self.phase.value}; start a new one")
         scorer = self.task.scorer(self.scene)
         return replace(self, phase=Phase.RUNNING, started=time, scorer=scorer)
 
     def reset(self) -> Self:
-        """The trial after the one reset of its object; the clock goes on.
+        """Returns the trial after the one reset of its object; the clock continues.
 
         Raises:
-            StudyError: the trial does not run, or had its reset.
+            StudyError: the trial is not running, or its reset was already used.
         """
         if self.phase is not Phase.RUNNING:
             raise StudyError(f"the trial is {self.phase.value}; only a running trial can be reset")
@@ -123,7 +123,9 @@ class TaskRun:
         )
 
     def observe(self, state: SceneState) -> Self:
-        """The trial after a state of the scene; done when complete, lost or out of time."""
+        """Returns the trial after a state of the scene; it is done when complete, lost or out of
+        time.
+        """
         if self.phase is not Phase.RUNNING or self.scorer is None:
             return self
         # While the object waits for the hand to leave its place nothing can happen to it.
@@ -138,10 +140,10 @@ class TaskRun:
         return run
 
     def finish(self, time: float) -> Self:
-        """The trial after the operator ended it.
+        """Returns the trial after the operator ended it.
 
         Raises:
-            StudyError: the trial does not run.
+            StudyError: the trial is not running.
         """
         if self.phase is not Phase.RUNNING:
             raise StudyError(f"the trial is {self.phase.value}; it can't be finished")
@@ -206,12 +208,14 @@ _STATE: Final[dict[str, tuple[tuple[int | None, ...], str, Callable[[Any], Any]]
     "fixed": ((), "b", bool),
     "starts": ((), "iu", int),
 }
-"""Field of a state -> its shape (None: number of fingers), kinds of its array, conversion."""
+"""Field of a state -> its shape (None for the number of fingers), the kinds of its array, a
+conversion.
+"""
 
 
 @dataclass(eq=False)
 class TrialRecord:
-    """A trial and its record up to now.
+    """A trial and its record so far.
 
     Attributes:
         task: name of the task.
@@ -220,7 +224,7 @@ class TrialRecord:
         joint_names: (n,) names of the joints in ``positions``.
         states: states of the scene, in order.
         positions: (n,) joint positions of the hand at each state [rad].
-        events: (time, ``go``, ``reset`` or ``finish``), by the scene's clock [s].
+        events: (time, ``go``, ``reset`` or ``finish``), on the scene's clock [s].
         outcome: result of the trial.
         about: further entries: operator, condition, number.
     """
@@ -242,7 +246,7 @@ class TrialRecord:
 
 
 def write_trial(path: str | Path, record: TrialRecord) -> None:
-    """Write a trial, whole or not at all.
+    """Write a trial atomically.
 
     Raises:
         OutputError: the file can't be written.
