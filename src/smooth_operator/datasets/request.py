@@ -21,43 +21,50 @@ class Limits:
     """Limits of an episode's quality. Figures that are not known break no limit.
 
     Raises:
-        ConfigError: a limit is not a possible one.
+        ConfigError: a limit is outside its range.
     """
 
     whole: bool = False
-    """Keep or drop clips whole; do not cut them."""
+    """Keep or drop complete clips; never cut them."""
 
     hands: Literal["any", "all"] = "any"
-    """A frame is good if any hand of the clip is seen in it, or if all are."""
+    """A frame counts as good if any hand of the clip is seen in it (any), or only if all are (all).
+    """
 
     min_confidence: Annotated[float, arg(metavar="0..1")] = 0.3
-    """Least confidence of the tracker, if it is known: frames below it count as not seen."""
+    """Minimum confidence of the tracker: in frames with a lower one the hand counts as not seen."""
 
     max_gap: Annotated[float, arg(metavar="SECONDS")] = 0.5
-    """Longest time without a good frame in an episode [s]; a clip is cut there."""
+    """Maximum time without a good frame in an episode [s]; a clip is cut where it takes longer."""
 
     max_jump: Annotated[float, arg(metavar="M/S")] = 5.0
-    """Fastest motion of a wrist, or of a fingertip to it [m/s]; a clip is cut at a faster one."""
+    """Maximum speed of a wrist, or of a fingertip relative to it [m/s]; a clip is cut where the
+    speed is higher.
+    """
 
     min_seconds: Annotated[float, arg(metavar="SECONDS")] = 1.0
-    """Shortest episode [s]."""
+    """Minimum length of an episode [s]; shorter ones are dropped."""
 
     min_valid: Annotated[float, arg(metavar="SHARE")] = 0.6
-    """Least share of an episode's frames with a good hand."""
+    """Minimum fraction of good frames in an episode."""
 
     max_collision: Annotated[float, arg(metavar="SHARE")] = 0.2
-    """Largest share of frames in which links of the robot hand overlap by over 2 mm."""
+    """Maximum fraction of frames in which links of the robot hand overlap by over 2 mm."""
 
     max_tip_error: Annotated[float, arg(metavar="MM")] = 60.0
-    """Largest mean distance between robot fingertips and the human's, on the robot's scale [mm]."""
+    """Maximum mean distance between the robot's fingertips and the human's, at the robot's scale
+    [mm].
+    """
 
     min_reach: Annotated[float, arg(metavar="SHARE")] = 0.5
-    """Least share of frames in which every fingertip is nearer to the human's than a quarter of the
-    robot hand's length."""
+    """Minimum fraction of frames in which every fingertip is within a quarter of the robot hand's
+    length of the human's fingertip.
+    """
 
     min_finger_motion: Annotated[float, arg(metavar="MM")] = 3.0
-    """Least motion of the human fingers over the whole clip [mm], where it lasts 2 s or more. Body
-    captures without gloves have fingers that never move."""
+    """Minimum motion of the human fingers over the whole clip [mm]; checked in clips of 2 s or
+    more. In body captures without gloves, the fingers never move.
+    """
 
     def __post_init__(self) -> None:
         for each in fields(Limits):
@@ -90,32 +97,34 @@ class DatasetRequest(Limits, MethodRequest):
     """Sources, robot hand, limits of quality, format and output of a data set."""
 
     sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SOURCE...")]
-    """Folders, files, patterns, lists of paths, addresses."""
+    """Folders, files, patterns, lists of paths, or addresses of object storage."""
 
     output: Annotated[Path, arg(metavar="FOLDER")]
-    """Folder of the results; created if missing."""
+    """Folder for the results; created if missing."""
 
     format: Annotated[str, arg(metavar="NAME")] = "lerobot"
     """Output format: lerobot, webdataset, parquet, npz, spider, flashdex, or a plugin's."""
 
     frame: Literal["world", "camera"] | None = None
-    """Frame of wrists and objects. A clip that has no poses in it fails. Default: each
-    clip's own frame, the world where it is known, else the camera."""
+    """Frame of wrists and objects. A clip without poses in that frame fails. Default: each clip's
+    own frame, which is the world if it is known, otherwise the camera.
+    """
 
     side: Annotated[Literal["right", "left"] | None, arg(metavar="right|left")] = None
     """Use only this hand. Recordings that do not state their side are taken as this hand."""
 
     layout: Annotated[str | None, arg(metavar="NAME")] = None
-    """Layout of the sources, such as egodex or files. Default: recognised from the files."""
+    """Layout of the sources, such as egodex or files. Default: detected from the files."""
 
     rate: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames per second of recordings without time stamps [Hz]."""
+    """Frame rate of recordings without timestamps [Hz]."""
 
     mano: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Your MANO model files, for layouts that hold MANO parameters."""
+    """Folder with your MANO model files, for layouts that contain MANO parameters."""
 
     objects: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Meshes of the objects, where they are not in the place that the layout has for them."""
+    """Folder with the meshes of the objects, if they are not in the place that the layout defines.
+    """
 
     with_objects: bool = False
     """In clips that have an object's pose and mesh, make the robot's fingertips touch the object
@@ -123,37 +132,42 @@ class DatasetRequest(Limits, MethodRequest):
     --preset offline. Needs packages/smooth_hand_datasets."""
 
     no_limits: bool = False
-    """Keep every clip, whole; the limits have no effect."""
+    """Keep every clip without cutting it; the limits have no effect."""
 
     videos: Literal["none", "link", "copy"] = "none"
-    """Videos of the clips, in formats that take them: left out, linked or copied."""
+    """What to do with the videos of the clips, in formats that support videos: leave them out, link
+    them or copy them.
+    """
 
     fps: Annotated[float | None, arg(metavar="HZ")] = None
-    """Frames per second of the data set [Hz]. Default: the format's own."""
+    """Frame rate of the data set [Hz]. Default: that of the format."""
 
     loose: bool = False
-    """Formats spider and flashdex: files as those programs read them, in place of tar files."""
+    """For the formats spider and flashdex: write the files that those programs read instead of tar
+    files.
+    """
 
     shard_mb: Annotated[float | None, arg(metavar="MB")] = None
-    """Size at which a file of the data set is full [MB]. Default: the format's own."""
+    """Maximum size of a file of the data set [MB]. Default: that of the format."""
 
     workers: Annotated[int | None, arg(metavar="N")] = None
     """Number of worker processes; 0 does the work in this process. Default: one per core."""
 
     device: Literal["cpu", "gpu"] = "cpu"
-    """What retargets. gpu: this process, a thousand recordings side by side, on JAX's first GPU;
-    the workers read."""
+    """Device for the retargeting. cpu: the workers retarget. gpu: this process retargets a thousand
+    recordings at once on JAX's first GPU, and the workers only read."""
 
     cluster: Annotated[str | None, arg(metavar="auto|local|ADDRESS")] = None
     """Work on a running Ray cluster (auto finds it), or start Ray here (local); its nodes need this
     package and the same folders."""
 
     shard: Annotated[str | None, arg(metavar="I/N")] = None
-    """Retarget only the I-th of N shares (an array job); write no data set. Give all shares the
-    same FOLDER, and --merge at the end."""
+    """Retarget only the I-th of N shares, for example in an array job; write no data set. Use the
+    same FOLDER for all shares, and run --merge at the end.
+    """
 
     merge: bool = False
-    """Write the data set from what shares have finished; retarget nothing."""
+    """Write the data set from the clips that the shares have finished; do not retarget."""
 
     @property
     def limits(self) -> Limits:
@@ -164,7 +178,7 @@ class DatasetRequest(Limits, MethodRequest):
 
     @property
     def mirror(self) -> bool:
-        """True if results stand in ``output`` itself, at the paths of their recordings."""
+        """True if the results are in ``output`` itself, at the paths of their recordings."""
         return False
 
     @property
