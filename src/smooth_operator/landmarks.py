@@ -117,7 +117,7 @@ order of fingers, with each tip after its joints. ``rhd`` goes from tip to base;
 ``interhand`` (InterHand2.6M), which has the wrist last; ``fpha`` has the five bases first.
 ``pinky_first`` is our order with the fingers reversed. ``aria`` (Project Aria, UmeTrack, HOT3D,
 Assembly101) has the tips, the wrist, two joints of the thumb, three of each finger, and last the
-centre of the palm, which stands here for the thumb's CMC that it lacks
+centre of the palm, which takes the place of the thumb's CMC, because that is missing
 (``smooth_operator.io.landmark_order.in_our_order`` estimates it).
 """
 

@@ -203,7 +203,7 @@ def _answered(
 
 
 def _fingers(options: View, config: dict[str, Any]) -> FingerChoice | None:
-    """The driven fingers: those of the options, or those of the configuration."""
+    """Returns the driven fingers: those of the options, or those of the configuration."""
     from smooth_operator.request import parse_fingers
 
     if options.fingers is not None:

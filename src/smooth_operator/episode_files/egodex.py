@@ -231,7 +231,7 @@ class Egodex:
 
 
 def _confidences(tree: Mapping[str, Hdf5Group], side: Any, count: int) -> np.ndarray | None:
-    """Those of the joints that have any in every frame; None if no joint has."""
+    """Confidences of the joints that have one in every frame; None if no joint has."""
     sure = egodex_confidences(tree, side, count)
     if sure is None:
         return None

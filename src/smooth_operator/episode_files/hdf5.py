@@ -302,7 +302,7 @@ def _write_wrist(group: Group, wrist: WristTrack) -> None:
 
 
 def _read_wrist(group: Hdf5Group, count: int, path: Path) -> WristTrack | None:
-    """The commanded wrist of as many commands; None if the file has no wrist."""
+    """Reads the commanded wrist of the commands; None if the file has no wrist."""
     if "wrist" not in group.arrays:
         return None
     poses = _numbers(group, "wrist", (count, 7), path)
@@ -322,7 +322,7 @@ def _write_arm(group: Group, arm: ArmTrack) -> None:
 
 
 def _read_arm(group: Hdf5Group, count: int, path: Path) -> ArmTrack | None:
-    """The arm of as many commands; None if the file has no arm."""
+    """Reads the arm of the commands; None if the file has no arm."""
     if "arm" not in group.arrays:
         return None
     attributes = group.arrays["arm"].attributes

@@ -137,7 +137,7 @@ def is_own_npz(path: Path) -> bool:
 
 
 def _json(arrays: StoredArrays, name: str) -> dict[str, Any] | None:
-    """A JSON object among the arrays; None if it is missing or something else."""
+    """Reads a JSON object from the arrays; None if it is missing or something else."""
     item = arrays.get(name)
     if item is None or item.dtype.kind != "U" or item.shape != ():
         return None

@@ -86,7 +86,8 @@ def clip_of_row(table: Any, row: int, path: Path | None = None) -> Clip:
     may be absent or null.
 
     Args:
-        table: with lists of one item a frame; points are lists of 63 numbers, or of 21 times 3.
+        table: table whose lists have one item per frame; points are lists of 63 numbers, or of
+            21 times 3.
         path: the file, for the clip's source and for messages; None for a clip in memory.
 
     Raises:

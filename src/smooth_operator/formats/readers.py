@@ -137,7 +137,7 @@ class Files:
     expects = "a file that 'smooth-operator retarget' reads"
 
     def matches(self, path: Path) -> bool:
-        """True if its name ends as those of recordings do, and it holds more than commands."""
+        """True if the name is that of a recording, and the file contains more than commands."""
         return named_as_recording(path) and path.is_file() and not only_commands(path)
 
     def clips(self, path: Path) -> Iterator[ClipRef]:

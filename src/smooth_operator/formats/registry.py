@@ -328,7 +328,7 @@ ONE_HAND: Final = {
     **{"npy": NPY, "npz": NPZ, "log": LOG, "hdf5": HDF5, "avp": AVP, "hts": HTS},
     **{"bvh": BVH, "aria_csv": ARIA_CSV, "landmark_csv": LANDMARK_CSV},
 }
-"""Built-in formats of recordings: name -> reader. The first that recognises a file reads it."""
+"""Built-in formats of recordings: name -> reader. The first one that recognises a file reads it."""
 READERS: Final = Registry(
     "reader",
     {

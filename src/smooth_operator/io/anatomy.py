@@ -58,7 +58,7 @@ trackers, none is mistaken for the other hand; with noise of 8 mm it is at most 
 
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 _IN_FRONT: Final = np.array([1.0, 1.0, -1.0, -1.0])
-"""Side of the palm's plane of thumb CMC and MCP, and of middle and ring MCP."""
+"""Landmarks in front of the palm's plane (thumb CMC, MCP) and behind it (middle and ring MCP)."""
 
 NO_HAND: Final = 1.0
 """Largest mean deviation of the lengths of a hand in the declared order.
