@@ -1,5 +1,6 @@
 """Each driver of a real hand with a simulator on its wire, in one form for the shared tests."""
 
+import contextlib
 import importlib.util
 import itertools
 import os
@@ -17,10 +18,12 @@ from allegro_simulator import AllegroHand
 from fake_hand_sdks import FingerUnitMode, StarkWorld, WujiWorld
 from hand_servos import Faults
 from inspire_simulator import InspireHand, RtuServer, TcpServer
-from linker_simulator import LinkerHand
 from revo2_simulator import Revo2Hand
+from simulators.common import serve_can
 
+from smooth_operator import load_hand
 from smooth_operator.teleop.components import build_sink
+from smooth_operator_devices.hands.actuator_map import built_in_tables, read_table
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 _channels = itertools.count()
@@ -187,25 +190,122 @@ class InspireRtu(InspireTcp):
         self.start()
 
 
-class Linker(Rig):
+class SimulatedFaults(Faults):
+    """Faults of a hand of ``simulators``, in the form of the other rigs.
+
+    Args:
+        wrong: kind of the wrong answers.
+    """
+
+    def __init__(self, wrong: str) -> None:
+        super().__init__()
+        self.wrong = wrong
+
+    @property
+    def silent(self) -> bool:
+        return self.mute
+
+    def next_wrong(self) -> str | None:
+        """Fault of the answer that is being sent."""
+        time.sleep(self.delay_s)
+        return self.wrong if self.garble else None
+
+
+class Simulated(Rig):
+    """A hand of ``simulators``, which has ``motors``."""
+
+    wrong = "short"
+    """Kind of its wrong answers."""
+
+    def simulate(self, hand: Any) -> None:
+        """Take a simulated hand as that of the rig."""
+        self.hand, self.sent = hand, []
+        hand.faults = SimulatedFaults(self.wrong)
+        self._looks: list[Callable[[np.ndarray, np.ndarray], None]] = []
+        move = hand.motors.move
+
+        def moved(targets: Any, motors: Any = None) -> None:
+            row, targets = np.full(len(hand.motors), np.nan), list(targets)
+            row[range(len(row)) if motors is None else list(motors)] = targets
+            for look in self._looks:
+                look(row, hand.motors.positions)
+            self.sent.append(row)
+            move(targets, motors)
+
+        self.monkeypatch.setattr(hand.motors, "move", moved)
+
+    def positions(self) -> np.ndarray:
+        return self.hand.motors.positions
+
+    def outside(self) -> int:
+        ends = np.array([a.ends for a in self.build().actuators("right").actuators])
+        low, high = ends.T + np.array([[-self.unit], [self.unit]])
+        return sum(bool(((row < low) | (row > high)).any()) for row in self.sent)
+
+    def targets(self) -> int:
+        return len(self.sent)
+
+    def stick(self, motor: int) -> None:
+        self.hand.motors.stuck.add(motor)
+
+    def slow(self) -> None:
+        looks, motors = itertools.count(1), self.hand.motors
+        motors._clock, motors._time = lambda: 1e-3 * next(looks), 0.0
+
+    def watch_targets(self, look: Callable[[np.ndarray, np.ndarray], None]) -> None:
+        self._looks.append(look)
+
+    def on_another_hand(self, table: str, hand: str) -> str:
+        """File of a table with the joints of a hand of the catalogue; for a hand that is not in
+        it."""
+        joints = load_hand(hand, side="right").actuated_names
+        file = built_in_tables() / f"{table}_right.toml"
+        rows = [
+            f'[[actuators]]\nname = "{name}"\njoint = "{joint}"\n'
+            for name, joint in zip(read_table(file).names, joints, strict=False)
+        ]
+        path = self.folder / f"{table}.toml"
+        path.write_text(f'format = 1\nbase = "{file.name}"\nhand = "{hand}"\n' + "\n".join(rows))
+        return str(path)
+
+
+class Linker(Simulated):
     driver, library = "linker", "can"
-    model = "l20"
+    model, name, stand_in = "l20", "L20", ""
 
     def start(self) -> None:
+        import can
+        from simulators.linkerhand_can import LinkerHand
+
         self.channel = f"linker-{next(_channels)}-{os.getpid()}"
-        self.hand = LinkerHand(self.channel, self.model)
+        self.simulate(LinkerHand(self.name, "right"))
+        self._served = contextlib.ExitStack()
+        self._served.enter_context(serve_can(self.hand, can.Bus(self.channel, interface="virtual")))
         self.sink = f"linker:virtual:{self.channel},model={self.model}"
+        if self.stand_in:
+            table = self.on_another_hand(f"linker_{self.model}", self.stand_in)
+            self.sink += f",table={table}"
 
     def limits(self) -> list[float]:
-        settings = dict(self.hand.settings)  # the hand's thread may change it
-        return [value for kind in sorted(settings) for value in settings[kind]]
+        return [*self.hand.speeds, *self.hand.torques]
 
     def restart(self) -> None:
-        self.hand.settings.clear()
+        self.hand.reboot()
+
+    def close(self) -> None:
+        self._served.close()
 
 
 class LinkerL10(Linker):
-    model = "l10"
+    model, name = "l10", "L10"
+
+
+class LinkerO6(Linker):
+    model, name, stand_in = "o6", "O6", "inspire_hand"
+
+
+class LinkerL21(Linker):
+    model, name, stand_in = "l21", "L21", "tesollo_dg5f"
 
 
 class Allegro(Rig):
@@ -280,7 +380,8 @@ class Leap(Rig):
         self.sink = f"leap:{self.port},baud=57600"
 
     def patience(self, seconds: float) -> None:
-        module = "smooth_operator_devices.hands.drivers.dynamixel"
+        module = "smooth_operator_devices.hands.drivers.servo_bank"
+        module = "smooth_operator_devices.hands.drivers.servo_bank"
         self.monkeypatch.setattr(f"{module}._SLOW_ANSWER_MS", 1e3 * seconds)
 
     def positions(self) -> np.ndarray:
@@ -392,6 +493,8 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "inspire-rtu": InspireRtu,
     "linker-l20": Linker,
     "linker-l10": LinkerL10,
+    "linker-o6": LinkerO6,
+    "linker-l21": LinkerL21,
     "allegro-v5": Allegro,
     "allegro-v4": AllegroV4,
     "ability": Ability,

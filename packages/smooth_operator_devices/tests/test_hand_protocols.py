@@ -20,7 +20,6 @@ from allegro_simulator import AllegroHand
 from fake_hand_sdks import StarkContext, StarkWorld, WujiController, WujiHand, WujiWorld
 from hand_rigs import missing
 from inspire_simulator import InspireHand, TcpServer
-from linker_simulator import LinkerHand
 from live_time import PATIENCE_S, until
 from ticks import make_tick
 
@@ -40,6 +39,7 @@ from smooth_operator_devices.hands.drivers.ability import AbilityDevice, framed,
 from smooth_operator_devices.hands.drivers.allegro import AllegroDevice, AllegroSink
 from smooth_operator_devices.hands.drivers.inspire import InspireDevice
 from smooth_operator_devices.hands.drivers.linker import LinkerDevice
+from smooth_operator_devices.hands.drivers.linker_models import MODELS
 from smooth_operator_devices.hands.drivers.orca import OrcaSink
 from smooth_operator_devices.hands.drivers.revo2 import Revo2Device
 from smooth_operator_devices.hands.drivers.wuji import WujiDevice
@@ -77,18 +77,26 @@ def needs(rig: str) -> None:
 
 def linker(
     closing: Callable[..., None], model: str, side: str = "right", **settings: Any
-) -> tuple[LinkerDevice, LinkerHand, Any]:
-    """An open device, its hand on a virtual bus, and another program on that bus."""
+) -> tuple[LinkerDevice, Any, Any]:
+    """An open device, its simulated hand on a virtual bus, and another program on that bus.
+
+    Args:
+        model: of the simulator, such as ``L20 lite``.
+    """
     needs("linker-l20")
     import can
+    from simulators.common import serve_can
+    from simulators.linkerhand_can import LinkerHand
 
     wire = f"protocol-{next(_channels)}-{os.getpid()}"
-    hand = LinkerHand(wire, model, side)
-    spy = can.Bus(interface="virtual", channel=wire)
+    hand = LinkerHand(model, side)
+    served, spy = contextlib.ExitStack(), can.Bus(wire, interface="virtual")
+    served.enter_context(serve_can(hand, can.Bus(wire, interface="virtual")))
     limit = settings.pop("limit", None)
-    actuators = replace(table(f"linker_{model}_{side}", **settings), limit=limit)
-    device = LinkerDevice(actuators, f"virtual:{wire}", model)
-    closing(device, spy, hand)
+    name = model.lower().replace(" ", "")
+    actuators = replace(table(f"linker_{name}_{side}", **settings), limit=limit)
+    device = LinkerDevice(actuators, f"virtual:{wire}", name)
+    closing(device, spy, served)
     device.open()
     return device, hand, spy
 
@@ -148,20 +156,17 @@ def test_inspire_follows_a_run_of_teleop(capsys, closing):
 
 
 def test_linker_frames(monkeypatch, closing):
-    device, hand, spy = linker(closing, "l20", "left", speed=120)
+    device, hand, _ = linker(closing, "L20", "left", speed=120)
     device.write(np.arange(16) * 10.0)
-    seen = []
-    while (frame := spy.recv(timeout=0.05)) is not None:
-        assert frame.arbitration_id == 0x28
-        seen.append(bytes(frame.data).hex())
+    device.read()
+    seen = [frame.hex() for frame in hand.received]
     assert {"01000a141e28", "02323c46505a", "036400000000", "046e78828c96"} <= set(seen)
-    assert hand.settings[0x05] == [120] * 5
-    hand.fault_codes[1] = 3
-    for _ in range(2):
-        reading = device.read()
+    assert seen.index("07" + "01" * 5) > seen.index("046e78828c96")  # clears when it is commanded
+    assert hand.speeds[:5].tolist() == [120] * 5
+    hand.raise_fault("index_root", 3)
+    device.read()
     time.sleep(0.02)
-    reading = device.read()
-    assert reading.errors == ("index: fault 0x03",)
+    assert device.read().errors == ("index: fault 0x03",)
     monkeypatch.setattr("smooth_operator_devices.hands.drivers.linker._TIMEOUT", 0.1)
     right = LinkerDevice(table("linker_l20_right"), device._port, "l20")
     with pytest.raises(SinkError, match="not a left hand, which has the identifier 0x28"):
@@ -169,7 +174,7 @@ def test_linker_frames(monkeypatch, closing):
 
 
 @pytest.mark.parametrize(("side", "identifier"), [("left", 0x28), ("right", 0x27)])
-@pytest.mark.parametrize("model", ["l10", "l20"])
+@pytest.mark.parametrize("model", ["O6", "L10", "L20", "L21"])
 def test_linker_identifiers_are_those_of_the_makers_sdk(model, side, identifier, closing):
     """The maker's enumeration of sides: LEFT = 0x28, RIGHT = 0x27."""
     _, _, spy = linker(closing, model, side)
@@ -179,25 +184,123 @@ def test_linker_identifiers_are_those_of_the_makers_sdk(model, side, identifier,
 
 
 def test_linker_answers_from_before_a_command_are_not_taken_for_answers_to_it(monkeypatch, closing):
-    device, hand, _ = linker(closing, "l20")
+    import can
+
+    device, hand, spy = linker(closing, "L20")
     device.read()
-    hand.faults.mute = True
+    hand.faults.silent = True
     time.sleep(0.05)  # until it has answered what was asked
     monkeypatch.setattr("smooth_operator_devices.hands.drivers.linker._TIMEOUT", 0.1)
-    for kind in hand.layout:
-        hand._send(kind, [7] * 5)
+    for kind in (1, 2, 3, 4):
+        data = [kind, *[7] * 5]
+        spy.send(can.Message(arbitration_id=0x27, data=data, is_extended_id=False))
     device.write(np.full(16, 200.0))
     with pytest.raises(WrongAnswerError, match="did not answer frame 0x01"):
         device.read()
 
 
-def test_linker_l10_reports_temperatures_and_takes_a_torque(closing):
-    device, hand, _ = linker(closing, "l10", limit=150.0)
-    for _ in range(6):
+def test_linker_questions_of_another_program_are_not_taken_for_answers(closing):
+    """A question has the same identifier as the answer, and no values."""
+    import can
+
+    device, hand, spy = linker(closing, "L21")
+    hand.motors.place(np.arange(17) * 10.0)
+    for kind in (0x41, 0x45, 0x61) * 20:
+        spy.send(can.Message(arbitration_id=0x27, data=[kind], is_extended_id=False))
+        if kind == 0x45:
+            assert device.read().positions.tolist() == (np.arange(17) * 10.0).tolist()
+
+
+def test_linker_answers_with_the_identifier_of_the_other_side_are_none(monkeypatch, closing):
+    device, hand, _ = linker(closing, "O6")
+    monkeypatch.setattr("smooth_operator_devices.hands.drivers.linker._TIMEOUT", 0.1)
+    hand.faults.answer_wrongly("identifier", 2)
+    with pytest.raises(WrongAnswerError, match="did not answer frame 0x01"):
+        device.read()
+    assert device.read().positions.tolist() == [255.0] * 6
+
+
+@pytest.mark.parametrize(
+    ("model", "kinds", "joint", "bits", "said"),
+    [
+        ("O6", [2], "middle", 0b101000, "middle_base: overcurrent, overload"),
+        ("L6", [2], "pinky", 0b1100000, "little_base: motor too hot, controller too hot"),
+        ("L7", [2], "thumb_roll", 8, "thumb_turn: fault 0x08"),
+        ("L10", [2, 3], "thumb_yaw", 4, "thumb_turn: fault 0x04"),
+        ("L20 lite", [2, 3], "index_abd", 4, "index_side: too hot"),
+        (
+            "L21",
+            [*range(0x51, 0x56)],
+            "ring_tip",
+            0b10000010,
+            "ring_tip: overcurrent, motor does not answer",
+        ),
+        ("L25", [*range(0x51, 0x56)], "pinky_middle", 1, "little_middle: rotor locked"),
+    ],
+)
+def test_linker_models_report_heat_and_faults_and_take_limits(
+    model, kinds, joint, bits, said, closing
+):
+    device, hand, _ = linker(closing, model, limit=150.0)
+    motors = len(hand.motors)
+    hand.motors.temperatures[:] = 30 + np.arange(motors)
+    hand.raise_fault(joint, bits)
+    goals = 255.0 - 10.0 * np.arange(motors)
+    device.write(np.full(motors, 255.0))
+    found = {setting.name: setting for setting in device.settings()}
+    assert {f"frame 0x{kind:02X}" for kind in kinds} <= found.keys()
+    assert all((setting.measured == setting.expected).all() for setting in found.values())
+    assert hand.torques.tolist() == [150] * motors
+    assert hand.speeds.tolist() == [250] * motors
+    hand.raise_fault(joint, bits)
+
+    def whole() -> Reading | None:
+        device.write(goals)
         reading = device.read()
-        time.sleep(0.01)
-    assert reading.temperatures.tolist() == list(range(30, 40))
-    assert (hand.settings[2], hand.settings[3]) == ([150] * 5, [150] * 5)
+        heat = reading.temperatures
+        warm = heat is not None and heat.tolist() == hand.motors.temperatures.tolist()
+        return reading if reading.errors and warm else None
+
+    assert until(whole).errors == (said,)
+    device.relax()  # the next command clears the fault
+    if device._model.clear:
+        until(lambda: not whole())
+        until(lambda: np.abs(device.read().positions - goals).max() < 1)
+
+
+def test_linker_o6_reports_currents(closing):
+    device, hand, _ = linker(closing, "O6")
+    hand.motors.stuck.add(2)
+    hand.motors.stall_current = 700.0
+
+    def pressing() -> bool:
+        device.write(np.zeros(6))
+        currents = device.read().currents
+        return currents is not None and currents[2] == 127  # of 255 for 1400 mA
+
+    until(pressing)
+
+
+@pytest.mark.parametrize("model", [*MODELS])
+def test_linker_models_are_those_of_the_simulator(model):
+    """Motors and frames, as another author read them from the maker's texts."""
+    simulated = pytest.importorskip("simulators.linkerhand_can").MODELS
+    other = {"l20lite": "L20 lite", "l25_16": "L25 linkerbot"}.get(model, model.upper())
+    theirs, mine = simulated[other], MODELS[model]
+    assert mine.motors == len(theirs.joints)
+    for name, frames in (
+        ("positions", mine.positions),
+        ("speeds", mine.speeds),
+        ("temperatures", mine.temperatures),
+        ("faults", mine.faults),
+        ("currents" if model == "l20" else "torques", mine.limits),
+    ):
+        layout = getattr(theirs, name)
+        assert {kind: len(row) for kind, row in frames.items()} == {
+            kind: len(layout[kind]) for kind in frames
+        }
+        for kind, row in frames.items():
+            assert [m is None for m in row] == [m is None for m in layout[kind]]
 
 
 def answer(device: AllegroDevice) -> Reading:

@@ -1,74 +1,34 @@
-"""Driver of the LinkerHand L10 and L20 on a CAN bus.
+"""Driver of the LinkerHands on a CAN bus: O6, L6, L7, L10, L20 lite, L20, L21, L25 and G20.
 
-Facts of the protocol, from the maker's SDK as published: frames with an 11-bit identifier, 0x27 for
-a right hand and 0x28 for a left one, at 1 Mbit/s. The first byte says what the frame is about, the
-others are one value from 0 to 255 per motor; most motors are open at 255. A frame of positions sets
-them, and the hand answers with where the motors are; without values it only answers. L10: six
-motors in 0x01, four in 0x04; speed 0x05 and 0x06, torque 0x02 and 0x03, temperatures 0x33 and 0x34,
-faults 0x35 and 0x36, five values each. L20: roots of the fingers 0x01, their sideways motors 0x02,
-roll of the thumb 0x03 (first value), tips 0x04; speed 0x05, current 0x06, faults 0x07.
+Facts of the protocol, by the maker: the package ``linkerbot`` 0.5.4 (O6, L6, L20 lite, L25), the
+repository linker-bot/linkerhand-python-sdk, commit b371361 (all of them), and the enumeration of
+sides of linker-bot/linkerhand-cpp-sdk. Frames have an 11-bit identifier, 0x27 for a right hand and
+0x28 for a left one, at 1 Mbit/s. The first byte is the kind, the others are one value from 0 to 255
+per motor; most motors are straight at 255. A frame with values sets them, a frame without values
+asks, and the hand answers both with what it measures.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal
+from typing import ClassVar, Final, Literal, cast
 
 import numpy as np
 from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, require
 from smooth_operator_devices.hands.actuator_map import ActuatorMap
-from smooth_operator_devices.hands.device import (
-    HandDevice,
-    Reading,
-    Setting,
-    WrongAnswerError,
-)
+from smooth_operator_devices.hands.device import HandDevice, Reading, Setting, WrongAnswerError
 from smooth_operator_devices.hands.drivers.can_bus import CanBus, can_port
+from smooth_operator_devices.hands.drivers.linker_models import MODELS, Frames
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
-
-
-@dataclass(frozen=True)
-class Model:
-    """Frames of one model.
-
-    Attributes:
-        positions: kind of frame -> how many motors, in the order of the table.
-        width: values in each of those frames.
-        speeds: kinds of the frames of speeds, five motors each.
-        limits: kinds of the frames that limit torque or current, five motors each.
-        temperatures: kinds of the frames of temperatures, five motors each.
-        faults: kinds of the frames of faults; five motors each, or five fingers.
-    """
-
-    positions: dict[int, int]
-    width: dict[int, int]
-    speeds: tuple[int, ...]
-    limits: tuple[int, ...]
-    temperatures: tuple[int, ...]
-    faults: tuple[int, ...]
-
-    @property
-    def motors(self) -> int:
-        """Number of motors."""
-        return sum(self.positions.values())
-
-
-MODELS: Final = {
-    "l10": Model(
-        {1: 6, 4: 4}, {1: 6, 4: 4}, (0x05, 0x06), (0x02, 0x03), (0x33, 0x34), (0x35, 0x36)
-    ),
-    "l20": Model({1: 5, 2: 5, 3: 1, 4: 5}, {1: 5, 2: 5, 3: 5, 4: 5}, (0x05,), (0x06,), (), (0x07,)),
-}
-"""Name of a model -> its frames."""
 
 _FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
 _IDENTIFIERS: Final = {"right": 0x27, "left": 0x28}
 """Identifier of the frames by the hand's side, as the maker's code chooses it: its C++ header
-(enumeration of sides), its Python SDK (constructor) and its package ``linkerbot-py``. One name of a
+(enumeration of sides), its Python SDK (constructor) and its package ``linkerbot``. One name of a
 variable in the maker's file of the L20 says the opposite."""
 _SPEED: Final = 250
 """Default speed: not 255, the likely value after a restart, so that a restart is noticed."""
@@ -79,7 +39,7 @@ _TIMEOUT: Final = 0.05
 
 @dataclass(frozen=True)
 class LinkerSink(HardwareSink):
-    """Moves a LinkerHand L10 or L20; see ``HardwareSink``.
+    """Moves a LinkerHand (O6, L6, L7, L10, L20, L21, L25, G20); see ``HardwareSink``.
 
     Attributes:
         port: a CAN channel, ``can0`` or ``INTERFACE:CHANNEL`` of python-can.
@@ -90,14 +50,17 @@ class LinkerSink(HardwareSink):
     driver: ClassVar[str] = "linker"
 
     port: str = "can0"
-    model: Literal["l10", "l20"] | None = None
+    model: (
+        Literal["o6", "l6", "l7", "l10", "l20lite", "l20", "l21", "l25", "l25_16", "g20"] | None
+    ) = None
 
     def table_of(self, hand: str) -> str:
         """The table of the model; see ``HardwareSink``."""
         return self.table or f"linker_{self._model_of(hand)}"
 
     def _model_of(self, hand: str) -> str:
-        return self.model or ("l10" if hand == "linker_l10" else "l20")
+        name = hand.removeprefix("linker_")
+        return self.model or (name if name in MODELS else "l20")
 
     @property
     def bus(self) -> str:
@@ -113,11 +76,11 @@ class LinkerSink(HardwareSink):
 class LinkerDevice(HandDevice):
     """A LinkerHand on its bus; see ``HandDevice``.
 
-    The hand has no command that switches its motors off, so ``relax`` does nothing. It reports no
-    currents.
+    The hand has no command that switches its motors off, so ``relax`` does nothing.
+    ``Reading.currents`` of O6 and L6 are 0 to 255, as the limit; the others report none.
 
     Args:
-        table: table of the hand. ``limit`` is the hand's torque (L10) or current (L20), 0 to 255.
+        table: table of the hand. ``limit`` is the hand's torque, or current (L20), 0 to 255.
             Its settings may have ``speed`` (0 to 255) and ``gap_ms``, the time between two frames.
     """
 
@@ -128,15 +91,14 @@ class LinkerDevice(HandDevice):
         self._model = MODELS[model]
         table.check_count(self._model.motors, f"a LinkerHand {model.upper()}")
         speed = self._setting("speed", _SPEED, 1, 255)
-        if (table.limits > 255).any() or (table.limits < 1).any():
+        limits = np.nan_to_num(table.limits, nan=255.0)
+        if (limits > 255).any() or (limits < 1).any():
             raise ConfigError(f"{table.file}: limit must be 1 to 255, the hand's own unit")
         self._port, self._identifier = port, _IDENTIFIERS[table.side]
         self._gap = self._setting("gap_ms", 1.0, 0, 20) / 1000
-        self._settings = {kind: [speed] * 5 for kind in self._model.speeds}
+        self._settings = _filled(self._model.speeds, [speed] * self._model.motors)
         if np.isfinite(table.limits).any():
-            limits = np.nan_to_num(table.limits, nan=255.0).astype(int).tolist()
-            for k, kind in enumerate(self._model.limits):
-                self._settings[kind] = limits[5 * k : 5 * k + 5]
+            self._settings |= _filled(self._model.limits, limits.astype(int).tolist())
         self._bus: CanBus | None = None
         self._answers: dict[int, bytes] = {}
         self._turn = 0
@@ -175,75 +137,82 @@ class LinkerDevice(HandDevice):
         answers = {kind: list(self._answers.pop(kind, b"")) for kind in self._settings}
         if not any(answers.values()):
             raise WrongAnswerError("linker: the hand does not report its limit")
-        return [
-            Setting(f"frame 0x{kind:02X}", np.array(values), np.array(answer[: len(values)]))
-            for kind, values in self._settings.items()
-            if len(answer := answers[kind]) >= len(values)
-        ]
+        rows = {**self._model.speeds, **self._model.limits}
+        found = []
+        for kind, values in self._settings.items():
+            if len(answer := answers[kind]) >= len(values):
+                k = [k for k, motor in enumerate(rows[kind]) if motor is not None]
+                name = f"frame 0x{kind:02X}"
+                found.append(Setting(name, np.array(values)[k], np.array(answer)[k]))
+        return found
 
     def read(self) -> Reading:
-        """Positions, and in turns temperatures and faults; see ``HandDevice``."""
-        bus = self._open_bus()
+        """Positions, and in turns temperatures, faults and currents; see ``HandDevice``."""
+        bus, model = self._open_bus(), self._model
         self._collect(bus, time.perf_counter())  # answers to the last ``write``
-        for kind in self._model.positions:
+        for kind in model.positions:
             if kind not in self._answers:
                 self._send(kind, [])
-        slow = self._model.temperatures + self._model.faults
+        slow = [*model.temperatures, *model.faults, *model.currents]
         self._send(slow[self._turn % len(slow)], [])
         self._turn += 1
         deadline = time.perf_counter() + _TIMEOUT
-        while missing := [k for k in self._model.positions if k not in self._answers]:
+        while missing := [k for k in model.positions if k not in self._answers]:
             self._collect(bus, deadline, missing)
             if time.perf_counter() >= deadline:
                 break
+        answers = {kind: self._answers.pop(kind, b"") for kind in model.positions}
         if missing:
-            for kind in self._model.positions:  # a later reading must not use them
-                self._answers.pop(kind, None)
             raise WrongAnswerError(
                 f"linker: the hand did not answer frame 0x{missing[0]:02X} within {_TIMEOUT:g} s"
             )
-        positions: list[int] = []
-        for kind, motors in self._model.positions.items():
-            values = self._answers.pop(kind)
-            if len(values) < motors:
+        for kind, row in model.positions.items():
+            if len(answers[kind]) < len(row):
                 raise WrongAnswerError(
-                    f"linker: frame 0x{kind:02X} of the hand has {len(values)} values, not {motors}"
+                    f"linker: frame 0x{kind:02X} of the hand has {len(answers[kind])} values, not "
+                    f"{len(row)}"
                 )
-            positions += values[:motors]
-        heat = b"".join(self._answers.get(kind, b"") for kind in self._model.temperatures)
-        whole = len(heat) >= self._model.motors
         return Reading(
-            positions=np.array(positions, float),
-            temperatures=np.array([*heat[: self._model.motors]], float) if whole else None,
+            positions=cast(np.ndarray, _values(model.positions, answers)),
+            currents=_values(model.currents, self._answers),
+            temperatures=_values(model.temperatures, self._answers),
             errors=self._errors(),
         )
 
     def _collect(self, bus: CanBus, deadline: float, fields: list[int] | None = None) -> None:
         """Take frames of the hand until all requested ones are there, or until a time."""
         for identifier, data in bus.until(deadline):
-            if identifier == self._identifier and data:
+            if identifier == self._identifier and len(data) > 1:  # no question
                 self._answers[data[0]] = data[1:]
             if fields is not None and all(kind in self._answers for kind in fields):
                 return
 
     def _errors(self) -> tuple[str, ...]:
-        codes = b"".join(self._answers.get(kind, b"") for kind in self._model.faults)
-        names = self._table.names if len(self._model.faults) == 2 else _FINGERS
-        pairs = zip(names, codes, strict=False)
-        return tuple(f"{name}: fault 0x{code:02X}" for name, code in pairs if code)
+        model = self._model
+        whole = sum(map(len, model.faults.values())) >= model.motors
+        names = self._table.names if whole else _FINGERS
+        texts = []
+        for kind, row in model.faults.items():
+            for motor, code in zip(row, self._answers.get(kind, b""), strict=False):
+                words = [word for bit, word in enumerate(model.bits) if code >> bit & 1 and word]
+                if code and motor is not None:
+                    texts.append(f"{names[motor]}: {', '.join(words) or f'fault 0x{code:02X}'}")
+        return tuple(texts)
 
     def write(self, commands: Float[np.ndarray, " a"]) -> None:
-        """Send the positions, 0 to 255, the first time after the limits; see ``HandDevice``."""
-        if not self._limited:
+        """Send the positions, 0 to 255; the first time after the limits, and then clear faults,
+        which stop a motor until then. See ``HandDevice``."""
+        first = not self._limited
+        if first:
             self._limit()
             self._limited = True
         values = np.clip(np.rint(commands), 0, 255).astype(int).tolist()
-        bus = self._open_bus()
-        self._collect(bus, time.perf_counter())
-        for kind, motors in self._model.positions.items():
+        self._collect(self._open_bus(), time.perf_counter())
+        for kind, row in _filled(self._model.positions, values).items():
             self._answers.pop(kind, None)
-            mine, values = values[:motors], values[motors:]
-            self._send(kind, mine + [0] * (self._model.width[kind] - motors))
+            self._send(kind, row)
+        if first and self._model.clear:
+            self._send(self._model.clear[0], list(self._model.clear[1:]))
 
     def close(self) -> None:
         """Give the bus back; the hand keeps its last target. See ``HandDevice``."""
@@ -263,3 +232,18 @@ class LinkerDevice(HandDevice):
             time.sleep(wait)
         self._open_bus().send(self._identifier, bytes([kind, *values]))
         self._sent = time.perf_counter()
+
+
+def _filled(frames: Frames, values: Sequence[int]) -> dict[int, list[int]]:
+    """The values of each frame; 0 in places without a motor."""
+    return {k: [0 if m is None else values[m] for m in row] for k, row in frames.items()}
+
+
+def _values(frames: Frames, answers: Mapping[int, bytes]) -> Float[np.ndarray, " a"] | None:
+    """The motors' values in the answers; None if a frame is missing or too short."""
+    found: dict[int, int] = {}
+    for kind, row in frames.items():
+        if len(answer := answers.get(kind, b"")) < len(row):
+            return None
+        found |= {m: value for m, value in zip(row, answer, strict=False) if m is not None}
+    return np.array([found[motor] for motor in sorted(found)], float) if found else None
