@@ -22,6 +22,7 @@ PARTS = (
     "hand",
     "source",
     "sink",
+    "tracker of a maker",
     "real hand",
     "reader",
     "data set layout",
