@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from live_time import PATIENCE_S
 from simulators.common import Faults, ManualClock, Motors, SerialLine
 
 
@@ -143,7 +144,7 @@ def test_feetech_line_is_silent_unplugged_wrong_and_shared():
     bus = FeetechBus({1: "sts3215", 2: "sts3215"})
     ping, pong = _hex("FF FF 01 02 01 FB"), _hex("FF FF 01 02 00 FC")
     with SerialLine(bus) as line:
-        with serial.Serial(line.port, 1_000_000, timeout=2) as port:
+        with serial.Serial(line.port, 1_000_000, timeout=PATIENCE_S) as port:
             port.write(ping)
             assert port.read(6) == pong
             bus.faults.answer_wrongly("checksum")
@@ -160,7 +161,7 @@ def test_feetech_line_is_silent_unplugged_wrong_and_shared():
             with pytest.raises((serial.SerialException, OSError)):
                 _ask_until_it_fails(port, ping)
         line.plug()
-        with serial.Serial(line.port, 1_000_000, timeout=2) as port:
+        with serial.Serial(line.port, 1_000_000, timeout=PATIENCE_S) as port:
             port.write(ping)
             assert port.read(6) == pong
 
@@ -494,7 +495,7 @@ def test_dex3_speaks_over_dds(dex3):
             pytest.skip(f"DDS does not start here: {error}")
         writer = DataWriter(participant, Topic(participant, "rt/dex3/right/cmd", dex3.HandCmd))
         reader = DataReader(participant, Topic(participant, "rt/dex3/right/state", dex3.HandState))
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + PATIENCE_S
         reached = False
         while not reached and time.monotonic() < deadline:
             writer.write(_dex3_command(dex3, 0.25))
