@@ -24,8 +24,10 @@ enum { JOINTS = 26 };
 typedef struct { uint64_t flags; float orientation[4], position[3]; float radius; } Joint;
 
 static const char *EXTENSIONS[] = {
-    "XR_EXT_hand_tracking", "XR_MND_headless", "XR_KHR_convert_timespec_time"};
-static int offered = 7, stage = 1, headset = 1, can_track = 1;
+    "XR_EXT_hand_tracking", "XR_MND_headless", "XR_KHR_convert_timespec_time",
+    "XR_MNDX_xdev_space", "XR_EXTX_overlay", "XR_NVX1_tensor_data", "XR_NVX1_opaque_data_channel"};
+enum { KNOWN = sizeof EXTENSIONS / sizeof *EXTENSIONS };
+static int offered = 7, stage = 1, headset = 1, can_track = 1, ready_at_once = 0;
 static int enabled, state, running, instances;
 static int queue[64], first, last;
 static int active[3];
@@ -38,7 +40,7 @@ static XrResult enumerate_extensions(const char *layer, uint32_t capacity, uint3
                                      struct { int32_t type; void *next; char name[128];
                                               uint32_t version; } *out) {
     uint32_t found = 0;
-    for (int k = 0; k < 3; k++) {
+    for (int k = 0; k < KNOWN; k++) {
         if (!(offered >> k & 1)) continue;
         if (capacity) {
             if (found >= capacity) return SIZE_INSUFFICIENT;
@@ -60,7 +62,7 @@ static XrResult create_instance(
     enabled = 0;
     for (uint32_t n = 0; n < info->count; n++) {
         int known = 0;
-        for (int k = 0; k < 3; k++)
+        for (int k = 0; k < KNOWN; k++)
             if ((offered >> k & 1) && !strcmp(info->names[n], EXTENSIONS[k])) known = 1 << k;
         if (!known) return EXTENSION_NOT_PRESENT;
         enabled |= known;
@@ -101,7 +103,29 @@ static XrResult create_session(Handle instance, const struct { int32_t type; con
     if (!info->next && !(enabled & 2)) return GRAPHICS_DEVICE_INVALID; /* no graphics binding */
     *out = SESSION;
     push(IDLE);
+    if (ready_at_once) push(READY);
     return SUCCESS;
+}
+
+static XrResult enumerate_views(Handle instance, uint64_t system, uint32_t capacity,
+                                uint32_t *count, int32_t *out) {
+    *count = 1;
+    if (system != SYSTEM) return SYSTEM_INVALID;
+    if (capacity) *out = 2; /* XR_VIEW_CONFIGURATION_TYPE_PRIMARY_STEREO */
+    return SUCCESS;
+}
+
+static XrResult system_properties(Handle instance, uint64_t system, Header *out) {
+    for (Header *one = out->next; one; one = one->next)
+        if (one->type == 1000051000) /* XrSystemHandTrackingPropertiesEXT */
+            *(uint32_t *)(one + 1) = can_track;
+    return system == SYSTEM ? SUCCESS : SYSTEM_INVALID;
+}
+
+static XrResult destroy(Handle any) { return SUCCESS; }
+
+static XrResult locate_space(Handle space, Handle base, int64_t time, Header *out) {
+    return space == SPACE && base == SPACE ? SUCCESS : HANDLE_INVALID; /* nothing is valid in it */
 }
 
 static XrResult begin_session(Handle session, const Header *info) {
@@ -160,8 +184,6 @@ static XrResult create_tracker(Handle session, const struct { int32_t type; cons
     return SUCCESS;
 }
 
-static XrResult destroy_tracker(Handle tracker) { return SUCCESS; }
-
 static XrResult locate(Handle tracker,
                        const struct { int32_t type; const void *next; Handle space;
                                       int64_t time; } *info,
@@ -184,6 +206,13 @@ static XrResult convert_time(Handle instance, const struct timespec *from, int64
     return SUCCESS;
 }
 
+static XrResult convert_back(Handle instance, int64_t from, struct timespec *out) {
+    if (instance != INSTANCE) return HANDLE_INVALID;
+    if (from <= 0) return TIME_INVALID;
+    out->tv_sec = from / 1000000000LL, out->tv_nsec = from % 1000000000LL;
+    return SUCCESS;
+}
+
 static XrResult get_proc_addr(Handle instance, const char *name, void **out) {
     static const struct { const char *name; void *function; int needs; } TABLE[] = {
         {"xrGetInstanceProcAddr", get_proc_addr, 0},
@@ -199,9 +228,15 @@ static XrResult get_proc_addr(Handle instance, const char *name, void **out) {
         {"xrEnumerateReferenceSpaces", enumerate_spaces, 0},
         {"xrCreateReferenceSpace", create_space, 0},
         {"xrCreateHandTrackerEXT", create_tracker, 1},
-        {"xrDestroyHandTrackerEXT", destroy_tracker, 1},
+        {"xrDestroyHandTrackerEXT", destroy, 1},
+        {"xrDestroySession", destroy, 0},
+        {"xrDestroySpace", destroy, 0},
+        {"xrLocateSpace", locate_space, 0},
+        {"xrEnumerateViewConfigurations", enumerate_views, 0},
+        {"xrGetSystemProperties", system_properties, 0},
         {"xrLocateHandJointsEXT", locate, 1},
         {"xrConvertTimespecTimeToTimeKHR", convert_time, 4},
+        {"xrConvertTimeToTimespecTimeKHR", convert_back, 4},
     };
     *out = NULL;
     for (size_t k = 0; k < sizeof TABLE / sizeof *TABLE; k++)
@@ -226,6 +261,7 @@ void offer(int extensions, int with_stage, int with_headset, int with_tracking) 
     offered = extensions, stage = with_stage, headset = with_headset, can_track = with_tracking;
     active[1] = active[2] = 0;
 }
+void be_ready_at_once(int yes) { ready_at_once = yes; }
 void change_state(int next) { push(next); }
 void show_hand(int hand, int visible, const Joint *joints) {
     memcpy(hands[hand], joints, sizeof hands[hand]);

@@ -1,11 +1,7 @@
 """The source ``openxr`` with the real loader and a runtime in C, written from the specification."""
 
-import ctypes
-import json
-import shutil
-import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,72 +9,31 @@ import headset_apps as app
 import numpy as np
 import pytest
 from live_time import until
+from openxr_runtime import HANDS, NEEDS_COMPILER, POSES, build, choose, joints, loaded
 from tracker_session import started
 
 from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
 from smooth_operator.io.landmark_order import chirality
 from smooth_operator.poses import separation
-from smooth_operator.types import Side
 from smooth_operator_devices.trackers.openxr import OpenXrSource
 
 xr = pytest.importorskip("xr", reason="the extra 'openxr' is not installed")
-COMPILER = shutil.which("cc") or shutil.which("gcc")
-pytestmark = pytest.mark.skipif(
-    COMPILER is None or sys.platform != "linux", reason="needs Linux and a C compiler"
-)
+pytestmark = NEEDS_COMPILER
 
-HANDS: dict[Side, int] = {"left": 1, "right": 2}
-POSES: dict[Side, app.Pose] = {
-    "left": (0.5, 0.25, 1.0, 1.0, 0.0, 0.0, 0.0),
-    "right": (0.4, -0.3, 1.1, 0.6, -0.48, 0.384, 0.512),
-}
 ALL, HEADLESS, TRACKING = 7, 2, 1
 STOPPING, LOSS_PENDING, READY = 6, 7, 2
 
 
-class Joint(ctypes.Structure):
-    """XrHandJointLocationEXT."""
-
-    _fields_ = (
-        ("flags", ctypes.c_uint64),
-        ("orientation", ctypes.c_float * 4),
-        ("position", ctypes.c_float * 3),
-        ("radius", ctypes.c_float),
-    )
-
-
-def joints(side: Side, move: float = 0.0, flags: Sequence[int] = (15,) * 26) -> Any:
-    """26 joints in OpenXR's axes: the palm, then those of WebXR, all turned as the wrist."""
-    pose, hand = POSES[side], app.hand(side)
-    local = np.vstack([(hand[10] + hand[11]) / 2, hand])
-    world = local @ app.turn(pose[3:]).T + np.asarray(pose[:3]) + [move, 0.0, 0.0]
-    array = (Joint * 26)()
-    for one, point, flag in zip(array, world, flags, strict=True):
-        one.flags, one.radius = flag, 0.01
-        one.position[:] = app.openxr_point(point)
-        one.orientation[:] = app.openxr_turn(pose[3:])
-    return array
-
-
 @pytest.fixture(scope="session")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("openxr")
-    source, path = Path(__file__).with_name("openxr_runtime.c"), folder / "runtime.so"
-    subprocess.run([COMPILER, "-shared", "-fPIC", "-w", "-o", path, source], check=True)
-    manifest = {"file_format_version": "1.0.0", "runtime": {"library_path": str(path)}}
-    (folder / "runtime.json").write_text(json.dumps(manifest))
-    return path
+    return build(tmp_path_factory.mktemp("openxr"))
 
 
 @pytest.fixture
 def runtime(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """The runtime as the loader uses it, with all extensions and no hand."""
-    monkeypatch.setenv("XR_RUNTIME_JSON", str(library.with_suffix(".json")))
-    monkeypatch.setenv("XR_LOADER_DEBUG", "none")
-    runtime = ctypes.CDLL(str(library))
-    runtime.last_time.restype = ctypes.c_int64
-    runtime.offer(ALL, 1, 1, 1)
-    yield runtime
+    choose(library, monkeypatch)
+    yield loaded(library, ALL)
     xr.destroy_instance(xr.create_instance())  # or the loader remembers the extensions
 
 

@@ -164,6 +164,7 @@ _ROS2: Final = "needs no ROS 2 installation"
 _DEVICE_SOURCES: Final = {
     "angles": ("gloves that give joint angles: angles:deg, angles:rad", ""),
     "bvh": ("a body capture that broadcasts BVH over UDP: bvh:FILE", ""),
+    "isaac": ("hands of any device of Isaac Teleop", "isaac"),
     "openxr": ("hands of this computer's OpenXR runtime (SteamVR, Monado)", "openxr"),
     "rokoko": ("gloves or suit, from Rokoko Studio", "rokoko"),
     "ros2": (f"hand poses from ROS 2 topics; {_ROS2}", "ros2"),

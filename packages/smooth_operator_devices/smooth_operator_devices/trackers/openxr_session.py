@@ -20,9 +20,13 @@ from smooth_operator.headsets.openxr_joints import JOINTS
 from smooth_operator.teleop.sources.inboxes import Inbox, Message
 from smooth_operator.types import Side
 
-_WINDOWS: Final = sys.platform == "win32"
-_TIME: Final = "win32_convert_performance_counter" if _WINDOWS else "convert_timespec"
-_EXTENSIONS: Final = ("XR_EXT_hand_tracking", "XR_MND_headless", f"XR_KHR_{_TIME}_time")
+_EXTENSIONS: Final = (
+    "XR_EXT_hand_tracking",
+    "XR_MND_headless",
+    "XR_KHR_win32_convert_performance_counter_time"
+    if sys.platform == "win32"
+    else "XR_KHR_convert_timespec_time",
+)
 _JOINT: Final = np.dtype(
     [("flags", "<u8"), ("turn", "<f4", 4), ("place", "<f4", 3), ("radius", "<f4")]
 )
@@ -166,12 +170,12 @@ class OpenXrInbox(Inbox):
     def _time(self) -> Any:
         """The present, as the runtime counts time."""
         xr = self._xr
-        if not _WINDOWS:
-            now = xr.timespec(*divmod(time.clock_gettime_ns(time.CLOCK_MONOTONIC), 10**9))
-            return xr.convert_timespec_time_to_time_khr(self._instance, now)
-        counter = ctypes.c_longlong()
-        ctypes.windll.kernel32.QueryPerformanceCounter(ctypes.byref(counter))
-        return xr.convert_win32_performance_counter_to_time_khr(self._instance, counter)
+        if sys.platform == "win32":
+            counter = ctypes.c_longlong()
+            ctypes.windll.kernel32.QueryPerformanceCounter(ctypes.byref(counter))
+            return xr.convert_win32_performance_counter_to_time_khr(self._instance, counter)
+        now = xr.timespec(*divmod(time.clock_gettime_ns(time.CLOCK_MONOTONIC), 10**9))
+        return xr.convert_timespec_time_to_time_khr(self._instance, now)
 
     def close(self) -> None:
         """Ends the session with all that belongs to it."""

@@ -1,0 +1,86 @@
+"""The source ``isaac``: a real session of Isaac Teleop, over the OpenXR runtime of the tests."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import headset_apps as app
+import numpy as np
+import pytest
+from live_time import until
+from openxr_runtime import HANDS, NEEDS_COMPILER, POSES, build, choose, joints, loaded
+from tracker_session import started
+
+from smooth_operator.errors import ConfigError, MissingExtraError, SourceError
+from smooth_operator.poses import separation
+from smooth_operator_devices.trackers.isaac_hands import IsaacHands
+
+pytest.importorskip("isaacteleop", reason="isaacteleop is not installed: the extra isaac, on Linux")
+pytestmark = NEEDS_COMPILER
+ALL = 127
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(tmp_path_factory.mktemp("openxr"))
+
+
+@pytest.fixture
+def runtime(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A runtime with the extensions that Isaac Teleop asks for, ready at once, and no hand."""
+    choose(library, monkeypatch)
+    monkeypatch.setenv("ISAAC_TELEOP_DISABLE_CXR_ENV_CHECKS", "1")
+    return loaded(library, ALL, ready=True)
+
+
+def test_a_session_gives_both_hands_in_the_conventions_of_the_project(runtime):
+    with started("isaac:rate=200") as (source, mailbox):
+        until(lambda: "tracks no hand now" in source.health().detail)
+        for side, hand in HANDS.items():
+            runtime.show_hand(hand, 1, joints(side))
+        until(lambda: mailbox.received_of["left"] and mailbox.received_of["right"])
+        for arrival in mailbox.all:
+            frame, pose = arrival.frame, np.asarray(POSES[arrival.frame.side])
+            local = app.landmarks(app.hand(frame.side))
+            points = local @ app.turn(pose[3:]).T + pose[:3]
+            np.testing.assert_allclose(frame.landmarks, points, atol=1e-6)
+            assert (separation(frame.T_world_wrist, pose) < 1e-5).all()
+            assert frame.valid.all()
+            assert frame.world == "isaac"
+        count = mailbox.received
+        for side, hand in HANDS.items():
+            runtime.show_hand(hand, 0, joints(side, 0.01))
+        until(lambda: "tracks no hand now" in source.health().detail)
+        assert mailbox.received == count
+        runtime.show_hand(2, 1, joints("right", 0.02))
+        until(lambda: mailbox.received == count + 1)
+    assert runtime.open_instances() == 0
+
+
+def test_a_joint_without_a_valid_pose_is_not_valid(runtime):
+    flags = [15] * 26
+    flags[10] = 0  # the index tip
+    with started("isaac:side=left") as (_, mailbox):
+        runtime.show_hand(1, 1, joints("left", flags=flags))
+        runtime.show_hand(2, 1, joints("right"))
+        until(lambda: mailbox.received)
+        assert mailbox.all[0].frame.valid.tolist() == [k != 8 for k in range(21)]
+        assert mailbox.received_of["right"] == 0
+
+
+def test_without_its_runtime_the_error_says_what_to_start(monkeypatch):
+    monkeypatch.delenv("NV_CXR_RUNTIME_DIR", raising=False)
+    with pytest.raises(SourceError, match=r"can't start a session.*isaacteleop\.cloudxr\.service"):
+        IsaacHands().connect()
+
+
+def test_a_missing_library_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "isaacteleop.teleop_session_manager", None)
+    with pytest.raises(MissingExtraError, match="'isaac' needs the extra 'isaac'"):
+        IsaacHands().connect()
+
+
+def test_the_rate_is_checked():
+    with pytest.raises(ConfigError, match="rate must be 1 to 1000 Hz, not 0"):
+        IsaacHands(0.0)
