@@ -1,4 +1,4 @@
-"""Reads BVH files: a skeleton of joints, and its angles over time, as body captures write them.
+"""Reads BVH files of body captures: a skeleton of joints and its joint angles over time.
 
 A BVH file has a ``HIERARCHY`` of joints, each with an ``OFFSET`` from its parent and ``CHANNELS``
 (position and rotation, in the order in which the rotations are applied, in degrees), and a
@@ -8,10 +8,10 @@ it, and the files of Noitom's Axis Studio, whose joints may also have positions.
 the offset. The y axis is up.
 
 The hand is found by the names that the makers give to its joints (``_MAKERS``). The landmarks are
-the joints' places by forward kinematics, and the ends of the last bones.
+the positions of the joints, computed by forward kinematics, and the ends of the last bones.
 
-BVH files have no unit. It is found by the length of the hand along its middle finger: a hand of
-12 to 25 cm is possible in one of the units m, cm, mm and inch only.
+BVH files have no unit. It is found by the length of the hand along its middle finger: only one of
+the units m, cm, mm and inch gives a hand of 12 to 25 cm.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 _HAND_M: Final = (0.12, 0.25)
 _MOST_JOINTS: Final = 1000
 _NUMBER_BYTES: Final = 100
-"""Memory for one number of the motion, with what is computed from it [bytes]."""
+"""Memory for one number of the motion and the values that are computed from it [bytes]."""
 _AT_ONCE: Final = 1000  # frames whose rotations are in memory
 
 
@@ -94,17 +94,18 @@ _MAKERS: Final = (
 _CHANNEL: Final = re.compile(r"([XYZ])(position|rotation)", re.IGNORECASE)
 _TURNS: Final = "rotation"
 _AXES: Final = {True: axes("z", "x", "y"), False: axes("-z", "-x", "y")}
-"""World axes of a skeleton that looks along z, with x to its left, and of one that looks back."""
+"""World axes of a skeleton that faces along z, with x to its left, and of one that faces along -z.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class HandJoints:
-    """Places of one hand in a skeleton.
+    """Indices of the joints of one hand in a skeleton.
 
     Attributes:
         landmarks: (21,) indices of the joints.
         metacarpals: (4,) indices of the metacarpal bases, or None.
-        scale: metres in the skeleton's unit.
+        scale: length of the skeleton's unit [m].
         unit: the unit: ``m``, ``cm``, ``mm`` or ``inch``.
     """
 
@@ -116,12 +117,12 @@ class HandJoints:
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Joints and ends of bones of a BVH file, each after its parent.
+    """Skeleton of a BVH file: its joints and the ends of bones, each after its parent.
 
     Attributes:
         names: name of each joint; an end has none.
         parents: index of the parent; -1 for a root.
-        offsets: (J, 3) places in the parent's frame at rest.
+        offsets: (J, 3) positions in the parent's frame at rest.
         channels: axis and kind of each number of a frame, by joint: ``("Xposition", ...)``.
     """
 
@@ -132,7 +133,7 @@ class Skeleton:
 
     @property
     def width(self) -> int:
-        """Number of numbers of a frame."""
+        """Number of values in a frame."""
         return sum(map(len, self.channels))
 
     def with_positions(self, everywhere: bool) -> Skeleton:
@@ -168,7 +169,7 @@ class Skeleton:
         return places, turns, about
 
     def places(self, frames: Float[np.ndarray, "T C"]) -> Float[np.ndarray, "T J 3"]:
-        """Places of all joints and ends, in the file's unit and axes."""
+        """Positions of all joints and ends, in the file's unit and axes."""
         places, turns, about = self._columns
         padded = np.concatenate([frames, np.zeros((len(frames), 1))], axis=1)
         half = np.deg2rad(padded[:, turns]) / 2.0
@@ -191,7 +192,7 @@ class Skeleton:
 
     @cached_property
     def hands(self) -> dict[Side, HandJoints]:
-        """Hands with fingers, by side.
+        """Finds the hands with fingers, by side.
 
         Raises:
             RecordingError: there is no hand with fingers, or a fingertip or the unit is unknown.
@@ -239,7 +240,7 @@ class Skeleton:
         return next(ends, None) if named is None else named
 
     def _unit(self, landmarks: Int[np.ndarray, "21"], side: Side) -> tuple[float, str]:
-        """Metres in the unit of the skeleton, and its name."""
+        """Length of the skeleton's unit [m], and its name."""
         rest = self._rest[landmarks]
         bones = np.linalg.norm(np.diff(rest, axis=0), axis=1)
         last_bones = bones[[3, 7, 11, 15, 19]]
@@ -261,7 +262,7 @@ class Skeleton:
 
     @cached_property
     def _rest(self) -> Float[np.ndarray, "J 3"]:
-        """Places of the joints if nothing is turned."""
+        """Positions of the joints without any rotation."""
         rest = self.offsets.copy()
         for joint, parent in enumerate(self.parents):
             if parent >= 0:
@@ -270,7 +271,9 @@ class Skeleton:
 
     @cached_property
     def _axes(self) -> Float[np.ndarray, "3 3"]:
-        """World axes: whether the person looks along z or back, by the place of the hands."""
+        """World axes, which depend on whether the person faces along z or -z; found from the hands'
+        positions.
+        """
         to_left = sum(
             (self._rest[hand.landmarks[0], 0] - self._rest[0, 0]) * (1 if side == "left" else -1)
             for side, hand in self.hands.items()
@@ -280,7 +283,7 @@ class Skeleton:
     def recordings(
         self, frames: Float[np.ndarray, "T C"], stamps: Float[np.ndarray, " T"], name: str
     ) -> dict[Side, HandRecording]:
-        """Recordings of the hands in some frames, with wrists.
+        """Makes recordings of the hands, with their wrists, from some frames.
 
         Args:
             frames: numbers of each frame, in the order of the channels.
@@ -349,7 +352,7 @@ def read_skeleton(lines: Iterator[str]) -> Skeleton:
 
 
 def read_skeleton_file(path: Path) -> Skeleton:
-    """The skeleton of a BVH file, whatever its motion.
+    """Reads the skeleton of a BVH file and ignores its motion.
 
     Raises:
         RecordingError: the file can't be opened, or it has no skeleton with a hand and fingers.
@@ -381,7 +384,7 @@ def _numbers(words: Sequence[str], what: str) -> list[float]:
 
 
 def read_bvh_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
-    """Both hands of a BVH file, or the only one with fingers.
+    """Reads both hands of a BVH file, or the only one with fingers.
 
     Args:
         rate: frame rate [Hz], for a file without ``Frame Time``.
@@ -421,5 +424,5 @@ def read_bvh_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
 def read_bvh(
     path: Path, rate: float | None, side: Side | None, layout: str | None
 ) -> HandRecording:
-    """A hand of a BVH file; see ``read_recording``."""
+    """Reads a hand from a BVH file; see ``read_recording``."""
     return one_hand(read_bvh_hands(path, rate), side, path)

@@ -1,9 +1,9 @@
 """Reads landmarks from CSV: Project Aria's hand tracking, and plain tables.
 
-Project Aria's ``hand_tracking_results.csv`` has a line for each moment: ``tracking_timestamp_us``;
+Project Aria's ``hand_tracking_results.csv`` has one line per moment: ``tracking_timestamp_us``;
 for each ``SIDE`` (left, right) ``SIDE_tracking_confidence`` (0 to 1; -1 without a hand) and
 ``tx_SIDE_landmark_N_device``, ``ty_...`` and ``tz_...`` [m] of the landmarks N from 0 to 20, in the
-frame of the glasses. Further columns (the wrist, normals) are not read, since the glasses move.
+frame of the glasses. Further columns (the wrist, normals) are not read, because the glasses move.
 Source: "MPS Output - Hand Tracking",
 https://facebookresearch.github.io/projectaria_tools/docs/data_formats/mps/hand_tracking, and
 ``core/mps/HandTrackingReader.cpp`` of https://github.com/facebookresearch/projectaria_tools
@@ -108,7 +108,7 @@ class _Table:
 
 
 def read_landmark_csv_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
-    """Hands of a plain table by side; without a column ``side`` a right hand.
+    """Reads the hands of a plain table by side; without a column ``side``, a right hand.
 
     Args:
         rate: frame rate [Hz], for a table without ``timestamp``.
@@ -122,7 +122,7 @@ def read_landmark_csv_hands(path: Path, rate: float | None) -> dict[Side, HandRe
 def read_landmark_csv(
     path: Path, rate: float | None, side: Side | None, layout: str | None
 ) -> HandRecording:
-    """A hand of a plain table; see ``read_recording``."""
+    """Reads a hand from a plain table; see ``read_recording``."""
     hands = _plain(path, rate, side)
     return one_hand(hands, side, path)
 
@@ -154,7 +154,7 @@ def _plain(path: Path, rate: float | None, asked: Side | None) -> dict[Side, Han
 
 
 def read_aria_hands(path: Path, rate: float | None) -> dict[Side, HandRecording]:
-    """Hands that Project Aria's table contains, by side.
+    """Reads the hands in Project Aria's table, by side.
 
     Raises:
         RecordingError: the table is damaged, lacks a column, or has no hand.
@@ -185,5 +185,5 @@ def _aria_names(side: Side) -> Iterable[str]:
 def read_aria(
     path: Path, rate: float | None, side: Side | None, layout: str | None
 ) -> HandRecording:
-    """A hand of Project Aria's table; see ``read_recording``."""
+    """Reads a hand from Project Aria's table; see ``read_recording``."""
     return one_hand(read_aria_hands(path, rate), side, path)

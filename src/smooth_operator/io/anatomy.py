@@ -1,4 +1,4 @@
-"""Size, order and side of landmarks, judged by their shape.
+"""Checks the size, order and side of landmarks by their shape.
 
 Order: the distances between neighbouring landmarks hardly depend on the pose. Their ratios are
 compared with those of a human hand for every order of the fingers and for the layouts of other
@@ -178,7 +178,7 @@ def keeps_lengths(landmarks: Float[np.ndarray, "T 21 3"]) -> bool:
 
 
 def of_the_other(side: Side) -> Doubt:
-    """The problem that the hand is the other one than the declared ``side``."""
+    """Makes the problem of a hand that is not of the declared ``side``."""
     other: Side = "left" if side == "right" else "right"
     return Doubt(
         f"judging by its shape, this is a {other} hand: fingers and thumb would bend to the "

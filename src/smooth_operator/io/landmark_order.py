@@ -1,4 +1,4 @@
-"""Points of a file or a tracker as landmarks: their order, and a check of shape, side and order."""
+"""Converts the points of a file or tracker to landmarks, and checks their shape, side and order."""
 
 from __future__ import annotations
 
@@ -107,8 +107,8 @@ def doubt(
     *,
     layout: str | None = None,
 ) -> Doubt | None:
-    """Problem with the shape, order or side of points; None if all are right. Arguments are those
-    of ``check_hand``.
+    """Problem with the shape, order or side of points; None if all are right. The arguments are
+    those of ``check_hand``.
 
     Raises:
         UnknownNameError: there is no such layout.
