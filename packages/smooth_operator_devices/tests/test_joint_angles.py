@@ -16,7 +16,7 @@ from smooth_operator.errors import (
     SmoothOperatorError,
     SourceError,
 )
-from smooth_operator.io.anatomy import chirality
+from smooth_operator.io.landmark_order import chirality
 from smooth_operator.landmarks import FINGERS, index
 from smooth_operator.synthetic.hand_anatomy import draw_anatomy
 from smooth_operator.teleop.components import build_source
