@@ -515,7 +515,6 @@ def _line(color: str, style: Any, label: str) -> Any:
     return Line2D([], [], color=color, linestyle=style, linewidth=1.3, label=label)
 
 
-def shortened(text: str, length: int = 22) -> str:
-    """A text of at most a number of characters, with both ends, which distinguish recordings."""
-    half = length // 2
-    return text if len(text) <= length else f"{text[: half - 1]}…{text[-half:]}"
+def shortened(text: str) -> str:
+    """A text of at most 22 characters, with both ends, which distinguish recordings."""
+    return text if len(text) <= 22 else f"{text[:10]}…{text[-11:]}"

@@ -105,9 +105,9 @@ class Line:
     of: int = 1
 
 
-def lines_of(rows: Iterable[Row], metrics: Sequence[Metric] | None = None) -> list[Line]:
-    """Returns one line for each row of one recording and one hand. Default metrics: ``numbers``."""
-    metrics = numbers() if metrics is None else metrics
+def lines_of(rows: Iterable[Row]) -> list[Line]:
+    """Returns one line for each row of one recording and one hand, with all ``numbers``."""
+    metrics = numbers()
     return [
         Line(
             row_method(row),

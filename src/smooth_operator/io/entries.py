@@ -89,11 +89,9 @@ class Entries:
                 return option
         raise self.error(name, f"expected {' or '.join(map(repr, options))}, not {brief(value)}")
 
-    def texts(
-        self, name: str, default: Sequence[str] | None = None, *, what: str = "a list of strings"
-    ) -> list[str]:
+    def texts(self, name: str, *, what: str = "a list of strings") -> list[str]:
         """Returns a list of strings; messages call it ``what``."""
-        value = self._get(name, default, what)
+        value = self._get(name, None, what)
         if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
             raise self.error(name, f"expected {what}, not {brief(value)}")
         return list(value)

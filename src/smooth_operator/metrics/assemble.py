@@ -29,7 +29,6 @@ def assemble_trace(
     alignment: AlignmentConfig | None = None,
     *,
     reach_samples: int = REACH_SAMPLES,
-    seed: int = 0,
 ) -> Trace:
     """Transforms both hands to the robot's palm frame.
 
@@ -40,7 +39,6 @@ def assemble_trace(
         alignment: the alignment of the method, so that the human hand is measured as the method
             used it; None for the default, which estimates a scale in each frame.
         reach_samples: number of random poses for workspace utilisation; 0 skips this metric.
-        seed: seed of those poses.
 
     Returns:
         The trace, with all inputs of ``evaluate``. ``penetration`` is None if the hand's model has
@@ -76,7 +74,7 @@ def assemble_trace(
         stamps=commands.stamps,
         status=commands.status,
         latency_ms=commands.latency_ms,
-        reach=sample_reach(hand, reach_samples, seed) if reach_samples else None,
+        reach=sample_reach(hand, reach_samples) if reach_samples else None,
         penetration=penetration_depths(hand, q),
         robot_landmarks=landmarks,
         palm_landmarks=hand.align_indices,

@@ -101,21 +101,19 @@ def lag(
     human: Float[np.ndarray, "T F 3"],
     robot: Float[np.ndarray, "T F 3"],
     stamps: Float[np.ndarray, " T"],
-    max_frames: int = MAX_LAG_FRAMES,
 ) -> tuple[float | None, float | None]:
     """Returns the delay that best aligns human and robot fingertip velocities, and their
     correlation at that delay.
 
-    The velocity correlation is taken at each whole delay from 0 to ``max_frames``; a parabola
+    The velocity correlation is taken at each whole delay from 0 to ``MAX_LAG_FRAMES``; a parabola
     through the best one and its neighbours refines it, except at either end: a result of exactly
-    ``max_frames`` means "that or more". Frames are turned into time by the median frame duration,
-    so drop-outs blur it.
+    ``MAX_LAG_FRAMES`` means "that or more". Frames are turned into time by the median frame
+    duration, so drop-outs blur it.
 
     Args:
         human: (T, F, 3) human wrist to tip vectors [m], NaN where unknown.
         robot: (T, F, 3) robot wrist to tip vectors [m].
         stamps: (T,) times [s].
-        max_frames: longest delay that is tried [frames].
 
     Returns:
         The lag [ms], down, and the Pearson correlation at the best whole delay, towards 1; both
@@ -123,13 +121,13 @@ def lag(
     """
     vh, vr = np.diff(human, axis=0), np.diff(robot, axis=0)
     steps = len(vh)
-    delays = range(min(max_frames, steps - MIN_LAG_OVERLAP) + 1)
+    delays = range(min(MAX_LAG_FRAMES, steps - MIN_LAG_OVERLAP) + 1)
     c = np.array([_correlation(vh[: steps - d], vr[d:]) for d in delays])
     if not np.isfinite(c).any():
         return None, None
     k = int(np.nanargmax(c))
     frames = float(k)
-    if 0 < k < max_frames and k + 1 < len(c):
+    if 0 < k < MAX_LAG_FRAMES and k + 1 < len(c):
         bend = c[k - 1] - 2 * c[k] + c[k + 1]
         if bend < 0:  # False for NaN neighbours and for a plateau
             frames += 0.5 * (c[k - 1] - c[k + 1]) / bend

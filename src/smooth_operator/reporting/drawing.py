@@ -98,21 +98,18 @@ def series(name: str, label: str = "") -> str:
 def name_points(
     ax: Axes,
     points: Mapping[str, tuple[float, float]],
-    avoid: Iterable[tuple[float, float]] = (),
     size: float = 9.0,
 ) -> None:
     """Write a name next to each point, in free space; limits and layout must be final.
 
     Args:
         points: name -> x and y of the data.
-        avoid: other points that names must not cover.
         size: size of the letters [points].
     """
     line, letter, aside = 1.22 * size, 0.62 * size, 0.8 * size
     scale = 72.0 / ax.figure.dpi
     places = {name: scale * ax.transData.transform(point) for name, point in points.items()}
     covered = [(x - 4.0, y - 4.0, 8.0, 8.0) for x, y in places.values()]
-    covered += [(x - 3.0, y - 3.0, 6.0, 6.0) for x, y in scale * _pixels(ax, avoid)]
     (x0, y0), (x1, y1) = scale * ax.bbox.get_points()
     shifts = [sign * 0.25 * line * k for k in range(29) for sign in (1, -1)]
     for name, (x, y) in sorted(places.items(), key=lambda item: -item[1][1]):
@@ -139,10 +136,6 @@ def name_points(
             xytext=(box[0] - x, box[1] + 0.2 * size - y),
             arrowprops={"arrowstyle": "-", "color": GRID, "linewidth": 0.5} if far else None,
         )
-
-
-def _pixels(ax: Axes, points: Iterable[tuple[float, float]]) -> np.ndarray:
-    return np.asarray(ax.transData.transform(np.reshape(list(points), (-1, 2))))
 
 
 def _meet(one: tuple[float, ...], other: tuple[float, ...]) -> bool:

@@ -79,12 +79,10 @@ def table(
     return element("div", element("table", Html(inside), class_=class_), class_="scroll")
 
 
-def text_table(
-    headers: Iterable[object], rows: Iterable[Sequence[object]], class_: str = ""
-) -> Html:
+def text_table(headers: Iterable[object], rows: Iterable[Sequence[object]]) -> Html:
     """A table of plain text; the first column names its rows."""
     body = ([name_cell(row[0]), *map(escape, row[1:])] for row in rows)
-    return table([escape(header) for header in headers], body, class_)
+    return table([escape(header) for header in headers], body)
 
 
 def dot(color: str) -> Html:
@@ -114,10 +112,9 @@ def figure(svg: str, caption: str, label: str) -> Html:
     return element("figure", Html(f"{picture}{element('figcaption', escape(caption))}"))
 
 
-def details(title: str, content: Html, *, opened: bool = False, class_: str = "") -> Html:
-    """An element that can be folded."""
-    state = (f' class="{escape(class_)}"' if class_ else "") + (" open" if opened else "")
-    return Html(f"<details{state}><summary>{escape(title)}</summary>{content}</details>")
+def details(title: str, content: Html) -> Html:
+    """An element that can be unfolded."""
+    return Html(f"<details><summary>{escape(title)}</summary>{content}</details>")
 
 
 _HOME: Final = files("smooth_operator.reporting")

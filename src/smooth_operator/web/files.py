@@ -30,11 +30,11 @@ _BARE: Final = "default-src 'none'; frame-ancestors 'none'"
 """Policy of a response that is not a page: it loads nothing, and no page frames it."""
 
 
-def page_files(package: str, folder: str = "page") -> dict[str, tuple[bytes, str]]:
+def page_files(package: str) -> dict[str, tuple[bytes, str]]:
     """Returns path -> (content, type) of all files of a page."""
     return {
         f"/{file.name}": (file.read_bytes(), _TYPES[suffix])
-        for file in (resources.files(package) / folder).iterdir()
+        for file in (resources.files(package) / "page").iterdir()
         if (suffix := PurePath(file.name).suffix) in _TYPES
     }
 

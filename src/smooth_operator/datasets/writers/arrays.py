@@ -250,10 +250,10 @@ def clip_key(clip: RobotClip) -> str:
     return digest.hexdigest()
 
 
-def slug(text: str, longest: int = 60) -> str:
+def slug(text: str) -> str:
     """Converts a text to ASCII letters, digits and ``_``, for file names on every system."""
     plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
-    return re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_")[:longest].strip("_") or "clip"
+    return re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_")[:60].strip("_") or "clip"
 
 
 def unique_slug(name: str, key: str) -> str:

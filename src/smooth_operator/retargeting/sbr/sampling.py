@@ -215,7 +215,7 @@ def sample_minimise(
         mean, *_ = lax.fori_loop(0, count - 1, cycle_in_kernel, (mean, chol, cycle_keys[0]))
     else:
         mean, _ = lax.fori_loop(
-            0, count - 1, lambda i, carry: cycle(*carry, cycle_keys[i]), (mean, chol)
+            0, count - 1, lambda i, carry: cycle(carry[0], carry[1], cycle_keys[i]), (mean, chol)
         )
     # Line 14: clip to the joint limits
     return jnp.clip(mean, low, high)

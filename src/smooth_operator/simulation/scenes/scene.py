@@ -100,9 +100,7 @@ def reachable(hand: Hand) -> Float[np.ndarray, "s f 3"]:
     return np.asarray(tips @ hand_directions(hand).T)
 
 
-def opposition(
-    hand: Hand, finger: str, gap: float, *, tolerance: float = 0.006
-) -> Float[np.ndarray, "k 3"]:
+def opposition(hand: Hand, finger: str, gap: float) -> Float[np.ndarray, "k 3"]:
     """Returns (k, 3) midpoints between the tips of thumb and finger in poses where they are ``gap``
     apart.
 
@@ -113,7 +111,7 @@ def opposition(
     """
     tips = reachable(hand)
     thumb, other = tips[:, 0], tips[:, hand.fingers.index(finger)]
-    near = np.abs(np.linalg.norm(other - thumb, axis=1) - gap) < tolerance
+    near = np.abs(np.linalg.norm(other - thumb, axis=1) - gap) < 0.006
     if near.sum() < 20:
         raise HandModelError(
             f"hand {hand.name!r}: thumb and {finger} can't grasp an object {1e3 * gap:.0f} "
@@ -208,7 +206,6 @@ def add_shape(
     friction: tuple[float, float],
     color: tuple[float, float, float, float],
     at: Sequence[float] = (0.0, 0.0, 0.0),
-    turn: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
     priority: int = 1,
 ) -> None:
     """Add a shape that collides with everything.
@@ -227,7 +224,6 @@ def add_shape(
         type=kind,
         size=[*size, *[0.0] * (3 - len(size))],
         pos=at,
-        quat=turn,
         mass=mass,
         friction=(*friction, 1e-4),
         condim=4,

@@ -344,7 +344,6 @@ class ArmController:
         config: settings of the controller.
         table: height of the table in the base frame [m]; None without a table.
         wall: y of a wall in the base frame that the arm does not cross [m]; None without a wall.
-        home: (4, 4) wrist pose at the start in the base frame; by default that of the arm.
 
     Attributes:
         limiter: limiter with the last command.
@@ -361,7 +360,6 @@ class ArmController:
         *,
         table: float | None = 0.0,
         wall: float | None = None,
-        home: Matrix | None = None,
     ) -> None:
         self.arm, self.mount = arm, mount
         self.config = ArmControlConfig() if config is None else config
@@ -385,9 +383,8 @@ class ArmController:
         self.limiter = self._limiter(nominal)
         self._before: Matrix | None = None
         self._twist = np.zeros(6)
-        if home is None:  # fingers forward and down, the back of the hand up
-            half = arm.pitch / 2.0
-            home = matrix_of(np.array([*arm.home, np.cos(half), 0.0, np.sin(half), 0.0]))
+        half = arm.pitch / 2.0  # fingers forward and down, the back of the hand up
+        home = matrix_of(np.array([*arm.home, np.cos(half), 0.0, np.sin(half), 0.0]))
         self.home = self._go_home(home)
 
     @property
