@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import capture_files as capture
+import fuzzing
 import numpy as np
 import pytest
 
 from smooth_operator import read_recording
-from smooth_operator.errors import RecordingError
+from smooth_operator.errors import RecordingError, SmoothOperatorError
 from smooth_operator.formats.clip import ReadingOptions
 from smooth_operator.formats.registry import BVH, recognise
 from smooth_operator.poses import wrist_from_landmarks
@@ -172,3 +173,19 @@ def test_without_a_frame_time_the_rate_must_be_given(tmp_path):
     with pytest.raises(RecordingError, match="--rate"):
         read_recording(path, side="right")
     assert read_recording(path, side="right", rate=50.0).rate_hz == pytest.approx(50.0)
+
+
+def test_damaged_files_raise_only_errors_of_this_program(tmp_path):
+    frames = capture.numbers(TREE, TURNS, "YXZ", MOVED, False)[:3]
+    path, refused = tmp_path / "take.bvh", []
+
+    def use(data: bytes) -> None:
+        path.write_bytes(data)
+        try:
+            read_recording(path, side="right")
+        except SmoothOperatorError as error:
+            refused.append(str(error))
+
+    with np.errstate(all="ignore"):
+        fuzzing.each(fuzzing.damaged_bytes(capture.bvh(TREE, frames).encode()), 150, use)
+    assert len(refused) > 30
