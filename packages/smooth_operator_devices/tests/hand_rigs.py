@@ -7,7 +7,7 @@ import os
 import sys
 import time
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -222,17 +222,26 @@ class Simulated(Rig):
         self.hand, self.sent = hand, []
         hand.faults = SimulatedFaults(self.wrong)
         self._looks: list[Callable[[np.ndarray, np.ndarray], None]] = []
+        self.watch(hand)
+
+    def watch(self, hand: Any) -> None:
+        """Take note of every target."""
         move = hand.motors.move
 
         def moved(targets: Any, motors: Any = None) -> None:
-            row, targets = np.full(len(hand.motors), np.nan), list(targets)
-            row[range(len(row)) if motors is None else list(motors)] = targets
-            for look in self._looks:
-                look(row, hand.motors.positions)
-            self.sent.append(row)
+            targets = list(targets)
+            self.take(range(len(hand.motors)) if motors is None else list(motors), targets)
             move(targets, motors)
 
         self.monkeypatch.setattr(hand.motors, "move", moved)
+
+    def take(self, motors: Sequence[int], targets: Sequence[float]) -> None:
+        """Take note of targets of motors; NaN for the others."""
+        row = np.full(len(self.hand.motors), np.nan)
+        row[motors] = targets
+        for look in self._looks:
+            look(row, self.positions())
+        self.sent.append(row)
 
     def positions(self) -> np.ndarray:
         return self.hand.motors.positions
@@ -250,7 +259,8 @@ class Simulated(Rig):
 
     def slow(self) -> None:
         looks, motors = itertools.count(1), self.hand.motors
-        motors._clock, motors._time = lambda: 1e-3 * next(looks), 0.0
+        seconds = 0.4 / motors.speed.max()  # less than half a unit from look to look
+        motors._clock, motors._time = lambda: seconds * next(looks), 0.0
 
     def watch_targets(self, look: Callable[[np.ndarray, np.ndarray], None]) -> None:
         self._looks.append(look)
@@ -306,6 +316,72 @@ class LinkerO6(Linker):
 
 class LinkerL21(Linker):
     model, name, stand_in = "l21", "L21", "tesollo_dg5f"
+
+
+class Feetech(Simulated):
+    driver, library, wrong, prefix = "feetech", "serial", "checksum", False
+    model, goal, unit_name, stand_in = "sts3215", 2048, "step", "leap_hand"
+
+    def start(self) -> None:
+        from simulators.common import SerialLine
+        from simulators.feetech_bus import FeetechBus
+
+        joints = load_hand(self.stand_in, side="right").actuated_names
+        self.simulate(FeetechBus({k + 1: self.model for k in range(len(joints))}))
+        self.line = SerialLine(self.hand)
+        table = self.folder / "feetech.toml"
+        table.write_text(
+            f'format = 1\ndriver = "feetech"\nhand = "{self.stand_in}"\nside = "right"\n'
+            f'unit = "{self.unit_name}"\nlimit = 60.0\n'
+            + "".join(
+                f'[[actuators]]\nname = "{joint}"\nid = {k + 1}\njoint = "{joint}"\n'
+                f"zero = {self.goal}\nsign = {1 - 2 * (k % 2)}\n"
+                f"ends = [{self.goal // 2}, {self.goal + self.goal // 2}]\n"
+                for k, joint in enumerate(joints)
+            )
+        )
+        self.sink = f"feetech:{self.line.port},table={table}"
+
+    def watch(self, hand: Any) -> None:
+        """Take note of every goal; switching the torque also sets targets of the motors."""
+        for servo in hand.servos.values():
+            self._watch_servo(servo, servo._go)
+
+    def _watch_servo(self, servo: Any, go: Callable[[int], None]) -> None:
+        def gone(goal: int) -> None:
+            self.take([servo.number], [goal])
+            go(goal)
+
+        self.monkeypatch.setattr(servo, "_go", gone)
+
+    def patience(self, seconds: float) -> None:
+        module = "smooth_operator_devices.hands.drivers.servo_bank"
+        self.monkeypatch.setattr(f"{module}._SLOW_ANSWER_MS", 1e3 * seconds)
+
+    def powered(self) -> bool:
+        return bool(self.hand.motors.powered.any())
+
+    def limits(self) -> list[float]:
+        return [servo.word(48) for servo in self.hand.servos.values()]
+
+    def restart(self) -> None:
+        self.hand.reboot()
+
+    def lose(self) -> None:
+        self.line.unplug()
+
+    def back(self) -> None:
+        self.line.plug()
+
+    def close(self) -> None:
+        self.line.close()
+
+
+class FeetechScs(Feetech):
+    model, goal, unit_name, stand_in = "scs0009", 511, "scs_step", "inspire_hand"
+
+    def limits(self) -> list[float]:
+        return []
 
 
 class Allegro(Rig):
@@ -499,13 +575,18 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "allegro-v4": AllegroV4,
     "ability": Ability,
     "leap": Leap,
+    "feetech-sts": Feetech,
+    "feetech-scs": FeetechScs,
     "wuji": Wuji,
     "revo2": Revo2,
     "revo2-sdk": Revo2Real,
 }
 """Name -> a driver with its simulator."""
 
-ON_A_PTY: Final = ("inspire-rtu", "ability", "leap", "revo2-sdk")
+ON_A_PTY: Final = (
+    *("inspire-rtu", "ability", "leap", "revo2-sdk"),
+    *("feetech-sts", "feetech-scs"),
+)
 
 
 def missing(name: str) -> str:

@@ -321,7 +321,7 @@ def test_a_stop_while_an_inspire_hand_has_no_angles(rig, monkeypatch, words):
 
 WITH_LIMITS = (
     *("inspire", "inspire-rtu", "linker-l20", "linker-l10", "linker-o6", "linker-l21"),
-    *("leap", "wuji", "revo2", "revo2-sdk"),
+    *("leap", "feetech-sts", "wuji", "revo2", "revo2-sdk"),
 )
 """Hands in which the driver sets what a restart loses."""
 
@@ -428,7 +428,9 @@ def test_nothing_on_the_wire_is_one_sentence(rig):
     assert "\n" not in text
 
 
-@pytest.mark.parametrize("rig", ["inspire", "allegro-v5", "ability", "leap"], indirect=True)
+@pytest.mark.parametrize(
+    "rig", ["inspire", "allegro-v5", "ability", "leap", "feetech-sts", "feetech-scs"], indirect=True
+)
 def test_a_blocked_motor_squeezes_no_further(rig):
     with Driven(rig) as driven:
         before = driven.ask(0.5)

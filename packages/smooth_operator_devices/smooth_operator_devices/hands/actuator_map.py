@@ -345,8 +345,10 @@ UNITS: Final[Mapping[str, float]] = {
     "rad": 1.0,
     "deg": 180.0 / math.pi,
     "step": 4096.0 / (2 * math.pi),
+    "scs_step": 1024.0 / math.radians(300.0),
 }
-"""Unit of commands that are angles -> its number in a radian. ``step``: 4096 to a turn."""
+"""Unit of commands that are angles -> its number in a radian. ``step``: 4096 to a turn;
+``scs_step``: 1024 to 300 degrees, as Feetech's SCS0009."""
 
 _TOP: Final = ("format", *(each.name for each in fields(ActuatorMap) if each.name != "file"))
 _EACH: Final = ("joint", "zero", "sign", *(each.name for each in fields(Actuator)))

@@ -212,7 +212,7 @@ class DynamixelHand(ServoBank):
         if register == TEMPERATURE:
             self._temperatures = np.array(values, float)
             return
-        self._reported = self._errors(values, ERRORS, "switch its power off and on")
+        self._reported = self._errors(values, ERRORS, "; switch its power off and on")
 
     def _refuse_struck(self, watchdogs: Sequence[int]) -> None:
         if _STRUCK in watchdogs:

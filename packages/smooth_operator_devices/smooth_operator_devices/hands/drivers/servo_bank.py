@@ -87,15 +87,18 @@ class ServoBus(ABC):
     def _model(self, number: int) -> int | None:
         """Model number of a servo; None if it does not answer."""
 
-    def _find(self, models: Container[int | None], expected: str) -> None:
+    def _find(self, models: Container[int], expected: str) -> list[int]:
         """Check that every servo answers, and is of one of these models.
+
+        Returns:
+            the model number of each.
 
         Raises:
             SinkError: servos do not answer, or are of another model.
         """
         named = [f"{n} ({name})" for n, name in zip(self.ids, self.names, strict=True)]
-        found = [self._model(number) for number in self.ids]
-        silent = [servo for servo, model in zip(named, found, strict=True) if model is None]
+        answers = [self._model(number) for number in self.ids]
+        silent = [servo for servo, model in zip(named, answers, strict=True) if model is None]
         if silent:
             who = (
                 f"no answer from the servos {', '.join(silent)}"
@@ -105,12 +108,14 @@ class ServoBus(ABC):
             raise SinkError(
                 f"{self.port}: {who} at {self.baud} baud; check power, cable, baud rate and ids"
             )
+        found = [model for model in answers if model is not None]
         for servo, model in zip(named, found, strict=True):
             if model not in models:  # an address may have another meaning there
                 raise SinkError(
                     f"{self.port}: the servo {servo} is of model number {model}, which has a "
                     f"different control table; expected {expected}"
                 )
+        return found
 
 
 @dataclass(frozen=True)
@@ -178,11 +183,13 @@ class ServoBank(HandDevice):
         """Write limits, torque and goals [steps], and check the torque. A servo that has restarted
         has no limit."""
 
-    def _errors(self, values: Sequence[int], bits: Mapping[int, str], advice: str) -> Any:
+    def _errors(
+        self, values: Sequence[int], bits: Mapping[int, str], advice: str = ""
+    ) -> tuple[str, ...]:
         """Words for the bits of each servo's error."""
         errors = []
         for name, value in zip(self._table.names, values, strict=True):
             if value:
                 words = ", ".join(text for bit, text in bits.items() if value & bit)
-                errors.append(f"{name}: {words or f'error 0x{value:02x}'}; {advice}")
+                errors.append(f"{name}: {words or f'error 0x{value:02x}'}{advice}")
         return tuple(errors)
