@@ -12,7 +12,6 @@ of a finger towards the thumb, flexion of the thumb's CMC towards the little fin
 abduction away from the palm; all are 0 in a flat hand. A DIP that a message does not name is 2/3 of
 its PIP, any other angle is 0. ``null`` and NaN mean that the glove does not know an angle.
 ``wrist`` and ``world`` are as in the messages of the source ``udp``. The form is the project's own.
-
 The landmarks follow from the angles by the hand of the built-in operator, ``size`` long.
 """
 
@@ -150,8 +149,7 @@ def _hands(data: bytes) -> list[Mapping[str, Any]]:
     hands = message.get("hands", [message]) if isinstance(message, dict) else None
     if not isinstance(hands, list) or not all(isinstance(hand, dict) for hand in hands):
         raise RecordingError("the message must be an object with 'angles', or with 'hands', a list")
-    shared = {key: message[key] for key in _SHARED if key in message}
-    return [{**shared, **hand} for hand in hands]
+    return [{**{key: message[key] for key in _SHARED if key in message}, **hand} for hand in hands]
 
 
 def read_hand(
@@ -162,10 +160,8 @@ def read_hand(
     Raises:
         RecordingError: an angle has no known name, is no number, or is no angle in this unit.
     """
-    angles = _angles(message.get("angles"), unit)
-    stamp = read_stamp(message)
-    of_side = read_side(message.get("side"), side)
-    poses = pose_hand(anatomy, angles[None])
+    stamp, of_side = read_stamp(message), read_side(message.get("side"), side)
+    poses = pose_hand(anatomy, _angles(message.get("angles"), unit)[None])
     if of_side == "left":
         poses = mirror(poses)
     frame = hand_frame(
