@@ -1053,7 +1053,7 @@ def test_another_hand_while_it_runs(monkeypatch, tmp_path):
         assert "leap_hand" in first.look(text=True)["controls"]["hands"]
         first.do("hand", "no_such_hand")
         controls = first.look(text=True)["controls"]
-        assert "can't go on with the hand 'no_such_hand'" in controls["message"]
+        assert "can't continue with the hand 'no_such_hand'" in controls["message"]
         assert len(sessions) == 1
         first.do("hand", "leap_hand")
         changing = first.look(text=True)  # nothing reads as ended or closed

@@ -1,6 +1,7 @@
-"""Sources and sinks by name, with settings as text: ``replay:glove.npz,speed=2``.
+"""Creates sources and sinks from texts such as ``replay:glove.npz,speed=2``.
 
-They are frozen dataclasses of settings in separate modules; a registry maps names to them.
+Sources and sinks are frozen dataclasses of settings in separate modules; a registry maps names to
+them.
 """
 
 from __future__ import annotations
@@ -183,12 +184,13 @@ _DEVICE_SINKS: Final = {
     "wuji": ("a Wuji Hand", "wuji"),
     "revo2": ("a BrainCo Revo2", "revo2"),
 }
-"""Sources and sinks of the distribution of devices: name -> (summary, extra or ``""``). An entry
-point has no summary, and is known only if the distribution is installed."""
+"""Sources and sinks of the devices distribution: name -> (summary, extra or ``""``). They are
+listed here because an entry point has no summary and is known only if the distribution is
+installed."""
 
 
 def devices_command(extra: str = "") -> str:
-    """Command that installs the distribution of devices with an extra, in a clone."""
+    """Command that installs the devices distribution, with an extra, from a clone."""
     folder = "./packages/smooth_operator_devices"
     return 'python -m pip install ".[teleop]" ' + (f'"{folder}[{extra}]"' if extra else folder)
 

@@ -1,4 +1,4 @@
-"""The joints of a hand as rows of a table: limits, neutral position, coupling in words."""
+"""Rows for a table of a hand's joints: limits, neutral position, and coupling as text."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from smooth_operator.hands.hand import Hand
 
 @dataclass(frozen=True)
 class JointRow:
-    """A joint, for a table or a slider.
+    """Data of one joint, for a table or a slider.
 
     Attributes:
         name: name in the model.
         low: lower limit [rad, or m for a slide].
-        high: upper limit. That of an actuated joint keeps its coupled joints within theirs.
+        high: upper limit, reduced for an actuated joint so that coupled joints stay in range.
         neutral: position in the neutral pose.
         actuated: True if the joint is commanded.
         follows: coupling of a joint that follows another: ``1.06 index_1 - 0.05``.

@@ -1,4 +1,4 @@
-"""Request of a teleoperation. The command parses it, and ``teleoperate`` takes it."""
+"""Settings of a teleoperation run, which the command line parses and ``teleoperate`` takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``teleoperate``: from a live source to sinks, until the source, the time or the user ends it."""
+"""``teleoperate``: runs a teleoperation from a live source to sinks."""
 
 from __future__ import annotations
 
@@ -61,10 +61,10 @@ if TYPE_CHECKING:
     from smooth_operator.teleop.pages.live.live_page import LivePage
 
 COMPILES: Final = "compile"
-"""Name of the thread that compiles while the loop runs; a command does not wait for its end."""
+"""Name of the thread that compiles while the loop runs; the program does not wait for its end."""
 
 _ANNOUNCE_S: Final = 5.0
-"""Time in which a source must know its address [s]."""
+"""Time within which a source must know its address [s]."""
 
 
 def teleoperate(
@@ -106,7 +106,7 @@ def teleoperate(
             is its mirror image.
         stop: function that returns True while an emergency stop is pressed, in place of the
             request's.
-        page: address and look of the live page; None for no page.
+        page: address and appearance of the live page; None for no page.
         keys: True to listen to the keyboard of a terminal: stop, release, pause, quit.
         reporter: shows lines to a person; None for the logger ``smooth_operator.teleop``.
         started: called with the running loop once everything is open, on the loop's thread, so
@@ -157,7 +157,7 @@ def teleoperate(
 
 @dataclass
 class _Run:
-    """A teleoperation with its parts, which can go on with another hand."""
+    """A teleoperation run with its parts; it can continue with another hand."""
 
     teleop: TeleopRequest
     request: RetargetRequest
@@ -195,7 +195,7 @@ class _Run:
         self.source.prepare()
 
     def _resolve(self, request: RetargetRequest) -> dict[Side, tuple[Hand, MethodConfig]]:
-        """Hands of a request and settings of their methods, which fit the limits."""
+        """Hands of a request and the settings of their methods, checked against the limits."""
         hands = {side: resolve(request, side) for side in self.sides}
         for hand, _ in hands.values():
             Limiter(hand, self.config.limits)
@@ -216,7 +216,7 @@ class _Run:
 
     @property
     def other_hands(self) -> list[str]:
-        """Names of the hands with which the run can go on; empty if its hand is fixed."""
+        """Names of the hands with which the run can continue; empty if its hand is fixed."""
         real = any(sink.moves_real_hand for sink in self.sinks)
         fixed = real or self.teleop.task is not None or self.teleop.blind
         if fixed or not isinstance(self.request.hand, str):
@@ -227,7 +227,7 @@ class _Run:
         """End this loop, and let the next one drive another hand by the same method."""
         if name not in self.other_hands:
             raise ConfigError(
-                f"this run can't go on with the hand {name!r}; choose one that its page offers"
+                f"this run can't continue with the hand {name!r}; choose one that its page offers"
             )
         used = switcher.used
         request = replace(
@@ -377,7 +377,7 @@ class _Run:
         return retargeters
 
     def _compile(self) -> None:
-        """Compile the run's method and the others, which this process then keeps."""
+        """Compile the run's method and the further ones; this process then keeps them."""
         for side, (hand, own) in self.hands.items():
             configs = [(self.request.method, own)]
             configs += [(each.method, resolve_config(each, hand)) for each in self.others]
@@ -392,7 +392,7 @@ def _operator(path: Path | None, side: Side) -> OperatorProfile | None:
     if path is None:
         return None
     if not path.parent.is_dir():
-        raise ConfigError(f"{path}: there is no folder {path.parent}; make it, or name another")
+        raise ConfigError(f"{path}: there is no folder {path.parent}; create it or name another")
     return read_operator(path) if path.exists() else OperatorProfile(side)
 
 
@@ -409,7 +409,7 @@ def _with_method(request: RetargetRequest, text: str) -> RetargetRequest:
 def _compiling(
     retargeters: Mapping[Side, Retargeter], loop: TeleopLoop, reporter: Reporter
 ) -> Iterator[None]:
-    """Compiles methods while the block runs; a hand moves as soon as its method is compiled."""
+    """Compiles methods while the block runs; each hand moves once its method is compiled."""
     waiting = {side: each for side, each in retargeters.items() if not each.compiled}
     errors: list[Exception] = []
 
@@ -438,7 +438,7 @@ def _compiling(
 
 @contextlib.contextmanager
 def _announced(source: LiveSource, reporter: Reporter) -> Iterator[None]:
-    """Reports the address and the code with which the operator connects."""
+    """Reports the address and the code that the operator needs to connect."""
     over = threading.Event()
 
     def tell() -> None:
@@ -462,20 +462,20 @@ def _announced(source: LiveSource, reporter: Reporter) -> Iterator[None]:
 def _remote(
     loop: TeleopLoop, address: str | None, handlers: RpcHandlers, reporter: Reporter
 ) -> Iterator[None]:
-    """Listens for commands of other programs, if there is an address."""
+    """Listens for commands of other programs, if an address is given."""
     if address is None:
         yield
         return
     from smooth_operator.teleop.control.rpc import remote
 
     with remote(loop, address, handlers.by_command, handlers.status) as bound:
-        reporter.note(f"switches at {bound}")
+        reporter.note(f"listening for commands at {bound}")
         yield
 
 
 @dataclass(frozen=True)
 class PageSettings:
-    """Address and look of the live page. Needs the extra ``teleop``.
+    """Address and appearance of the live page. Needs the ``teleop`` extra.
 
     Attributes:
         host: address on which to listen. Other machines need a token in the page's address.

@@ -1,1 +1,1 @@
-"""Arms that follow the operator's wrist and carry the hand; needs the extra ``arm``."""
+"""Robot arms that carry the hand and follow the operator's wrist; needs the ``arm`` extra."""

@@ -37,17 +37,18 @@ from smooth_operator.teleop.sinks.tick import ArmCommand
 from smooth_operator.types import Side
 
 _POSES: Final = 400
-"""Number of random poses that determine which parts can meet."""
+"""Number of random poses used to determine which parts can come near each other."""
 
 _ROWS: Final = 16
 """Number of nearest pairs that limit a step; each one costs time."""
 
 _BRAKING: Final = 0.3
 """Fraction of the joints' effect on a distance that may be used to stop before the smallest
-distance."""
+allowed distance."""
 
 _FATTER: Final = 0.04
-"""Width by which a capsule exceeds the two links that it covers [m]."""
+"""Overlap of two capsules up to which links with one link between them count as apart [m]; the
+capsules are fatter than the links."""
 
 _LEEWAY: Final = 0.02
 """Fraction of a step's effect on a distance that is reserved for other distances."""
@@ -85,14 +86,14 @@ class ClearanceConfig:
 
 
 class Clearance(mink.CollisionAvoidanceLimit):
-    """Velocity limits that keep parts of arm and hand apart, and away from table and wall.
+    """Velocity limits that keep parts of arm and hand away from each other, the table and the wall.
 
-    mink gives the near pairs, their distances and derivatives. This class adds the distance that
-    each pair keeps, and limits speeds so that the joints can still stop.
+    mink computes the near pairs, their distances and derivatives. This class adds the distance that
+    each pair must keep, and limits speeds so that the joints can still stop.
 
     Args:
         arm: the arm; its base frame is the world.
-        model: model by ``_arm_model``.
+        model: model from ``_arm_model``.
         fingers: (g,) mask of the model's geoms that the hand's joints move.
         config: the distances.
 
@@ -264,8 +265,8 @@ _SMOOTHING_S: Final = 0.03
 """Time constant of the estimate of the target's velocity [s]."""
 
 _JUMP: Final = 3.0
-"""Velocity above which a target counts as having jumped [m/s]; three times this for rotations
-[rad/s]."""
+"""Velocity above which a target counts as having jumped [m/s]; for rotations, three times this
+number [rad/s]."""
 
 _HOME_STEPS: Final = 1000
 _HOME_STEP_S: Final = 0.01
@@ -340,7 +341,7 @@ class ArmController:
 
     Args:
         arm: the arm.
-        mount: the hand on its flange.
+        mount: the hand on the arm's flange.
         config: settings of the controller.
         table: height of the table in the base frame [m]; None without a table.
         wall: y of a wall in the base frame that the arm does not cross [m]; None without a wall.
@@ -503,8 +504,8 @@ class ArmController:
     def _governed(self, now: Matrix, goal: Matrix, dt: float) -> Float[np.ndarray, "6"]:
         """Motion of this step: translation [m] and rotation vector [rad], in the base frame.
 
-        It is the target's own motion, plus a part of the distance to the target after which the
-        wrist can still stop there.
+        It is the target's own motion, plus as much of the remaining distance as lets the wrist stop
+        at the target.
         """
         config = self.config
         if self._before is not None:
@@ -524,7 +525,7 @@ class ArmController:
         )
 
     def _damping(self) -> float:
-        """Damping of the program [m^2]; zero if the arm can move in every direction."""
+        """Damping of the quadratic program [m^2]; zero if the arm can move in every direction."""
         jacobian = self._configuration.get_frame_jacobian(_WRIST, "site")
         scaled = jacobian.copy()
         scaled[3:] *= self.config.orientation
@@ -542,7 +543,7 @@ class ArmController:
         return JointLimiter(arm.limits, velocity, arm.acceleration, start, config.margin)
 
     def _go_home(self, home: Matrix) -> Float[np.ndarray, " n"]:
-        """Joint positions of the home pose, reached from the nominal ones as in operation."""
+        """Joint positions of the home pose, reached from the nominal posture by normal steps."""
         pose = pose_of(home)
         for _ in range(_HOME_STEPS):
             command = self.step(pose, _HOME_STEP_S)
@@ -578,7 +579,7 @@ class _Box(mink.Limit):
 def _approach(
     error: np.ndarray, moving: np.ndarray, dt: float, acceleration: float, speed: float
 ) -> np.ndarray:
-    """A step [m or rad] that follows a moving target and stops at a resting one."""
+    """A step [m or rad] that follows a moving target and stops at a target at rest."""
     distance = float(np.linalg.norm(error))
     # The step and the braking after it must not overshoot a resting target.
     late = acceleration * dt
@@ -597,7 +598,7 @@ def _difference(one: Matrix, other: Matrix) -> Float[np.ndarray, "6"]:
 
 @dataclass(frozen=True, eq=False)
 class ArmOfHand:
-    """An arm with its hand.
+    """An arm with its hand, and its controller.
 
     Attributes:
         carried: arm and hand for simulations and pages.

@@ -21,7 +21,7 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True)
 class ArmSettings:
-    """Choice and placement of the arm that carries a hand.
+    """Settings that choose the arm that carries a hand, and place it.
 
     Attributes:
         name: ``panda``, ``ur5e``, ``xarm7`` or ``iiwa14``.

@@ -1,1 +1,1 @@
-"""Control of a running loop: another method, operator or task."""
+"""Control of a running loop: changes its method, operator or task."""

@@ -1,4 +1,4 @@
-"""Switches method, preset or operator of a running loop, compiling on a thread of its own."""
+"""Switches method, preset or operator of a running loop; compiles on a separate thread."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True, eq=False)
 class DriverSpec:
-    """Method and configurations for the hands.
+    """Method that drives the hands, and its configuration for each.
 
     Attributes:
         method: name of the method.
@@ -40,7 +40,7 @@ class DriverSpec:
     operators: Mapping[Side, OperatorProfile | None]
 
     def driver(self, side: Side) -> Driver:
-        """The driver of one side, for records of the run."""
+        """The driver of one side, for recordings of the run."""
         return Driver(self.method, self.preset, self.configs[side])
 
 
@@ -56,7 +56,7 @@ class MethodSwitcher:
 
     Attributes:
         used: current method and configurations.
-        target: the last request; ``used`` if none is pending.
+        target: the last request; equals ``used`` if no request is pending.
         error: reason of the failure of the last request; empty if it did not fail.
     """
 
@@ -81,23 +81,23 @@ class MethodSwitcher:
         self._thread.start()
 
     def choose(self, method: str, preset: str | None = None) -> Future[DriverSpec]:
-        """Request a method, with its default preset if none is named.
+        """Request a method; without a preset, its default preset.
 
         Returns:
-            a future that is done when the method drives the hands, or has the error; a newer
-            request ends it with ``ConfigError``.
+            a future that completes when the method drives the hands, or fails with the error. A
+            newer request ends it with ``ConfigError``.
 
         Raises:
             UnknownNameError: there is no such method or preset.
-            ConfigError: the operator's file is of the other side.
+            ConfigError: the operator's file is for the other side.
         """
         with self._changed:
             return self._want(self._settled(method, preset))
 
     def operate(self, operators: Mapping[Side, OperatorProfile | None]) -> Future[DriverSpec]:
-        """Request other profiles of operators; see ``choose``.
+        """Request other operator profiles; see ``choose``.
 
-        Hands that are not named keep theirs.
+        Hands that are not named keep their profiles.
 
         Raises:
             ConfigError: the run has no hand of a side.

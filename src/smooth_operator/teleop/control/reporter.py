@@ -1,4 +1,4 @@
-"""Output of a teleoperation for a person: a terminal, or logging."""
+"""Reports of a teleoperation to the user, in a terminal or through logging."""
 
 from __future__ import annotations
 
@@ -82,14 +82,14 @@ def summarise(
         others = loop.mailbox.received_of
         if loop.pipelines.keys().isdisjoint(others):
             reason = (
-                f"all frames are of a {' and a '.join(others)} hand, but the robot has a "
+                f"all frames show a {' and a '.join(others)} hand, but the robot has a "
                 f"{' and a '.join(loop.pipelines)} hand: choose another --side, or mirror "
                 "the source"
             )
         else:
-            reason = "the run ended before a method was compiled, or the robot was on hold"
+            reason = "the run ended before a method was compiled, or the robot was held"
         reporter.note(
-            f"frames without a command: {loop.mailbox.received} in {seconds:.1f} s; {reason}",
+            f"no command was sent for {loop.mailbox.received} frames in {seconds:.1f} s; {reason}",
             matters=True,
         )
     else:
@@ -99,7 +99,7 @@ def summarise(
         )
     for side, delay in summary["motion_delay_ms"].items():
         if delay is not None:
-            reporter.note(f"{side}: from command to measured motion {delay:.0f} ms")
+            reporter.note(f"{side}: {delay:.0f} ms from command to measured motion")
     plain: dict[str, Any] = json.loads(to_json(summary))
     return plain
 

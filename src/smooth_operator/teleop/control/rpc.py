@@ -1,30 +1,31 @@
-"""Commands of other programs to a running loop (``teleop --control``): their server and handlers.
+"""Server and handlers for commands of other programs to a running loop (``teleop --control``).
 
 A message is a command, or a JSON object with ``do``: ``stop``, ``release``, ``pause``, ``resume``,
 ``quit``, ``status`` and
 
     {"do": "method", "method": "dexpilot", "preset": "published"}
-        Switches to another method, with its default preset if none is named. The old method goes on
-        while it is compiled. The answer comes when it drives the hands:
+        Switches to another method; without a preset, uses its default one. The old method continues
+        while the new one is compiled. The answer comes when the new one drives the hands:
         {"ok": true, "method": "dexpilot", "preset": "published"}.
     {"do": "calibration", "path": "operator.json"}
         Uses an operator's calibration for the hand of its side; without a path, no calibration:
         {"ok": true, "method": ..., "preset": ..., "side": "right", "hand": "mimic_p050"}.
     {"do": "rate", "rate": 30}
-        Sets the commands per second: {"ok": true, "rate": 30.0}.
+        Sets the number of commands per second: {"ok": true, "rate": 30.0}.
     {"do": "wrist", "engage": false}
-        Releases the clutch of the wrist while the fingers go on; true engages it:
+        Releases the clutch of the wrist while the fingers continue to follow; true engages it:
         {"ok": true, "engage": false}.
     {"do": "task", "task": "card"}
-        Loads the scene of a task, by its name or that of the paper (A, B, C); without a task, the
-        hand alone: {"ok": true, "task": "card", "title": ..., "instruction": ...,
+        Loads the scene of a task, given by its name or its letter in the paper (A, B, C); without a
+        task, the hand alone: {"ok": true, "task": "card", "title": ..., "instruction": ...,
         "time_limit_s": 60.0}. With "object": false the object appears when a trial begins.
     {"do": "trial"}
-        Reports the trial. "begin": true begins one, with the object at its start and the entries
-        "about": {...} in its record. With "when_clear": true its clock starts when the hand has
-        been clear of the object for half a second ("phase" is waiting until then). "limit_s": 45
-        replaces the task's time limit. "finish": true ends the trial. "cancel": true discards it;
-        with "mark": "undone" or "void" it marks the record of an ended trial with these entries
+        Reports the trial. "begin": true begins one: the object is put at its start, and the entries
+        of "about": {...} go into its record. With "when_clear": true its clock starts when the hand
+        has been clear of the object for half a second ("phase" is waiting until then).
+        "limit_s": 45 replaces the task's time limit. "finish": true ends the trial. "cancel": true
+        discards it;
+        with "mark": "undone" or "void" it marks the record of an ended trial whose entries match
         "about". "pause": true stops hand, scene and clock, and "resume": true continues. "side"
         chooses one of two hands:
         {"ok": true, "task": "card", "phase": "running", "elapsed_s": 3.2, "score": 0.0,
@@ -32,14 +33,15 @@ A message is a command, or a JSON object with ``do``: ``stop``, ``release``, ``p
          "resets": 0, "number": 1, "placed": true, "paused": false, "pauses": 0, "side": "right"}.
         "phase" is ready, running or done; score, line and time_s are final only when it is done.
     {"do": "reset"}
-        Uses the one reset of a running trial; without a trial, just puts the object back. Answers
-        as "trial".
+        Uses up the single reset of a running trial; without a trial, just puts the object back. The
+        answer is that of "trial".
 
 "status" answers "method", "preset", "rate" (as requested), "sides", "hand", "blind", "building"
 (the method that is being compiled), "compiling" (sides whose robot holds until their method is
 compiled), "source" {"label", "state", "detail"}, "sinks", "operators" {side: origin of the
 calibration}, "simulation" (true if there is one that can have a task), "task" and "trial" (null
-without one), "object" (true if it is there) and the loop's "modes" and "rate_hz".
+without a task or trial), "object" (true if the object is in the scene) and the loop's "modes" and
+"rate_hz".
 """
 
 from __future__ import annotations
@@ -70,17 +72,17 @@ if TYPE_CHECKING:
 
 
 RpcHandler: TypeAlias = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-"""Carries out a command: takes the fields of the message and returns those of the answer; its
-``SmoothOperatorError`` becomes the answer."""
+"""Function that carries out a command: takes the fields of the message and returns those of the
+answer. If it raises ``SmoothOperatorError``, the answer has the error's message."""
 Reply: TypeAlias = Callable[[bytes], None]
-"""Sends an answer; may be called from any thread."""
+"""Function that sends an answer; may be called from any thread."""
 
 _PATIENCE_S: Final = 0.5
 """Longest time that an answer waits for the loop to carry out a command [s]."""
 _MOST_RUNNING: Final = 16
-"""Largest number of running commands; more are refused."""
+"""Largest number of running commands; further ones are refused."""
 _MOST_QUEUED: Final = 4096
-"""Largest number of waiting messages; more are refused."""
+"""Largest number of waiting messages; further ones are refused."""
 _SILENT: Final = "the loop does not answer: it is still starting, or it hangs"
 _TOO_MUCH: Final = "too many messages are waiting or in progress"
 
@@ -102,10 +104,10 @@ class _Switched(NamedTuple):
 
 
 class RpcServer:
-    """Carries out the commands in messages. For one thread; replies may come from other threads.
+    """Carries out the commands in messages. Used by one thread; replies may come from others.
 
-    A stop is carried out on receipt, before all waiting messages. A release that waits while a stop
-    comes is refused, since it was meant for an earlier stop.
+    A stop is carried out on receipt, before all waiting messages. A release that is still waiting
+    when a stop arrives is refused, since it was meant for an earlier stop.
 
     Args:
         loop: the loop.
@@ -133,7 +135,7 @@ class RpcServer:
 
     @property
     def commands(self) -> tuple[str, ...]:
-        """All commands."""
+        """Names of all commands."""
         return (*self._switches, "quit", "status", *self._handlers)
 
     @property
@@ -217,7 +219,7 @@ class RpcServer:
             ).start()
 
     def _switch(self, message: _Message) -> None:
-        """Carry out a switch; the loop does them in order, except for a stop."""
+        """Carry out a switch; the loop carries out switches in order, but a stop at once."""
         self._switches[message.command]()
         done = threading.Event()
         self._loop.controls.change(lambda hand: done.set())
@@ -229,7 +231,7 @@ class RpcServer:
         return {"ok": True, "modes": modes, "rate_hz": self._loop.statistics.rate_hz}
 
     def _done(self, message: _Message) -> bytes:
-        """Carry out another command, on its own thread."""
+        """Carry out any other command; called on a thread of its own."""
         try:
             return _encoded({"ok": True, **self._handlers[message.command](message.fields)})
         except SmoothOperatorError as error:
@@ -268,9 +270,9 @@ _TURN_MS: Final = 20
 _SOON_MS: Final = 1  # while an answer waits for the loop
 _LARGEST: Final = 1 << 16  # [bytes]
 _FRAMES: Final = 8
-"""Largest number of parts of a message: an address for each relay, an empty part, the command."""
+"""Largest number of parts of a message: one address per relay, an empty part and the command."""
 _BATCH: Final = 256
-"""Number of messages that are received before the next one is carried out."""
+"""Largest number of messages to receive before the next one is carried out."""
 _END_S: Final = 2.0
 
 
@@ -384,11 +386,11 @@ def _listening(address: str) -> tuple[Any, Any]:
 
 
 _LOOK_S: Final = 0.5
-"""Interval of the checks that a run still goes on [s]."""
+"""Interval of the checks whether the run continues [s]."""
 
 
 class RpcHandlers:
-    """Commands of other programs to a running loop.
+    """Handlers of the commands that other programs send to a running loop.
 
     Args:
         loop: the loop.
@@ -409,7 +411,7 @@ class RpcHandlers:
 
     @property
     def by_command(self) -> dict[str, RpcHandler]:
-        """Command -> its handler."""
+        """Handlers by the name of their command."""
         return {
             "method": self._method,
             "calibration": self._calibration,
@@ -421,7 +423,7 @@ class RpcHandlers:
         }
 
     def status(self) -> dict[str, Any]:
-        """Status of the run, without a request to the loop."""
+        """Status of the run, read without a request to the loop."""
         loop, switcher, runner = self._loop, self._switcher, self._runner()
         used = switcher.used
         task = None if runner is None else runner.task
@@ -470,7 +472,7 @@ class RpcHandlers:
     def _rate(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         rate = fields.get("rate")
         if isinstance(rate, bool) or not isinstance(rate, int | float):
-            raise ConfigError(f"rate: expected commands per second, not {rate!r}")
+            raise ConfigError(f"rate: expected a number of commands per second, not {rate!r}")
         self._loop.pace(float(rate))
         return {"rate": self._loop.config.rate}
 
@@ -560,7 +562,7 @@ def _limit(fields: Mapping[str, Any]) -> float | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e5:
-        raise ConfigError(f"limit_s: expected seconds above 0, not {value!r}")
+        raise ConfigError(f"limit_s: expected a number of seconds above 0, not {value!r}")
     return float(value)
 
 

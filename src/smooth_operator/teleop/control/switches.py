@@ -1,7 +1,7 @@
-"""Switches of a running loop at this machine: keys of the terminal, an external emergency stop.
+"""Local switches of a running loop: keys of the terminal and an external emergency stop.
 
-All inputs of the external stop fail safe: a broken wire, a missing file, an unplugged adapter or
-the end of a heartbeat are a stop. It is read two hundred times a second, on a thread of its own.
+All inputs of the external stop fail safe: a broken wire, a missing file, an unplugged adapter or a
+missing heartbeat stops the robot. The input is read 200 times a second, on a thread of its own.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from smooth_operator.reporter import Reporter
 from smooth_operator.teleop.runtime.loop import TeleopLoop
 
 STOP_KEYS: Final = (" ", "\x1b", "x", "X")
-"""Keys of the emergency stop, in every mode of the robot."""
+"""Keys that trigger the emergency stop, in every mode of the robot."""
 WORDS: Final = (
     "space, Esc or x: EMERGENCY STOP   u: release it   p: pause / resume   c: wrist   q: end"
 )
@@ -29,10 +29,10 @@ WORDS: Final = (
 def actions(
     loop: TeleopLoop, say: Callable[[str], None], more: Mapping[str, Callable[[], None]] = {}
 ) -> dict[str, Callable[[], None]]:
-    """Key -> action.
+    """Actions by their keys.
 
-    The page or another program may change the robot's mode, too, so no state is kept here: a stop
-    is always requested, and the other keys ask the supervisors.
+    The page or another program may also change the robot's mode, so no state is kept here: a stop
+    is always requested, and the other keys read the mode from the supervisors.
 
     Args:
         say: shows a line to the person at the keys.
@@ -88,7 +88,7 @@ def keyboard(
     more: Mapping[str, Callable[[], None]] = {},
     words: str = "",
 ) -> Iterator[None]:
-    """Listens to the keys while the loop runs, where there is a terminal.
+    """Listens to the keys while the loop runs, if there is a terminal.
 
     Args:
         reporter: shows lines to the person at the keys.
@@ -103,12 +103,12 @@ def keyboard(
 def keys(actions: Mapping[str, Callable[[], None]]) -> Iterator[bool]:
     """Runs actions as keys are pressed, without waiting for a line.
 
-    On POSIX systems arrows and other keys that send several characters count as Esc, with which
-    they begin; their other characters are dropped.
+    On POSIX systems, arrow keys and others that send several characters count as Esc, because
+    their sequence begins with it; the other characters are dropped.
 
     Args:
         actions: key -> action, run on a thread of this function. An error of an action is printed
-            on standard error, and listening goes on.
+            on standard error, and listening continues.
 
     Yields:
         True if there is a terminal; its mode is restored at the end.
@@ -193,7 +193,7 @@ _POLL_S: Final = 0.005
 _BEAT_S: Final = 0.3
 """Time for which a heartbeat counts [s]."""
 _BEATS: Final = 1000
-"""Largest number of datagrams in one reading; a button sends fewer in 5 ms."""
+"""Largest number of datagrams to read at a time; a button sends fewer in 5 ms."""
 
 FORMS: Final = "file:PATH, serial:PORT or udp:PORT"
 
@@ -202,12 +202,12 @@ class StopInput:
     """Input of an emergency stop.
 
     Args:
-        text: ``file:PATH``: released while the file's first character is 1, as the value of a GPIO
-            line whose button opens a closed contact, or a file that another program writes;
+        text: ``file:PATH``: released while the file's first character is 1, such as the value file
+            of a GPIO line with a normally closed button, or a file that another program writes;
             ``serial:PORT``: a normally closed button between the pins RTS and CTS of a serial
-            adapter, released while CTS is high (extra ``serial``);
-            ``udp:PORT`` or ``udp:ADDRESS:PORT``: released while datagrams that begin with 1 come,
-            one every 0.3 s at least; it listens on this machine unless an address is given.
+            adapter, released while CTS is high (needs the ``serial`` extra);
+            ``udp:PORT`` or ``udp:ADDRESS:PORT``: released while datagrams that begin with 1 arrive
+            at least every 0.3 s; without an address, accepts them from this machine only.
 
     Raises:
         ConfigError: the text is none of these.
@@ -242,7 +242,7 @@ class StopInput:
 
 @contextlib.contextmanager
 def stopped_by(loop: TeleopLoop, stop: str | Callable[[], bool] | None) -> Iterator[None]:
-    """Stops the loop by an input, while the block runs.
+    """Watches an emergency stop input while the block runs, and stops the loop.
 
     After the input is released, the loop stays stopped until a release by page, key or message.
 

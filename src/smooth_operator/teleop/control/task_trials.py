@@ -1,4 +1,4 @@
-"""Trials of a study's task while a loop runs, driven by keys of the terminal."""
+"""Runs trials of a study's task while a loop runs, started by keys of the terminal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class TaskTrials:
-    """Trials on each driven hand of a simulation.
+    """Runs trials with each driven hand of a simulation.
 
     Args:
         sinks: sinks of the run, perhaps with a simulation.
@@ -57,7 +57,7 @@ class TaskTrials:
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
-        """Key -> action."""
+        """Actions by their keys."""
         if self._task is None:
             return {}
         return {
@@ -96,10 +96,10 @@ class TaskTrials:
                 self._reporter.note(failed, matters=True)
 
     def shown(self) -> dict[str, Any] | None:
-        """The trial as the operator sees it, without its score. None without a task.
+        """The trial as shown to the operator, without its score; None without a task.
 
         Returns:
-            ``title`` and ``instruction`` of the task; ``number`` of the trial by the count of the
+            ``title`` and ``instruction`` of the task; ``number`` of the trial as counted by the
             program that began it, and the total ``count`` if known; ``phase``, ``elapsed_s``,
             ``limit_s`` and ``paused`` as in ``TaskSession``; ``object``, True if there is one.
         """

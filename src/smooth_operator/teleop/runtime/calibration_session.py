@@ -1,4 +1,4 @@
-"""A live calibration: prompts in order, and the frames of each."""
+"""Live calibration session: shows prompts to the operator and records the frames of each."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from smooth_operator.teleop.sources.live import Arrival
 from smooth_operator.types import HandRecording, Side
 
 SIGHT_S = 0.3
-"""Time without a frame after which the hand is out of sight and the prompt waits [s]."""
+"""Time without a frame after which the hand counts as out of sight and the prompt waits [s]."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """The prompt to show an operator now.
+    """Prompt that is shown to the operator at one moment.
 
     Attributes:
         prompt: the prompt.
         number: number of the prompt, from 0.
-        phase: ``settle``, reach the pose; ``hold``, hold it; ``wait``, no hand is in sight.
+        phase: ``settle`` while the operator moves to the pose; ``hold`` while they hold it;
+        ``wait`` while no hand is in sight.
         done: completed share of the calibration, 0 to 1.
         left_s: time left of this phase [s].
     """
@@ -37,7 +38,7 @@ class Moment:
 
 
 class CalibrationSession:
-    """Shows prompts in order while frames come; its time stops while no hand is in sight.
+    """Steps through the prompts as frames arrive; its clock stops while no hand is in sight.
 
     Args:
         side: side of the hand.
@@ -54,14 +55,14 @@ class CalibrationSession:
         self._last: float | None = None
 
     def see(self, arrival: Arrival) -> None:
-        """Add a frame; ignores one of the other hand, or not later than the last one."""
+        """Add a frame. Ignores frames of the other hand and frames that are not newer."""
         newest = self._frames[-1].received if self._frames else -np.inf
         if arrival.frame.side == self.side and arrival.received > newest:
             self._frames.append(arrival)
             self._held.append(self._holding)
 
     def at(self, now: float) -> Moment | None:
-        """The prompt to show.
+        """Return the prompt to show.
 
         Args:
             now: time by the clock of the arrivals, not earlier than at the last call [s].
@@ -94,12 +95,12 @@ class CalibrationSession:
         """All frames, stamped with their times of arrival.
 
         Raises:
-            RecordingError: none came.
+            RecordingError: no frame has arrived.
         """
         if not self._frames:
             raise RecordingError(
                 f"no frame of a {self.side} hand arrived from the tracker; check that the "
-                "tracker is on, and which hand it sees"
+                "tracker is on and which hand it sees"
             )
         frames = [arrival.frame for arrival in self._frames]
         return HandRecording(

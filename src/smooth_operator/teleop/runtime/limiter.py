@@ -20,8 +20,8 @@ from smooth_operator.teleop.sources.live import Arrival
 _SAMPLES: Final = 201  # positions of a leader at which the slope of a polynomial is measured
 
 MAX_STEP_S: Final = 0.1
-"""Longest time step that is used between two commands [s], so that the robot does not catch up
-after a pause."""
+"""Upper bound on the time step used between two commands [s], so that the robot does not make a
+large move after a pause."""
 
 SHORTEST_S: Final = 1e-9
 """Smallest divisor for time steps [s]; the clock does not resolve shorter ones."""
@@ -49,15 +49,15 @@ class JointLimiter:
     previous step was. Therefore the square of the velocity is kept below the acceleration limit
     times the remaining distance, and braking at that rate keeps it there in short and long steps.
 
-    A target is no limit. A speed that one step of 5 ms can stop is allowed up to the target itself,
-    so that a target that moves well within the limits is followed exactly, without lag. Above that
-    speed the joint brakes ahead of the target.
+    A target, unlike a limit, may be overshot. A speed that can be stopped in one step of 5 ms is
+    allowed up to the target itself, so that a target that moves well within the limits is followed
+    exactly, without lag. Above that speed the joint brakes ahead of the target.
 
     Args:
         ends: (m, 2) limits of the positions [rad].
         velocity: (m,) limits of the velocities [rad/s].
         acceleration: (m,) limits of the accelerations [rad/s^2].
-        start: (m,) first positions [rad].
+        start: (m,) initial positions [rad].
         margin: distance to keep from each end of a range [rad].
 
     Attributes:
@@ -79,7 +79,7 @@ class JointLimiter:
         self.put(np.clip(start, self._low, self._high))
 
     def put(self, positions: Float[np.ndarray, " m"]) -> None:
-        """Start at these positions [rad], at rest: for the first command and after a pause."""
+        """Set the positions [rad], at rest, before the first command and after a pause."""
         self.q: Float[np.ndarray, " m"] = np.clip(positions, self._start, self._end)
         self.velocity: Float[np.ndarray, " m"] = np.zeros_like(self.q)
         self._last_dt = math.inf
@@ -121,7 +121,7 @@ class JointLimiter:
         return self._go(np.zeros_like(self.q), max(dt, SHORTEST_S))
 
     def bounds(self, dt: float) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """Lowest and highest velocity that ``follow`` can give the joints in a step [rad/s].
+        """Lowest and highest velocity that ``follow`` allows for each joint in a step [rad/s].
 
         Args:
             dt: time since the last command [s].
@@ -145,7 +145,7 @@ class JointLimiter:
     def _room(
         self, dt: float
     ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """Largest speeds in both directions, and largest change of velocity, in a step."""
+        """Largest speed in each direction, and largest change of velocity, in a step."""
         a = self._acceleration
         top = self._velocity * min(1.0, MAX_STEP_S / dt)
         down = np.minimum(stoppable_speed(self.q - self._low, dt, a), top)
@@ -274,7 +274,7 @@ class PoseLimiter:
         return not (self.velocity.any() or self.turn.any())
 
     def put(self, pose: Float[np.ndarray, "7"]) -> None:
-        """Start at this pose, at rest: for the first command."""
+        """Set the pose, at rest, before the first command."""
         self.pose = np.asarray(pose, np.float64)
         self.velocity = self.turn = _STILL
         self._last_dt = math.inf
@@ -361,7 +361,7 @@ class PoseLimiter:
 def _towards(
     way: Float[np.ndarray, "3"], going: Float[np.ndarray, "3"], dt: float, acceleration: float
 ) -> Float[np.ndarray, "3"]:
-    """Velocity that follows a target and closes the distance ``way`` to its place after a step."""
+    """Velocity that follows a moving target and closes the remaining distance ``way`` to it."""
     behind = way - going * dt
     left = float(np.sqrt(behind @ behind))
     if left < 1e-12:
@@ -420,7 +420,7 @@ def _cut(vector: Float[np.ndarray, "3"], length: float) -> Float[np.ndarray, "3"
 SHORTEST: Final = 0.25
 """Shortest time between two commands, in periods."""
 BORROWED: Final = 1.0 - SHORTEST
-"""Time by which the command for a frame may be sent before its turn, in periods; the later commands
+"""Time by which the command for a frame may be sent before its turn, in periods. Later commands
 are delayed accordingly. Frames that arrive between two turns then do not wait."""
 KEPT: Final = 0.5
 """Delay of a late command that may be made up for, in periods, so that a late frame does not delay
@@ -438,15 +438,15 @@ EXTRA: Final = 1 + BORROWED + KEPT
 
 
 class RateLimiter:
-    """Schedule of the commands of one hand.
+    """Scheduler that limits the command rate of one hand.
 
-    Commands have turns, a period apart. A frame may take one early and a command may take one late,
-    within bounds that don't add up: in any time t there are at most ``t / period + EXTRA``
-    commands, two are at least ``SHORTEST`` periods apart, and over a run the rate is never
-    exceeded. This is the generic cell rate algorithm (ITU-T I.371), in which frames may come early
-    and commands that only keep the pace may not.
+    Commands have turns that are one period apart. The command for a frame may be sent before its
+    turn, and any command may be sent late, within bounds that don't accumulate: in any time t there
+    are at most ``t / period + EXTRA`` commands, two commands are at least ``SHORTEST`` periods
+    apart, and over a run the rate is never exceeded. This is the generic cell rate algorithm (ITU-T
+    I.371), except that only commands that answer a frame may be early.
 
-    All times are by one clock [s]. Nothing here has a clock or sleeps.
+    All times are from one clock [s]. This class neither reads a clock nor sleeps.
 
     Args:
         period: time between two commands [s]; may be changed at any time.
@@ -506,7 +506,7 @@ class RateLimiter:
         return max(at, self.opens)
 
     def take(self, now: float) -> None:
-        """Register a command at a time [s]."""
+        """Register that a command was sent at a time [s]."""
         period = self.period
         turn = max(self._turn, now - KEPT * period) + period
         # An emergency stop, which waits for no turn, delays what comes after it only so far.
@@ -515,19 +515,20 @@ class RateLimiter:
 
 JUMP_M: Final = 0.08
 JUMP_RAD: Final = 0.8
-"""Change between two frames that, if faster than ``FASTEST``, is a jump of the tracker."""
+"""Motion between two frames that counts as a tracker jump if it is also faster than the ``FASTEST``
+values."""
 FASTEST_MPS: Final = 4.0
 FASTEST_RPS: Final = 25.0
 
 NEAR_M: Final = 0.02
 NEAR_RAD: Final = 0.1
-"""Distance of the measured arm from its last command at which the clutch still engages."""
+"""Largest distance of the measured arm from its last command at which the clutch can engage."""
 _APPROACH: Final = 0.2
-"""Fraction of the velocity limits at which the command approaches an arm that is farther away."""
+"""Fraction of the velocity limits used to approach an arm that is farther away than that."""
 _AHEAD_S: Final = 0.05
 """Longest time for which the motion of the wrist is extrapolated between two frames [s]."""
 _SHORTEST_GAP_S: Final = 1e-3
-"""Shortest difference of two timestamps from which a velocity is computed [s]."""
+"""Smallest difference of two timestamps from which a velocity is computed [s]."""
 _SMOOTH: Final = 0.5
 """Weight of the newest difference in the velocity of the wrist."""
 
@@ -546,14 +547,15 @@ class _Wrist:
 
 
 class Clutch:
-    """Wrist command of one robot hand, from the wrists of frames and the loop's modes.
+    """Clutch between the operator's wrist and the robot's: computes the wrist command of one hand.
 
-    While engaged, the target is ``home`` moved like the operator's wrist since then, both in axes
-    that are fixed to the room (x forward, y left, z up): the translation times ``scale``, the
-    rotation unchanged. The clutch engages when the operator moves the robot, the wrist is valid and
-    the robot's wrist is at rest. It then latches both poses, so the command does not change. It
-    disengages and holds on a pause, a stop, a loss of tracker or wrist, a jump of the wrist, a
-    restart of the tracker, and when the operator releases it. It has no clock of its own.
+    The clutch engages when the operator moves the robot, the wrist is valid and the robot's wrist
+    is at rest. It then latches the poses of both wrists, so the command does not jump. While it is
+    engaged, the robot's wrist moves from its latched pose as the operator's wrist does from theirs,
+    in axes that are fixed to the room (x forward, y left, z up): the translation is multiplied by
+    ``scale``, and the rotation is copied. The clutch disengages, and the wrist holds, on a pause, a
+    stop, a loss of the tracker or the wrist, a jump of the wrist, a restart of the tracker, and
+    when the operator releases it. It has no clock of its own.
 
     Args:
         config: limits, scale, and the time for which a wrist is valid.
@@ -582,7 +584,7 @@ class Clutch:
         return self._engaged
 
     def follow(self, on: bool) -> None:
-        """Let the operator's wrist move the robot's, or hold the robot's wrist."""
+        """Let the operator's wrist move the robot's (True), or hold the robot's wrist (False)."""
         self.released = not on
 
     def events(self) -> list[str]:
@@ -601,7 +603,7 @@ class Clutch:
             arrival: the frame from which the command is made, if any.
 
         Returns:
-            the command; None until a wrist or the pose of an arm is measured.
+            the command; None until a wrist or an arm pose has been measured.
         """
         if arrival is not None and poses.is_valid(arrival.frame.T_world_wrist):
             self._see(arrival)
@@ -630,7 +632,7 @@ class Clutch:
         return WristCommand(limiter.pose, self._engaged, valid)
 
     def _see(self, arrival: Arrival) -> None:
-        """Store a valid wrist; disengage if it does not continue the previous one."""
+        """Store a valid wrist; disengage if it jumped or the tracker was restarted."""
         frame, yaw, last = arrival.frame, self.config.wrist.yaw, self._last
         assert frame.T_world_wrist is not None
         turn = np.array([0, 0, 0, math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)])
@@ -677,7 +679,7 @@ class Clutch:
 
 
 def _arc(a: Float[np.ndarray, "7"], b: Float[np.ndarray, "7"]) -> Float[np.ndarray, "3"]:
-    """Rotation vector from one orientation to another, in the frame of both [rad]."""
+    """Rotation vector from one orientation to another, in their common frame [rad]."""
     return poses.rotation_vectors(poses.multiply(b[3:], poses.conjugate(a[3:])))
 
 

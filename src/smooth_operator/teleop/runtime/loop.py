@@ -30,9 +30,10 @@ if TYPE_CHECKING:
 class TeleopLoop:
     """Drives robot hands from a source until stopped.
 
-    The loop answers a frame on arrival, which adds nothing to its age. Without frames, commands
-    leave at the loop's pace and hold or ease by the policies. The commands of a hand never exceed
-    the rate (``RateLimiter``), except for the first one of an emergency stop.
+    The loop processes a frame as soon as it arrives, so waiting adds no latency. When no frames
+    arrive, commands are sent at the loop's rate; they hold the robot or move it slowly to its safe
+    pose (``SafetyConfig``). The commands of a hand never exceed the rate (``RateLimiter``), except
+    for the first one of an emergency stop.
 
     An emergency stop does not wait for a method: while a method compiles or takes long, another
     thread commands the stop.
@@ -113,7 +114,7 @@ class TeleopLoop:
             self.sinks.close()
 
     def pace(self, rate: float) -> None:
-        """Change the rate, before the next command.
+        """Change the command rate; takes effect before the next command.
 
         Args:
             rate: commands per second and hand [Hz].
@@ -130,11 +131,11 @@ class TeleopLoop:
 
     @property
     def silent_s(self) -> float:
-        """Age of the last command [s]; that of the loop before the first one."""
+        """Time since the last command, or since the loop's start before the first one [s]."""
         return self.mailbox.clock() - self._beat
 
     def _mode(self) -> str:
-        """One mode of all hands, for the operator: the one that moves least."""
+        """One mode for all hands, to show to the operator: that of the hand that moves least."""
         hands = [pipeline.supervisor for pipeline in self.pipelines.values()]
         for mode, is_so in (
             (Mode.STOPPED.value, [hand.stopped for hand in hands]),
@@ -238,13 +239,13 @@ class TeleopLoop:
             self.watch(tick)
 
     def _measured_wrist(self, side: Side) -> Float[np.ndarray, "7"] | None:
-        """Pose of a hand's wrist on its arm: measured by a sink, else the last command."""
+        """Pose of a hand's wrist on its arm: as a sink measured it, or else as last commanded."""
         measured, arm = self.sinks.measured_wrist(side), self.pipelines[side].arm
         return arm.pose if measured is None and arm is not None else measured
 
     @contextlib.contextmanager
     def _away(self) -> Iterator[None]:
-        """Marks a time in which the loop's thread may take long, and makes no commands."""
+        """Marks a block in which the loop's thread may take long and sends no commands."""
         self._held_up = True
         try:
             yield
@@ -273,7 +274,7 @@ class TeleopLoop:
             yield
 
     def _command_stop(self) -> None:
-        """Send each hand the next command of an emergency stop."""
+        """Send the next command of an emergency stop to each hand."""
         now = self.mailbox.clock()
         for side, pipeline in self.pipelines.items():
             pipeline.supervisor.stop()
@@ -282,7 +283,7 @@ class TeleopLoop:
 
     @contextlib.contextmanager
     def _watchdog(self) -> Iterator[None]:
-        """Runs a thread that tells the sinks when the loop makes no commands."""
+        """Runs a thread that tells the sinks when the loop sends no commands."""
         done = threading.Event()
         self._beat = self.mailbox.clock()
 
@@ -309,11 +310,11 @@ def _thread(work: Callable[[], None], name: str, end: Callable[[], None]) -> Ite
 
 
 Change: TypeAlias = Callable[["HandPipeline"], None]
-"""A change of every hand, between two of its steps."""
+"""Function that changes a hand's pipeline between two of its steps."""
 
 
 class Stop:
-    """Change that stops a hand.
+    """Change that brings a hand to an emergency stop.
 
     Attributes:
         taken: True once the loop has carried it out.
@@ -322,7 +323,7 @@ class Stop:
     taken = False
 
     def __call__(self, hand: HandPipeline) -> None:
-        """Stop a hand; on the loop's thread."""
+        """Stop a hand; called on the loop's thread."""
         hand.supervisor.stop()
         self.taken = True
 
@@ -355,11 +356,11 @@ class Controls:
         self.change(lambda hand: hand.supervisor.resume())
 
     def follow(self, on: bool) -> None:
-        """Engage or release the clutch of the wrist; the fingers go on."""
+        """Engage or release the clutch of the wrist; the fingers continue to follow."""
         self.change(lambda hand: hand.clutch.follow(on))
 
     def stop(self) -> None:
-        """Emergency stop: the robot stands until a later ``release``."""
+        """Emergency stop: the robot brakes and stays stopped until a later ``release``."""
         self._stops += 1
         stop = Stop()
         self._pending.appendleft(stop)  # before all pending changes
@@ -389,7 +390,7 @@ class Controls:
 
     @property
     def quitting(self) -> bool:
-        """True if the loop is to end."""
+        """True if the loop was asked to end."""
         return self._quit.is_set()
 
     @property
@@ -398,7 +399,7 @@ class Controls:
         return bool(self._pending) or self.quitting
 
     def drain(self) -> list[Change]:
-        """Pending changes in order; for the loop alone."""
+        """Return the pending changes in order and clear them; only the loop may call this."""
         changes = []
         while self._pending:
             changes.append(self._pending.popleft())

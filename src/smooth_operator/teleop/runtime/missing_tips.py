@@ -1,4 +1,4 @@
-"""Fingertips that a tracker has lost, from the other landmarks of their fingers."""
+"""Estimates fingertips that a tracker has lost from the other landmarks of their fingers."""
 
 from __future__ import annotations
 
@@ -18,19 +18,20 @@ MOST: Final = 2
 COUPLING: Final = 0.6
 """Ratio of the bend of a finger's last joint to that of the joint before it.
 
-Over 2 s without the fingertip it is 1 to 11 mm off on average in ten recordings of seven trackers,
-the thumb's up to 17 mm; without the coupling 5 to 16 mm, the thumb's up to 14 mm.
+With this coupling, the estimated fingertip is off by 1 to 11 mm on average over 2 s without the
+fingertip (thumb: up to 17 mm), in ten recordings of seven trackers. Without the coupling it is off
+by 5 to 16 mm (thumb: up to 14 mm).
 """
 
 _LAST_BONE: Final = 0.9
 """Ratio of the length of a finger's last bone to that of the bone before it, until it is seen."""
 
 _STRAIGHT: Final = 0.05
-"""Sine of a bend below which it has no axis."""
+"""Sine of a bend angle below which the bend has no defined axis."""
 
 
 class MissingTips:
-    """Fills in one or two missing fingertips, so that the other fingers go on.
+    """Fills in one or two missing fingertips, so that the other fingers continue to be tracked.
 
     The last bone keeps its last measured length. Its bend starts at the last measured one and
     follows the joint before it (``COUPLING``).
@@ -40,7 +41,7 @@ class MissingTips:
         self._seen: dict[int, Float[np.ndarray, "21 3"]] = {}  # tip -> last frame that had it
 
     def fill(self, frame: HandFrame) -> tuple[HandFrame, tuple[str, ...]]:
-        """The frame with its missing fingertips, and the fingers whose tips were filled in.
+        """Fill in a frame's missing fingertips; also returns the fingers that were filled in.
 
         Leaves a frame unchanged that lacks another landmark, or more than ``MOST`` fingertips.
         """

@@ -1,7 +1,8 @@
 """Pipeline of one hand: turns the newest frame, or its absence, into the next command.
 
-Plausibility of a frame (size of the hand, side, time in seconds), the supervisor (a state machine
-over frames and silence), and the steps from a frame to a command. Times are arguments.
+The pipeline checks whether a frame is plausible (size of the hand, side, time in seconds). Its
+supervisor is a state machine that decides, from the frames and the time without frames, what the
+robot does. Times are arguments.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 
 REACH_M = 0.5
-"""Largest distance of a landmark from the wrist, along any axis [m]."""
+"""Largest plausible distance of a landmark from the wrist, along any axis [m]."""
 _FAR = (
     f"a landmark more than {REACH_M:g} m from the wrist can't belong to a human hand; "
     "landmarks must be in metres"
@@ -49,8 +50,8 @@ _MIDDLE: Final = BASES[2]
 def implausible(frame: HandFrame) -> str | None:
     """Reason why a frame can't be a human hand, by its size and time; None if it can.
 
-    Ignores missing landmarks, since not every method needs them. There are few reasons, without
-    figures, so that frames can be counted by reason.
+    Ignores missing landmarks, since not every method needs them. The reasons are few and contain no
+    numbers, so that frames can be counted by reason.
     """
     if frame.stamp is not None and not abs(frame.stamp) < LATEST_STAMP_S:
         return "a timestamp that is not a time in seconds"
@@ -68,10 +69,10 @@ def implausible(frame: HandFrame) -> str | None:
 class SessionCheck:
     """Checks that a tracker's frames have the right side and order of landmarks (``HandCheck``).
 
-    Each start of a tracker is checked separately.
+    The check starts again each time the tracker is restarted.
 
-    Args:
-        side: side of the robot hand.
+        Args:
+            side: side of the robot hand.
     """
 
     def __init__(self, side: Side) -> None:
@@ -80,7 +81,7 @@ class SessionCheck:
         self._check = HandCheck(side)
 
     def doubt(self, arrival: Arrival) -> Doubt | None:
-        """Doubt about the frames up to this one, or None."""
+        """Doubt about the frames up to and including this one; None without a doubt."""
         if arrival.session != self._session:
             self._session, self._check = arrival.session, HandCheck(self._side)
         frame = arrival.frame
@@ -90,7 +91,7 @@ class SessionCheck:
 
 @dataclass
 class Supervisor:
-    """Mode of one hand, from the times of its usable frames and the operator's switches.
+    """State machine for the mode of one hand, from its usable frames and the operator's switches.
 
     Attributes:
         config: the policies.
@@ -132,11 +133,11 @@ class Supervisor:
 
     @property
     def starts_again(self) -> bool:
-        """True if the operator takes over again, so that the state of the method must be reset."""
+        """True if the operator takes over again, so the state of the method must be reset."""
         return not self.mode.moves and self.mode is not Mode.HOLDING
 
     def usable(self, now: float) -> None:
-        """Register an answered frame; after a silence it begins a blend."""
+        """Register a frame that gave a command; after a gap in the frames, begin a blend."""
         if not self.mode.moves:
             gap = self.config.blend_s
             if self.mode is Mode.HOLDING and self._last_good is not None and not self._held:
@@ -145,25 +146,25 @@ class Supervisor:
         self._last_good, self._held = now, False
 
     def hold(self) -> None:
-        """Begin a hold for the compiler; it lasts until a frame after ``compiling``."""
+        """Hold the robot while the method is compiled, until a frame arrives after that."""
         self.compiling = self._held = True
 
     def restart_blend(self, now: float | None) -> None:
-        """Begin a blend to other commands."""
+        """Begin to blend smoothly into new commands."""
         if now is not None and self.mode.moves:
             self._blend_start, self._blend_length = now, self.config.blend_s
 
     def update(self, now: float) -> Mode:
-        """The mode at a time."""
+        """Update the mode to a time, and return it."""
         self.mode = self._mode(now)
         return self.mode
 
     def preview(self, now: float) -> Mode:
-        """The mode at a time, without a change of state."""
+        """Return the mode at a time without changing any state."""
         return replace(self)._mode(now)
 
     def blend(self, now: float) -> float:
-        """Share of the operator in the command, 0 to 1, with a smooth start and end."""
+        """Weight of the operator's motion in the command, 0 to 1, with a smooth start and end."""
         if self._blend_length <= 0:
             return 1.0
         x = min(max((now - self._blend_start) / self._blend_length, 0.0), 1.0)
@@ -178,7 +179,7 @@ class Supervisor:
         self._paused = False
 
     def stop(self) -> None:
-        """Emergency stop; latched."""
+        """Start an emergency stop, which lasts until ``release``."""
         self._stopped = True
 
     def release(self) -> None:
@@ -224,22 +225,22 @@ class Supervisor:
 
 
 SWITCHED: Final = "another method, or other settings"
-"""Event of the first tick after a switch; the tick's driver has the details."""
+"""Event of the first tick after a switch. ``Tick.driver`` has the details."""
 COMPILING: Final = "compiling the method, robot holding"
 COMPILED: Final = "the method is compiled"
-"""Event of the first tick after a hold for the compiler."""
+"""Event of the first tick after the robot was held while its method was compiled."""
 NOT_FINITE: Final = "the command was not finite; the last one is repeated"
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Answer of a method to a frame.
+    """Result that a method computed for a frame.
 
     Attributes:
         arrival: the frame.
         state: state of the method after it.
         result: result of the method.
-        stages: name of a stage -> its time [ms].
+        stages: name of a stage -> its duration [ms].
     """
 
     arrival: Arrival
@@ -250,7 +251,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Driven:
-    """A retargeter with its state. They change together, so other threads never see half of it.
+    """A retargeter and its state, replaced together so that other threads never see a mixture.
 
     Attributes:
         retargeter: method and hand.
@@ -269,8 +270,8 @@ class HandPipeline:
     Args:
         retargeter: method and hand.
         config: policies and limits.
-        clock: clock for the times of the stages; the time of a step is an argument.
-        driver: names and settings of the method, for the record.
+        clock: clock for the durations of the stages; the time of a step is an argument.
+        driver: names and settings of the method, for recordings.
         arm: controller of the arm that carries the hand; None without an arm.
         compiling: True if the method is not compiled yet: the robot holds until ``go_on``.
 
@@ -278,7 +279,7 @@ class HandPipeline:
         supervisor: mode and policies.
         limiter: limiter with the last command.
         clutch: clutch of the wrist.
-        latest: the last frame that was not refused, also in a pause or an emergency stop.
+        latest: the last frame that was not refused, even during a pause or an emergency stop.
         filled: finger -> number of frames in which its missing fingertip was filled in.
     """
 
@@ -339,7 +340,7 @@ class HandPipeline:
         self.go_on()
 
     def hold(self) -> None:
-        """Hold the robot while a method is compiled; frames are shown and not answered."""
+        """Hold the robot while a method is compiled; frames are shown but give no commands."""
         if not self.supervisor.compiling:
             self.supervisor.hold()
             self.note(COMPILING)
@@ -351,7 +352,7 @@ class HandPipeline:
             self.note(COMPILED)
 
     def note(self, text: str) -> None:
-        """Add an event to the next step, and so to the record."""
+        """Add an event to the next tick, so that it is recorded."""
         self._next_events.append(text)
 
     def pace(self, rate: float) -> None:
@@ -373,7 +374,7 @@ class HandPipeline:
 
     @property
     def pinch_gaps(self) -> dict[str, float]:
-        """Finger -> gap that the tracker shows while it touches the thumb [palm lengths].
+        """Finger -> gap that the tracker reports while the finger touches the thumb [palm lengths].
 
         Safe from any thread.
         """
@@ -390,7 +391,7 @@ class HandPipeline:
         return driven.retargeter.fingertip_targets(driven.state)
 
     def step(self, now: float, arrival: Arrival | None = None) -> Tick:
-        """The next command: ``admit``, ``solve`` and ``command`` in turn.
+        """Compute the next command: calls ``admit``, ``solve`` and ``command`` in turn.
 
         Args:
             now: time of the step, by the clock of the arrivals [s].
@@ -400,7 +401,7 @@ class HandPipeline:
         return self.command(now, None if arrival is None else self.solve(arrival))
 
     def admit(self, now: float, arrival: Arrival) -> Arrival | None:
-        """The frame if the method must answer it; None if it is refused, or moves no robot."""
+        """Return the frame if the method must solve it; None if it is refused or moves no robot."""
         self.supervisor.update(now)  # for switches since the last step
         why = implausible(arrival.frame)
         if why is None:
@@ -424,9 +425,9 @@ class HandPipeline:
         return arrival if self.supervisor.listens else None
 
     def solve(self, arrival: Arrival) -> Answer:
-        """Answer of the method to the frame of the last ``admit``.
+        """Run the method on the frame from the last ``admit``.
 
-        It may take long and changes nothing, so another thread may call ``command`` meanwhile.
+        This may take long and changes nothing, so another thread may call ``command`` meanwhile.
         """
         start = self._clock()
         retargeter, frame = self.retargeter, self._frame or arrival.frame
@@ -442,7 +443,7 @@ class HandPipeline:
         return Answer(arrival, state, result, stages)
 
     def command(self, now: float, answer: Answer | None = None) -> Tick:
-        """The next command, from the answer to a frame or without one."""
+        """Compute the next command from the method's result for a frame, or without a new frame."""
         result, arrival = (None, None) if answer is None else (answer.result, answer.arrival)
         stages = {} if answer is None else dict(answer.stages)
         if answer is not None:
@@ -509,7 +510,7 @@ class HandPipeline:
         return tick
 
     def _take(self, answer: Answer, now: float) -> None:
-        """Make a usable answer the target."""
+        """Make a method's result the target, if it is usable."""
         result = answer.result
         if result.status != Status.OK:
             self.note(f"frame not used: {result.status.reason}")
@@ -521,7 +522,7 @@ class HandPipeline:
         self._target = result.command.joint_positions[list(self.retargeter.hand.actuated)]
 
     def _follow(self, mode: Mode, now: float, dt: float) -> np.ndarray:
-        """Joint positions that the limits allow in this mode since the last command."""
+        """Joint positions of the next command in this mode, within the limits."""
         if mode is Mode.TRACKING:
             return self.limiter.step(self._target, dt)
         if mode is Mode.BLENDING:

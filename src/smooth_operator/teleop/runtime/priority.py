@@ -1,9 +1,9 @@
 """Real-time priority of the loop, if the system allows it.
 
 On a busy machine, for example with a browser that draws without a graphics card, a fair scheduler
-lets a thread wait some milliseconds after it wakes, which is the loop's whole budget. Linux has
-real-time scheduling for this. It needs a right: root, ``CAP_SYS_NICE``, or an ``rtprio`` line in
-``limits.conf``.
+makes a thread wait some milliseconds after it wakes, which is the loop's whole budget. Linux offers
+real-time scheduling for this. A process may use it as root, with ``CAP_SYS_NICE``, or with an
+``rtprio`` line in ``limits.conf``.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _LOOP: Final = 3
 _PYTHON: Final = 2
 """Priority of Python threads, such as those of sources and sinks."""
 _NATIVE: Final = 1
-"""Priority of the threads of libraries, which may also compile another method."""
+"""Priority of the threads that libraries start, some of which may be compiling a method."""
 _SWITCH_S: Final = 5e-4
-"""Time that another thread may keep the interpreter before the loop gets it [s]."""
+"""Longest time that another thread keeps the interpreter when the loop needs it [s]."""
 
 
 @contextlib.contextmanager
 def low_jitter() -> Iterator[None]:
-    """Gives the loop precedence in this process: short turns for other threads, few collections.
+    """Reduces delays of the loop by other threads of this process and by garbage collection.
 
     Existing objects are excluded from garbage collection inside the block: a compiled model has
     very many objects, which each collection would visit.
@@ -78,7 +78,7 @@ def going_first() -> Iterator[Priority]:
 if sys.platform == "linux":
 
     def _set(task: int, priority: int | None) -> bool:
-        """Set the real-time priority of a thread, None for none; True if the system granted it."""
+        """Set or clear (None) the real-time priority of a thread; True if the system granted it."""
         # the flag: children start as usual
         policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK if priority else os.SCHED_OTHER
         try:

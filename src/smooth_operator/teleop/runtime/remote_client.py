@@ -30,16 +30,16 @@ class RemoteTeleop:
     """A running ``smooth-operator teleop --control ADDRESS``. Safe from any thread.
 
     Every request has its own connection. A teleoperation may therefore end and start between two
-    requests, and a stop does not wait for the answer to another request, such as a method that is
-    compiled.
+    requests, and a stop does not wait for the answer to another request, such as a change of method
+    that has to be compiled.
 
     Args:
         address: address of the teleoperation, such as ``tcp://127.0.0.1:5558``.
-        timeout_s: longest silence [s]. For a longer command, such as compiling a method, the
-            client waits while the teleoperation reports that it is busy.
+        timeout_s: longest time without an answer [s]. During a longer command, such as compiling a
+            method, the client waits as long as the teleoperation reports that it is busy.
 
     Raises:
-        ConfigError: the text is no ZeroMQ address, or the time is not positive.
+        ConfigError: the text is not a ZeroMQ address, or the time is not positive.
         MissingExtraError: pyzmq is not installed.
     """
 
@@ -47,7 +47,7 @@ class RemoteTeleop:
         if not is_zmq_address(address):
             raise ConfigError(
                 f"{address!r} is not a ZeroMQ address; expected an address such as "
-                "tcp://127.0.0.1:5558, the one of teleop --control"
+                "tcp://127.0.0.1:5558, as given to teleop --control"
             )
         if not 0.0 < timeout_s <= LONGEST_S:
             raise ConfigError(f"timeout_s must be over 0 to {LONGEST_S:g} s, not {timeout_s}")
@@ -70,7 +70,7 @@ class RemoteTeleop:
 
         Raises:
             RemoteRefusedError: the teleoperation refuses, with its message.
-            RemoteError: there is no answer, or none of a teleoperation.
+            RemoteError: there is no answer, or it is not from a teleoperation.
             ConfigError: a field has no JSON form, or the address is not valid.
         """
         try:
@@ -87,7 +87,7 @@ class RemoteTeleop:
         return bool(self._exchange(_BUSY, lambda: False).get("busy"))
 
     def _exchange(self, message: bytes, patient: Callable[[], bool]) -> dict[str, Any]:
-        """Send a message and return its answer; ``patient`` decides after each silence."""
+        """Send a message and return its answer; waits on after a timeout if ``patient`` is true."""
         zmq = self._zmq
         context = zmq.Context()
         try:

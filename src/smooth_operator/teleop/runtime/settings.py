@@ -1,5 +1,5 @@
-"""Settings of the loop. This module is quick to import, because the command line shows them in its
-help."""
+"""Settings of the teleoperation loop. This module is quick to import, because the command line
+shows them in its help."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class WristConfig:
 
 @dataclass(frozen=True)
 class LoopConfig:
-    """Pace of the loop.
+    """Rate, safety and limits of the loop.
 
     Attributes:
         rate: commands per second for each hand [Hz]. This is the maximum rate, and the rate without

@@ -1,4 +1,4 @@
-"""Statistics of a run: percentiles of every stage, counts, shares of modes, delay of the motion."""
+"""Statistics of a run: percentiles of every stage, counts, share of each mode, motion delay."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 
 _WINDOW_S: Final = 10.0
 _LEAST_S: Final = 2.0
-"""Shortest motion that gives a delay [s]."""
+"""Shortest motion from which a delay is computed [s]."""
 
 _SPACING_S: Final = 0.008
-"""Time between two stored commands, or states; there are up to a thousand commands a second [s]."""
+"""Shortest time between two stored commands or states [s]; there may be 1000 commands a second."""
 
 _KEPT: Final = int(_WINDOW_S / _SPACING_S)
 _GRID_S: Final = 0.01
 _LONGEST_S: Final = 0.5
-"""Longest delay in the search [s]."""
+"""Longest delay that is considered [s]."""
 
 _MOVES: Final = 0.05
 """Standard deviation of the velocity from which a joint counts as moving [rad/s]."""
 
 _TRUSTED: Final = 0.7
-"""Smallest correlation of a valid delay."""
+"""Smallest correlation at which a delay is valid."""
 
 _REFRESH_S: Final = 1.0
 
@@ -65,10 +65,11 @@ class _Track:
 
 
 class MotionDelay:
-    """Delay of one hand over the last seconds; written by the loop, read by anyone.
+    """Delay between commanded and measured motion of one hand over the last seconds.
 
-    The velocities of all joints that move, commanded and measured, are correlated at delays from 0
-    to half a second; the largest value, refined by a parabola, is the delay.
+    The commanded and measured velocities of all joints that move are correlated at delays from 0 to
+    half a second; the delay is where the correlation is largest, refined by a parabola. The loop
+    writes; any thread may read.
     """
 
     def __init__(self) -> None:
@@ -151,7 +152,7 @@ _STATE_WINDOW_S = 10.0
 
 
 class TrackerDelay:
-    """Delay of each frame above the fastest of the last seconds.
+    """Delay of each frame relative to the fastest frame of the last seconds.
 
     Two clocks that are not synchronised show only the variation of the delay: the difference of
     arrival and stamp is the delay plus a constant, and its smallest recent value stands for the
@@ -176,7 +177,7 @@ class TrackerDelay:
             self._lowest.popleft()
 
     def above_fastest(self, arrival: Arrival) -> float:
-        """Delay of an added frame above the fastest one [s]."""
+        """Delay of an added frame relative to the fastest one [s]."""
         return _difference(arrival) - self._lowest[0][1]
 
 
@@ -209,7 +210,7 @@ class RecentTimes:
 
 
 class LoopStatistics:
-    """Counts and times of a loop; written by the loop, read by anyone.
+    """Counts and times of a loop. The loop writes them; any thread may read them.
 
     Args:
         period: period of the loop [s].
@@ -237,8 +238,8 @@ class LoopStatistics:
 
         Args:
             tick: the command, with the stage ``send``.
-            due: time at which it was due: the arrival of its frame, or by the pace of the loop [s].
-            sent: time at which all sinks had it [s].
+            due: time at which it was due: its frame's arrival, or its turn at the loop's rate [s].
+            sent: time at which all sinks had received it [s].
         """
         self._first = sent if self._first is None else self._first
         self._latest = sent
@@ -259,7 +260,7 @@ class LoopStatistics:
                 self._stages[name].append(ms)
 
     def recent(self, count: int = 500) -> dict[str, dict[str, float]]:
-        """Percentiles of the last frames [ms]: ``total`` (received to sent) and the stages."""
+        """Percentiles of the last frames' times [ms]: ``total`` (received to sent), each stage."""
         return {
             name: percentiles(times.newest(count))
             for name, times in {"total": self._added, **self._stages}.items()
@@ -267,7 +268,7 @@ class LoopStatistics:
 
     @property
     def missed_share(self) -> float:
-        """Share of commands that left more than a period after they were due."""
+        """Share of commands that were sent more than a period after they were due."""
         return self._missed / max(self._due, 1)
 
     @property
@@ -304,7 +305,7 @@ class LoopStatistics:
 
 
 def percentiles(values: Any) -> dict[str, float]:
-    """p50, p95, p99 and the largest value; empty without values."""
+    """Percentiles p50, p95 and p99, and the largest value; empty without values."""
     array = np.asarray(values, float)
     array = array[np.isfinite(array)]
     if not len(array):
@@ -317,11 +318,11 @@ def percentiles(values: Any) -> dict[str, float]:
 
 
 ADDED: Final = ("receive", "solve", "limit", "send")
-"""Stages from the arrival of a frame to its command at the sinks, without ``tracker``."""
+"""Stages between the arrival of a frame and the sending of its command; excludes ``tracker``."""
 
 
 def added_latency(log: Log) -> Float[np.ndarray, " F"]:
-    """Time from frame to command, for each command that answers a frame [ms]."""
+    """Time from frame to command, for each command that was computed from a frame [ms]."""
     if "solve" not in log.stages_ms:
         return np.empty(0)
     total = np.nansum([log.stages_ms[name] for name in ADDED if name in log.stages_ms], axis=0)
@@ -329,7 +330,7 @@ def added_latency(log: Log) -> Float[np.ndarray, " F"]:
 
 
 def log_timing(log: Log) -> dict[str, Any]:
-    """Statistics of stages, pace, modes and events of a log, JSON-serialisable; times in ms.
+    """Statistics of a log's stages, rate, modes and events, JSON-serialisable; times in ms.
 
     Raises:
         RecordingError: the log holds no commands.

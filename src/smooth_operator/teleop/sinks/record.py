@@ -29,9 +29,10 @@ from smooth_operator.types import JointCommand, Side, Status
 class RecordSink(Sink):
     """An MCAP log of a session: frames, commands, modes, events, timing of every tick.
 
-    One file for each hand: ``NAME.mcap``, or ``NAME.right.mcap`` and ``NAME.left.mcap`` for two.
-    The file is complete up to the last flush, also after a crash. Its stamps are by the loop's
-    clock, also for commands without a frame. The tracker's stamp of each frame is recorded, too.
+    There is one file for each hand: ``NAME.mcap``, or ``NAME.right.mcap`` and ``NAME.left.mcap``
+    for two. The file is complete up to the last flush, even after a crash. Its stamps are from the
+    loop's clock, also for commands without a frame. The tracker's stamp of each frame is recorded
+    too.
 
     After a failure, the recording continues in a new file and leaves earlier ones unchanged.
 
@@ -40,10 +41,11 @@ class RecordSink(Sink):
             ``take-001.mcap``, ``take-002.mcap``, ...
         overwrite: replace an existing file of that name.
         flush_s: longest time that a tick waits for the disk [s].
-        buffer: number of ticks that wait for a slow disk; more are dropped and counted.
+        buffer: largest number of ticks that wait for a slow disk; further ones are dropped and
+        counted.
 
     Raises:
-        ConfigError: a setting is out of its range, or the file is no ``.mcap``.
+        ConfigError: a setting is out of its range, or the file is not an ``.mcap`` file.
     """
 
     path: Path
@@ -65,12 +67,12 @@ class RecordSink(Sink):
 
     @property
     def label(self) -> str:
-        """``record`` and the target."""
+        """``record`` and the file or folder, for display."""
         return f"record {self.path}"
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """All files that it has written, in order."""
+        """All files that this sink has written, in order."""
         return self._history
 
     @property
@@ -119,15 +121,15 @@ class RecordSink(Sink):
         self._recorder.put(tick)
 
     def stalled(self, seconds: float) -> None:
-        """Put the silence into the recording, as an event of the next tick."""
+        """Record the time without commands, as an event of the next tick."""
         if self._recorder is not None:
             self._recorder.silence(seconds)
 
     def close(self) -> None:
-        """Write pending ticks, and end the files.
+        """Write pending ticks, and finish the files.
 
         Raises:
-            OutputError: the files could not be ended; flushed parts stay readable.
+        OutputError: the files could not be finished; flushed parts stay readable.
         """
         recorder = self._recorder
         if recorder is None:
@@ -147,11 +149,11 @@ _CHUNK_BYTES: Final = 256 * 1024
 _PERIOD_S: Final = 0.5
 """Longest interval at which ticks are written [s]. Waking for each tick would delay the loop."""
 _AT_ONCE: Final = 200
-"""Number of ticks that are written before the interval is over."""
+"""Number of waiting ticks that are written at once, before the interval is over."""
 _TURN: Final = 4
-"""Number of ticks that are encoded before the loop may get the interpreter: 0.6 ms."""
+"""Number of ticks to encode before the loop may take the interpreter; this takes 0.6 ms."""
 _END_S: Final = 20.0
-"""Longest time to end a recording: write a buffer, close two files [s]."""
+"""Longest time to finish a recording, that is, write the buffer and close two files [s]."""
 
 
 class Recorder:
@@ -166,9 +168,9 @@ class Recorder:
         buffer: largest number of waiting ticks.
 
     Attributes:
-        dropped: number of ticks that are missing in the files. While the recorder runs, waiting
+        dropped: number of ticks that are missing from the files. While the recorder runs, waiting
             ticks count as recorded.
-        empty: files without any command, because the disk failed earlier.
+        empty: files without any command, because the disk failed before the first one.
 
     Raises:
         OutputError: a file can't be created; no file is left behind.
@@ -240,16 +242,16 @@ class Recorder:
                 self._change.notify_all()
 
     def silence(self, seconds: float) -> None:
-        """Store a time without commands [s]."""
+        """Note a time without commands [s], to be recorded."""
         with self._change:
             self._stalled = seconds
 
     def close(self) -> None:
-        """Write waiting ticks, and end the files.
+        """Write waiting ticks, and finish the files.
 
         Raises:
             OutputError: the disk failed.
-            SinkError: the disk takes too long; the thread goes on.
+            SinkError: the disk takes too long; the thread continues to write.
         """
         with self._change:
             self._ending = True
@@ -373,10 +375,10 @@ SUFFIX = ".mcap"
 
 
 def is_folder(path: Path) -> bool:
-    """True if a path means a folder of takes: it is one, or has no suffix.
+    """True if a path names a folder of takes: it is a folder, or has no suffix.
 
     Raises:
-        ConfigError: it has another suffix than a log's.
+    ConfigError: its suffix is not that of a log.
     """
     if path.is_dir() or not path.suffix:
         return True
@@ -391,9 +393,10 @@ def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Si
     """Files of a new recording; creates the folder if necessary.
 
     Args:
-        path: see ``is_folder``. In a folder a recording is ``take-001.mcap`` and so on.
-        sides: hands that are recorded. Two have a file each, as in ``take-001.right.mcap``.
-        overwrite: True if a named file may exist.
+        path: see ``is_folder``. In a folder, recordings are named ``take-001.mcap`` and so on.
+        sides: hands that are recorded. Two hands have one file each, as in
+        ``take-001.right.mcap``.
+        overwrite: True if an existing file may be replaced.
 
     Raises:
         OutputError: a named file exists, or the folder can't be created.
@@ -415,7 +418,7 @@ def take_paths(path: Path, sides: Sequence[Side], *, overwrite: bool) -> dict[Si
 
 
 def next_part(path: Path, sides: Sequence[Side]) -> dict[Side, Path]:
-    """Files that continue a broken recording: the next take, or ``NAME.part2.mcap``."""
+    """Files that continue an interrupted recording: the next take, or ``NAME.part2.mcap``."""
     if is_folder(path):
         return take_paths(path, sides, overwrite=False)
     return _first_free(path.with_name(f"{path.stem}.part{{}}{path.suffix}"), sides, 2)

@@ -27,16 +27,16 @@ from smooth_operator.types import Side
 
 @dataclass(frozen=True)
 class Simulation(Sink):
-    """Each hand on a fixture, or on its arm, in MuJoCo, on position servos, in real time.
+    """Sink that simulates each hand in MuJoCo in real time, driven by position servos.
 
-    The physics runs on its own thread. Without commands, the hands hold their positions. The page
-    draws ``state`` and the command.
+    A hand is mounted on a fixture or on its arm. The physics runs on its own thread. Without
+    commands, the hands hold their positions. The page draws ``state`` and the command.
 
     Attributes:
         rate: steps of the physics per second [Hz].
         bandwidth: bandwidth of the servos [Hz]. A higher one follows faster and pushes harder.
         gravity: True for gravity along -z of the model's world.
-        task: task of each hand; it switches gravity on.
+        task: task scene around each hand; a task switches gravity on.
 
     Raises:
         ConfigError: a setting is out of its range.
@@ -71,7 +71,7 @@ class Simulation(Sink):
 
     @property
     def note(self) -> str:
-        """Faults of the physics; empty without any."""
+        """Faults of the physics; empty if there are none."""
         return "; ".join(self._events)
 
     @property
@@ -86,7 +86,7 @@ class Simulation(Sink):
 
     @property
     def world_number(self) -> int:
-        """Number of the scene, new for every scene; 0 without one."""
+        """Number of the scene, different for every scene; 0 without a scene."""
         return 0 if self._world is None else self._world.number
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
@@ -97,7 +97,7 @@ class Simulation(Sink):
         self._set(_world=World(physics, self._events, self._arms))
 
     def change_task(self, task: str) -> None:
-        """Build another scene, or none, and switch to it; commands go on meanwhile.
+        """Build the scene of another task, or the hand alone, and switch to it. Commands continue.
 
         A watcher of the previous scene gets no more states.
 
@@ -107,7 +107,7 @@ class Simulation(Sink):
         Raises:
             UnknownNameError: there is no such task.
             HandModelError: the task does not fit the size of a hand; nothing changes.
-            SinkError: the simulation is closed, or was closed meanwhile.
+            SinkError: the simulation is closed, or was closed in the meantime.
         """
         before = self._world
         if before is None:
@@ -138,7 +138,7 @@ class Simulation(Sink):
             self._world.hold()
 
     def state(self, side: Side) -> HandState | None:
-        """The state of a hand now; safe from any thread.
+        """The current state of a hand; safe from any thread.
 
         Returns:
             None while the simulation is closed, or if it has no such hand.
@@ -147,16 +147,16 @@ class Simulation(Sink):
         return None if world is None else world.states.get(side)
 
     def snapshot(self, side: Side) -> tuple[HandPhysics, Float[np.ndarray, " q"]] | None:
-        """Physics of a hand, whose state belongs to another thread, and its newest (q,) positions.
+        """A hand's physics and its newest (q,) joint positions; None if there is no such hand.
 
-        Safe from any thread. None without such a hand."""
+        Safe from any thread; the state inside the physics belongs to the simulation's thread."""
         world = self._world
         if world is None or side not in world.physics:
             return None
         return world.physics[side], world.qpos[side]
 
     def use_arms(self, arms: Mapping[Side, CarriedHand]) -> None:
-        """The arms that carry the hands; see ``Sink``."""
+        """Set the arms that carry the hands; see ``Sink``."""
         self._arms.update(arms)
 
     def measured_arm(self, side: Side) -> Float[np.ndarray, " n"] | None:
@@ -187,15 +187,15 @@ class Simulation(Sink):
         return self._scene(side).scene
 
     def hand_of(self, side: Side) -> Hand:
-        """The hand in a scene; raises as ``scene_of``."""
+        """The robot hand in a scene; raises the errors of ``scene_of``."""
         return self._scene(side).hand
 
     def parts_of(self, side: Side) -> list[ScenePart]:
-        """Shapes of platform and object for drawing; raises as ``scene_of``."""
+        """Shapes of platform and object for drawing; raises the errors of ``scene_of``."""
         return self._scene(side).parts()
 
     def scene_state(self, side: Side) -> SceneState | None:
-        """The state of the scene now; safe from any thread.
+        """The current state of the scene; safe from any thread.
 
         Returns:
             None while the simulation is closed, or without a task or such a hand.
@@ -217,10 +217,10 @@ class Simulation(Sink):
                 world.watchers[side] = watcher
 
     def reset_object(self, side: Side) -> int:
-        """Put the object back to its start, with the next step; raises as ``scene_of``.
+        """Put the object back to its start at the next step; raises the errors of ``scene_of``.
 
         Returns:
-            ``SceneState.starts`` of the states that come after it.
+            ``SceneState.starts`` of the states after the reset.
         """
         world = self._open_world(side)
         with world.changed:
@@ -228,15 +228,15 @@ class Simulation(Sink):
             return self._scene(side).starts + 1
 
     def put_away(self, side: Side) -> None:
-        """Remove the object, from the next step on; raises as ``scene_of``."""
+        """Remove the object at the next step; raises the errors of ``scene_of``."""
         world = self._open_world(side)
         with world.changed:
             world.there[side] = False
 
     def freeze(self, side: Side, frozen: bool) -> None:
-        """Stop hand and scene with their clock, or let them go on; raises as ``scene_of``.
+        """Freeze a hand, its scene and its clock, or continue; raises the errors of ``scene_of``.
 
-        The hand then goes to the newest command.
+        When it continues, the hand moves to the newest command.
         """
         world = self._open_world(side)
         with world.changed:
@@ -266,7 +266,7 @@ class Simulation(Sink):
         return physics
 
     def close(self) -> None:
-        """Stop; a second call does nothing."""
+        """End the simulation; a second call does nothing."""
         with self._swapping:
             world = self._world
             self._set(_world=None)
@@ -278,10 +278,10 @@ _WAKE_S: Final = 0.004
 """Interval at which the thread wakes for several steps [s]; waking costs more than a step."""
 
 _SLICE_S: Final = 0.01
-"""Longest time of physics between two readings of the commands [s]."""
+"""Longest simulated time between two readings of the commands [s]."""
 
 _BEHIND_S: Final = 0.1
-"""Largest time that the physics catches up with after a delay of the machine [s]."""
+"""Longest delay of the machine that the physics makes up for [s]."""
 
 _Target = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " a"] | None]
 """Joint positions of a hand and of its arm [rad]."""
@@ -290,7 +290,7 @@ _NUMBERS: Final = itertools.count(1)
 
 
 class World:
-    """The thread that steps the physics of all hands in real time.
+    """Thread that steps the physics of all hands in real time.
 
     Args:
         physics: physics of each hand.
@@ -299,9 +299,9 @@ class World:
 
     Attributes:
         watchers: side -> watcher of the scene's states.
-        there: side -> True to put the object back with the next step, False to remove it.
-        frozen: sides whose hand and scene stand still.
-        changed: lock of the attributes that other threads write.
+        there: side -> True to put the object back at the next step, False to remove it.
+        frozen: sides whose hand and scene are frozen.
+        changed: lock for the attributes that other threads write.
     """
 
     def __init__(
@@ -340,7 +340,7 @@ class World:
         positions: Float[np.ndarray, " n"],
         arm: Float[np.ndarray, " a"] | None,
     ) -> None:
-        """New targets of the servos of a hand, and of its arm.
+        """Set new servo targets for a hand and its arm.
 
         Raises:
             SinkError: the simulation has ended.
@@ -357,7 +357,7 @@ class World:
                 self._targets[side] = None  # the position of the hand at that time
 
     def end(self) -> None:
-        """Stop."""
+        """Stop the thread."""
         self._ending.set()
         self._thread.join(2.0)
 
@@ -411,7 +411,7 @@ class World:
                 self._show(side, physics)
 
     def _show(self, side: Side, physics: ScenePhysics) -> None:
-        """Carry out requested resets, and hand the new state of a scene to its watcher."""
+        """Carry out requested resets, and pass the new state of a scene to its watcher."""
         with self.changed:
             watcher = self.watchers.get(side)
             there = self.there.pop(side, None)

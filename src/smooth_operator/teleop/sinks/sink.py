@@ -1,8 +1,8 @@
-"""Sinks, which take the joint commands of a running loop, and the runner of several.
+"""Sinks, which receive the joint commands of a running loop, and the runner of several sinks.
 
-A fault of one sink does not affect the others: a sink that raises is closed, its error stored for
-the report at the end, and opened again later. Closing and opening may take long (compiling a model,
-finishing a file), so both happen on a separate thread, and the loop does not wait for them.
+A fault of one sink does not affect the others: a sink that raises is closed and opened again later,
+and its error is stored for the report at the end. Closing and opening may take long (compiling a
+model, finishing a file), so both happen on a separate thread, and the loop does not wait for them.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ class Sink(ABC):
     @property
     @abstractmethod
     def label(self) -> str:
-        """Name for a person, in a few words."""
+        """Short human-readable name of the sink."""
 
     @property
     def note(self) -> str:
-        """A note for a person, such as a warning; empty for none."""
+        """Note for the user, such as a warning; empty if there is nothing to say."""
         return ""
 
     @property
@@ -60,7 +60,7 @@ class Sink(ABC):
 
     @property
     def figures(self) -> Mapping[str, Any]:
-        """Counts and times for the summary of a run, as plain values; empty for none."""
+        """Counts and times for the summary of a run, as plain values; empty by default."""
         return {}
 
     @property
@@ -126,7 +126,7 @@ class Sink(ABC):
 
     @abstractmethod
     def send(self, tick: Tick) -> None:
-        """Hand over a command, in well under a millisecond.
+        """Send a command; must take well under a millisecond.
 
         Raises:
             SinkError: the receiver is gone.
@@ -145,7 +145,7 @@ class Sink(ABC):
         """Write pending data and close everything; a second call does nothing."""
 
     def _set(self, **values: object) -> None:
-        """Set attributes of an open sink, of which only the settings are frozen."""
+        """Set attributes of an open sink, although its dataclass is frozen."""
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -173,10 +173,10 @@ class Link(Protocol):
 
 
 class ThreadedSink(Sink):
-    """A sink that hands the newest command of each hand to a link, on its own thread.
+    """A sink that passes the newest command of each hand to a link, on its own thread.
 
-    The next command overwrites one that the link has not yet taken: there is no queue. Subclasses
-    are frozen dataclasses of settings.
+    There is no queue: a new command replaces one that the link has not yet taken. Subclasses are
+    frozen dataclasses of settings.
     """
 
     @abstractmethod
@@ -286,7 +286,7 @@ class _Sender:
 
 
 SinkState: TypeAlias = Literal["closed", "open", "failed"]
-"""State of a sink; ``failed``: it raised, and will be opened again."""
+"""State of a sink; ``failed`` means that it raised an error and will be opened again."""
 
 _LEAVE_S: Final = 1.0
 """Time that closing waits for a call that is still inside the sink [s]."""
@@ -294,14 +294,14 @@ _LEAVE_S: Final = 1.0
 
 @dataclass(frozen=True)
 class SinkHealth:
-    """Health of a sink, now or at its end.
+    """Health of a sink, now or when it was closed.
 
     Attributes:
         label: name of the sink.
         state: see ``SinkState``.
-        detail: the last error, or a note for a person; empty without either.
-        sent: number of ticks that it got.
-        failed: number of errors, including those of opening again.
+        detail: the last error, or a note for the user; empty without either.
+        sent: number of ticks that it received.
+        failed: number of errors, including those of reopening.
         missed: number of ticks while it was not open.
         figures: further counts and times (``Sink.figures``).
     """
@@ -316,7 +316,7 @@ class SinkHealth:
 
 
 class SinkRunner:
-    """Several sinks as one.
+    """Runs several sinks as one.
 
     Only the loop's thread calls ``send``; everything else is safe from any thread.
 
@@ -355,7 +355,7 @@ class SinkRunner:
             entry.sink.check(hands)
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Open all sinks, or none.
+        """Open all sinks; if one can't be opened, leave none open.
 
         Raises:
             SmoothOperatorError: as ``Sink.open``; those that were open already are closed.
@@ -376,11 +376,11 @@ class SinkRunner:
         self._mender.start()
 
     def send(self, tick: Tick) -> None:
-        """Hand a tick to every open sink that moves something; errors of sinks are only stored."""
+        """Send a tick to every open sink that moves something; errors of sinks are only stored."""
         self._hand_over(tick, observing=False)
 
     def observe(self, tick: Tick) -> None:
-        """Hand a tick, with the time of sending, to the observing sinks (``Sink.observes``)."""
+        """Send a tick, with the time of sending, to the observing sinks (``Sink.observes``)."""
         self._hand_over(tick, observing=True)
 
     def _hand_over(self, tick: Tick, observing: bool) -> None:
@@ -393,7 +393,7 @@ class SinkRunner:
                 entry.missed += 1
 
     def state(self, side: Side) -> HandState | None:
-        """The last measured state of a hand, preferably of a real one."""
+        """The last measured state of a hand, preferably from a real hand."""
         first: HandState | None = None
         for entry in self._entries:
             if entry.state == "open" and (measured := entry.sink.state(side)) is not None:
@@ -445,7 +445,7 @@ class SinkRunner:
             entry.end()
 
     def close(self) -> None:
-        """Close all of them, even when one fails in closing; a second call does nothing."""
+        """Close all sinks, even if one raises; a second call does nothing."""
         with self._changed:
             self._opened = None
             self._changed.notify_all()
@@ -456,7 +456,7 @@ class SinkRunner:
             entry.end()
 
     def health(self) -> list[SinkHealth]:
-        """Health of each sink now, in their order."""
+        """Current health of each sink, in their order."""
         return [entry.health() for entry in self._entries]
 
     def report(self) -> list[SinkHealth]:
@@ -464,7 +464,7 @@ class SinkRunner:
         return [entry.health() for entry in (*self._gone, *self._entries)]
 
     def _mend(self) -> None:
-        """Close sinks that failed, and open them again after a time."""
+        """Close sinks that failed, and reopen them after ``retry_s``."""
         step = min(0.05, self.retry_s / 4)
         while True:
             with self._changed:
@@ -520,7 +520,7 @@ class _Entry:
         return True
 
     def end(self) -> None:
-        """Close the sink for good; stores an error in closing."""
+        """Close the sink for good; an error in closing is stored."""
         with self._change:
             self.state = "closed"
         self._shut()
@@ -562,7 +562,7 @@ class _Entry:
         return self.state == "failed"
 
     def _shut(self) -> None:
-        """Close it, once no call is inside."""
+        """Close the sink once no call is running in it."""
         with self._moving:
             with self._change:
                 self._change.wait_for(lambda: self._inside == 0, _LEAVE_S)

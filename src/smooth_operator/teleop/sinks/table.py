@@ -1,4 +1,4 @@
-"""Commands as a table in the terminal: a bar for each joint, mode and latency."""
+"""Sink that shows the commands as a table in the terminal: a bar for each joint, mode, latency."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 _KEPT: Final = 1000
-"""Number of ticks for latency and rate."""
+"""Number of ticks from which latency and rate are computed."""
 _BAR: Final = 24
 _PLAIN_S: Final = 1.0
 _COLOURS: Final = {Mode.TRACKING: "green", Mode.BLENDING: "cyan", Mode.STOPPED: "bold red"}
@@ -31,10 +31,10 @@ _COLOURS: Final = {Mode.TRACKING: "green", Mode.BLENDING: "cyan", Mode.STOPPED: 
 
 @dataclass(frozen=True)
 class TableSink(Sink):
-    """A table on standard error, updated a few times a second; plain lines without a screen.
+    """Table on standard error, updated a few times a second; plain lines if it is not a terminal.
 
     Attributes:
-        rate: rate of drawing [Hz].
+        rate: how often the table is drawn [Hz].
 
     Raises:
         ConfigError: the rate is out of its range.
@@ -54,7 +54,7 @@ class TableSink(Sink):
         return "table"
 
     def open(self, hands: Mapping[Side, Hand], config: Mapping[str, Any]) -> None:
-        """Begin to draw; see ``Sink``."""
+        """Start drawing; see ``Sink``."""
         if self._thread is not None:
             raise SinkError("table: it is already open")
         panels = {side: HandPanel(side, hand) for side, hand in hands.items()}
@@ -73,7 +73,7 @@ class TableSink(Sink):
                 panel.silence = seconds
 
     def close(self) -> None:
-        """Draw for the last time."""
+        """Draw the table for the last time."""
         drawing = self._thread
         self._set(_thread=None)
         if drawing is not None:
@@ -81,7 +81,7 @@ class TableSink(Sink):
 
 
 class HandPanel:
-    """Table of one hand; the loop calls ``see``, the drawing thread the rest."""
+    """Table of one hand. The loop calls ``see``; the drawing thread calls the other methods."""
 
     def __init__(self, side: Side, hand: Hand) -> None:
         self.title = f"{hand.name} {side}"
@@ -116,7 +116,7 @@ class HandPanel:
         return ", ".join(parts)
 
     def table(self) -> RenderableType:
-        """Joints and their positions within their limits, for rich."""
+        """Table of joints and their positions within their limits, as a rich renderable."""
         from rich.console import Group
         from rich.table import Table
         from rich.text import Text
@@ -181,7 +181,7 @@ class _Drawing:
 
 
 def _bar(value: float, low: float, high: float) -> Text:
-    """Bar of a position within its limits, empty at the lower one."""
+    """Bar for a position within its limits, empty at the lower limit."""
     from rich.text import Text
 
     if not (np.isfinite([value, low, high]).all() and high > low):

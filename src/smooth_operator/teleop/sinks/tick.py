@@ -46,7 +46,7 @@ class Mode(enum.Enum):
     PAUSED = "paused"
     """The operator released the clutch: the robot holds the last command."""
     STOPPED = "stopped"
-    """Emergency stop: the robot brakes and stands until it is released by hand."""
+    """Emergency stop: the robot brakes and stays stopped until the operator releases it."""
 
     @property
     def moves(self) -> bool:
@@ -62,7 +62,7 @@ class WristCommand:
         pose: (7,) pose of the robot hand's wrist frame in ``world``: x y z [m], unit quaternion
             w x y z; within all limits, and held while not engaged.
         engaged: True while the operator's wrist moves the robot's.
-        valid: True if the answered frame had a valid wrist.
+        valid: True if the frame of this command had a valid wrist.
         world: name of the frame of ``pose``, the base of the robot.
     """
 
@@ -83,14 +83,14 @@ class ArmCommand:
         velocity: (n,) velocities since the previous command [rad/s].
         pose: (7,) pose of the hand's wrist at these positions, in the arm's base frame: x y z [m]
             and a unit quaternion w x y z.
-        position_error: distance from there to the target pose [m]; NaN without a target.
-        rotation_error: angle from there to the target pose [rad]; NaN without a target.
+        position_error: distance from ``pose`` to the target pose [m]; NaN without a target.
+        rotation_error: angle from ``pose`` to the target pose [rad]; NaN without a target.
         clearance: smallest distance between parts, or to table and wall, except between fingers and
-            table [m].
+        table [m].
         state: ``following``, ``holding``, ``braking`` (no motion keeps all distances) or
             ``stopped``.
         measured: (n,) positions of the joints at the last measurement by a sink [rad]; None without
-            one.
+            a measurement.
     """
 
     name: str
@@ -112,22 +112,21 @@ class Tick:
     Attributes:
         side: side of the hand.
         hand: name of the robot hand.
-        command: joint positions within all limits. Its stamp is that of the answered frame, by the
-            tracker's clock, or the time of the tick without a frame.
+        command: joint positions within all limits. Its stamp is that of the frame that it was
+            computed from, by the tracker's clock, or, without a frame, the time of the tick.
         velocity: (n,) velocity of all joints [rad/s], for feedforward in drivers.
         mode: mode of the loop.
-        time: time of the command, by the loop's clock [s]; the limits hold from one such time to
-            the next.
+        time: time of the command, by the loop's clock [s]. The limits apply between these times.
         number: number of the tick, counted from 0 for each hand.
-        status: status of the answered frame; None without a frame.
-        arrival: the answered frame.
-        stages: name of a stage -> its time [ms], in order; empty without a frame.
-        tracking_loss: loss of the frame; NaN without a frame.
-        scale: robot size over human size in the frame; NaN without a frame.
+        status: status of the frame that the command was computed from; None without a frame.
+        arrival: the frame that the command was computed from.
+        stages: name of a stage -> its duration [ms], in order; empty without a frame.
+        tracking_loss: loss of the method for the frame; NaN without a frame.
+        scale: ratio of robot size to human size in the frame; NaN without a frame.
         events: events of this tick, one sentence each, such as a change of mode or refused frames.
-        driver: method of the hand, if known; the same object until it changes.
+        driver: method that drives the hand, if known; the same object until it changes.
         state: last measured state of the hand, if a sink measures it; the same object until there
-            is a newer one.
+        is a newer one.
         wrist: target of the hand's wrist, with the same stamp; None if the loop moves fingers only.
         arm: the command to the arm that carries the hand, with the same stamp; None without an
             arm.
@@ -164,8 +163,8 @@ class HandState:
         positions: (n,) measured joint positions [rad]; NaN for a joint without a measurement.
         velocities: (n,) measured joint velocities [rad/s], or None.
         actuators: (a,) names of the actuators; empty if they have no names.
-        currents: (a,) current of the actuators, or force, in the driver's unit; NaN if unknown;
-            None if the hand measures none.
+        currents: (a,) current or force of the actuators, in the driver's unit; NaN if unknown; None
+            if the hand measures neither.
         temperatures: (a,) temperatures of the actuators [degrees Celsius], or None.
         touch: (k,) touch or force sensors, in the driver's unit and order, or None.
     """
@@ -183,7 +182,7 @@ class HandState:
 
     @property
     def time(self) -> float:
-        """The stamp, under its name in simulations."""
+        """The stamp; simulations call it ``time``."""
         return self.stamp
 
 
@@ -191,18 +190,18 @@ _STEP: Final = 2e-6
 """Smallest difference of consecutive stamps [s]."""
 
 _FORGET: Final = 0.9995
-"""Factor by which the stored delay decays from one frame to the next."""
+"""Factor by which the stored largest delay decays from one frame to the next."""
 
 
 class StampMap:
-    """Stamps for the log of one hand: by the loop's clock, and strictly increasing.
+    """Computes strictly increasing stamps by the loop's clock for the log of one hand.
 
     Frames have stamps of the tracker's clock, which restarts with every start of the tracker.
-    Commands without a frame have the loop's time. The stamps of each start are shifted by one
-    constant, reception minus stamp of the first frame, so that their differences are those of the
-    tracker. A jump of the stamps (``JUMP_S``) counts as a start, so that one bad stamp shifts no
-    others. Commands without a frame are stamped earlier by the delay of the last frames, so that
-    their stamps are not later than that of the next frame.
+    Commands without a frame have the loop's time. After each start, all stamps are shifted by one
+    constant, the first frame's time of reception minus its stamp, so that their differences are
+    those of the tracker. A jump of the stamps (``JUMP_S``) counts as a start, so that one bad stamp
+    does not shift the others. Commands without a frame are stamped earlier by the delay of the last
+    frames, so that their stamps are not later than that of the next frame.
     """
 
     def __init__(self) -> None:

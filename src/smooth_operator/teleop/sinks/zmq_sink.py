@@ -1,4 +1,4 @@
-"""Commands over ZeroMQ: one JSON message for each command, for a robot's driver to subscribe to."""
+"""Sink that publishes commands over ZeroMQ as JSON messages, for a robot's driver."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _WAITING_MESSAGES: Final = 4
 """Largest number of messages that wait for a slow subscriber; older ones are outdated."""
 
 _LINGER_MS: Final = 1000
-"""Time that closing waits for pending messages, such as that of the end."""
+"""Time that closing waits for pending messages, such as the end message [ms]."""
 
 
 @dataclass(frozen=True)
 class ZmqSink(ThreadedSink):
     """Publishes commands on a ZeroMQ socket (PUB); see ``docs/how-to/robot-driver.md``.
 
-    It needs no subscriber, and subscribers may come and go. Each message has the time for which it
-    is valid; a driver without a newer one stops its robot.
+    It needs no subscriber, and subscribers may come and go. Each message states for how long it is
+    valid; a driver that gets no newer message within that time must stop its robot.
 
     Attributes:
         address: address for subscribers; the default can be reached from this machine only.
@@ -86,7 +86,7 @@ class ZmqSink(ThreadedSink):
 
 
 def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
-    """Message of a command; ``side`` comes first, so that subscribers can filter for it."""
+    """Message for a command; ``side`` comes first, so that subscribers can filter by it."""
     frame, wrist = None if tick.arrival is None else tick.arrival.frame, tick.wrist
     message: dict[str, Any] = {
         "side": tick.side,
@@ -119,7 +119,7 @@ def command_message(tick: Tick, valid_for_s: float) -> dict[str, Any]:
 
 
 def arm_message(arm: ArmCommand) -> dict[str, Any]:
-    """Part of a command for the arm, with its measured positions if there are any."""
+    """Part of a command message for the arm, with its measured positions if there are any."""
     message: dict[str, Any] = {
         "name": arm.name,
         "names": list(arm.joint_names),
@@ -134,8 +134,8 @@ def arm_message(arm: ArmCommand) -> dict[str, Any]:
 
 
 def state_message(state: HandState) -> dict[str, Any]:
-    """Message of a measured state. ``topic`` comes first, so that subscribers can filter for it and
-    do not take it for a command."""
+    """Message for a measured state. ``topic`` comes first, so that subscribers can filter by it and
+    do not mistake the message for a command."""
     message: dict[str, Any] = {
         "topic": "/state",
         "side": state.side,
@@ -157,7 +157,7 @@ def state_message(state: HandState) -> dict[str, Any]:
 
 
 def encode(message: Mapping[str, Any]) -> bytes:
-    """JSON without blanks. Refuses NaN, which JSON does not have."""
+    """Encode a message as JSON without blanks. Refuses NaN, which JSON does not have."""
     return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
 
 
@@ -186,11 +186,11 @@ class _Publisher:
             self._socket.send(encode(state_message(state)))
 
     def stalled(self, seconds: float) -> None:
-        """Publish, for each hand, that there are no commands."""
+        """Publish for each hand that the loop sends no commands."""
         self._tell("stalled", seconds=seconds)
 
     def close(self) -> None:
-        """Publish the end, and close the socket."""
+        """Publish the end message, and close the socket."""
         try:
             self._tell("end")
         finally:
