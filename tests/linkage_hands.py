@@ -38,9 +38,10 @@ def polynomial_hand(polycoef: str = "0 0.75 0.2 0 0") -> str:
     )
 
 
-def crank_hand() -> str:
+def crank_hand(leads: str = "mcp") -> str:
     """A thumb and four fingers that a motor's crank and a rod move; the rod's end is connected to
-    the finger by a ``connect``, and the PIP joints follow the MCP joints by a line."""
+    the finger by a ``connect``, and the PIP joints follow the MCP joints, or the cranks
+    (``motor``), by a line."""
     return _hand(
         "".join(
             (_CRANK + _FINGER).format(name=name, x=x, mcp="", pip="")
@@ -48,7 +49,7 @@ def crank_hand() -> str:
         ),
         "".join(
             f'<connect site1="{name}_rod_end" site2="{name}_horn"/>'
-            f'<joint joint1="{name}_pip" joint2="{name}_mcp" polycoef="0 0.9 0 0 0"/>'
+            f'<joint joint1="{name}_pip" joint2="{name}_{leads}" polycoef="0 0.9 0 0 0"/>'
             for name in _FINGERS
         ),
         [f"{name}_motor" for name in _FINGERS],

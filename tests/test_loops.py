@@ -110,7 +110,12 @@ def added(run, path: Path, monkeypatch, *options: str) -> dict:
     return json.loads(out)
 
 
-HANDS = {"crank": crank_hand, "four_bar": four_bar_hand, "rod": rod_hand}
+HANDS = {
+    "crank": crank_hand,
+    "crank_leads": lambda: crank_hand("motor").replace('range="-0.2 1.5"', 'range="-0.2 0.5"'),
+    "four_bar": four_bar_hand,
+    "rod": rod_hand,
+}
 
 
 @pytest.mark.parametrize("name", HANDS)
@@ -169,6 +174,27 @@ def test_the_motors_ranges_limit_the_leaders(run, tmp_path, monkeypatch):
     at = hand.actuated_names.index("index_mcp")
     np.testing.assert_allclose(hand.limits[at], [min(reached), max(reached)], atol=5e-3)
     assert "index_motor" not in hand.joint_names
+
+
+def test_joints_that_follow_a_joint_of_a_loop_still_do(run, tmp_path, monkeypatch):
+    """A DIP joint outside the loop follows the PIP joint, which gets a polynomial."""
+    path = tmp_path / "more.xml"
+    text = four_bar_hand()
+    tied = ""
+    for finger in FINGERS[1:]:
+        text = text.replace(
+            f'<site name="{finger}_tip" pos="0 0 0.035"/>',
+            f'<body name="{finger}_end" pos="0 0 0.03"><joint name="{finger}_dip" axis="1 0 0"/>'
+            '<geom type="capsule" fromto="0 0 0 0 0 0.02" size="0.005" mass="0.01"/>'
+            f'<site name="{finger}_tip" pos="0 0 0.025"/></body>',
+        )
+        tied += f'<joint joint1="{finger}_dip" joint2="{finger}_pip" polycoef="0 0.5 0 0 0"/>'
+    path.write_text(text.replace("<equality>", f"<equality>{tied}"))
+    added(run, path, monkeypatch)
+    hand = so.load_hand("more", "right")
+    every = dict(zip(hand.joint_names, hand.full_configuration(hand.limits[:, 1]), strict=True))
+    assert every["ring_dip"] == pytest.approx(0.5 * every["ring_pip"]) != 0
+    assert worst_tip_error(path, hand, 4) < 0.5e-3
 
 
 def test_a_loop_that_no_polynomial_fits_is_refused_with_its_error(run, tmp_path, monkeypatch):

@@ -283,16 +283,19 @@ class LinkGraph:
     def free(self, loop: Loop, motors: Sequence[int]) -> Int[np.ndarray, " f"]:
         """Degrees of freedom of a loop, and of joints that a joint equality ties to it, without
         those of its motors."""
-        model = self.model
-        joints = {j for b in loop.moving for j in self.joints_of(b)}
+        own = self.tied({j for b in loop.moving for j in self.joints_of(b)}) - set(motors)
+        return np.flatnonzero(np.isin(self.model.dof_jntid, list(own)))
+
+    def tied(self, joints: set[int]) -> set[int]:
+        """The joints, and those that joint equalities tie to them."""
+        model, out = self.model, set(joints)
         ties = [
             {int(model.eq_obj1id[e]), int(model.eq_obj2id[e])} - {-1}
             for e in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT))
         ]
-        while more := [tie for tie in ties if tie & joints and not tie <= joints]:
-            joints |= set().union(*more)
-        own = joints - set(motors)
-        return np.flatnonzero(np.isin(model.dof_jntid, list(own)))
+        while more := [tie for tie in ties if tie & out and not tie <= out]:
+            out |= set().union(*more)
+        return out
 
     def rows(
         self, qpos: Float[np.ndarray, " nq"], free: Int[np.ndarray, " f"]

@@ -151,6 +151,7 @@ def _tidy(
         for element in root.findall(section):
             root.remove(element)
     followers = {c.joint for one in solutions for c in one.couplings}
+    fitted = {name for one in solutions for name in one.ranges}
     leaders = [name for one in solutions for name in one.leaders]
     for section in ("tendon", "contact", "equality", "actuator"):  # actuators may be on tendons
         after = _names(root)
@@ -164,8 +165,9 @@ def _tidy(
                     for attribute in attributes
                 ]
                 lost = any(name in gone[kind] for kind, name in named)
-                led = section != "contact" and any(
-                    kind == "joint" and name in followers for kind, name in named
+                led = (section == "actuator" and element.get("joint") in followers) or (
+                    section == "equality"
+                    and {element.get("joint1"), element.get("joint2")} <= fitted
                 )
                 if lost or led or element.tag in ("connect", "weld"):
                     group.remove(element)

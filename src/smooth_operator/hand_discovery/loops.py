@@ -120,6 +120,12 @@ def _solved(graph: LinkGraph, loop: Loop) -> OpenLoop:
         edge.name: np.array([_position(graph, body, edge, pose) for pose in poses])
         for body, edge in loop.joints.items()
     }
+    # joints outside the loops that followed a part of the drive, which the copy lacks
+    dropped = {j for b in loop.dropped for j in graph.joints_of(b)}
+    outside = {j for j in graph.tied(dropped) if int(graph.model.jnt_bodyid[j]) not in loop.moving}
+    for j in sorted(outside):
+        values = [pose.qpos[graph.model.jnt_qposadr[j]] for pose in poses]
+        positions[str(graph.model.joint(j).name)] = np.array(values)
     reference = {name: float(values[0]) for name, values in positions.items()}
     names = sorted(positions, key=lambda name: _joint(graph, name) not in graph.driven)
     leaders, couplings = _fitted({name: positions[name] for name in names}, len(motors))
