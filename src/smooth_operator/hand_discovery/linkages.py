@@ -241,7 +241,8 @@ class LinkGraph:
 
         A link above a dropped one, such as a crank, takes over its connections.
         """
-        cuts = {frozenset(e.ends) for e in own if e not in loop.parents.values()}
+        used = {id(e) for e in loop.parents.values()}
+        cuts = {frozenset(e.ends) for e in own if id(e) not in used}
         for rod in loop.dropped:  # connects all that it touches
             touched = {end for cut in cuts if rod in cut for end in cut} - {rod}
             cuts = {cut for cut in cuts if rod not in cut}

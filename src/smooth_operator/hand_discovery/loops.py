@@ -1,17 +1,18 @@
 """Opens the closed loops of a model: bars and ball joints become polynomials of joint positions.
 
-Kinematics here is that of a tree. In some hands bars join the links to loops, which an MJCF closes
-by ``connect`` or ``weld``, and motors turn the fingers only through them. Such a model is opened
-once, when it is added:
+The library computes the kinematics of a tree. In some hands bars join the links to loops, which an
+MJCF closes by ``connect`` or ``weld``, and the motors turn the fingers only through these. Such a
+model is opened once, when it is added:
 
 1. The links of a loop get a new tree over its hinges, from the palm outwards; two ``connect`` on a
    line are a hinge. Rods between ball joints, cranks and bars are left out.
 2. The loops are solved over the ranges of the motors, by Gauss-Newton steps on MuJoCo's equality
    rows from each pose to the next.
-3. Of the joints of the new tree as many lead as there are motors, those nearest to the palm. Each
-   other one gets a polynomial of one leader. A leader's limits are the range that the motors reach.
+3. The joints of the new tree that are nearest to the palm lead, at most as many as there are
+   motors. Every other joint gets a polynomial of one leader. The limits of a leader are the range
+   that the motors reach.
 
-Which motor positions give a pose of the leaders is a matter of the driver.
+The driver of the real hand computes motor positions from those of the leaders.
 """
 
 from __future__ import annotations
@@ -120,6 +121,11 @@ def _solved(graph: LinkGraph, loop: Loop) -> OpenLoop:
         edge.name: np.array([_position(graph, body, edge, pose) for pose in poses])
         for body, edge in loop.joints.items()
     }
+    if not positions:
+        raise HandModelError(
+            f"the closed loop of {_words(graph, loop)} has no link that reaches further than its "
+            "bars; a loop must move a finger"
+        )
     # joints outside the loops that followed a part of the drive, which the copy lacks
     dropped = {j for b in loop.dropped for j in graph.joints_of(b)}
     outside = {j for j in graph.tied(dropped) if int(graph.model.jnt_bodyid[j]) not in loop.moving}

@@ -118,8 +118,8 @@ def _check_finite(model: mujoco.MjModel, path: Path) -> None:
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
-    """Joints with an actuator of their own, the first joints of driven fixed tendons, and joints of
-    which a driven one is a polynomial, but no line."""
+    """Joints with an actuator of their own, the first joints of driven fixed tendons, and leaders
+    that a driven joint follows by a polynomial of a higher degree than 1."""
     driven = _actuated(model) | {joints[0] for joints, _ in _driven_tendons(model)}
     curved = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_data[:, 2:5].any(axis=1)
     return driven | {
@@ -292,8 +292,8 @@ def shared_range(
 def _equalities(model: mujoco.MjModel) -> tuple[Coupling, ...]:
     """Couplings from joint equalities, q1 - q1_0 = c0 + c1 (q2 - q2_0) + ...
 
-    The joint without an actuator follows. q1 always follows by a polynomial of higher degree, whose
-    inverse is none: q2 counts as driven.
+    The joint without an actuator follows. If the polynomial has a higher degree than 1, q1 follows
+    in any case, because the inverse is no polynomial; q2 then counts as driven.
     """
     actuated = _actuated(model)
     couplings = []

@@ -83,8 +83,8 @@ class Coupling:
         follows: its leader.
         multiplier: coefficient of q[follows].
         offset: constant coefficient.
-        higher: coefficients of the square, cube and fourth power; none for a line. MuJoCo's
-            ``polycoef`` ends there, too.
+        higher: coefficients of the square, cube and fourth power; empty for a line. MuJoCo's
+            ``polycoef`` has the same highest degree.
         turned: True if the file has the other sign, which the joints' limits make impossible.
         error: largest error of a polynomial that was fitted to a closed loop [rad].
     """
