@@ -215,6 +215,13 @@ def test_a_loop_that_no_polynomial_fits_is_refused_with_its_error(run, tmp_path,
             ('axis="1 0 0" range="-0.2 1.5"', 'axis="1 0 0"'),
             "'index_motor' drives a closed loop but",
         ),
+        (
+            (
+                '<joint name="index_mcp"',
+                '<joint name="index_spread" axis="0 1 0"/><joint name="index_mcp"',
+            ),
+            "'index_proximal' of a closed loop has 2 joints",
+        ),
         (('pos="0 0.024 0.031"', 'pos="0 0.024 0.231"'), "can't be solved: it closes in 0 of"),
     ],
 )

@@ -18,8 +18,9 @@ _RANK: Final = 1e-8  # of equality rows, relative
 _OPEN: Final = 2e-4  # a loop with a larger gap is not closed [m, rad]
 _LINE: Final = 1e-3  # two connections closer than this are one [m]
 
-_HINGE: Final = int(mujoco.mjtJoint.mjJNT_HINGE)
-_SLIDE: Final = int(mujoco.mjtJoint.mjJNT_SLIDE)
+HINGE: Final = int(mujoco.mjtJoint.mjJNT_HINGE)
+SLIDE: Final = int(mujoco.mjtJoint.mjJNT_SLIDE)
+"""Kinds of joints with one position, in ``jnt_type``."""
 _FREE: Final = int(mujoco.mjtJoint.mjJNT_FREE)
 _CONNECT: Final = int(mujoco.mjtEq.mjEQ_CONNECT)
 _WELD: Final = int(mujoco.mjtEq.mjEQ_WELD)
@@ -140,10 +141,10 @@ class LinkGraph:
         ends, joints = (self.parent(body), body), self.joints_of(body)
         if not joints:
             return Edge(ends, "fixed")
-        if len(joints) > 1 or self.model.jnt_type[joints[0]] not in (_HINGE, _SLIDE):
+        if len(joints) > 1 or self.model.jnt_type[joints[0]] not in (HINGE, SLIDE):
             return Edge(ends, "ball", name=self.model.joint(joints[0]).name)
         (j,) = joints
-        kind: Kind = "hinge" if self.model.jnt_type[j] == _HINGE else "slide"
+        kind: Kind = "hinge" if self.model.jnt_type[j] == HINGE else "slide"
         axis, anchor = self.data.xaxis[j].copy(), self.data.xanchor[j].copy()
         return Edge(ends, kind, self.model.joint(j).name, j, axis, anchor)
 

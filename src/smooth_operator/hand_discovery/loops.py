@@ -34,7 +34,7 @@ from jaxtyping import Float
 from numpy.polynomial import Polynomial
 
 from smooth_operator.errors import HandModelError
-from smooth_operator.hand_discovery.linkages import Edge, LinkGraph, Loop, Pose
+from smooth_operator.hand_discovery.linkages import HINGE, SLIDE, Edge, LinkGraph, Loop, Pose
 from smooth_operator.hand_discovery.loop_writer import OpenLoop, write_without_loops
 from smooth_operator.hands.loading import load_spec
 from smooth_operator.hands.model_assets import model_path, read_model_files
@@ -115,17 +115,18 @@ def _note(solutions: Sequence[OpenLoop], couplings: Sequence[Coupling]) -> str:
 
 def _solved(graph: LinkGraph, loop: Loop) -> OpenLoop:
     """Solves a loop over the ranges of its motors and fits polynomials."""
+    for body in loop.moving:
+        if (count := len(graph.joints_of(body))) > 1:
+            raise HandModelError(
+                f"link {graph.model.body(body).name!r} of a closed loop has {count} joints; give "
+                "each joint a link of its own in the file"
+            )
     motors = _motors(graph, loop)
     poses = _poses(graph, loop, motors)
     positions = {
         edge.name: np.array([_position(graph, body, edge, pose) for pose in poses])
         for body, edge in loop.joints.items()
     }
-    if not positions:
-        raise HandModelError(
-            f"the closed loop of {_words(graph, loop)} has no link that reaches further than its "
-            "bars; a loop must move a finger"
-        )
     # joints outside the loops that followed a part of the drive, which the copy lacks
     dropped = {j for b in loop.dropped for j in graph.joints_of(b)}
     outside = {j for j in graph.tied(dropped) if int(graph.model.jnt_bodyid[j]) not in loop.moving}
@@ -151,7 +152,12 @@ def _joint(graph: LinkGraph, name: str) -> int:
 def _motors(graph: LinkGraph, loop: Loop) -> list[int]:
     """Joints that determine the pose of a loop: driven ones; those with limits if it has none."""
     model = graph.model
-    joints = [j for b in sorted(loop.moving) for j in graph.joints_of(b)]
+    joints = [
+        j
+        for b in sorted(loop.moving)
+        for j in graph.joints_of(b)
+        if model.jnt_type[j] in (HINGE, SLIDE)
+    ]
     fit = [j for j in joints if j in graph.driven] or [j for j in joints if model.jnt_limited[j]]
     if not fit:
         raise HandModelError(
@@ -254,6 +260,8 @@ def _fitted(
             if worst is None or worst.error <= MOST_ERROR:
                 return leaders, tuple(couplings)
             tried.append((worst.error, worst.joint))
+    if not tried:  # the loop is only a part of the drive
+        return (), ()
     error, joint = min(tried)
     raise HandModelError(
         f"joint {joint!r} of a closed loop is no polynomial of one other joint: the best one of "
