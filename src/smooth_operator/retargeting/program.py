@@ -82,7 +82,8 @@ class StateLayout:
 
         NumPy arrays give a NumPy array; traceable.
         """
-        words, others = [], []
+        words: list[Any] = []
+        others: list[Any] = []
         for leaf, kind in zip(jax.tree.leaves(state), self.kinds, strict=True):
             (words if kind in _WORDS else others).append(leaf)
         xp = array_namespace(*words)
@@ -231,8 +232,13 @@ def frame_program(method: Method, config: MethodConfig, cached: bool = True) -> 
     Raises:
         ConfigError: the method's ``step`` takes other arguments.
     """
-    about = {"config": config, "constants": method.constants, "cached": cached}
-    compiling = functools.partial(CompiledProgram, hand=method.hand, **about)
+    compiling = functools.partial(
+        CompiledProgram,
+        hand=method.hand,
+        config=config,
+        constants=method.constants,
+        cached=cached,
+    )
     if method.on_host:
         solved_on_host: Program = cast(Any, method).program(config.alignment, compiling)
         return solved_on_host
