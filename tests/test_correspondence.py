@@ -18,7 +18,7 @@ from smooth_operator.landmarks import BASES, TIPS
 from smooth_operator.metrics.pinches import DEEP, TOUCH_DISTANCE
 from smooth_operator.retargeting.alignment import reference_landmarks
 from smooth_operator.retargeting.correspondence import Correspondence, CorrespondenceConfig
-from smooth_operator.retargeting.flat_hand import palm_tilt_deg
+from smooth_operator.retargeting.palm import palm_tilt_deg
 from smooth_operator.retargeting.sbr.method import SBR_REALTIME
 from smooth_operator.synthetic import SyntheticOperator
 from smooth_operator.synthetic.robot_landmarks import human_landmarks
