@@ -8,6 +8,7 @@ import sys
 import time
 import types
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +24,7 @@ from simulators.common import serve_can
 
 from smooth_operator import load_hand
 from smooth_operator.teleop.components import build_sink
-from smooth_operator_devices.hands.actuator_map import built_in_tables, read_table
+from smooth_operator_devices.hands.actuator_map import built_in_tables, read_table, write_table
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 _channels = itertools.count()
@@ -43,6 +44,8 @@ class Rig:
     driver: str = ""
     library: str = ""
     unit: float = 1.0
+    module: str = ""
+    """Module of the driver's times; that of the driver if it is empty."""
     waits: tuple[str, ...] = ("_TIMEOUT",)
     """Names of the driver's times."""
     reports = False
@@ -64,7 +67,7 @@ class Rig:
 
     def patience(self, seconds: float) -> None:
         """Set the time that the driver waits for an answer [s], before it is opened."""
-        module = f"smooth_operator_devices.hands.drivers.{self.driver}"
+        module = f"smooth_operator_devices.hands.drivers.{self.module or self.driver}"
         for name in self.waits:
             self.monkeypatch.setattr(f"{module}.{name}", seconds)
 
@@ -155,6 +158,7 @@ class Packaged(Rig):
 
 class InspireTcp(Rig):
     driver, library = "inspire", "pymodbus"
+    module, waits = "modbus_line", ("TIMEOUT",)
 
     def start(self) -> None:
         self.hand = self.hand or InspireHand()
@@ -269,14 +273,41 @@ class Simulated(Rig):
         """File of a table with the joints of a hand of the catalogue; for a hand that is not in
         it."""
         joints = load_hand(hand, side="right").actuated_names
-        file = built_in_tables() / f"{table}_right.toml"
-        rows = [
-            f'[[actuators]]\nname = "{name}"\njoint = "{joint}"\n'
-            for name, joint in zip(read_table(file).names, joints, strict=False)
-        ]
+        made = read_table(built_in_tables() / f"{table}_right.toml")
+        pairs = zip(made.actuators, joints, strict=False)
+        actuators = tuple(replace(each, joints={joint: 1.0}) for each, joint in pairs)
         path = self.folder / f"{table}.toml"
-        path.write_text(f'format = 1\nbase = "{file.name}"\nhand = "{hand}"\n' + "\n".join(rows))
+        write_table(replace(made, hand=hand, actuators=actuators), path)
         return str(path)
+
+
+class InspireTouch(Simulated):
+    """A hand with touch pads, whose answers have a transaction number that is off by one."""
+
+    driver, library = "inspire", "pymodbus"
+    module, waits = "modbus_line", ("TIMEOUT",)
+
+    def start(self) -> None:
+        from simulators.inspire_touch import InspireTouchHand
+
+        self._served = contextlib.ExitStack()
+        self.simulate(self._served.enter_context(InspireTouchHand()))
+        self.hand.transaction_shift = 1
+        table = self.on_another_hand("inspire_ftp", "inspire_hand")
+        self.sink = f"inspire:127.0.0.1:{self.hand.address[1]},table={table}"
+
+    def limits(self) -> list[float]:
+        return [self.hand.word(start + 2 * k) for start in (1498, 1522) for k in range(6)]
+
+    def restart(self) -> None:
+        self.hand.reboot()
+
+    def lose(self) -> None:
+        super().lose()
+        self.hand.hang_up()
+
+    def close(self) -> None:
+        self._served.close()
 
 
 class Linker(Simulated):
@@ -567,6 +598,7 @@ def _linked(link: Path, port: str) -> Path:
 RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "inspire": InspireTcp,
     "inspire-rtu": InspireRtu,
+    "inspire-touch": InspireTouch,
     "linker-l20": Linker,
     "linker-l10": LinkerL10,
     "linker-o6": LinkerO6,

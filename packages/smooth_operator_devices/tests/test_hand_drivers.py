@@ -158,6 +158,7 @@ def test_a_table_fits_its_hand(name):
     [
         ("linker_o6_right", "linkerhand_o6/linker_hand_l6_right/linkerhand_o6_right.urdf"),
         ("linker_l21_right", "linkerhand_l21/right/linkerhand_l21_right.urdf"),
+        ("inspire_ftp_right", "inspire_rh56_ftp/inspire_hand/FTP_right_hand.urdf"),
     ],
 )
 def test_a_table_fits_the_model_of_the_maker(name, model, shared, tmp_path, monkeypatch):
@@ -320,7 +321,15 @@ def test_a_stop_while_an_inspire_hand_has_no_angles(rig, monkeypatch, words):
 
 
 WITH_LIMITS = (
-    *("inspire", "inspire-rtu", "linker-l20", "linker-l10", "linker-o6", "linker-l21"),
+    *(
+        "inspire",
+        "inspire-rtu",
+        "inspire-touch",
+        "linker-l20",
+        "linker-l10",
+        "linker-o6",
+        "linker-l21",
+    ),
     *("leap", "feetech-sts", "wuji", "revo2", "revo2-sdk"),
 )
 """Hands in which the driver sets what a restart loses."""
@@ -429,7 +438,9 @@ def test_nothing_on_the_wire_is_one_sentence(rig):
 
 
 @pytest.mark.parametrize(
-    "rig", ["inspire", "allegro-v5", "ability", "leap", "feetech-sts", "feetech-scs"], indirect=True
+    "rig",
+    ["inspire", "inspire-touch", "allegro-v5", "ability", "leap", "feetech-sts", "feetech-scs"],
+    indirect=True,
 )
 def test_a_blocked_motor_squeezes_no_further(rig):
     with Driven(rig) as driven:

@@ -51,7 +51,7 @@ _channels = itertools.count()
 def patience(monkeypatch) -> None:
     """The machine may be busy."""
     drivers = "smooth_operator_devices.hands.drivers"
-    for name in ("ability._TIMEOUT", "linker._TIMEOUT", "inspire._TIMEOUT", "allegro._STALE_S"):
+    for name in ("ability._TIMEOUT", "linker._TIMEOUT", "modbus_line.TIMEOUT", "allegro._STALE_S"):
         monkeypatch.setattr(f"{drivers}.{name}", 3.0)
     monkeypatch.setattr(f"{drivers}.allegro._ASK_S", 0.05)
 

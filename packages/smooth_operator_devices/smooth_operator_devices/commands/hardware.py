@@ -148,6 +148,8 @@ def _print_lines(sink: HardwareSink, side: Side, end: float | None) -> None:
             values = getattr(state, name)
             if values is not None:
                 message[name] = numbers(values)
+        if (reading := sink.reading) is not None and reading.pads:
+            message["pads"] = {name: numbers(cells) for name, cells in reading.pads.items()}
         print(json.dumps(message), flush=True)
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import contextlib
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -43,7 +43,10 @@ class Reading:
             as that of the table's ``limit``; the sign does not matter. None if there is none.
         temperatures: (a,) temperatures [degrees Celsius], or None.
         errors: reports of the actuators, a few words each: ``thumb_cmc: overload``.
-        touch: (k,) touch or force sensors, in the driver's unit, or None.
+        touch: (k,) touch or force sensors, in the driver's unit, or None. A hand with touch pads
+            also has one value for each pad: the sum of its cells.
+        pads: touch pad -> (rows, columns) its cells, in the driver's unit. Names begin with the
+            finger: ``index_tip``, ``palm``. Empty if there are none, or not all were read yet.
     """
 
     positions: Float[np.ndarray, " a"]
@@ -52,6 +55,7 @@ class Reading:
     temperatures: Float[np.ndarray, " a"] | None = None
     errors: tuple[str, ...] = ()
     touch: Float[np.ndarray, " k"] | None = None
+    pads: Mapping[str, Float[np.ndarray, "rows columns"]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -597,6 +597,13 @@ class HardwareSink(Sink):
         worker = self._worker
         return worker.state if worker is not None and worker.side == side else None
 
+    @property
+    def reading(self) -> Reading | None:
+        """The newest measurement in the actuators' unit, with touch pads; None while the hand is
+        lost. Safe from any thread."""
+        worker = self._worker
+        return None if worker is None else worker.reading
+
     def close(self) -> None:
         """Bring the hand to rest as its table says, and close the bus."""
         worker = self._worker

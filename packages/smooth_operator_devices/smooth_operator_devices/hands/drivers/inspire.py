@@ -1,4 +1,4 @@
-"""Driver of the Inspire RH56 hands (DFX and FTP): Modbus over TCP or over a serial line.
+"""Driver of the Inspire RH56 hands (DFX, FTP and DFTP): Modbus over TCP or over a serial line.
 
 Facts of the protocol, from the maker's register map as published: holding registers, one 16-bit
 word per motor at ``ANGLE_SET`` (1486), ``FORCE_SET`` (1498), ``SPEED_SET`` (1522), ``ANGLE_ACT``
@@ -11,12 +11,9 @@ line 115200 baud, 8 data bits, no parity; device 1.
 from __future__ import annotations
 
 import contextlib
-import logging
-import struct
-import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -24,13 +21,9 @@ from jaxtyping import Float
 from smooth_operator.errors import ConfigError, require
 from smooth_operator_devices.hands.actuator_map import ActuatorMap
 from smooth_operator_devices.hands.bus_lock import is_serial
-from smooth_operator_devices.hands.device import (
-    DeviceLostError,
-    HandDevice,
-    Reading,
-    Setting,
-    WrongAnswerError,
-)
+from smooth_operator_devices.hands.device import HandDevice, Reading, Setting, WrongAnswerError
+from smooth_operator_devices.hands.drivers.inspire_touch import BLOCKS, pads
+from smooth_operator_devices.hands.drivers.modbus_line import ModbusLine
 from smooth_operator_devices.hands.hardware_sink import HardwareSink
 
 MOTORS: Final = 6
@@ -56,9 +49,6 @@ _ERRORS: Final = (
 
 _STATUSES: Final = {5: "stopped by its current limit", 6: "rotor locked", 7: "faulty"}
 """Values of ``STATUS`` of a motor that can't move."""
-
-_TIMEOUT: Final = 0.2
-"""Time that an answer may take [s]."""
 
 _MARGIN: Final = 100
 """Margin of a measured angle around 0 to 1000."""
@@ -96,45 +86,35 @@ class InspireDevice(HandDevice):
     """An Inspire RH56 hand on its bus; see ``HandDevice``.
 
     Its screws hold the fingers without current, so ``relax`` does nothing. ``Reading.currents`` is
-    in mA, ``Reading.touch`` the six forces [g].
+    in mA, ``Reading.touch`` the six forces [g] and, with touch pads, the sum of each pad, in the
+    order of ``Reading.pads``.
 
     Args:
         table: table of the hand. Its settings may have ``device_id`` (1), ``speed`` and ``force``,
-            the hand's own limits: 0 to 1000, and 0 to 3000 g. ``limit``: largest current [mA].
+            the hand's own limits: 0 to 1000, and 0 to 3000 g; and ``touch``, 1 for a hand with
+            touch pads. ``limit``: largest current [mA].
     """
 
     driver, name, motors = "inspire", "an Inspire hand", MOTORS
 
     def __init__(self, table: ActuatorMap, port: str) -> None:
         super().__init__(table)
-        self._port = port
         number = port.partition(":")[2]
         self._serial = is_serial(port)
         if not self._serial and number and not (number.isdigit() and int(number) < 65536):
             raise ConfigError(f"inspire: {port!r} is not ADDRESS, ADDRESS:PORT or a serial port")
-        self._device_id = self._setting("device_id", 1, 1, 254)
+        device_id = self._setting("device_id", 1, 1, 254)
         self._speed = self._setting("speed", 1000, 0, 1000)
         self._force = self._setting("force", 500, 0, 3000)
-        self._client: Any = None
+        self._blocks = BLOCKS if self._setting("touch", 0, 0, 1) else ()
+        self._line = ModbusLine("inspire", port, device_id, PORT, BAUD)
         self._turn = 0
         self._slow: dict[int, np.ndarray] = {}
+        self._cells: dict[int, list[int]] = {}
 
     def open(self) -> None:
         """Connect, check that the hand answers, and set its limits; see ``HandDevice``."""
-        from pymodbus.client import ModbusSerialClient, ModbusTcpClient
-
-        # Without a handler of its own, each lost answer would be a line in the user's terminal.
-        logging.getLogger("pymodbus").addHandler(logging.NullHandler())
-        if self._serial:
-            self._client = ModbusSerialClient(
-                self._port, baudrate=BAUD, timeout=_TIMEOUT, retries=0
-            )
-        else:
-            host, _, number = self._port.partition(":")
-            self._client = ModbusTcpClient(
-                host, port=int(number or PORT), timeout=_TIMEOUT, retries=0
-            )
-        self._turn, self._slow = 0, {}
+        self._turn, self._slow, self._cells = 0, {}, {}
         self._limited = False
         way = (
             f"the adapter's port and the {BAUD} baud of the hand"
@@ -142,40 +122,50 @@ class InspireDevice(HandDevice):
             else "power, cable, and that this computer is in the hand's network"
         )
         with self._opening(f"check {way}, and that no other program uses the hand"):
-            if not self._client.connect():
-                raise DeviceLostError(f"inspire: nothing answers at {self._port}")
+            self._line.open()
             self._angles()
-            if _bytes(self._ask(_ERROR, 3)).any():
-                self._tell(_CLEAR_ERROR, [1])
+            if _bytes(self._line.ask(_ERROR, 3)).any():
+                self._line.tell(_CLEAR_ERROR, [1])
             self._limit()
 
     def _limit(self) -> None:
         """Send speed, force and current, which a restart of the hand deletes."""
-        self._tell(_SPEED_SET, [self._speed] * MOTORS)
-        self._tell(_FORCE_SET, [self._force] * MOTORS)
+        self._line.tell(_SPEED_SET, [self._speed] * MOTORS)
+        self._line.tell(_FORCE_SET, [self._force] * MOTORS)
         limits = self._table.limits
         if not np.isfinite(limits).any():
             return
         words = np.clip(np.nan_to_num(limits, nan=1500.0), 0, 1500).astype(int)
         with contextlib.suppress(WrongAnswerError):  # not every model has this register
-            self._tell(_CURRENT_LIMIT, words.tolist())
+            self._line.tell(_CURRENT_LIMIT, words.tolist())
 
     def read(self) -> Reading:
-        """Angles, and one of currents, forces, errors and temperatures; see ``HandDevice``."""
+        """Angles; in turns currents, forces, errors, temperatures, touch; see ``HandDevice``."""
         angles = self._angles()
         address = _IN_TURNS[self._turn % len(_IN_TURNS)]
-        words = self._ask(address, 3 if address in (_ERROR, _STATUS, _TEMP) else MOTORS)
+        words = self._line.ask(address, 3 if address in (_ERROR, _STATUS, _TEMP) else MOTORS)
         self._slow[address] = _bytes(words) if len(words) == 3 else _signed(words)
+        if self._blocks:
+            block = self._blocks[self._turn % len(self._blocks)]
+            self._cells[block[0]] = self._line.ask(*block)
         self._turn += 1
-        currents, touch = self._slow.get(_CURRENT), self._slow.get(_FORCE_ACT)
-        temperatures = self._slow.get(_TEMP)
+        currents, temperatures = self._slow.get(_CURRENT), self._slow.get(_TEMP)
+        cells = pads(self._cells)
         return Reading(
             positions=angles,
             currents=None if currents is None else currents.astype(float),
             temperatures=None if temperatures is None else temperatures.astype(float),
             errors=self._errors(),
-            touch=None if touch is None else touch.astype(float),
+            touch=self._touch(cells),
+            pads=cells,
         )
+
+    def _touch(self, cells: Mapping[str, np.ndarray]) -> Float[np.ndarray, " k"] | None:
+        """Forces and sums of pads; None until all were read, since their number can't change."""
+        forces = self._slow.get(_FORCE_ACT)
+        if forces is None or (self._blocks and not cells):
+            return None
+        return np.array([*forces, *(pad.sum() for pad in cells.values())], float)
 
     def _errors(self) -> tuple[str, ...]:
         texts = []
@@ -192,7 +182,7 @@ class InspireDevice(HandDevice):
         """Force and speed; see ``HandDevice``."""
         pairs = (("force", _FORCE_SET, self._force), ("speed", _SPEED_SET, self._speed))
         return [
-            Setting(name, np.full(MOTORS, value), _signed(self._ask(address, MOTORS)))
+            Setting(name, np.full(MOTORS, value), _signed(self._line.ask(address, MOTORS)))
             for name, address, value in pairs
         ]
 
@@ -202,71 +192,20 @@ class InspireDevice(HandDevice):
         if not self._limited:
             self._limit()
             self._limited = True
-        self._tell(_ANGLE_SET, np.clip(np.rint(commands), 0, 1000).astype(int).tolist())
+        self._line.tell(_ANGLE_SET, np.clip(np.rint(commands), 0, 1000).astype(int).tolist())
 
     def close(self) -> None:
         """Give the line back; the hand keeps its last target. See ``HandDevice``."""
-        client, self._client = self._client, None
-        if client is not None:
-            client.close()
+        self._line.close()
 
     def _angles(self) -> Float[np.ndarray, " 6"]:
-        angles = _signed(self._ask(_ANGLE_ACT, MOTORS)).astype(float)
+        angles = _signed(self._line.ask(_ANGLE_ACT, MOTORS)).astype(float)
         if ((angles < -_MARGIN) | (angles > 1000 + _MARGIN) | (angles == _NO_VALUE)).any():
             raise WrongAnswerError(
                 f"inspire: the hand reports motor positions {angles.astype(int).tolist()}; "
                 f"expected 0 to 1000, and {_NO_VALUE} is not a position"
             )
         return angles
-
-    def _ask(self, address: int, count: int) -> list[int]:
-        words: list[int] = self._exchange("read_holding_registers", address, count=count).registers
-        if len(words) != count:
-            raise WrongAnswerError(
-                f"inspire: {len(words)} words received from register {address} instead of {count}"
-            )
-        return words
-
-    def _tell(self, address: int, words: list[int]) -> None:
-        self._exchange("write_registers", address, words)
-
-    def _exchange(self, function: str, *values: Any, **named: Any) -> Any:
-        """Send a request and wait for its answer; clears the line of an answer that is late."""
-        from pymodbus.exceptions import ConnectionException, ModbusException
-
-        if self._client is None:
-            raise self._not_open()
-        try:
-            answer = getattr(self._client, function)(*values, device_id=self._device_id, **named)
-        except (ConnectionException, OSError) as error:
-            raise DeviceLostError(f"inspire: no connection to the hand at {self._port}") from error
-        except (ModbusException, struct.error, ValueError) as error:
-            self._clear()
-            raise WrongAnswerError(
-                f"inspire: no valid answer from the hand at {self._port} within {_TIMEOUT:g} s"
-            ) from error
-        if answer.isError():
-            raise WrongAnswerError(
-                f"inspire: the hand refused register {values[0]} "
-                f"(Modbus exception {getattr(answer, 'exception_code', '?')})"
-            )
-        return answer
-
-    def _clear(self) -> None:
-        """Drop late answers: close the connection, or read the serial line until it is silent."""
-        if not self._serial:
-            self._client.close()  # the next request opens it again
-            return
-        line = self._client.socket
-        deadline = time.perf_counter() + _TIMEOUT
-        try:
-            while line is not None and time.perf_counter() < deadline:
-                line.reset_input_buffer()
-                time.sleep(0.01)
-                if not line.in_waiting:
-                    return
-        except OSError as error:
-            raise DeviceLostError(f"inspire: {self._port} is gone ({error})") from error
 
 
 def _signed(words: list[int]) -> np.ndarray:
