@@ -30,7 +30,7 @@ from smooth_operator.teleop.sinks.tick import WristCommand
 from smooth_operator.types import HandFrame
 
 try:
-    import lz4.frame as lz4_frame  # type: ignore[import-untyped]
+    import lz4.frame as lz4_frame
     import zstandard as zstandard
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
     from google.protobuf.descriptor_pool import DescriptorPool

@@ -27,6 +27,7 @@ from jaxtyping import Float
 
 from smooth_operator.errors import ConfigError, RecordingError
 from smooth_operator.headsets import avp, hts_lines, pico_packets
+from smooth_operator.headsets.openxr_joints import Axes
 from smooth_operator.headsets.repeats import Repeats
 from smooth_operator.io.landmark_order import layout_order
 from smooth_operator.teleop.sources.inboxes import (
@@ -278,7 +279,7 @@ class PicoSource(StreamSource):
     host: str = "127.0.0.1"
     port: int = pico_packets.PORT
     side: Hands = "both"
-    axes: pico_packets.Axes = "openxr"
+    axes: Axes = "openxr"
 
     @property
     def hint(self) -> str:
