@@ -20,7 +20,7 @@ from fake_hand_sdks import FingerUnitMode, StarkWorld, WujiWorld
 from hand_servos import Faults
 from inspire_simulator import InspireHand, RtuServer, TcpServer
 from revo2_simulator import Revo2Hand
-from simulators.common import serve_can
+from simulators.common import SerialLine, serve_can
 
 from smooth_operator import load_hand
 from smooth_operator.teleop.components import build_sink
@@ -415,6 +415,47 @@ class FeetechScs(Feetech):
         return []
 
 
+class OnALine(Simulated):
+    """A simulated hand on a serial line."""
+
+    def serve(self, hand: Any, **settings: str) -> None:
+        """Put a hand on a line, for a sink with these settings."""
+        self.simulate(hand)
+        self.line = SerialLine(hand)
+        self.sink = ",".join(
+            [f"{self.driver}:{self.line.port}", *(f"{k}={v}" for k, v in settings.items())]
+        )
+
+    def restart(self) -> None:
+        self.hand.reboot()
+
+    def lose(self) -> None:
+        self.line.unplug()
+
+    def back(self) -> None:
+        self.line.plug()
+
+    def close(self) -> None:
+        self.line.close()
+
+
+class Rohand(OnALine):
+    driver, library, generation = "rohand", "pymodbus", 2
+
+    def start(self) -> None:
+        from simulators.rohand_modbus import RoHand
+
+        name = "rohand" if self.generation == 2 else "rohand_gen1"
+        self.serve(RoHand(self.generation), table=self.on_another_hand(name, "inspire_hand"))
+
+    def limits(self) -> list[float]:
+        return [*self.hand.read(1095, 6), *self.hand.read(1115, 5), *self.hand.read(1125, 6)]
+
+
+class RohandGen1(Rohand):
+    generation = 1
+
+
 class Allegro(Rig):
     driver, library, unit, reports = "allegro", "can", 0.06, True
     waits = ("_LATE_S", "_STALE_S", "_OPENING_S")
@@ -603,6 +644,8 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
     "linker-l10": LinkerL10,
     "linker-o6": LinkerO6,
     "linker-l21": LinkerL21,
+    "rohand": Rohand,
+    "rohand-gen1": RohandGen1,
     "allegro-v5": Allegro,
     "allegro-v4": AllegroV4,
     "ability": Ability,
@@ -618,6 +661,7 @@ RIGS: Final[dict[str, Callable[[Path, pytest.MonkeyPatch], Rig]]] = {
 ON_A_PTY: Final = (
     *("inspire-rtu", "ability", "leap", "revo2-sdk"),
     *("feetech-sts", "feetech-scs"),
+    *("rohand", "rohand-gen1"),
 )
 
 

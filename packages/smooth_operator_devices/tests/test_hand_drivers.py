@@ -331,6 +331,7 @@ WITH_LIMITS = (
         "linker-l21",
     ),
     *("leap", "feetech-sts", "wuji", "revo2", "revo2-sdk"),
+    *("rohand", "rohand-gen1"),
 )
 """Hands in which the driver sets what a restart loses."""
 

@@ -183,6 +183,7 @@ _DEVICE_SINKS: Final = {
     "ability": ("an Ability Hand", "ability"),
     "wuji": ("a Wuji Hand", "wuji"),
     "revo2": ("a BrainCo Revo2", "revo2"),
+    "rohand": ("an OYMotion ROHand", "rohand"),
 }
 """Sources and sinks of the devices distribution: name -> (summary, extra or ``""``). They are
 listed here because an entry point has no summary and is known only if the distribution is
