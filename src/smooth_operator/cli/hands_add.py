@@ -43,6 +43,7 @@ Examples:
   smooth-operator hands add vendor/hand_right.urdf
   smooth-operator hands add two_hands.urdf --side left --name my_left
   smooth-operator hands add hand.xml --thumb link_12 --tip index=link_3:0,0,0.027 --overwrite
+  smooth-operator hands add so101.urdf --gripper gripper
   smooth-operator hands add hand.urdf --json"""
 
     model: Annotated[Positional[Path], arg(metavar="PATH")]
@@ -53,6 +54,9 @@ Examples:
 
     side: Annotated[HandSide | None, arg(metavar="right|left")] = None
     """Hand side. Selects one hand if the file contains two. Default: detected in the model."""
+
+    gripper: Annotated[str | None, arg(metavar="JOINT")] = None
+    """Joint of a gripper's jaw. The other jaw may be fixed; it becomes the thumb."""
 
     palm: Annotated[str | None, arg(metavar="BODY")] = None
     """Body from which the fingers branch."""
@@ -169,6 +173,7 @@ def _overrules(options: Add) -> Overrules:
         tips=tuple(tips),
         wrist=wrist,
         couplings=tuple(map(_coupling, options.couple)),
+        gripper=options.gripper,
     )
 
 

@@ -201,7 +201,7 @@ class Branches:
         ]
 
     def _hand(self, palm: int, leaves: tuple[int, ...]) -> HandTree:
-        chains = [self._chain(palm, leaf, 0) for leaf in leaves]
+        chains = [self.chain(palm, leaf, 0) for leaf in leaves]
         # Joints that most chains share are a wrist, whose links are no part of a finger's length.
         starts = [tuple(c.joints[:k]) for c in chains for k in range(1, len(c.joints))]
         wrist = max(
@@ -211,7 +211,7 @@ class Branches:
         )
         behind = len(wrist)
         chains = [
-            replace(c, length=self._chain(palm, c.last, behind).length)
+            replace(c, length=self.chain(palm, c.last, behind).length)
             if c.joints[:behind] == wrist
             else c
             for c in chains
@@ -253,7 +253,7 @@ class Branches:
             like = len(chain.joints) > 1 and chain.length > _FINGER_SIZE * median > 0
             left_out.append(LeftOut(chain.last, f"{self._name(chain)} {why}", like))
         branch = [
-            self._chain(
+            self.chain(
                 palm,
                 c.last,
                 max((_common(c, other) for other in branch if other is not c), default=0),
@@ -267,8 +267,8 @@ class Branches:
         """True if a chain is a bar of a finger's linkage; their lengths are without a wrist."""
         shared = _common(chain, finger)
         mine, theirs = chain.joints[shared:], finger.joints[shared:]
-        bar = self._chain(chain.palm, chain.last, shared)
-        other = self._chain(finger.palm, finger.last, shared)
+        bar = self.chain(chain.palm, chain.last, shared)
+        other = self.chain(finger.palm, finger.last, shared)
         axis, their_axis = self._rest.axes[mine[-1]], self._rest.axes[theirs[-1]]
         offset = self._rest.anchors[mine[-1]] - self._rest.anchors[theirs[-1]]
         parallel = abs(axis @ their_axis) > 0.95
@@ -360,7 +360,8 @@ class Branches:
             return f"{len(chains)} chains whose bases are up to {apart:.2f} m apart ({names})"
         return None
 
-    def _chain(self, palm: int, leaf: int, shared: int) -> Chain:
+    def chain(self, palm: int, leaf: int, shared: int = 0) -> Chain:
+        """The chain of links from a palm to a last moving body."""
         skeleton, at = self._skeleton, self._rest
         path = skeleton.path(leaf)
         bodies = path[path.index(palm) + 1 if palm in path else 0 :]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from smooth_operator.errors import HandModelError, UnknownNameError
 from smooth_operator.hand_discovery.branches import Branches, Chain, HandTree, Tip, find_tip, holds
+from smooth_operator.hand_discovery.gripper import find_jaws, gripper_palm
 from smooth_operator.hand_discovery.landmarks import (
     Discovery,
     Finding,
@@ -41,6 +43,7 @@ from smooth_operator.hands.spec_file import MOST_NAME
 from smooth_operator.landmarks import FINGERS
 from smooth_operator.types import Side, as_side
 
+_EITHER_JAW: Final = 0.9  # confidence of a gripper's thumb: either jaw may have that name
 _TURNS: Final = 4 * np.pi  # range that no joint of a finger has [rad]
 _GENERIC: Final = {
     *("right", "left", "rh", "lh", "r", "l", "hand", "robot", "model", "scene", "description"),
@@ -107,6 +110,11 @@ def discover(
     overrules = overrules or Overrules()
     skeleton, notes = read_skeleton(path, overrules.couplings)
     branches = Branches(skeleton, tuple(where for _, where in overrules.fingers))
+    if overrules.gripper is not None:
+        palm, jaw = gripper_palm(skeleton, branches, overrules.gripper)
+        if jaw is not None:
+            return _gripper(skeleton, jaw, path, name, side, overrules, notes)
+        overrules = replace(overrules, palm=palm)
     if overrules.palm is not None:
         trees: tuple[HandTree, ...] = (branches.at(overrules.palm),)
     else:
@@ -121,6 +129,76 @@ def discover(
             f"finger, name the palm: --palm {palm}"
         )
     return _described(analysis, path, name, overrules, notes, len(trees))
+
+
+def _gripper(
+    skeleton: Skeleton,
+    chain: Chain,
+    path: Path,
+    name: str | None,
+    side: Side | None,
+    overrules: Overrules,
+    notes: tuple[str, ...],
+) -> Discovery:
+    """Description of a gripper with one moving jaw."""
+    jaws = find_jaws(skeleton, chain, overrules)
+    _check_joints(skeleton, chain)
+    spec = HandSpec(
+        name=name or _name(path),
+        side=side or "right",
+        model=model_path(path),
+        palm=skeleton.body_name(jaws.palm),
+        wrist=jaws.wrist,
+        fingers=jaws.fingers,
+        align=_align(("thumb", "index")),
+        source=f"derived from {path.name}",
+        neutral=jaws.neutral,
+        gripper=True,
+        couplings=overrules.couplings,
+    )
+    coupled, coupled_finding = find_couplings(
+        skeleton, frozenset(chain.joints), overrules.couplings
+    )
+    joints = tuple(skeleton.joint_names[j] for j in chain.joints)
+    found = tuple(
+        FoundFinger(
+            name=finger.name,
+            tip_body=finger.tip.body,
+            tip_offset=finger.tip.offset,
+            joints=joints if finger.name == "index" else (),
+            confidence=jaws.confidence,
+        )
+        for finger in spec.fingers
+    )
+    findings = (
+        _either_side(),
+        Finding("palm", spec.palm, 1.0, ("it carries the jaw",), "--gripper JOINT"),
+        Finding("thumb", "fixed jaw", 1.0, ("it has no joint",), "--gripper JOINT"),
+        *(
+            Finding(
+                f"tip of {finger.name}",
+                _place(finger.tip),
+                jaws.confidence,
+                jaws.evidence,
+                f"--tip {finger.name}=BODY:x,y,z (metres)",
+            )
+            for finger in spec.fingers
+        ),
+        coupled_finding,
+        Finding(
+            "wrist",
+            _place(spec.wrist),
+            0.8 if overrules.wrist is None else 1.0,
+            ("behind the middle of the jaws" if overrules.wrist is None else "given",),
+            "--wrist BODY:x,y,z (metres)",
+        ),
+    )
+    return Discovery(spec, findings, found, coupled, (*notes, *coupling_notes(coupled)))
+
+
+def _either_side() -> Finding:
+    why = "a gripper has no side: either human hand drives it"
+    return Finding("side", "either", 1.0, (why,), "edit 'gripper' in the spec file")
 
 
 def _choose(
@@ -183,6 +261,7 @@ def _described(
     if overrules.wrist is not None:
         skeleton.body(overrules.wrist.body)  # fails for an unknown body
         wrist, wrist_sure, wrist_why = overrules.wrist, 1.0, ("given",)
+    gripper = len(chains) == 2 and (overrules.gripper is not None or not layout.sided)
     spec = HandSpec(
         name=name or hand_name(path),
         side=layout.side,
@@ -193,6 +272,7 @@ def _described(
         align=_align(names),
         source=f"derived from {path.name}",
         neutral=neutral,
+        gripper=gripper,
         couplings=overrules.couplings,
     )
     moved = frozenset(j for chain in chains for j in chain.joints)
@@ -206,7 +286,11 @@ def _described(
             joints=tuple(skeleton.joint_names[j] for j in chains[i].joints),
             confidence=min(
                 tips[i].confidence,
-                analysis.thumb.confidence if finger == "thumb" else assign,
+                _EITHER_JAW
+                if gripper
+                else analysis.thumb.confidence
+                if finger == "thumb"
+                else assign,
             ),
         )
         for i, finger in zip(order, names, strict=True)
@@ -216,21 +300,23 @@ def _described(
     other = "left" if layout.side == "right" else "right"
     overrule = "a body or joint of the right finger"
     findings = (
-        Finding(
+        _either_side()
+        if gripper
+        else Finding(
             "side", layout.side, layout.side_confidence, layout.side_evidence, f"--side {other}"
         ),
         _palm_finding(analysis, dict(zip(order, names, strict=True)), overrules, hands),
         Finding(
             "thumb",
             thumb_joints,
-            analysis.thumb.confidence,
+            max(analysis.thumb.confidence, _EITHER_JAW * gripper),
             analysis.thumb.evidence,
             f"--thumb BODY ({overrule})",
         ),
         Finding(
             "order",
             ", ".join(names),
-            sure_order,
+            max(sure_order, _EITHER_JAW * gripper),
             layout.order_evidence,
             f"--finger {names[-1]}=BODY ({overrule})",
         ),

@@ -181,6 +181,8 @@ def check_flexion(axes: FlexionAxes | None) -> Check:
 def check_side(samples: Samples, axes: FlexionAxes | None, sound: tuple[str, ...]) -> Check:
     """Checks that thumb, order of fingers and closing direction agree with the declared side."""
     hand = samples.hand
+    if hand.spec.gripper:
+        return Check("side", "ok", "a gripper has no side: either human hand drives it")
     if axes is None or "thumb" not in sound:
         return Check("side", "skipped", "not checked: correct the fingertips or axes first")
     sign = 1.0 if hand.spec.side == "right" else -1.0
@@ -245,6 +247,8 @@ def check_tips(hand: Hand) -> tuple[Check, tuple[str, ...]]:
     ends: dict[int, str] = {}
     for finger, landmark in zip(hand.spec.fingers, hand.tip_names, strict=True):
         chain = movers(hand, landmark)
+        if not chain and hand.spec.gripper:
+            continue  # a fixed jaw
         if not chain:
             faults[finger.name] = f"is fixed to the palm, on body {finger.tip.body}"
             continue

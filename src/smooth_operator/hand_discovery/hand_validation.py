@@ -287,6 +287,11 @@ def check_method(
         return Check(name, "skipped", f"not supported: {error}")
     trip = round_trip(retargeter, poses=poses, seed=seed, track=track)
     verdict, advice = _judge(method, trip)
+    within = trip.ok == 1 and not trip.limit_violations
+    if hand.spec.gripper and method == DEFAULT_METHOD and within:
+        verdict, advice = "unjudged", (
+            "for information only: this method scales the human's pinch to the gripper's opening"
+        )
     text = f"fingertips off by {trip.median:.2f} mm, median; 95 % within {trip.p95:.1f} mm"
     if trip.limit_violations:
         text += f"; {trip.limit_violations} frames outside the limits"

@@ -134,6 +134,7 @@ class Overrules:
         tips: pairs of a human finger and the fingertip.
         wrist: the wrist point.
         couplings: joints that follow another one.
+        gripper: joint of a gripper's jaw; the body that carries it is the palm.
 
     Raises:
         HandModelError: a finger is not a human one, or is named twice.
@@ -145,6 +146,7 @@ class Overrules:
     tips: tuple[tuple[str, Point], ...] = ()
     wrist: Point | None = None
     couplings: tuple[Coupling, ...] = ()
+    gripper: str | None = None
 
     def __post_init__(self) -> None:
         for what, pairs in (("finger", self.fingers), ("tip", self.tips)):

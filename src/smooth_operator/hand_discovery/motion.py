@@ -355,6 +355,7 @@ class Layout:
         lateral: axis of the right-handed rotation that closes the fingers; it points to the thumb
             of a right hand.
         palmar: direction out of the palm, at right angles to ``forward`` and ``lateral``.
+        sided: True if base and reach of the thumb are clearly on one side of the palm.
         side: right or left.
         side_confidence: confidence of the side, 0 to 1.
         side_evidence: reasons for the side.
@@ -368,6 +369,7 @@ class Layout:
     forward: Float[np.ndarray, "3"]
     lateral: Float[np.ndarray, "3"]
     palmar: Float[np.ndarray, "3"]
+    sided: bool
     side: Side
     side_confidence: float
     side_evidence: tuple[str, ...]
@@ -419,6 +421,7 @@ def find_layout(
     ]
     sure = min(bends[i].clear for i in others)
     confidence = 0.4 + 0.45 * clear + 0.13 * min(sure / 0.2, 1.0)
+    sided = bool(by_base * np.sign(by_reach) >= _BASE and clear >= 0.3)
     if by_base * np.sign(by_reach) < _BASE:
         confidence = _UNCLEAR
         evidence.append(
@@ -461,7 +464,7 @@ def find_layout(
         "from the thumb's side across the palm, "
         + (f"at least {gap * 1e3:.0f} mm apart" if gaps else "one finger besides the thumb")
     ]
-    if clear < 0.3 and len(others) > 1:
+    if clear < 0.3 and len(others) > 1 and side_given is None:
         ordered = min(ordered, 0.4)
         reasons.append("the thumb's end depends on the side, which is not certain")
     if clear < 0.3 and _spoken([labels[i] for i in others]):
@@ -478,6 +481,7 @@ def find_layout(
         forward=forward,
         lateral=lateral,
         palmar=palmar,
+        sided=sided,
         side=side,
         side_confidence=round(confidence, 2),
         side_evidence=tuple(evidence),

@@ -65,6 +65,8 @@ def _lines(spec: HandSpec, folder: Path, comment: str) -> Iterator[str]:
     yield f"model = {toml_value(_model(spec.model, folder))}"
     if spec.mirror:
         yield "mirror = true"
+    if spec.gripper:
+        yield "gripper = true"
     yield f"palm = {toml_value(spec.palm)}"
     yield f"wrist = {_point(spec.wrist)}"
     yield f"align = {toml_value(spec.align)}"

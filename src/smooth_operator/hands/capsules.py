@@ -138,7 +138,13 @@ def parts_apart(hand: Hand) -> CapsulePairs:
 
 def candidate_pairs(hand: Hand, capsules: list[Capsule]) -> Int[np.ndarray, "P 2"]:
     """(P, 2) indices of the capsules on different parts of the hand that are not joined, without
-    the pairs that the model excludes from collision."""
+    the pairs that the model excludes from collision.
+
+    A gripper has no pairs: its jaws are made to close on each other, and parts of its linkage
+    overlap by design.
+    """
+    if hand.spec.gripper:
+        return np.empty((0, 2), np.int64)
     model = hand.model
     bodies = np.array([capsule.body for capsule in capsules], int)
     owner, part = owners(hand)[bodies], model.body_weldid[bodies]

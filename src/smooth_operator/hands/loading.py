@@ -338,11 +338,14 @@ def _tendons(model: mujoco.MjModel, followers: set[str]) -> tuple[Coupling, ...]
 
 
 def _driven_tendons(model: mujoco.MjModel) -> list[tuple[list[int], list[float]]]:
-    """Joints and coefficients of fixed tendons with an actuator, the joint nearest the palm first.
+    """Joints and coefficients of fixed tendons with an actuator, the joint nearest the palm first;
+    joints that an equality makes follow another one are last.
 
     Skips joints that have their own actuator or that an earlier tendon drives.
     """
     joints, tendons = _actuated(model), []
+    held = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 != 0)
+    led = {int(j) for j in model.eq_obj1id[held]} - joints
     for i in range(model.nu):
         if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_TENDON:
             continue
@@ -351,9 +354,12 @@ def _driven_tendons(model: mujoco.MjModel) -> list[tuple[list[int], list[float]]
         if any(model.wrap_type[w] != mujoco.mjtWrap.mjWRAP_JOINT for w in wraps):
             continue  # a spatial tendon is no linear coupling
         moved = sorted(
-            (int(model.wrap_objid[w]), float(model.wrap_prm[w]))
-            for w in wraps
-            if model.wrap_prm[w] and int(model.wrap_objid[w]) not in joints
+            (
+                (int(model.wrap_objid[w]), float(model.wrap_prm[w]))
+                for w in wraps
+                if model.wrap_prm[w] and int(model.wrap_objid[w]) not in joints
+            ),
+            key=lambda pair: (pair[0] in led, pair[0]),
         )
         joints |= {joint for joint, _ in moved}
         if moved:

@@ -177,6 +177,8 @@ class HandSpec:
             a hand of two fingers needs the wrist.
         neutral: joint name -> neutral position [rad]; 0 (or the nearest limit) for other joints.
         mirror: True if the file holds the other side and is to be mirrored on loading.
+        gripper: True for a gripper of two jaws, of which one may be fixed. It has no side: either
+            human hand drives the same model.
         joint_map: maps from human joint angles to joints, for methods that use them. Other joints
             get a map by measuring the hand, which needs all four points of their finger.
         torque: torque limit of the motors [N m] by their maker: one number for all joints, or
@@ -194,6 +196,7 @@ class HandSpec:
     align: tuple[str, ...] = ("thumb", "index", "pinky")
     neutral: Mapping[str, float] = field(default_factory=dict)
     mirror: bool = False
+    gripper: bool = False
     joint_map: tuple[JointMap, ...] = ()
     torque: float | Mapping[str, float] | None = None
     couplings: tuple[Coupling, ...] = ()
@@ -201,10 +204,10 @@ class HandSpec:
 
     @property
     def mirrored(self) -> HandSpec:
-        """The mirror image of the hand: equal joint positions give mirrored poses."""
-        return replace(
-            self, side="left" if self.side == "right" else "right", mirror=not self.mirror
-        )
+        """The mirror image of the hand: equal joint positions give mirrored poses. A gripper has
+        no side, so its model stays the same."""
+        side: Side = "left" if self.side == "right" else "right"
+        return replace(self, side=side, mirror=self.mirror if self.gripper else not self.mirror)
 
     def __post_init__(self) -> None:
         names = [finger.name for finger in self.fingers]
@@ -214,6 +217,11 @@ class HandSpec:
             )
         if len(set(names)) != len(names):
             raise HandModelError(f"hand {self.name!r} names a finger twice: {names}")
+        if self.gripper and len(names) != 2:
+            raise HandModelError(
+                f"hand {self.name!r} is called a gripper, but has {len(names)} fingers; expected "
+                "two: thumb and index"
+            )
         if names[0] != "thumb":
             raise HandModelError(
                 f"hand {self.name!r}: the first finger must be the thumb, not {names[0]!r}"

@@ -8,6 +8,7 @@
     source = "measured in our lab"      # optional: source of the figures, as a text
     model = "pincer.xml"                # MJCF or URDF, relative to this file
     mirror = false                      # optional: the model is the other hand's
+    gripper = false                     # optional: two jaws, which either human hand drives
     palm = "palm"                       # body whose frame is the palm frame
     wrist = { body = "palm", offset = [0.0, 0.0, -0.03] }
     align = ["wrist", "thumb", "index"] # optional
@@ -119,6 +120,7 @@ def _spec(entries: Entries, folder: Path) -> HandSpec:
         "source",
         "model",
         "mirror",
+        "gripper",
         "palm",
         "wrist",
         "align",
@@ -146,6 +148,7 @@ def _spec(entries: Entries, folder: Path) -> HandSpec:
         fingers=tuple(_finger(fingers.table(name), name) for name in fingers.names),
         neutral={joint: neutral.number(joint) for joint in neutral.names},
         mirror=entries.flag("mirror", False),
+        gripper=entries.flag("gripper", False),
         joint_map=tuple(_row(rows.table(joint), joint) for joint in rows.names),
         torque=_torque(entries),
         couplings=tuple(_coupling(couplings.table(name), name) for name in couplings.names),

@@ -6,6 +6,9 @@ relative to the robot's own knuckle, at the same distance as the human's fingert
 knuckle, in units of finger length. When thumb and finger approach each other, their targets move
 together until the vector between them equals the human's. The lengths of the human's fingers are
 measured in each frame, because trackers stretch bones.
+
+A gripper has one degree of freedom, its opening. It is open when the human's thumb and index finger
+are the length of the index finger apart, and closed when they touch.
 """
 
 from __future__ import annotations
@@ -30,6 +33,8 @@ _POSES: Final = 256  # random ones, for the thumb's length
 # distance of full pressing [m]; none at twice this distance
 _PRESSED: Final = 0.012
 _TINY: Final = 1e-9
+_JAW_POSES: Final = 4096  # poses among which a gripper's closed and open ones are
+_JAW_STEPS: Final = 65  # poses between them
 
 
 @dataclass(frozen=True)
@@ -165,15 +170,58 @@ class Correspondence:
             bases=jnp.where(known[:, None], chains[:, 0], before.bases),
             lengths=jnp.where(known, lengths, before.lengths),
         )
-        places, gain, nearness = self._places(operator, tips)
-        # pinching fingers move together
-        nearest = jnp.concatenate([nearness.max()[None], nearness])
-        moves = (gain + nearest * (1 - gain))[:, None] * steps
         size = jnp.sqrt((measured * measured).sum(-1))
+        if self.hand.spec.gripper:
+            places, gain = self._jaw_places(operator, tips)
+            size = jnp.full_like(size, size.sum())  # either fingertip opens both jaws
+        else:
+            places, gain, nearness = self._places(operator, tips)
         most = (jnp.maximum(gain, 1.0) * size + self.config.catch_up * dt)[:, None]
         last = jnp.where(restart, places, before.places)
         places = last + _shortened(places - last, most)
+        if self.hand.spec.gripper:
+            moves = places - last
+        else:  # pinching fingers move together
+            nearest = jnp.concatenate([nearness.max()[None], nearness])
+            moves = (gain + nearest * (1 - gain))[:, None] * steps
         return operator._replace(places=places), _shortened(moves, most)
+
+    @cached_property
+    def _jaws(self) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "K 2 3"]]:
+        """Openings of a gripper from closed to open, and the places of its tips [m]."""
+        low, high = self.hand.limits.T
+        count = max(2, int(_JAW_POSES ** (1 / len(low))))
+        axes = np.linspace(low, high, count).T
+        poses = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(low))
+
+        def tips_at(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            tips = self.hand.tips(self.hand.full_configuration(q))
+            return np.linalg.norm(tips[:, 1] - tips[:, 0], axis=-1), tips
+
+        openings, _ = tips_at(poses)
+        closed, opened = poses[int(np.argmin(openings))], poses[int(np.argmax(openings))]
+        openings, tips = tips_at(closed + np.linspace(0, 1, _JAW_STEPS)[:, None] * (opened - closed))
+        return np.maximum.accumulate(openings).astype(np.float32), tips.astype(np.float32)
+
+    def _jaw_places(
+        self, operator: CorrespondenceState, tips: Float[Array, "2 3"]
+    ) -> tuple[Float[Array, "2 3"], Float[Array, " 2"]]:
+        """Returns the targets of a gripper's tips, and the gains of its opening.
+
+        With the human's distance of thumb and index finger d and the length l of the index finger,
+        the opening is w_min + (w_max - w_min) (d - press) / (l - press), within w_min and w_max.
+        """
+        openings, path = (jnp.asarray(part, tips.dtype) for part in self._jaws)
+        human = tips[1] - tips[0]
+        apart = jnp.sqrt((human * human).sum() + _TINY)
+        room = jnp.maximum(operator.lengths[1] - self.config.press, self.config.press)
+        share = jnp.clip((apart - self.config.press) / room, 0.0, 1.0)
+        opening = openings[0] + share * (openings[-1] - openings[0])
+        after = jnp.clip(jnp.searchsorted(openings, opening), 1, len(openings) - 1)
+        step = jnp.maximum(openings[after] - openings[after - 1], _TINY)
+        part = jnp.clip((opening - openings[after - 1]) / step, 0.0, 1.0)
+        places = path[after - 1] + part * (path[after] - path[after - 1])
+        return places, jnp.full(2, (openings[-1] - openings[0]) / room)
 
     def _places(
         self, operator: CorrespondenceState, tips: Float[Array, "F 3"]
