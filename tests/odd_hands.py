@@ -171,6 +171,20 @@ def spread_around() -> Drawing:
     return drawing
 
 
+def opposed_pairs() -> Drawing:
+    """Two fingers against two that all lie flat when they are open; no shape marks the wrist."""
+    drawing = Drawing("disc", [Part("disc", None, np.zeros(3))])
+    for name, x, y in (("a", 1, 1), ("b", 1, -1), ("c", -1, 1), ("d", -1, -1)):
+        out = np.array([float(x), 0.0, 0.0])
+        drawing.finger(
+            name,
+            np.array([0.03 * x, 0.02 * y, 0.01]),
+            [(0 * X, -x * Y, (0.0, 1.6)), (0.05 * out, -x * Y, (0.0, 1.2))],
+            0.045 * out,
+        )
+    return drawing
+
+
 def prosthesis() -> Drawing:
     """One joint a finger, bent as it was moulded, and two for the thumb; pinyin names."""
     drawing = Drawing("zhang", [palm("zhang")])

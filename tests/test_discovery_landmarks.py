@@ -67,6 +67,24 @@ def test_a_knuckle_that_no_joint_moves_stays_on_its_link(tmp_path):
     assert base_travel(load_hand_spec(found.spec)).max() < 1e-4
 
 
+def test_hinges_beside_a_finger_give_landmarks_in_its_middle(tmp_path):
+    """CAD exports put a hinge's origin at a face of the finger. That of a short last link was kept,
+    so its landmark was 12 mm aside of the finger."""
+    hand = make_hand(3, turned=False)
+    parts = {p.name: p for p in hand.parts}
+    for name, _ in hand.truth.tips[1:]:
+        part = parts[name]
+        aside = 0.012 * part.axis
+        parts[name] = replace(part, position=part.position + aside, end=None)
+        parts[f"{name}_shape"] = Part(f"{name}_shape", name, -aside, end=part.end)
+    hand = load_hand_spec(found_in(tmp_path, urdf(tuple(parts.values()))).spec)
+    points = dict(zip(hand.tree.names, hand.landmark_positions(hand.straight_pose.q), strict=True))
+    for finger in ("index", "middle", "ring", "pinky"):
+        bones = np.diff([points[f"{finger}_{joint}"] for joint in ("pip", "dip", "tip")], axis=0)
+        bones /= np.linalg.norm(bones, axis=1)[:, None]
+        assert np.degrees(np.arccos(bones[0] @ bones[1])) < 10
+
+
 def test_a_base_on_a_slide_stays_too(tmp_path):
     found = found_in(tmp_path, urdf(claw()))
     assert base_travel(load_hand_spec(found.spec)).max() < 1e-6

@@ -8,9 +8,12 @@ import pytest
 from discovery_hands import Model, Part, found_in, make_hand, mjcf, sure, tip_errors, urdf
 
 from smooth_operator.errors import HandModelError
+from smooth_operator.hand_discovery.checks import Samples
 from smooth_operator.hand_discovery.discover import discover
+from smooth_operator.hand_discovery.joints import check_wrist
 from smooth_operator.hand_discovery.landmarks import SURE, UNSURE, Discovery, Overrules
 from smooth_operator.hands.hand import load_hand_spec
+from smooth_operator.hands.registry import hand_names, load_hand
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
@@ -201,3 +204,17 @@ def test_a_finger_whose_joints_lack_limits_is_not_lost(tmp_path):
     found = discover(tmp_path / "model.urdf", overrules=Overrules(palm="palm"))
     assert len(found.fingers) == 4
     assert any("rotates without limits" in note for note in found.notes)
+
+
+def test_check_fails_a_wrist_beside_the_palm(tmp_path):
+    """The fingers of opposed pairs point in opposite directions, so the wrist is a guess."""
+    found = found_in(tmp_path, urdf(odd_hands.opposed_pairs().model("right", 0).parts))
+    assert "wrist" in {guess.subject for guess in found.guesses}
+    check = check_wrist(Samples(load_hand_spec(found.spec)))
+    assert check.verdict == "failed"
+    assert "--wrist" in check.advice
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_check_accepts_the_wrist_of_a_built_in_hand(name):
+    assert check_wrist(Samples(load_hand(name))).verdict == "ok"

@@ -1,5 +1,6 @@
 """Grippers: one jaw that closes against a fixed one, or two jaws of one motor."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,14 @@ def one_jaw(*, slide: bool = False) -> tuple[Part, ...]:
     jaw = Part("jaw", "grip", 0.006 * X, axis=Y, joint="jaw_j", limits=(-0.1, 1.4), end=JAW * Z)
     if slide:
         jaw = Part(
-            "jaw", "grip", 0.006 * X, axis=X, joint="jaw_j", limits=(0, 0.06), slide=True, end=JAW * Z
+            "jaw",
+            "grip",
+            0.006 * X,
+            axis=X,
+            joint="jaw_j",
+            limits=(0, 0.06),
+            slide=True,
+            end=JAW * Z,
         )
     return (*arm, grip, fixed, jaw)
 
@@ -50,7 +58,7 @@ def two_jaws() -> str:
         '<tendon><fixed name="t"><joint joint="lf" coef="0.5"/><joint joint="rf" coef="0.5"/>'
         '</fixed></tendon><actuator><motor tendon="t"/></actuator></mujoco>'
     )
-    parts = [p if p.joint != "lf" else Part(**vars(p) | {"mimic": ("rf", 1.0, 0.0)}) for p in claw()]
+    parts = [p if p.joint != "lf" else replace(p, mimic=("rf", 1.0, 0.0)) for p in claw()]
     return mjcf(tuple(parts)).replace("</mujoco>", tendon)
 
 
@@ -109,7 +117,7 @@ def test_a_joint_that_is_no_jaw_is_refused(tmp_path, joint, error, message):
 
 def test_a_joint_above_two_jaws_is_refused(tmp_path):
     parts = (Part("arm", None, 0 * X, axis=Z, joint="turn", end=0.1 * Z), *claw())
-    parts = tuple(p if p.name != "hand" else Part(**vars(p) | {"parent": "arm"}) for p in parts)
+    parts = tuple(p if p.name != "hand" else replace(p, parent="arm") for p in parts)
     with pytest.raises(HandModelError, match="moves 2 chains"):
         found_in(tmp_path, urdf(parts), overrules=Overrules(gripper="turn"))
     found = found_in(tmp_path, urdf(parts), overrules=Overrules(gripper="lf"))
@@ -118,7 +126,7 @@ def test_a_joint_above_two_jaws_is_refused(tmp_path):
 
 
 def test_jaws_without_shapes_are_refused(tmp_path):
-    parts = tuple(Part(**vars(p) | {"end": None}) for p in one_jaw())
+    parts = tuple(replace(p, end=None) for p in one_jaw())
     with pytest.raises(HandModelError, match=r"no shape that can be read; put the mesh files"):
         found_in(tmp_path, urdf(parts), overrules=Overrules(gripper="jaw_j"))
 
@@ -140,7 +148,8 @@ def test_either_side_loads_a_gripper(tmp_path, monkeypatch):
     right, left = (load_hand(found.spec.name, side) for side in ("right", "left"))
     assert (right.spec.side, left.spec.side) == ("right", "left")
     assert not left.spec.mirror
-    assert np.allclose(right.landmark_positions(right.neutral), left.landmark_positions(left.neutral))
+    places = [hand.landmark_positions(hand.neutral) for hand in (right, left)]
+    np.testing.assert_array_equal(*places)
     text = (tmp_path / f"{found.spec.name}.right.toml").read_text()
     assert f"gripper = {toml_value(True)}\n" in text
     (tmp_path / "three.toml").write_text(text.replace("[fingers.index]", "[fingers.ring]"))

@@ -88,6 +88,22 @@ def test_a_model_with_the_suffix_mjcf_is_read(tmp_path):
     assert load_hand_spec(discover(path).spec).joint_names
 
 
+def test_a_mesh_of_a_declared_pair_that_is_missing_is_a_lost_shape(tmp_path):
+    """Its masks are 0, and MuJoCo refuses a pair whose shape is gone."""
+    model = make_hand(3, turned=False)
+    tip = model.truth.tips[0][0]
+    text = mjcf(model.parts).replace('<geom type="capsule"', '<geom name="own" type="capsule"', 1)
+    head, body, tail = text.partition(f'<body name="{tip}"')
+    mesh = '<geom name="gone" type="mesh" mesh="m" contype="0" conaffinity="0"/>'
+    text = head + body + tail.replace(">", f">{mesh}", 1)
+    text = text.replace("<worldbody>", '<asset><mesh name="m" file="m.stl"/></asset><worldbody>')
+    pair = '<contact><pair geom1="gone" geom2="own"/></contact></mujoco>'
+    (tmp_path / "h.xml").write_text(text.replace("</mujoco>", pair))
+    loaded = load_model(tmp_path / "h.xml")
+    assert loaded.unreadable == (tip,)
+    assert loaded.model.npair == 0
+
+
 def test_shapes_of_declared_pairs_are_collision_shapes(tmp_path):
     shapes = MJCF.replace("<geom ", '<geom contype="0" conaffinity="0" ')
     names = iter(range(1000))

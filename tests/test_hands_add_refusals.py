@@ -9,10 +9,13 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import odd_hands
 import pytest
 import trimesh
 from discovery_hands import Model, make_hand, mjcf, urdf
 
+from smooth_operator.hand_discovery.checks import Samples
+from smooth_operator.hand_discovery.joints import check_wrist
 from smooth_operator.hands.registry import load_hand
 
 HAND = make_hand(3)
@@ -258,6 +261,40 @@ def test_names_that_no_file_can_have(run, tmp_path):
     (tmp_path / f"{'y' * 240}.urdf").write_text(TEXT)
     assert run(f"{'y' * 240}.urdf")[0] == 0
     assert load_hand("y" * 100).fingers[0] == "thumb"
+
+
+def test_a_hand_that_would_be_a_guess_is_refused(run, tmp_path):
+    """One line names every guess and its option; with these, the hand is added and is sound."""
+    (tmp_path / "h.urdf").write_text(urdf(tuple(odd_hands.opposed_pairs().parts)))
+    status, out, err = run("h.urdf", "--name", "pairs")
+    assert (status, out, err.count("is only a guess")) == (2, "", 2), err
+    assert re.search(r"the thumb is only a guess .* set it with --thumb BODY", err)
+    assert re.search(r"the wrist is only a guess .* set it with --wrist BODY:x,y,z", err)
+    assert not (tmp_path / "hands").exists()
+    status, _, err = run("h.urdf", "--name", "pairs", "--thumb", "a1")
+    assert (status, "thumb is only" in err, "wrist is only" in err) == (2, False, True)
+    given = ("--thumb", "a1", "--wrist", "disc:0,0,-0.08", "--json")
+    status, out, err = run("h.urdf", "--name", "pairs", *given)
+    assert status == 0, err
+    assert check_wrist(Samples(load_hand("pairs"))).verdict == "ok"
+
+
+def test_a_side_that_is_set_is_no_guess(run, tmp_path):
+    text = urdf(odd_hands.spread_around().model("right", 0).parts)
+    (tmp_path / "h.urdf").write_text(text)
+    status, _, err = run("h.urdf", "--name", "around")
+    assert (status, "set it with --side right|left" in err) == (2, True), err
+    for side in ("left", "right"):
+        status, _, err = run("h.urdf", "--name", "around", "--side", side, "--wrist", "core")
+        assert status == 0, err
+
+
+def test_joints_without_couplings_are_a_note(run, tmp_path):
+    """A URDF without mimic elements may be of a hand with fewer motors."""
+    for model, noted in ((make_hand(3), True), (make_hand(5, coupled=True), False)):
+        (tmp_path / "h.urdf").write_text(urdf(model.parts))
+        status, out, _ = run("h.urdf", "--name", "motors", "--overwrite")
+        assert (status, "check the maker's number of motors" in out) == (0, noted)
 
 
 def bare() -> Model:

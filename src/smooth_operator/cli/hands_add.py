@@ -35,8 +35,9 @@ class Add(Common, Page):
     details: ClassVar[str] = """Finds the palm, the fingers and their order, the thumb, fingertips,
 side, coupled joints, wrist and a neutral pose from the motion of the joints, not from their names.
 The output lists the uncertain findings, each with the option that overrides it; run the command
-again with those options. --all prints every finding with its reason; the spec file also has them as
-comments. The model and its meshes are copied to the folder of the spec file, so you may move or
+again with those options. If side, palm, thumb, order or wrist would be a guess, the command asks
+for the option and writes nothing. --all prints every finding with its reason; the spec file also
+has them as comments. The model and its meshes are copied to the folder of the spec file, so you may move or
 delete the original. If you change the original, run the command again.
 
 Examples:
@@ -44,10 +45,12 @@ Examples:
   smooth-operator hands add two_hands.urdf --side left --name my_left
   smooth-operator hands add hand.xml --thumb link_12 --tip index=link_3:0,0,0.027 --overwrite
   smooth-operator hands add so101.urdf --gripper gripper
+  smooth-operator hands add robot_descriptions:allegro_hand --side right
   smooth-operator hands add hand.urdf --json"""
 
-    model: Annotated[Positional[Path], arg(metavar="PATH")]
-    """URDF or MJCF file, with or without meshes; it may include an arm."""
+    model: Annotated[Positional[Path], arg(metavar="PATH|robot_descriptions:NAME")]
+    """URDF or MJCF file, with or without meshes; it may include an arm. Or robot_descriptions:NAME,
+    a model of that Python package."""
 
     name: Annotated[str | None, arg(metavar="NAME")] = None
     """Name of the hand, for --hand. Default: the name of the file."""
@@ -98,10 +101,14 @@ Examples:
 def add_hand(options: Add) -> None:
     """Analyses a model, prints the findings, writes the spec file and opens the page."""
     from smooth_operator.hand_discovery.loops import opened
+    from smooth_operator.hand_files.robot_descriptions import PREFIX, description_file
     from smooth_operator.hands.spec_file import check_hand_name
 
     if options.name is not None:
         check_hand_name(options.name)
+    if str(options.model).startswith(PREFIX):
+        file = description_file(str(options.model).removeprefix(PREFIX))
+        options = replace(options, model=file)
     with opened(options.model) as model:
         _add_hand(options, model)
 
@@ -123,6 +130,7 @@ def _add_hand(options: Add, model: OpenModel) -> None:
         name=options.name or hand_name(options.model),
         overrules=overrules,
     )
+    _refuse_guesses(discovery, options)
     hand, notes = _trial(discovery.spec)
     twin = None if hand is None else _built_in(hand)
     spec = discovery.spec if hand is None or twin is None else _mapped(hand, twin)
@@ -155,6 +163,28 @@ def _add_hand(options: Add, model: OpenModel) -> None:
                 no_browser=options.no_browser,
             )
         )
+
+
+def _refuse_guesses(discovery: Discovery, options: Add) -> None:
+    """Stops at a property that is only guessed, unless the user has set it."""
+    fingers = options.finger or None
+    given = {
+        "side": options.side,
+        "palm": options.palm or options.gripper,
+        "thumb": options.thumb or fingers,
+        "order": fingers,
+        "wrist": options.wrist,
+    }
+    guesses = [guess for guess in discovery.guesses if given[guess.subject] is None]
+    if guesses:
+        options_of = {"side": "--side right|left"}
+        texts = [
+            f"the {guess.subject} is only a guess ({guess.value}, confidence "
+            f"{guess.confidence:.2f}: {'; '.join(guess.evidence)}); set it with "
+            f"{options_of.get(guess.subject, guess.overrule)}"
+            for guess in guesses
+        ]
+        raise ConfigError(f"{options.model}: {'. '.join(texts)}")
 
 
 def _overrules(options: Add) -> Overrules:

@@ -20,7 +20,9 @@ _OUTER: Final = 0.6  # part of the jaw that may hold its pad, over the reach fro
 _CLOSED: Final = 1e-3  # margin above the least gap within which the jaws are closed [m]
 _PATCH: Final = 0.05  # thickness of the layer of points that counts as the pad, over the reach
 _BASES: Final = 0.6  # least distance of the bases of the two jaws, over the jaw's length
-_WRIST: Final = 0.95  # from the jaws' bases to the wrist, over the jaw's length; as for a human hand
+_WRIST: Final = (
+    0.95  # from the jaws' bases to the wrist, over the jaw's length; as for a human hand
+)
 _CLOSES: Final = 0.2  # least decrease of the gap from open to closed, over the jaw's length
 _MEETS: Final = 0.1  # largest gap of closed jaws that meet, over the reach
 _NEUTRAL: Final = 0.4  # position between closed and open

@@ -31,6 +31,7 @@ from smooth_operator.hand_discovery.joints import (
     check_shapes,
     check_size,
     check_tilt,
+    check_wrist,
 )
 from smooth_operator.hands.hand import Hand
 from smooth_operator.hands.penetration import penetration_depths
@@ -289,8 +290,9 @@ def check_method(
     verdict, advice = _judge(method, trip)
     within = trip.ok == 1 and not trip.limit_violations
     if hand.spec.gripper and method == DEFAULT_METHOD and within:
-        verdict, advice = "unjudged", (
-            "for information only: this method scales the human's pinch to the gripper's opening"
+        verdict, advice = (
+            "unjudged",
+            ("for information only: this method scales the human's pinch to the gripper's opening"),
         )
     text = f"fingertips off by {trip.median:.2f} mm, median; 95 % within {trip.p95:.1f} mm"
     if trip.limit_violations:
@@ -390,6 +392,7 @@ def _checks(
     samples = Samples(hand)
     yield (size := check_size(samples))
     yield (palm := check_palm(samples))
+    yield check_wrist(samples)
     yield (ranges := check_ranges(hand))
     motion = _after("joints used", ranges) if ranges.verdict == "failed" else check_motion(samples)
     yield motion

@@ -231,6 +231,11 @@ _USUAL: Final = (0.10, 0.40)  # wrist to farthest fingertip [m]; built-in hands:
 _POSSIBLE: Final = (0.05, 0.80)  # wrist to farthest fingertip [m]
 
 
+_TOGETHER: Final = 0.5  # least length of the mean of the fingers' directions that has a meaning
+_BEHIND_DEG: Final = 72.0
+"""Largest angle of a wrist behind the knuckles; the built-in hands have up to 25."""
+
+
 def check_palm(samples: Samples) -> Check:
     """Checks that the landmarks of the palm span a frame and do not move."""
     hand = samples.hand
@@ -261,6 +266,35 @@ def check_palm(samples: Samples) -> Check:
             text,
             "nearly a line: tracker noise will rotate the hand; name landmarks in align that "
             "are further apart",
+        )
+    return check("ok", text)
+
+
+def check_wrist(samples: Samples) -> Check:
+    """Checks that the wrist is behind the knuckles, opposite to the fingers.
+
+    The fingers point from base to tip when they are straight; if they point in opposite directions,
+    as in a gripper that opens flat, they point where their tips are on average.
+    """
+    hand = samples.hand
+    bases, rays = samples.bases.mean(axis=0), hand.straight_pose.rays
+    units = rays / np.maximum(np.linalg.norm(rays, axis=-1, keepdims=True), 1e-9)
+    forward = units[1:].mean(axis=0)
+    if np.linalg.norm(forward) < _TOGETHER:
+        forward = samples.tips.mean(axis=(0, 1)) - bases.mean(axis=0)
+    away = bases.mean(axis=0) - hand.wrist
+    lengths = np.linalg.norm(forward) * np.linalg.norm(away)
+    angle = float(np.degrees(np.arccos(np.clip(forward @ away / max(lengths, 1e-9), -1, 1))))
+    text = (
+        f"{1e3 * np.linalg.norm(away):.0f} mm from the finger bases, {angle:.0f}° from the "
+        "direction opposite to the fingers"
+    )
+    check = partial(Check, "wrist", figures={"angle_deg": round(angle, 1)})
+    if angle > _BEHIND_DEG:
+        return check(
+            "failed",
+            text,
+            "set the wrist to a point of the palm behind the finger bases: hands add with --wrist",
         )
     return check("ok", text)
 

@@ -17,7 +17,8 @@ from smooth_operator.landmarks import FINGERS
 SURE: Final = 0.8
 """Least confidence of a finding that needs no check by the user."""
 UNSURE: Final = 0.5
-"""Confidence below which a finding is little better than a guess, which the checklist marks."""
+"""Confidence below which a finding is little better than a guess, which the checklist marks.
+``smooth-operator hands add`` writes no hand with such a side, palm, thumb, order or wrist."""
 _COUPLING: Final = ("joint", "follows", "multiplier", "offset", "higher")
 
 
@@ -90,6 +91,13 @@ class Discovery:
         """Findings that the user should check, the least certain first."""
         doubtful = [finding for finding in self.findings if finding.confidence < SURE]
         return tuple(sorted(doubtful, key=lambda finding: finding.confidence))
+
+    @property
+    def guesses(self) -> tuple[Finding, ...]:
+        """Findings that are little better than a guess and without which the hand is wrong: those
+        about side, palm, thumb, order of the fingers and wrist. The user must set them."""
+        deciding = ("side", "palm", "thumb", "order", "wrist")
+        return tuple(f for f in self.unsure if f.subject in deciding and f.confidence < UNSURE)
 
     def to_json(self) -> dict[str, Any]:
         """The description and the findings as one object of plain values.
@@ -165,6 +173,7 @@ class Overrules:
 # Distances over a finger's length:
 _BESIDE: Final = 0.09  # from the knuckle up to which a joint is part of it
 _APART: Final = 0.06  # least distance between two landmarks of a finger
+_ACROSS: Final = 0.3  # largest cosine between a hinge across the finger and the way to the tip
 _CLEAR: Final = 0.2  # from a finger's base up to which a frame is that base
 _WRIST: Final = 0.95  # from wrist to knuckles of a human hand
 
@@ -201,10 +210,10 @@ def finger_points(
     apart = _APART * chain.length
     where = at.anchors[base]
     if base == knuckle and not is_thumb:
-        where = _level(at, base, end, chain.length)
+        where = _level(at, base, knuckle, end, chain.length)
     points: list[tuple[int, np.ndarray]] = []
     for j in joints:
-        place = _level(at, j, end, chain.length)
+        place = _level(at, j, knuckle, end, chain.length)
         before = points[-1][1] if points else where
         if np.linalg.norm(place - before) > apart and np.linalg.norm(place - end) > apart:
             points.append((j, place))
@@ -217,14 +226,18 @@ def finger_points(
     return first_point, mcp, pip, tip
 
 
-def _level(at: Placement, joint: int, end: np.ndarray, length: float) -> np.ndarray:
+def _level(at: Placement, joint: int, knuckle: int, end: np.ndarray, length: float) -> np.ndarray:
     """A joint's origin; if that is beside the finger, the point of its axis level with the tip."""
     anchor: np.ndarray = at.anchors[joint]
     axis = at.axes[joint]
     shift = float((end - anchor) @ axis)
-    # Only for a hinge across the finger: the axis of a twist runs towards the tip.
-    across = abs(shift) < 0.3 * float(np.linalg.norm(end - anchor))
-    if across and 0.03 * length < abs(shift):
+    # Only for a hinge across the finger: the axis of a twist runs towards the tip. The origin of a
+    # short last link may be further aside than its tip is away, so the whole finger counts as well.
+    slopes = [
+        abs(float(way @ axis)) / max(float(np.linalg.norm(way)), 1e-9)
+        for way in (end - anchor, end - at.anchors[knuckle])
+    ]
+    if min(slopes) < _ACROSS and 0.03 * length < abs(shift):
         anchor = anchor + shift * axis
     return anchor
 

@@ -130,12 +130,18 @@ def drop_meshes(spec: mujoco.MjSpec, meshes: frozenset[str]) -> tuple[str, ...]:
         names of the bodies that lost a colliding shape.
     """
     lost = []
+    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    gone_geoms = set()
     for geom in list(spec.geoms):
         terrain = geom.type == mujoco.mjtGeom.mjGEOM_HFIELD
         if terrain or geom.meshname in meshes:
-            if geom.contype or geom.conaffinity:
+            if geom.contype or geom.conaffinity or geom.name in paired - {""}:
                 lost.append(geom.parent.name)
+            gone_geoms.add(geom.name)
             spec.delete(geom)
+    for pair in list(spec.pairs):
+        if {pair.geomname1, pair.geomname2} & gone_geoms:
+            spec.delete(pair)
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
     gone = [mesh for mesh in spec.meshes if mesh.name in meshes]

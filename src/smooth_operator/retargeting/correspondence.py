@@ -200,7 +200,9 @@ class Correspondence:
 
         openings, _ = tips_at(poses)
         closed, opened = poses[int(np.argmin(openings))], poses[int(np.argmax(openings))]
-        openings, tips = tips_at(closed + np.linspace(0, 1, _JAW_STEPS)[:, None] * (opened - closed))
+        openings, tips = tips_at(
+            closed + np.linspace(0, 1, _JAW_STEPS)[:, None] * (opened - closed)
+        )
         return np.maximum.accumulate(openings).astype(np.float32), tips.astype(np.float32)
 
     def _jaw_places(
